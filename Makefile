@@ -1,0 +1,106 @@
+# Every target does its own set-up in .venv, from the locked versions in requirements/.
+#   PYTHON=/path/to/python3.12   the interpreter to make .venv with, after `make clean` (default: the first >= 3.11 found)
+#   JUNIT=folder                 `make test` also writes its results there as XML
+
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-builtin-rules --no-print-directory
+# Settings of the caller's that would send an installation, or an import, somewhere else than .venv.
+unexport PYTHONHOME PYTHONPATH PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV VIRTUAL_ENV
+
+VENV := .venv
+PY := $(VENV)/bin/python
+PIP_INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check
+LOCKED := $(PIP_INSTALL) --require-hashes --only-binary :all:
+PROJECT := $(PIP_INSTALL) --no-deps --no-build-isolation --no-index --editable .
+
+DEMO_OUT ?= runs/demo
+QUICK := not process and not slow and not autopilot
+junit = $(if $(JUNIT),--junitxml=$(JUNIT)/$(1).xml)
+
+.PHONY: help demo test check lint format bench docs lock setup clean FORCE
+
+help: ## show this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
+	  while IFS='|' read -r name text; do printf '%-14s %s\n' "$$name" "$$text"; done
+
+demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves its report in runs/demo
+	@rm -rf '$(DEMO_OUT)'
+	@status=0; $(VENV)/bin/handfast run delta --out '$(DEMO_OUT)' || status=$$?; \
+	if [ -e '$(DEMO_OUT)/report.html' ]; then printf '\nReport: %s\n' '$(abspath $(DEMO_OUT))/report.html'; fi; \
+	exit $$status
+
+test: $(VENV)/.dev ## all tests: two at a time, then those that start processes, one at a time
+	$(PY) -m pytest -n 2 -m 'not process' $(call junit,parallel)
+	$(PY) -m pytest -n 0 -m process $(call junit,serial) || [ $$? -eq 5 ] # 5: there is none
+
+check: lint ## the quick loop: lint, then the fast tests
+	$(PY) -m pytest -n 2 -m '$(QUICK)'
+
+lint: $(VENV)/.dev ## ruff, mypy --strict, import-linter
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy --strict
+	$(VENV)/bin/lint-imports --no-logo
+
+format: $(VENV)/.dev ## let ruff lay out the code and repair what it can
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+bench: $(VENV)/.dev ## benchmarks
+	$(PY) -m tests.benchmarks
+
+docs: $(VENV)/.dev ## write the reference of the fleet file
+	$(PY) -m deploy.fleet_reference
+
+# Keeps the pinned versions that still satisfy pyproject.toml; `make lock UPGRADE=1` takes the newest.
+# operator.txt and core.txt are constrained by lock.txt, so the three files always agree.
+UV_COMPILE = $(VENV)/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest \
+	--generate-hashes --no-build --no-annotate --no-emit-index-url --no-emit-find-links \
+	--custom-compile-command 'make lock' pyproject.toml
+lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions)
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) --all-extras --group pyproject.toml:build -o requirements/lock.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra operator --group pyproject.toml:build -o requirements/operator.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt -o requirements/core.txt
+
+setup: $(VENV)/.dev ## make .venv with everything a developer needs
+
+clean: ## remove .venv, caches and builds; keeps runs/
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find agent plant bridges deploy tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- set-up -----------------------------------------------------------------------------------
+
+# The interpreters to try, and what one must answer.
+CANDIDATES := $(if $(PYTHON),'$(PYTHON)',python3 python3.13 python3.12 python3.11 python)
+IS_RECENT := import sys; sys.exit(sys.version_info < (3, 11))
+
+# A .venv whose interpreter is gone, or that was made for another folder, is made again.
+STALE := $(shell $(PY) -c '' 2>/dev/null && grep -qxF '$(CURDIR)' $(VENV)/.made 2>/dev/null || echo FORCE)
+
+$(VENV)/.made: $(STALE)
+	@python=; for candidate in $(CANDIDATES); do \
+	  if "$$candidate" -c '$(IS_RECENT)' >/dev/null 2>&1; then python=$$candidate; break; fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	  echo "handfast needs Python 3.11 or later; tried: $(CANDIDATES). Name one: make PYTHON=/path/to/python3" >&2; exit 1; \
+	fi; \
+	if ! "$$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then \
+	  echo "$$python lacks the modules venv and ensurepip (Debian, Ubuntu: apt install python3-venv)" >&2; exit 1; \
+	fi; \
+	echo "making $(VENV) with $$("$$python" --version)"; \
+	rm -rf $(VENV) && "$$python" -m venv $(VENV)
+	@echo '$(CURDIR)' > $@
+
+$(VENV)/.operator: $(VENV)/.made requirements/operator.txt pyproject.toml
+	@echo 'installing requirements/operator.txt'
+	@$(LOCKED) -r requirements/operator.txt
+	@$(PROJECT)
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.made requirements/lock.txt requirements/operator.txt pyproject.toml
+	@echo 'installing requirements/lock.txt'
+	@$(LOCKED) -r requirements/lock.txt
+	@$(PROJECT)
+	@touch $(VENV)/.operator $@

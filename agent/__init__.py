@@ -1,0 +1,1 @@
+"""One robot: the control law, the messages, the fleet file, and the process that runs them."""

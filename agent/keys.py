@@ -1,0 +1,61 @@
+"""Key expressions of the bus: the only place where they are written.
+
+``{fleet}`` is the fleet's name, ``{id}`` a robot's number. ``*`` stands for one segment.
+"""
+
+from __future__ import annotations
+
+ROLES = ("agent", "plant")
+
+
+def hand(fleet: str, robot: int | str) -> str:
+    """Hand state of one robot, from its agent to its neighbours."""
+    return f"{fleet}/robot/{robot}/hand"
+
+
+def status(fleet: str, robot: int | str) -> str:
+    """What one agent is doing, for operators."""
+    return f"{fleet}/robot/{robot}/status"
+
+
+def plant_state(fleet: str, robot: int | str) -> str:
+    """What the plant measures of its body, for its agent."""
+    return f"{fleet}/robot/{robot}/plant/state"
+
+
+def plant_truth(fleet: str, robot: int | str) -> str:
+    """Where a simulated body really is; sent only when its measurements are noisy, for operators."""
+    return f"{fleet}/robot/{robot}/plant/truth"
+
+
+def wrench(fleet: str, robot: int | str) -> str:
+    """Force and torque that the agent asks of its plant."""
+    return f"{fleet}/robot/{robot}/plant/wrench"
+
+
+def mission(fleet: str) -> str:
+    """The common epoch and what is to be driven, from the operator to every agent."""
+    return f"{fleet}/mission"
+
+
+def stop(fleet: str) -> str:
+    """Operator's stop, to every agent."""
+    return f"{fleet}/stop"
+
+
+def alive(fleet: str, robot: int | str, role: str) -> str:
+    """Liveliness token of one process; `role` is one of `ROLES` (or ``*``)."""
+    return f"{fleet}/alive/robot/{robot}/{role}"
+
+
+def everything(fleet: str) -> str:
+    """Every message of the fleet (liveliness tokens are not messages)."""
+    return f"{fleet}/**"
+
+
+def robot_of_alive(key: str) -> tuple[int, str] | None:
+    """Robot and role of a liveliness token's key, None when it is not one."""
+    parts = key.rsplit("/", 4)
+    if len(parts) != 5 or parts[1] != "alive" or parts[2] != "robot" or parts[4] not in ROLES:
+        return None
+    return (int(parts[3]), parts[4]) if parts[3].isdigit() else None

@@ -1,0 +1,298 @@
+"""Messages on the bus and their codec.
+
+A message on the wire is one MessagePack array ``[version, type, *fields]`` with the fields in
+the order of the class. `decode` never trusts its input: anything that is not exactly one known,
+well-typed, finite message of at most `BYTES_MAX` raises `Malformed`, whose `reason` is one of
+`REASONS`, so that a receiver can drop it and count it by reason.
+
+Units are SI, positions and velocities in W (world ENU), times integer nanoseconds of the wall
+clock (Unix epoch).
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any, Final, NamedTuple, TypeVar
+
+import msgpack
+
+VERSION: Final = 1
+BYTES_MAX: Final = 4096
+NEIGHBOURS_MAX: Final = 64
+TEXT_MAX: Final = 200
+TIME_NS_MAX: Final = 2**62
+
+REASONS: Final = ("oversized", "malformed", "version", "type", "not_finite", "range")
+
+
+class Malformed(ValueError):
+    """A payload that is not a valid message; `reason` is one of `REASONS`."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+
+
+class HandState(NamedTuple):
+    """One robot's hand point, from its agent to its neighbours.
+
+    Position, velocity (m, m/s, W) are those at `time_ns`; forces are per unit mass (m/s^2, W).
+    `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
+    is False the robot brakes, comes to rest, and its forces say nothing about its motion.
+    `multipliers` are the sender's copies of lambda, one ``(neighbour, lambda)`` for each of its edges.
+    """
+
+    robot: int
+    sequence: int
+    time_ns: int
+    following: bool
+    x: float
+    y: float
+    vx: float
+    vy: float
+    navigation_x: float
+    navigation_y: float
+    constraint_x: float
+    constraint_y: float
+    multipliers: tuple[tuple[int, float], ...]
+
+
+class PlantState(NamedTuple):
+    """One body as its plant measures it, valid at `time_ns`.
+
+    x, y (m, W), heading (rad, counter-clockwise from x), speed along the heading (m/s),
+    yaw rate (rad/s). `force` (N) and `torque` (N m) are what acts on the body from now on, after
+    limits. `driving` is False while the plant brakes of its own accord (no fresh wrench, or told
+    so); `healthy` is False when the measurement must not be used, and `note` says why.
+    """
+
+    robot: int
+    sequence: int
+    time_ns: int
+    x: float
+    y: float
+    heading: float
+    speed: float
+    yaw_rate: float
+    force: float
+    torque: float
+    driving: bool
+    healthy: bool
+    note: str
+
+
+class Wrench(NamedTuple):
+    """What the agent asks of its plant: force (N, along the heading), torque (N m), or to brake."""
+
+    robot: int
+    sequence: int
+    time_ns: int
+    force: float
+    torque: float
+    brake: bool
+
+
+class Mission(NamedTuple):
+    """When the fleet starts (`epoch_ns`) and for how long it drives (`duration_ns`).
+
+    `version` grows with every change; an agent keeps the greatest it has seen. `digest` names
+    the fleet file that the operator means: an agent that runs another one refuses.
+    """
+
+    version: int
+    time_ns: int
+    epoch_ns: int
+    duration_ns: int
+    digest: str
+
+
+class Stop(NamedTuple):
+    """Operator's stop: every robot brakes and stays stopped."""
+
+    version: int
+    time_ns: int
+    reason: str
+
+
+class Status(NamedTuple):
+    """What one agent is doing. `counters` are totals since it started.
+
+    `tick_us` holds the duration of every tick since the last status (empty in virtual time),
+    `ages_us` the age of every neighbour's hand state at every tick since the last status.
+    `neighbours` gives ``(id, age_us)`` for each neighbour now, -1 for one never heard.
+    """
+
+    robot: int
+    sequence: int
+    time_ns: int
+    state: str
+    reason: str
+    mission_version: int
+    neighbours: tuple[tuple[int, int], ...]
+    tick_us: tuple[int, ...]
+    ages_us: tuple[int, ...]
+    counters: tuple[tuple[str, int], ...]
+
+
+Message = HandState | PlantState | Wrench | Mission | Stop | Status
+M = TypeVar("M", HandState, PlantState, Wrench, Mission, Stop, Status)
+
+_CLASSES: Final[tuple[type[Message], ...]] = (HandState, PlantState, Wrench, Mission, Stop, Status)
+_TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}
+
+# Exact types of the fields on the wire; a list stands for a variable part, checked on its own.
+_FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
+    (int, int, int, bool, *(float,) * 8, list),
+    (int, int, int, *(float,) * 7, bool, bool, str),
+    (int, int, int, float, float, bool),
+    (int, int, int, int, str),
+    (int, int, str),
+    (int, int, int, str, str, int, list, list, list, list),
+)
+_FLOATS: Final = tuple(
+    slice(types.index(float), len(types) - types[::-1].index(float)) if float in types else None
+    for types in _FIELD_TYPES
+)
+_STATUS_VALUES_MAX: Final = 2048
+
+_pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
+
+
+def encode(message: Message) -> bytes:
+    """The message's bytes. Does not check: what is sent was made here (see `Agent.tick`)."""
+    packed: bytes = _pack((VERSION, _TYPE_OF[type(message)], *message))
+    return packed
+
+
+def decode(payload: bytes) -> Message:
+    """The message in `payload`.
+
+    Raises:
+        Malformed: for anything but one valid message.
+    """
+    if len(payload) > BYTES_MAX:
+        raise Malformed("oversized", f"{len(payload)} bytes, at most {BYTES_MAX} are accepted")
+    try:
+        array = msgpack.unpackb(
+            payload,
+            max_array_len=_STATUS_VALUES_MAX,
+            max_str_len=TEXT_MAX,
+            max_map_len=0,
+            max_bin_len=0,
+            max_ext_len=0,
+        )
+    except Exception as error:  # msgpack raises a dozen unrelated types; each means the same here
+        raise Malformed("malformed", f"not one MessagePack array ({type(error).__name__})") from None
+    if type(array) is not list or len(array) < 3:
+        raise Malformed("malformed", "not a MessagePack array [version, type, *fields]")
+    version, number, *fields = array
+    if type(version) is not int or version != VERSION:
+        raise Malformed("version", f"version {_shown(version)}, this program speaks {VERSION}")
+    if type(number) is not int or not 0 <= number < len(_CLASSES):
+        raise Malformed("type", f"message type {_shown(number)} is not known")
+    expected = _FIELD_TYPES[number]
+    if tuple(map(type, fields)) != expected:
+        fields = _coerced(fields, expected, _CLASSES[number])
+    floats = _FLOATS[number]
+    # One sum instead of a test for each: NaN and infinities survive every addition.
+    if floats is not None and not isfinite(sum(fields[floats])):
+        raise Malformed(
+            "not_finite", f"{_CLASSES[number].__name__} holds a NaN, an infinity or an absurd value"
+        )
+    return _CHECKS[number](fields)
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _coerced(fields: list[Any], expected: tuple[type, ...], cls: type[Message]) -> list[Any]:
+    """Fields of the right types, or `Malformed`.
+
+    Other languages' encoders write 1.0 as the integer 1: such a number is taken as a float.
+    """
+    if len(fields) != len(expected):
+        raise Malformed("malformed", f"{cls.__name__} has {len(expected)} fields, got {len(fields)}")
+    out = []
+    for value, wanted, name in zip(fields, expected, cls._fields, strict=True):
+        if type(value) is wanted:
+            out.append(value)
+        elif wanted is float and type(value) is int and -(2**53) <= value <= 2**53:
+            out.append(float(value))
+        else:
+            raise Malformed("malformed", f"{cls.__name__}.{name} is {_shown(value)}, not a {wanted.__name__}")
+    return out
+
+
+def _check_times(robot: int, sequence: int, time_ns: int) -> None:
+    if not 0 < robot < 10_000:
+        raise Malformed("range", f"robot {robot} is not within 1..9999")
+    if not 0 <= sequence < TIME_NS_MAX:
+        raise Malformed("range", f"sequence number {sequence} is negative or absurd")
+    if not 0 <= time_ns < TIME_NS_MAX:
+        raise Malformed("range", f"time {time_ns} ns is negative or absurd")
+
+
+def _hand_state(fields: list[Any]) -> HandState:
+    _check_times(fields[0], fields[1], fields[2])
+    multipliers = fields[12]
+    if len(multipliers) > NEIGHBOURS_MAX:
+        raise Malformed("range", f"{len(multipliers)} multipliers, at most {NEIGHBOURS_MAX} are accepted")
+    total = 0.0
+    for entry in multipliers:
+        if (
+            type(entry) is not list
+            or len(entry) != 2
+            or type(entry[0]) is not int
+            or type(entry[1]) is not float
+        ):
+            raise Malformed("malformed", f"multiplier {_shown(entry)} is not [neighbour, lambda]")
+        total += entry[1]
+    if not isfinite(total):
+        raise Malformed("not_finite", "a multiplier is not finite")
+    fields[12] = tuple(map(tuple, multipliers))
+    return HandState._make(fields)
+
+
+def _plant_state(fields: list[Any]) -> PlantState:
+    _check_times(fields[0], fields[1], fields[2])
+    return PlantState._make(fields)
+
+
+def _wrench(fields: list[Any]) -> Wrench:
+    _check_times(fields[0], fields[1], fields[2])
+    return Wrench._make(fields)
+
+
+def _mission(fields: list[Any]) -> Mission:
+    mission = Mission._make(fields)
+    _check_times(1, mission.version, mission.time_ns)
+    if not 0 <= mission.epoch_ns < TIME_NS_MAX or not 0 < mission.duration_ns < TIME_NS_MAX:
+        raise Malformed("range", "a mission's epoch or duration is negative or absurd")
+    return mission
+
+
+def _stop(fields: list[Any]) -> Stop:
+    stop = Stop._make(fields)
+    _check_times(1, stop.version, stop.time_ns)
+    return stop
+
+
+def _status(fields: list[Any]) -> Status:
+    _check_times(fields[0], fields[1], fields[2])
+    for index, types in ((6, (int, int)), (9, (str, int))):
+        for entry in fields[index]:
+            if type(entry) is not list or tuple(map(type, entry)) != types:
+                raise Malformed("malformed", f"Status.{Status._fields[index]} holds {_shown(entry)}")
+        fields[index] = tuple(map(tuple, fields[index]))
+    for index in (7, 8):
+        if not all(type(value) is int for value in fields[index]):
+            raise Malformed(
+                "malformed", f"Status.{Status._fields[index]} holds a value that is not an integer"
+            )
+        fields[index] = tuple(fields[index])
+    return Status._make(fields)
+
+
+_CHECKS: Final = (_hand_state, _plant_state, _wrench, _mission, _stop, _status)

@@ -1,0 +1,71 @@
+"""What one process on the bus is made of: the contract between a sans-IO core and whatever drives it.
+
+Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers use it,
+`agent.process.run` (real time, Zenoh) and `deploy.simulation` (virtual time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+Outgoing = tuple[str, bytes]
+"""A message to publish: its key and its bytes."""
+
+
+class Node(Protocol):
+    """A sans-IO core that ticks at a fixed rate. All times are wall-clock nanoseconds."""
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two ticks. Ticks come at multiples of the period plus `phase_ns`."""
+        ...
+
+    @property
+    def phase_ns(self) -> int: ...
+
+    @property
+    def alive_key(self) -> str:
+        """Key of the liveliness token that stands for this process."""
+        ...
+
+    @property
+    def subscriptions(self) -> Sequence[str]:
+        """Keys to listen to."""
+        ...
+
+    @property
+    def publications(self) -> Sequence[str]:
+        """Keys that `tick` may publish on."""
+        ...
+
+    @property
+    def condition(self) -> tuple[str, str]:
+        """State in one word, and the reason for it ("" when there is nothing to say); for logs."""
+        ...
+
+    @property
+    def done(self) -> bool:
+        """True when, after `leave`, the process may end."""
+        ...
+
+    def receive(self, now_ns: int, key: str, payload: bytes) -> None:
+        """Takes one message off the bus; never raises for what it holds."""
+        ...
+
+    def tick(self, now_ns: int) -> list[Outgoing]:
+        """Does one tick and returns what to publish, most urgent first."""
+        ...
+
+    def timed(self, duration_ns: int, missed: int) -> None:
+        """Told after each tick how long it took and how many ticks were skipped before it."""
+        ...
+
+    def leave(self) -> None:
+        """The process is to end: come to a safe state, then say `done`."""
+        ...
+
+
+def next_tick_ns(now_ns: int, period_ns: int, phase_ns: int) -> int:
+    """The first tick after `now_ns`: ticks lie on one grid of the wall clock for every process."""
+    return (now_ns - phase_ns) // period_ns * period_ns + period_ns + phase_ns

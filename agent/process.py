@@ -1,0 +1,134 @@
+"""The fixed-rate loop of a process round a sans-IO core, and how every such process starts and ends."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from agent.bus import Bus, BusError
+from agent.clock import NS_PER_S, Clock, RealClock
+from agent.fleet import Fleet, FleetError, load_fleet
+from agent.node import Node, next_tick_ns
+
+LEAVE_TIMEOUT_NS: Final = 4 * NS_PER_S // 10
+"""A process that was told to end has this long to bring its robot to a standstill."""
+PARENT_PERIOD_NS: Final = NS_PER_S // 4
+
+Log = Callable[[str], None]
+
+
+class Shutdown:
+    """Whether the process was asked to end: by SIGTERM or SIGINT, or because its parent is gone.
+
+    A signal handler only sets a flag: Zenoh must be closed by the main thread.
+    """
+
+    def __init__(self, *, with_parent: bool) -> None:
+        self.asked = False
+        self.why = ""
+        self._parent = os.getppid() if with_parent else 0
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self.asked, self.why = True, signal.Signals(number).name
+
+    def look_for_parent(self) -> None:
+        if self._parent and os.getppid() != self._parent:
+            self.asked, self.why = True, "the process that started it is gone"
+
+
+def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> None:
+    """Ticks `node` at absolute deadlines until it has been asked to end and is done.
+
+    Wakes at the deadline, drains the bus, ticks, publishes. A tick is told the time of its
+    deadline, not of its waking: what is decided then does not depend on the scheduler. Deadlines
+    that have passed when the loop comes to them are skipped and counted.
+    """
+    period_ns = node.period_ns
+    deadline_ns = next_tick_ns(clock.now_ns(), period_ns, node.phase_ns)
+    leave_by_ns: int | None = None
+    parent_due_ns = 0
+    state = ""
+    while True:
+        clock.sleep_until(deadline_ns)
+        start_ns = clock.now_ns()
+        missed = max(0, start_ns - deadline_ns) // period_ns
+        deadline_ns += missed * period_ns
+        for key, payload in bus.drain():
+            node.receive(deadline_ns, key, payload)
+        if shutdown.asked and leave_by_ns is None:
+            log(f"ending ({shutdown.why})")
+            node.leave()
+            leave_by_ns = deadline_ns + LEAVE_TIMEOUT_NS
+        for key, payload in node.tick(deadline_ns):
+            bus.publish(key, payload)
+        node.timed(clock.now_ns() - start_ns, missed)
+        if node.condition[0] != state:
+            state, reason = node.condition
+            log(f"{state}: {reason}" if reason else state)
+        if leave_by_ns is not None and (node.done or deadline_ns >= leave_by_ns):
+            return
+        if deadline_ns >= parent_due_ns:
+            parent_due_ns = deadline_ns + PARENT_PERIOD_NS
+            shutdown.look_for_parent()
+        deadline_ns += period_ns
+
+
+def serve(node: Node, bus: Bus, shutdown: Shutdown, log: Log) -> None:
+    """Puts `node` on the bus and drives it in real time until the process is asked to end."""
+    for key in node.publications:
+        bus.declare(key)
+    for key in node.subscriptions:
+        bus.subscribe(key)
+    bus.announce(node.alive_key)
+    # What was made so far lives as long as the process: the collector need not look at it again.
+    gc.collect()
+    gc.freeze()
+    loop(node, bus, RealClock(), shutdown, log)
+
+
+def main(
+    argv: Sequence[str] | None,
+    program: str,
+    role: str,
+    start: Callable[[Fleet, int], tuple[Node, Sequence[str], Sequence[str]]],
+) -> int:
+    """Command line of a robot's process: reads the fleet file, opens the bus, serves.
+
+    Args:
+        start: from the fleet and the robot's id, the node and the endpoints to listen on and to
+            connect to. May raise `FleetError`.
+
+    Returns the exit status: 0 when it was asked to end, 2 for bad input.
+    """
+    parser = argparse.ArgumentParser(prog=program, description=f"The {role} of one robot of a fleet.")
+    parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
+    parser.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot in that file")
+    parser.add_argument(
+        "--set", dest="overrides", action="append", default=[], metavar="A.B=V", help="override a field"
+    )
+    parser.add_argument("--law", help="preset of the control law: paper, edge, joint or penalty")
+    parser.add_argument(
+        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
+    )
+    options = parser.parse_args(argv)
+    shutdown = Shutdown(with_parent=options.exit_with_parent)
+
+    def log(text: str) -> None:
+        print(f"robot {options.robot} {role}: {text}", file=sys.stderr, flush=True)
+
+    try:
+        fleet = load_fleet(options.fleet, options.overrides, options.law)
+        node, listen, connect = start(fleet, options.robot)
+        with Bus(listen=listen, connect=connect) as bus:
+            serve(node, bus, shutdown, log)
+    except (FleetError, BusError) as error:
+        log(str(error))
+        return 2
+    return 0

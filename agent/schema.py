@@ -1,0 +1,580 @@
+"""From the tables of a TOML file to frozen dataclasses, with every problem found on the way (PURE).
+
+A model is a frozen dataclass whose fields say what a user needs to know of them::
+
+    kp: float = setting(1.0, "Stiffness of an edge", unit="1/s2", ge=0)
+
+`Reader` walks a raw table against such a model. It never stops at the first problem: what is wrong is
+collected as `Problem`s, what is right is returned, so that checks across fields can still run on it.
+Positions in arrays are counted from 1 in every place (``robot[1]`` is the first ``[[robot]]``).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from functools import cache, reduce
+from operator import or_
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+
+_METADATA: Final = "setting"
+_INVALID: Final = object()  # what a value that has a problem reads as
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
+_QUANTITY = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*([^\s0-9.]\S*)?\s*")
+_SUGGESTIONS_MAX = 100  # nearest names are slow to find: a file of rubbish does not get one for each line
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing to correct: where (``control.kp``, ``robot[3].mass_kg``, ``--set control.kp``), and what."""
+
+    place: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.message}" if self.place else self.message
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Spellings of a quantity in a string: suffix -> (times, divided by), so that "35%" is 0.35 exactly."""
+
+    example: str
+    suffixes: Mapping[str, tuple[float, float]]
+
+
+UNITS: Final[Mapping[str, Unit]] = {
+    "s": Unit("200ms", {"us": (1, 1e6), "ms": (1, 1e3), "s": (1, 1), "min": (60, 1), "h": (3600, 1)}),
+    "Hz": Unit("50Hz", {"Hz": (1, 1), "kHz": (1e3, 1)}),
+    "m": Unit("20cm", {"mm": (1, 1e3), "cm": (1, 100), "m": (1, 1), "km": (1e3, 1)}),
+    "m/s": Unit("20cm/s", {"mm/s": (1, 1e3), "cm/s": (1, 100), "m/s": (1, 1), "km/h": (1, 3.6)}),
+    "m/s2": Unit("0.3m/s2", {"m/s2": (1, 1), "m/s^2": (1, 1)}),
+    "rad": Unit("90deg", {"rad": (1, 1), "deg": (math.pi, 180)}),
+    "rad/s": Unit("5deg/s", {"rad/s": (1, 1), "deg/s": (math.pi, 180)}),
+    "kg": Unit("10kg", {"g": (1, 1e3), "kg": (1, 1)}),
+    "N": Unit("20N", {"N": (1, 1)}),
+    "N m": Unit("2Nm", {"Nm": (1, 1)}),
+    "ratio": Unit("30%", {"%": (1, 100)}),
+}
+"""Strings accepted for a number, by the field's unit. Other units (``kg m2``, ``1/s``) take plain numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a field says of itself beyond its type and default. Bounds hold for every number in it."""
+
+    doc: str
+    unit: str | None = None
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+    key: str | None = None  # name in the file, where it is not the attribute's
+    required: bool = False  # the file must give it although the class has a default
+    pattern: str | None = None  # of a string, matched in full
+    pattern_says: str = ""  # the pattern in words: "must be ..."
+    example: str | None = None  # TOML text of a value
+    shared: tuple[str, type] | None = None  # array of tables: key and model of the table of defaults
+
+    def range_text(self) -> str:
+        """The bounds in words, empty when there are none."""
+        if self.ge is not None and self.le is not None:
+            return f"between {_bound(self.ge)} and {_bound(self.le)}"
+        bounds = (("more than", self.gt), ("at least", self.ge), ("less than", self.lt), ("at most", self.le))
+        return " and ".join(f"{words} {_bound(bound)}" for words, bound in bounds if bound is not None)
+
+    def admits(self, value: float) -> bool:
+        """Whether a finite number is within the bounds."""
+        return (
+            (self.gt is None or value > self.gt)
+            and (self.ge is None or value >= self.ge)
+            and (self.lt is None or value < self.lt)
+            and (self.le is None or value <= self.le)
+        )
+
+
+def _bound(value: float) -> str:
+    return str(int(value)) if value == int(value) else f"{value:.6g}"
+
+
+def about(doc: str, **rest: Any) -> dict[str, Setting]:
+    """Metadata of a field, for ``field(metadata=about(...))``; arguments as `Setting`'s."""
+    return {_METADATA: Setting(doc, **rest)}
+
+
+def setting(default: Any, doc: str, **rest: Any) -> Any:
+    """A field with a default and what is said about it; arguments as `Setting`'s.
+
+    A field without a default is written ``field(metadata=about(...))``, so that type checkers see that its
+    class cannot be made without it.
+    """
+    return field(default=default, metadata=about(doc, **rest))
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One name that a table may hold. `attribute` is empty for a table of defaults, which no model keeps."""
+
+    attribute: str
+    key: str
+    hint: Any  # the type, without None
+    optional: bool  # None allowed, as "not given"
+    required: bool
+    default: Any  # None when required or optional
+    setting: Setting
+
+    @property
+    def table(self) -> type | None:
+        """Model of a sub-table, None for anything else."""
+        return _model(self.hint)
+
+    @property
+    def tables(self) -> type | None:
+        """Model of each entry of an array of tables, None for anything else."""
+        args = get_args(self.hint)
+        return _model(args[0]) if get_origin(self.hint) is tuple and args[-1] is Ellipsis else None
+
+
+def _model(hint: Any) -> type | None:
+    return hint if isinstance(hint, type) and is_dataclass(hint) else None
+
+
+@cache
+def entries(model: type) -> Mapping[str, Entry]:
+    """Everything a table of this model may hold, by key: own fields first, inherited ones after them."""
+    hints = get_type_hints(model)
+    inherited = {f.name for base in model.__bases__ if is_dataclass(base) for f in fields(base)}
+    found: dict[str, Entry] = {}
+    for item in sorted(fields(model), key=lambda f: f.name in inherited):
+        said: Setting = item.metadata[_METADATA]
+        hint, optional = _without_none(hints[item.name])
+        default = item.default
+        if item.default_factory is not MISSING:
+            default = item.default_factory()
+        required = said.required or default is MISSING
+        key = said.key or item.name
+        if said.shared is not None:
+            name, shared = said.shared
+            doc = f"Defaults for every `[[{key}]]`."
+            found[name] = Entry("", name, shared, False, False, None, Setting(doc))
+        found[key] = Entry(item.name, key, hint, optional, required, None if required else default, said)
+    return found
+
+
+def _without_none(hint: Any) -> tuple[Any, bool]:
+    if get_origin(hint) in (Union, UnionType) and NoneType in get_args(hint):
+        rest = tuple(arg for arg in get_args(hint) if arg is not NoneType)
+        return reduce(or_, rest), True
+    return hint, False
+
+
+# --- words ------------------------------------------------------------------------------------
+
+
+def show(value: object, limit: int = 60) -> str:
+    """A value as TOML writes it, on one line and cut at `limit` characters."""
+    text = printable(_show(value, 3))
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def _show(value: object, depth: int) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int) and value.bit_length() > 200:
+        return f"an integer of {value.bit_length()} bits"
+    if isinstance(value, str):
+        return json.dumps(value[:200], ensure_ascii=False)
+    if isinstance(value, (list, tuple, Mapping)):
+        if depth == 0:
+            return "..."
+        if isinstance(value, Mapping):
+            pairs = list(value.items())[:10]
+            return "{" + ", ".join(f"{_key(k)} = {_show(v, depth - 1)}" for k, v in pairs) + "}"
+        return "[" + ", ".join(_show(item, depth - 1) for item in value[:30]) + "]"
+    return str(value)
+
+
+def printable(text: str) -> str:
+    """The text on one line and safe to print: control characters and lone surrogates are escaped."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def _key(key: object) -> str:
+    text = str(key)
+    return text if _BARE_KEY.fullmatch(text) else show(text, 30)
+
+
+def _join(place: str, key: object) -> str:
+    return f"{place}.{_key(key)}" if place else _key(key)
+
+
+def example(hint: Any, said: Setting, default: object = None) -> str:
+    """TOML text of one value that a field would accept."""
+    if said.example is not None:
+        return said.example
+    if default is not None:
+        return show(default)
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return example(args[0], said)
+    if origin is Literal:
+        return show(args[0])
+    if origin is tuple:
+        items = args[:1] if args[-1] is Ellipsis else args
+        return "[" + ", ".join(example(item, said) for item in items) + "]"
+    return {float: "1.0", int: "1", bool: "true"}.get(hint, '"text"')
+
+
+def describe(hint: Any, unit: str | None = None) -> str:
+    """A type in words: "a number (s)", "an array of pairs ..."."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(describe(arg, unit) for arg in args)
+    if origin is Literal:
+        return "one of " + ", ".join(show(arg) for arg in args)
+    if is_dataclass(hint):
+        return "a table"
+    if origin is tuple:
+        if args[-1] is not Ellipsis:
+            return f"an array of {len(args)} {_plural(args[0], unit)}"
+        return f"an array of {_plural(args[0], unit)}"
+    if hint is bool:
+        return "true or false"
+    if hint is str:
+        return "a string"
+    return ("a whole number" if hint is int else "a number") + (f" ({unit})" if unit else "")
+
+
+def _plural(hint: Any, unit: str | None) -> str:
+    if get_origin(hint) is tuple:
+        args = get_args(hint)
+        return f"arrays of {len(args)} {_plural(args[0], unit)}"
+    if is_dataclass(hint):
+        return "tables"
+    return ("whole numbers" if hint is int else "numbers") + (f" ({unit})" if unit else "")
+
+
+# --- reading ----------------------------------------------------------------------------------
+
+
+class Reader:
+    """Reads one document of model `root`, and keeps every problem it meets.
+
+    `override` first, for each ``--set``; then `read`, whose result (attribute -> value, nested tables as
+    dicts, arrays of tables as lists of dicts) holds only what is valid: a value with a problem is absent,
+    and an element of an array with a problem is None. `build` makes the models when there is no problem.
+    """
+
+    def __init__(self, root: type) -> None:
+        self._root = root
+        self._problems: list[Problem] = []
+        self._overridden: dict[str, str] = {}  # place in the file -> how the command line names it
+        self._suggestions = 0
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """All problems so far; those of a value that ``--set`` gave are placed there, not in the file."""
+        return tuple(Problem(self._blamed(problem.place), problem.message) for problem in self._problems)
+
+    def add(self, place: str, message: str) -> None:
+        """Adds one problem at a place of the file."""
+        self._problems.append(Problem(place, message))
+
+    def overridden(self, place: str) -> bool:
+        """Whether ``--set`` gave this place, or a table around it."""
+        return self._blamed(place) != place
+
+    def _blamed(self, place: str) -> str:
+        for start in sorted(self._overridden, key=len, reverse=True):
+            if place == start or place.startswith((start + ".", start + "[")):
+                return self._overridden[start] + place[len(start) :]
+        return place
+
+    def read(self, raw: Mapping[str, Any]) -> dict[str, Any]:
+        """The valid part of a document."""
+        return self._table(self._root, raw, "")
+
+    def _table(
+        self, model: type, raw: Mapping[str, Any], place: str, inherited: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        known = entries(model)
+        for key in raw:
+            if key not in known:
+                self._unknown(model, str(key), _join(place, key))
+        values: dict[str, Any] = {}
+        shared: dict[str, Any] = {}
+        for entry in known.values():
+            here = _join(place, entry.key)
+            if entry.table is not None:
+                value = self._sub_table(entry, entry.table, raw, here)
+            elif entry.tables is not None:
+                value = self._rows(entry, entry.tables, raw, here, shared)
+            elif entry.key in raw:
+                value = self._value(entry.hint, raw[entry.key], here, entry.setting, entry.default)
+            elif inherited is not None and entry.attribute in inherited:
+                value = inherited[entry.attribute]
+            elif entry.required:
+                given = example(entry.hint, entry.setting)
+                self.add(here, f"is missing: write for example {entry.key} = {given}")
+                value = _INVALID
+            else:
+                value = entry.default
+            if not entry.attribute:
+                shared = value if value is not _INVALID else {}
+            elif value is not _INVALID:
+                values[entry.attribute] = value
+        return values
+
+    def _sub_table(self, entry: Entry, model: type, raw: Mapping[str, Any], place: str) -> Any:
+        value = raw.get(entry.key, {})
+        if not isinstance(value, Mapping):
+            self.add(place, f"must be a table: write [{place}] and its fields below it, got {show(value)}")
+            return _INVALID
+        needs = [e.key for e in entries(model).values() if e.required]
+        if needs and entry.key not in raw:
+            self.add(place, f"table [{place}] is missing: it must give at least {' and '.join(needs)}")
+            return _INVALID
+        return self._table(model, value, place)
+
+    def _rows(
+        self, entry: Entry, model: type, raw: Mapping[str, Any], place: str, shared: Mapping[str, Any]
+    ) -> Any:
+        rows = raw.get(entry.key, [])
+        if not isinstance(rows, (list, tuple)):
+            double = f"[[{place}]]"
+            self.add(place, f"must be an array of tables: write {double} above each entry, got {show(rows)}")
+            return _INVALID
+        if entry.required and not rows:
+            self.add(place, f"there must be at least one [[{place}]]")
+            return _INVALID
+        values = []
+        for number, row in enumerate(rows, 1):
+            here = f"{place}[{number}]"
+            if isinstance(row, Mapping):
+                values.append(self._table(model, row, here, shared))
+            else:
+                self.add(here, f"must be a table, [[{place}]] with its fields below it, got {show(row)}")
+                values.append({})
+        return values
+
+    def _value(self, hint: Any, raw: object, place: str, said: Setting, default: object = None) -> Any:
+        """A field's value, or `_INVALID` after adding what is wrong with it."""
+        origin, args, unit = get_origin(hint), get_args(hint), UNITS.get(said.unit or "")
+        if origin in (Union, UnionType):
+            is_array = isinstance(raw, (list, tuple))
+            fitting = [arg for arg in args if (get_origin(arg) is tuple) == is_array]
+            if fitting:
+                return self._value(fitting[0], raw, place, said, default)
+        elif origin is Literal:
+            if raw in args:
+                return raw
+            near = self._nearest(str(raw), [str(option) for option in args]) if isinstance(raw, str) else None
+            hinted = f"; did you mean {show(near)}?" if near else ""
+            self.add(place, f"must be {describe(hint)}, got {show(raw)}{hinted}")
+            return _INVALID
+        elif origin is tuple:
+            if isinstance(raw, (list, tuple)):
+                return self._array(hint, raw, place, said)
+        elif hint is bool:
+            if isinstance(raw, bool):
+                return raw
+        elif hint is str:
+            if isinstance(raw, str):
+                return self._string(raw, place, said)
+        elif isinstance(raw, (int, float)) and not isinstance(raw, bool):
+            return self._number(hint, raw, place, said)
+        elif isinstance(raw, str) and hint is float and unit is not None:
+            return self._quantity(raw, place, said, unit)
+        wanted = f"must be {describe(hint, said.unit)}, such as {example(hint, said, default)}"
+        if hint is float and unit is not None:
+            wanted += f" or {show(unit.example)}"
+        self.add(place, f"{wanted}, got {show(raw)}")
+        return _INVALID
+
+    def _array(self, hint: Any, raw: Sequence[Any], place: str, said: Setting) -> Any:
+        args = get_args(hint)
+        if args[-1] is not Ellipsis and len(raw) != len(args):
+            self.add(place, f"must be {describe(hint, said.unit)}, got {len(raw)}: {show(raw)}")
+            return _INVALID
+        item = args[0]
+        # Without the example, which is one of the whole array.
+        inner = Setting("", said.unit, said.gt, said.ge, said.lt, said.le)
+        got = [self._value(item, value, f"{place}[{number}]", inner) for number, value in enumerate(raw, 1)]
+        if args[-1] is Ellipsis:
+            return tuple(None if value is _INVALID else value for value in got)
+        return _INVALID if any(value is _INVALID for value in got) else tuple(got)
+
+    def _string(self, raw: str, place: str, said: Setting) -> Any:
+        if any("\ud800" <= c <= "\udfff" for c in raw):  # from a shell argument that is not UTF-8
+            self.add(place, f"must be text in UTF-8, got {show(raw)}")
+        elif said.pattern is not None and not re.fullmatch(said.pattern, raw):
+            self.add(place, f"must be {said.pattern_says}, got {show(raw)}")
+        else:
+            return raw
+        return _INVALID
+
+    def _number(self, hint: Any, raw: float, place: str, said: Setting, written: object = None) -> Any:
+        shown = show(raw if written is None else written)
+        if hint is int and not isinstance(raw, int):
+            self.add(place, f"must be a whole number, such as {example(int, said)}, got {shown}")
+            return _INVALID
+        try:
+            value = raw if hint is int else float(raw) + 0.0  # + 0.0: -0.0 and 0.0 must be written alike
+        except OverflowError:
+            value = math.inf
+        if not isinstance(value, int) and not math.isfinite(value):
+            self.add(place, f"must be a finite number, got {shown}")
+        elif not said.admits(value):
+            unit = f" {said.unit}" if said.unit and said.unit != "ratio" else ""
+            degrees = '; degrees are written "90deg"' if said.unit == "rad" else ""
+            self.add(place, f"must be {said.range_text()}{unit}, got {shown}{degrees}")
+        else:
+            return value
+        return _INVALID
+
+    def _quantity(self, raw: str, place: str, said: Setting, unit: Unit) -> Any:
+        match = _QUANTITY.fullmatch(raw) if len(raw) <= 60 else None
+        if match is None or match[2] not in unit.suffixes:
+            spelled = f"a string such as {show(unit.example)} (units: {', '.join(unit.suffixes)})"
+            self.add(place, f"must be {describe(hint=float, unit=said.unit)} or {spelled}, got {show(raw)}")
+            return _INVALID
+        times, divisor = unit.suffixes[match[2]]
+        return self._number(float, float(match[1]) * times / divisor, place, said, raw)
+
+    # --- names ------------------------------------------------------------------------------------
+
+    def _unknown(self, model: type, key: str, place: str) -> None:
+        names = list(entries(model))
+        kind = "table" if model is self._root else "field"
+        elsewhere = [e.key for e in entries(self._root).values() if key in _names_in(e)]
+        near = self._nearest(key, names)
+        if near is not None:
+            self.add(place, f"unknown {kind}; did you mean {near}?")
+        elif elsewhere:
+            homes = " or ".join(f"[{name}]" for name in elsewhere)
+            self.add(place, f"unknown {kind}; {key} belongs in {homes}")
+        else:
+            self.add(place, f"unknown {kind}; known here: {', '.join(names)}")
+
+    def _nearest(self, name: str, names: Iterable[str]) -> str | None:
+        self._suggestions += 1
+        if self._suggestions > _SUGGESTIONS_MAX or len(name) > 60:
+            return None
+        from difflib import get_close_matches  # here: a robot starts faster without it
+
+        return next(iter(get_close_matches(name, list(names), n=1, cutoff=0.6)), None)
+
+    # --- overrides --------------------------------------------------------------------------------
+
+    def override(self, raw: dict[str, Any], text: str) -> None:
+        """Puts one ``table.field=value`` of the command line into the raw document, before it is read.
+
+        The value is read as TOML and, failing that, taken as a bare string. Entries of an array of tables are
+        addressed by their ``id``: ``robot.3.mass_kg=12``.
+        """
+        path, equals, written = text.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        label = f"--set {show(path.strip(), 80)[1:-1]}"
+        if not equals or not all(keys):
+            self.add(label, "must be written as table.field=value, such as control.kp=1")
+            return
+        model, node, place = self._root, raw, ""
+        while keys:
+            key = keys.pop(0)
+            entry = entries(model).get(key)
+            if entry is None:
+                self._unknown(model, key, label)
+                return
+            place = _join(place, key)
+            if not keys:
+                node[key] = _override_value(entry, written)
+                self._overridden[place] = label
+                return
+            inside = entry.table or entry.tables
+            if inside is None:
+                self.add(label, f"{place} is a single value: nothing can follow it but =value")
+                return
+            if entry.tables is not None:
+                row, place = self._row(node.get(key, []), keys.pop(0), place, label)
+            else:
+                row = node.setdefault(key, {})
+            if not isinstance(row, dict):
+                return  # reported by _row, or by read(): the file has no table there
+            model, node = inside, row
+        first = next(iter(entries(model)))
+        self.add(label, f"names an entry, not a field of it: write for example {label[6:]}.{first}=value")
+
+    def _row(self, rows: Any, wanted: str, place: str, label: str) -> tuple[Any, str]:
+        if not isinstance(rows, list):
+            return None, place
+        ids = [row.get("id") for row in rows if isinstance(row, dict)]
+        for number, row in enumerate(rows, 1):
+            if isinstance(row, dict) and "id" in row and _show(row["id"], 1) == wanted:
+                return row, f"{place}[{number}]"
+        self.add(label, f"there is no {place} with id {_key(wanted)}; ids are {show(ids, 80)[1:-1]}")
+        return None, place
+
+
+def _names_in(entry: Entry) -> Iterable[str]:
+    model = entry.table or entry.tables
+    return entries(model) if model is not None else ()
+
+
+def _override_value(entry: Entry, written: str) -> object:
+    text = written.strip()
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):  # ValueError: also an integer with too many digits
+        return text
+    if set(parsed) != {"value"}:  # more lines than one
+        return text
+    value = parsed["value"]
+    wants_text = entry.hint is str or get_origin(entry.hint) is Literal
+    return value if isinstance(value, str) or not wants_text else text  # fleet.name=42 means the name "42"
+
+
+# --- building, and back -----------------------------------------------------------------------
+
+
+def build(model: type[T], values: Mapping[str, Any]) -> T:
+    """The model of what `Reader.read` returned without problems."""
+    untyped: type = model
+    arguments: dict[str, Any] = {}
+    for entry in entries(untyped).values():
+        if not entry.attribute:
+            continue
+        value = values[entry.attribute]
+        if entry.table is not None:
+            value = build(entry.table, value)
+        elif entry.tables is not None:
+            value = tuple(build(entry.tables, row) for row in value)
+        arguments[entry.attribute] = value
+    return model(**arguments)
+
+
+def plain(instance: object) -> dict[str, Any]:
+    """A model as a table that TOML can hold: complete but for None, arrays as lists, in the file's names."""
+    table: dict[str, Any] = {}
+    model: type = type(instance)
+    for entry in entries(model).values():
+        if not entry.attribute:
+            continue
+        value = getattr(instance, entry.attribute)
+        if entry.table is not None:
+            value = plain(value)
+        elif entry.tables is not None:
+            value = [plain(row) for row in value]
+        if value is not None:
+            table[entry.key] = _lists(value)
+    return table
+
+
+def _lists(value: Any) -> Any:
+    return [_lists(item) for item in value] if isinstance(value, tuple) else value

@@ -1,0 +1,1 @@
+"""What an operator runs: the command line, local and virtual-time runs, recordings and reports."""

@@ -1,0 +1,97 @@
+"""Processes of a fleet on this machine: start, watch, end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+LAST_LINES: Final = 5
+LINE_MAX: Final = 300
+
+# One thread for each process's linear algebra: its matrices are tiny, the threads are not.
+_ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+class Child:
+    """One process of one robot, in a session of its own so that a Ctrl-C reaches only its starter.
+
+    Args:
+        robot: the robot's id.
+        role: ``agent`` or ``plant``.
+        module: what ``python -m`` runs.
+        fleet_file: the resolved fleet file.
+        log: where its output goes.
+    """
+
+    def __init__(self, robot: int, role: str, module: str, fleet_file: Path, log: Path) -> None:
+        self.robot, self.role, self.log = robot, role, log
+        self.name = f"robot {robot}'s {role}"
+        # -P: a folder called `agent` in the working directory must not be taken for the package.
+        command = [sys.executable, "-P", "-m", module, "--fleet", str(fleet_file), "--robot", str(robot)]
+        with open(log, "ab") as output:
+            self._process = subprocess.Popen(
+                [*command, "--exit-with-parent"],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                env=os.environ | _ENVIRONMENT,
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def ended(self) -> str | None:
+        """How the process ended, in words; None while it runs."""
+        status = self._process.poll()
+        if status is None:
+            return None
+        if status < 0:
+            return f"killed by {signal.Signals(-status).name}"
+        return f"exit status {status}"
+
+    def last_lines(self) -> list[str]:
+        """The end of its output."""
+        try:
+            text = self.log.read_bytes()[-4096:].decode(errors="replace")
+        except OSError:
+            return []
+        return [line[:LINE_MAX] for line in text.splitlines() if line.strip()][-LAST_LINES:]
+
+    def terminate(self) -> None:
+        """Asks it to brake and end."""
+        if self._process.poll() is None:
+            self._process.terminate()
+
+    def kill(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Waits for its end; False when it still runs after `timeout_s`."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+
+def end_all(children: Iterable[Child], timeout_s: float) -> list[Child]:
+    """Ends every child: SIGTERM to all, and SIGKILL after `timeout_s`. Returns those that needed it."""
+    children = list(children)
+    for child in children:
+        child.terminate()
+    deadline = time.monotonic() + timeout_s
+    stubborn = [child for child in children if not child.wait(max(0.0, deadline - time.monotonic()))]
+    for child in stubborn:
+        child.kill()
+    for child in stubborn:
+        child.wait(10.0)
+    return stubborn

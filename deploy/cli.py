@@ -1,0 +1,338 @@
+"""The command ``handfast``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from agent.clock import NS_PER_S
+from agent.fleet import LAWS, Fleet, FleetError, load_fleet
+
+if TYPE_CHECKING:
+    from deploy.runfolder import RunFolder
+
+PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+FLEETS: Final = Path(__file__).parent / "fleets"
+TEMPLATE: Final = Path(__file__).parent / "template.toml"
+
+
+class InputError(Exception):
+    """Bad input; the text is one clear message."""
+
+
+def bundled() -> list[str]:
+    """Names of the fleets that come with the program."""
+    return sorted(path.stem for path in FLEETS.glob("*.toml"))
+
+
+def fleet_path(name: str) -> Path:
+    """The file that FLEET means: a path, or the name of a bundled fleet.
+
+    Raises:
+        InputError: it is neither.
+    """
+    path = Path(name)
+    if path.exists() or path.suffix == ".toml" or len(path.parts) > 1:
+        return path
+    if name in bundled():
+        return FLEETS / f"{name}.toml"
+    raise InputError(
+        f"{name}: no such file, and no bundled fleet of that name; there are: {', '.join(bundled())}"
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command; returns the exit status (see `--help`)."""
+    options = _parser().parse_args(argv)
+    try:
+        result: int = options.command(options)
+        return result
+    except (FleetError, InputError) as error:
+        print(f"handfast: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] in ("agent", "plant", "bridges", "deploy"):
+            raise
+        print(
+            f"handfast: this needs the package {error.name}: install the operator's extra, "
+            "pip install 'handfast[operator]'",
+            file=sys.stderr,
+        )
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output is gone (`handfast check ... | head`): nothing is left to say.
+        sys.stderr.close()
+        return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    from deploy.recorder import handfast_version
+
+    parser = argparse.ArgumentParser(
+        prog="handfast",
+        description="Drives a group of mobile robots in formation, each on its own.",
+        epilog="FLEET is a fleet file (TOML) or the name of a bundled one: "
+        f"{', '.join(bundled())}. Exit status: 0 fine; 1 the verdict failed; 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("--version", action="version", version=f"handfast {handfast_version()}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def add(name: str, command: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(command=command)
+        return sub
+
+    for name, command, text in (
+        ("run", _run, "drive the fleet with processes on this machine, and report"),
+        ("simulate", _simulate, "drive the fleet in virtual time: fast, and the same every time"),
+    ):
+        sub = add(name, command, text)
+        _fleet_arguments(sub)
+        sub.add_argument(
+            "--out", metavar="DIR", help="the run's folder (default: runs/FLEET-TIME); must be empty or new"
+        )
+        sub.add_argument(
+            "--no-report", dest="report", action="store_false", help="no figures, no report.html"
+        )
+        sub.add_argument(
+            "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
+        )
+        sub.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
+    sub = add("check", _check, "say what the fleet will do and all that is wrong with it")
+    _fleet_arguments(sub)
+    sub = add("report", _report, "rebuild figures, metrics and report of a run from its recording")
+    sub.add_argument("folder", metavar="RUN", help="the run's folder")
+    sub = add("export", _export, "write a run's data as tables")
+    sub.add_argument("folder", metavar="RUN", help="the run's folder")
+    sub.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), parquet or json")
+    sub.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
+    sub = add("new", _new, "write a commented fleet file to start from")
+    sub.add_argument("name", metavar="NAME", help="the fleet's name; NAME.toml is written")
+    return parser
+
+
+def _fleet_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
+    parser.add_argument("--law", metavar="LAW", help=f"preset of the control law: {', '.join(LAWS)}")
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="A.B=V",
+        help="override any field, repeatedly",
+    )
+    parser.add_argument("--duration", metavar="TIME", help="short for --set fleet.duration_s=TIME")
+    parser.add_argument("--seed", metavar="N", help="short for --set fleet.seed=N")
+
+
+def _load(options: argparse.Namespace) -> Fleet:
+    """The fleet as the options have it, resolved: offsets, edges and distances written out."""
+    from agent.formation import resolved
+
+    return resolved(load_fleet(fleet_path(options.fleet), _overrides(options), options.law))
+
+
+def _overrides(options: argparse.Namespace) -> list[str]:
+    overrides = list(options.overrides)
+    if options.duration is not None:
+        overrides.append(f"fleet.duration_s={options.duration}")
+    if options.seed is not None:
+        overrides.append(f"fleet.seed={options.seed}")
+    return overrides
+
+
+# ---------------------------------------------------------------------- run and simulate
+
+
+def _folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:
+    from deploy.recorder import RecordingError
+    from deploy.runfolder import FolderError, RunFolder
+
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    path = Path(options.out) if options.out else Path("runs") / f"{fleet.fleet.name}-{stamp}"
+    try:
+        return RunFolder(path, fleet, mode)
+    except (FolderError, RecordingError) as error:
+        raise InputError(str(error)) from None
+
+
+def _refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
+    """Says what `check` finds wrong; errors end the command unless told otherwise."""
+    from deploy.check import check
+
+    findings = [finding for finding in check(fleet) if finding.level in ("error", "warning")]
+    for finding in findings:
+        if not options.quiet or finding.level == "error":
+            print(finding, file=sys.stderr)
+    if options.check and any(finding.level == "error" for finding in findings):
+        raise InputError(
+            f"{options.fleet}: not started because of the errors above (--no-check drives all the same)"
+        )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from agent.bus import BusError
+    from deploy.live import make_view
+    from deploy.local import Interrupt, LocalRun, place
+    from deploy.ports import NoPortsError
+    from deploy.recorder import RecordingError
+
+    fleet = _load(options)
+    _refuse_errors(options, fleet)
+    try:
+        fleet, ports = place(fleet)
+    except NoPortsError as error:
+        raise InputError(str(error)) from None
+    folder = _folder(options, fleet, "run")
+    interrupt = Interrupt()
+    view = make_view(quiet=options.quiet)
+    with interrupt.caught():
+        run = LocalRun(fleet, folder, view, interrupt)
+        try:
+            with view:
+                run.run()
+        except (BusError, RecordingError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            folder.close([str(error)])
+            return FAILED
+        finally:
+            ports.close()
+        return _finish(options, folder, run.reasons, interrupted=interrupt.count > 0)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from agent.formation import resolve
+    from deploy.live import Watch, make_view
+    from deploy.local import Interrupt
+    from deploy.recorder import RecordingError
+    from deploy.simulation import Simulation
+
+    fleet = _load(options)
+    _refuse_errors(options, fleet)
+    folder = _folder(options, fleet, "simulate")
+    watch = Watch(fleet, resolve(fleet))
+    interrupt = Interrupt()
+    view = make_view(quiet=options.quiet)
+
+    def sink(received_ns: int, key: str, payload: bytes) -> None:
+        message = folder.record(received_ns, key, payload)
+        if message is not None:
+            watch.feed(message)
+
+    def progress(time_s: float) -> bool:
+        view.show(watch.picture(time_s))
+        return interrupt.count == 0
+
+    with interrupt.caught():
+        begun = time.perf_counter()
+        try:
+            with view:
+                simulation = Simulation(fleet, sink)
+                simulation.run(progress)
+        except RecordingError as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return FAILED
+        took = time.perf_counter() - begun
+        if not options.quiet:
+            driven = (simulation.now_ns - simulation.epoch_ns) / NS_PER_S
+            view.say(f"{driven:.1f} s of driving in {took:.2f} s, {driven / took:.0f} times real time")
+        return _finish(options, folder, [], interrupted=interrupt.count > 0)
+
+
+def _finish(options: argparse.Namespace, folder: RunFolder, reasons: list[str], *, interrupted: bool) -> int:
+    """Completes the folder, says the verdict, gives the exit status."""
+    from deploy.recorder import RecordingError
+
+    try:
+        metrics = folder.finish(reasons, interrupted=interrupted, report=options.report)
+    except RecordingError as error:
+        print(f"handfast: {error}", file=sys.stderr)
+        return FAILED
+    _say_verdict(metrics, folder.path)
+    if interrupted:
+        return INTERRUPTED
+    return PASSED if metrics["verdict"]["passed"] else FAILED
+
+
+def _say_verdict(metrics: dict[str, Any], folder: Path) -> None:
+    verdict = metrics["verdict"]
+    print("PASSED" if verdict["passed"] else "FAILED")
+    for reason in verdict["reasons"]:
+        print(f"  {reason}")
+    settled = metrics["settling_time_s"]
+    nearest = metrics["min_distance_m"]["edge"]
+    error = metrics["final_distance_error_m"]
+    print(
+        "  formation "
+        + (f"within 5 % after {settled:.1f} s" if settled is not None else "not within 5 % at the end")
+        + (f", closest neighbours {nearest:.3f} m" if nearest is not None else "")
+        + (f", last distance error {error * 1000:.1f} mm" if error is not None else "")
+    )
+    report = folder / "report.html"
+    print(f"  {report if report.exists() else folder}")
+
+
+# ---------------------------------------------------------------------- the other commands
+
+
+def _check(options: argparse.Namespace) -> int:
+    from deploy.check import check, describe
+
+    fleet = load_fleet(fleet_path(options.fleet), _overrides(options), options.law)
+    print(describe(fleet))
+    findings = check(fleet)
+    for finding in findings:
+        print(finding)
+    return BAD_INPUT if any(finding.level == "error" for finding in findings) else PASSED
+
+
+def _report(options: argparse.Namespace) -> int:
+    from deploy.recorder import RecordingError
+    from deploy.report import rebuild
+
+    try:
+        metrics = rebuild(Path(options.folder))
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+    _say_verdict(metrics, Path(options.folder))
+    return PASSED if metrics["verdict"]["passed"] else FAILED
+
+
+def _export(options: argparse.Namespace) -> int:
+    from deploy.export import ExportError, export
+    from deploy.recorder import RecordingError
+
+    try:
+        for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):
+            print(path)
+    except (RecordingError, ExportError) as error:
+        raise InputError(str(error)) from None
+    return PASSED
+
+
+def _new(options: argparse.Namespace) -> int:
+    path = Path(f"{options.name}.toml")
+    text = TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
+    from agent.fleet import parse_fleet
+
+    parse_fleet(text, source=str(path))  # a bad name is refused here, with the reason
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(f"{path} exists already: name another fleet, or remove it") from None
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from None
+    print(f"wrote {path}; next: handfast check {path}")
+    return PASSED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""A run as tables for other programs: CSV, Parquet or JSON.
+
+One file per table, tidy: one row per robot (or edge) and time, units in the names of the columns. JSON
+is an array of records, one on each line. What is not known (a robot that sent nothing) is empty in
+CSV, null elsewhere.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.formation import resolve
+from deploy.metrics import MESSAGES, analyse
+from deploy.recorder import RecordingError
+from deploy.recording import Recording, StatusTable, Table
+
+FORMATS: Final = ("csv", "parquet", "json")
+FOLDER: Final = "export"
+
+Column = NDArray[Any] | list[str]
+Columns = dict[str, Column]
+
+_PLANT: Final = {
+    "x_m": "x", "y_m": "y", "heading_rad": "heading", "speed_mps": "speed", "yaw_rate_radps": "yaw_rate",
+    "force_n": "force", "torque_nm": "torque", "driving": "driving", "healthy": "healthy",
+}  # fmt: skip
+_HAND: Final = {
+    "following": "following", "x_m": "x", "y_m": "y", "vx_mps": "vx", "vy_mps": "vy",
+    "navigation_x_mps2": "navigation_x", "navigation_y_mps2": "navigation_y",
+    "constraint_x_mps2": "constraint_x", "constraint_y_mps2": "constraint_y",
+}  # fmt: skip
+_WRENCH: Final = {"force_n": "force", "torque_nm": "torque", "brake": "brake"}
+_MULTIPLIER: Final = {"neighbour": "neighbour", "multiplier": "value"}
+_FLAGS: Final = frozenset({"driving", "healthy", "following", "brake"})
+_COUNTS: Final = (*MESSAGES, "overruns")
+
+
+class ExportError(RecordingError):
+    """An export that cannot be made; the text is one line."""
+
+
+def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | None = None) -> list[Path]:
+    """Write the tables of the run in `folder` to the folder `out` (its own ``export`` unless given).
+
+    Tables: ``hands``, ``plants``, ``wrenches``, ``multipliers``, ``statuses`` (one row per message),
+    ``distances`` (one per edge and period of the fleet), and ``truths`` when plants measure with noise.
+
+    Raises:
+        ExportError: unknown format, no pyarrow, or not writable; one line. It is a `RecordingError`.
+        RecordingError: the run cannot be read.
+        FleetError: the run's fleet file is not valid.
+    """
+    if format not in FORMATS:
+        raise ExportError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
+    write = _writer(format)
+    tables = tabulate(Recording.from_folder(folder))
+    target = Path(folder) / FOLDER if out is None else Path(out)
+    written = []
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for name, columns in tables.items():
+            path = target / f"{name}.{format}"
+            write(path, columns)
+            written.append(path)
+    except OSError as error:
+        raise ExportError(f"cannot write the export to {target}: {error.strerror or error}") from error
+    return written
+
+
+def tabulate(recording: Recording) -> dict[str, Columns]:
+    """Every table by name, its columns by name, all columns of a table of one length."""
+    robots = recording.robots.values()
+    tables = {
+        "hands": _stack([(robot.id, robot.hand) for robot in robots], _HAND),
+        "plants": _stack([(robot.id, robot.plant) for robot in robots], _PLANT),
+        "wrenches": _stack([(robot.id, robot.wrench) for robot in robots], _WRENCH),
+        "multipliers": _stack([(robot.id, robot.multipliers) for robot in robots], _MULTIPLIER),
+        "distances": _distances(recording),
+        "statuses": _statuses([(robot.id, robot.status) for robot in robots]),
+    }
+    tables["multipliers"]["neighbour"] = np.asarray(tables["multipliers"]["neighbour"]).astype(np.int64)
+    if any(len(robot.truth) for robot in robots):
+        tables["truths"] = _stack([(robot.id, robot.truth) for robot in robots], _PLANT)
+    return tables
+
+
+def _stack(parts: Sequence[tuple[int, Table]], names: dict[str, str]) -> Columns:
+    columns: Columns = {
+        "t_s": np.concatenate([table.t for _, table in parts]),
+        "robot": np.concatenate([np.full(len(table), robot, dtype=np.int64) for robot, table in parts]),
+    }
+    for name, source in names.items():
+        values = np.concatenate([table[source] for _, table in parts])
+        columns[name] = values.astype(bool) if name in _FLAGS else values
+    return columns
+
+
+def _distances(recording: Recording) -> Columns:
+    a = analyse(recording, resolve(recording.fleet))
+    ids = np.array(recording.ids, dtype=np.int64)
+    times, edges = a.distances.shape
+    return {
+        "t_s": np.repeat(a.grid, edges),
+        "edge_i": np.tile(ids[a.edges[:, 0]], times),
+        "edge_j": np.tile(ids[a.edges[:, 1]], times),
+        "distance_m": a.distances.ravel(),
+        "wanted_m": np.tile(a.wanted, times),
+    }
+
+
+def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:
+    columns: Columns = {
+        "t_s": np.concatenate([table.t for _, table in parts]),
+        "robot": np.concatenate([np.full(len(table), robot, dtype=np.int64) for robot, table in parts]),
+        "state": [state for _, table in parts for state in table.states],
+        "reason": [reason for _, table in parts for reason in table.reasons],
+    }
+    for name in _COUNTS:
+        columns[name] = np.array(
+            [counters.get(name, 0) for _, table in parts for counters in table.counters], dtype=np.int64
+        )
+    columns["tick_max_us"] = np.concatenate([_greatest(t.tick_us, t.tick_counts) for _, t in parts])
+    columns["age_max_us"] = np.concatenate([_greatest(t.ages_us, t.age_counts) for _, t in parts])
+    return columns
+
+
+def _greatest(values: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Greatest of each status's values, NaN where it has none."""
+    ends = np.cumsum(counts)
+    spans = zip((ends - counts).tolist(), ends.tolist(), strict=True)
+    return np.array([values[a:b].max() if b > a else np.nan for a, b in spans], dtype=np.float64)
+
+
+# --- formats ---------------------------------------------------------------------------------
+
+
+def _rows(columns: Columns) -> Iterable[tuple[Any, ...]]:
+    """Rows of plain Python values, None for NaN."""
+    lists: list[list[Any]] = []
+    for column in columns.values():
+        values = column if isinstance(column, list) else column.tolist()
+        if not isinstance(column, list) and column.dtype.kind == "f" and np.isnan(column).any():
+            values = [None if value != value else value for value in values]
+        lists.append(values)
+    return zip(*lists, strict=True)
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    flags = [index for index, column in enumerate(columns.values()) if _is_flag(column)]
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for row in _rows(columns):
+            values = list(row)
+            for index in flags:
+                values[index] = "true" if values[index] else "false"
+            writer.writerow(values)
+
+
+def _is_flag(column: Column) -> bool:
+    return not isinstance(column, list) and column.dtype == np.bool_
+
+
+def _write_json(path: Path, columns: Columns) -> None:
+    names = list(columns)
+    with open(path, "w", encoding="utf-8") as stream:
+        separator = "[\n"
+        for row in _rows(columns):
+            stream.write(separator + json.dumps(dict(zip(names, row, strict=True)), allow_nan=False))
+            separator = ",\n"
+        stream.write("[]\n" if separator == "[\n" else "\n]\n")
+
+
+def _parquet_writer() -> Callable[[Path, Columns], None]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise ExportError(
+            "Parquet needs pyarrow, which is not installed: pip install 'handfast[operator]'"
+        ) from None
+
+    def write(path: Path, columns: Columns) -> None:
+        arrays = {}
+        for name, column in columns.items():
+            text = isinstance(column, list)
+            arrays[name] = pa.array(column, type=pa.string() if text else None, from_pandas=True)  # NaN: null
+        pq.write_table(pa.table(arrays), path)
+
+    return write
+
+
+def _writer(format: str) -> Callable[[Path, Columns], None]:
+    if format == "parquet":
+        return _parquet_writer()
+    return _write_csv if format == "csv" else _write_json

@@ -1,0 +1,159 @@
+"""Writes ``docs/fleet-file.md`` from the models of the fleet file, so that it says what they say.
+
+``python -m deploy.fleet_reference`` prints the page; with ``--check`` it compares the page in docs with it
+(exit status 1 when they differ).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal, get_args, get_origin
+
+from agent.fleet import LAWS, TRAJECTORY_FIELDS, Fleet
+from agent.schema import UNITS, Entry, entries, example, show
+
+PAGE: Final = Path(__file__).parent.parent / "docs" / "fleet-file.md"
+_TEMPLATE: Final = Path(__file__).parent / "template.toml"
+
+_HEAD: Final = """\
+# The fleet file
+
+<!-- Made of agent/fleet.py: change it there, then python -m deploy.fleet_reference > docs/fleet-file.md -->
+
+One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
+same file. `handfast new NAME` writes one to start from, `handfast check FLEET` says what is wrong with one
+and what it will do. All problems are listed at once, each with its place; positions in arrays are counted
+from 1, so `robot[1]` is the first `[[robot]]`.
+
+Lengths are in m, times in s, angles in rad. x points east, y north; headings turn counter-clockwise from
+east. Unknown tables and fields are errors. A required field must be given; a table without required fields
+may be left out.
+"""
+
+_SET: Final = """\
+## On the command line
+
+`--set TABLE.FIELD=VALUE` overrides any field for one run, and may be given many times; `--law NAME` presets
+part of `[control]`. `--set` wins over `--law`, and `--law` over the file. The value is read as TOML; what is
+not TOML is taken as a string, so that quotes can be left out.
+
+    handfast run delta --set fleet.rate_hz=20 --set control.coupling=edge
+    handfast run delta --set robot.3.mass_kg=12            # the robot with id 3
+    handfast run delta --set robot_defaults.mass_kg=12     # all that do not say it themselves
+    handfast run delta --set trajectory.kind=hold          # the file's velocity is then left out too
+    handfast run delta --set 'formation.edges=[[1, 2], [2, 3]]'
+    handfast run delta --set control.plant_timeout_s=200ms
+"""
+
+
+def render() -> str:
+    """The whole page, Markdown."""
+    parts = [_HEAD, _example(), *_tables(), _kinds(), _units(), _SET, _laws()]
+    return "\n".join(parts)
+
+
+def _example() -> str:
+    template = _TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", "triangle")
+    return f"## An example\n\n```toml\n{template}```\n"
+
+
+def _tables() -> Iterator[str]:
+    for entry in entries(Fleet).values():
+        model = entry.table or entry.tables
+        assert model is not None, f"{entry.key} is not a table: this page has no place for it"
+        title = f"[[{entry.key}]]" if entry.tables else f"[{entry.key}]"
+        shared = {e.key for e in entries(entry.setting.shared[1]).values()} if entry.setting.shared else set()
+        rows = [_row(field) for field in entries(model).values() if field.key not in shared]
+        head = "| field | value | default | meaning | example |\n|---|---|---|---|---|\n"
+        yield f"## `{title}`\n\n{entry.setting.doc}\n\n{head}" + "\n".join(rows) + "\n"
+
+
+def _row(field: Entry) -> str:
+    kind = _type(field.hint, field.setting.unit)
+    bounds = field.setting.range_text() or field.setting.pattern_says
+    default = (
+        "**required**" if field.required else "" if field.default is None else f"`{show(field.default)}`"
+    )
+    given = example(field.hint, field.setting, field.default)
+    cells = (
+        f"`{field.key}`",
+        kind + (f", {bounds}" if bounds else ""),
+        default,
+        field.setting.doc,
+        f"`{given}`",
+    )
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _type(hint: Any, unit: str | None) -> str:
+    if get_origin(hint) is Literal:
+        return ", ".join(f"`{show(arg)}`" for arg in get_args(hint))
+    return _words(hint) + (f" [{unit}]" if unit else "")
+
+
+def _words(hint: Any, plural: str = "") -> str:
+    args = get_args(hint)
+    if get_origin(hint) is tuple:
+        if args[-1] is Ellipsis:
+            return f"array{plural} of {_words(args[0], 's')}"
+        assert len(args) == 2, f"no word for {hint}"
+        return f"pair{plural} of {_words(args[0], 's')}"
+    if args:
+        return " or ".join(_words(arg) for arg in args)
+    return {float: "number", int: "whole number", bool: "`true` or `false`", str: "string"}[hint] + plural
+
+
+def _kinds() -> str:
+    lines = ["## Kinds of trajectory\n", "| `kind` | needs | takes besides |\n|---|---|---|"]
+    for kind, (needed, taken) in TRAJECTORY_FIELDS.items():
+        cells = (", ".join(f"`{key}`" for key in keys) for keys in (needed, taken))
+        lines.append(f"| `{show(kind)}` | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _units() -> str:
+    lines = [
+        "## Units in strings\n",
+        "A number of one of these units may also be a string with a unit; other units take plain numbers.\n",
+        "| unit of the field | suffixes | example |\n|---|---|---|",
+    ]
+    used = {
+        f.setting.unit
+        for e in entries(Fleet).values()
+        for f in entries(e.table or e.tables or Fleet).values()
+    }
+    for name, unit in UNITS.items():
+        if name in used:
+            suffixes = ", ".join(f"`{suffix}`" for suffix in unit.suffixes)
+            lines.append(f"| {name} | {suffixes} | `{show(unit.example)}` |")
+    return "\n".join(lines) + "\n"
+
+
+def _laws() -> str:
+    lines = ["| `--law` | sets |\n|---|---|"]
+    for name, preset in LAWS.items():
+        lines.append(
+            f"| `{name}` | {', '.join(f'`{key} = {show(value)}`' for key, value in preset.items())} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the page, or checks the one in docs; returns the exit status."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments:
+        sys.stdout.write(render())
+        return 0
+    if list(arguments) != ["--check"]:
+        print("usage: python -m deploy.fleet_reference [--check]", file=sys.stderr)
+        return 2
+    if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == render():
+        return 0
+    print(f"{PAGE} is out of date: python -m deploy.fleet_reference > docs/fleet-file.md", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

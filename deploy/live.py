@@ -1,0 +1,253 @@
+"""The live view of a fleet: what its robots say, summed up a few times a second."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final, Protocol, TextIO
+
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.formation import Geometry
+from agent.messages import HandState, Message, Status
+from agent.supervision import State
+
+STYLES: Final = {
+    State.RUNNING.value: "green",
+    State.HOLDING.value: "yellow",
+    State.FAULT.value: "bold red",
+    State.WAITING.value: "dim",
+}
+ROWS_MAX: Final = 24
+"""Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
+
+
+@dataclass
+class Picture:
+    """The fleet at one moment.
+
+    time_s is fleet time, negative before the epoch and None before it is set. Distances in m.
+    """
+
+    time_s: float | None
+    duration_s: float
+    nearest: tuple[float, int, int] | None = None
+    """Closest pair of neighbours: distance, and the two robots."""
+    worst: tuple[float, int, int] | None = None
+    """Edge that is furthest from its wanted distance: error, and the two robots."""
+    robots: Mapping[int, RobotPicture] = field(default_factory=dict)
+
+    @property
+    def oldest_ms(self) -> float:
+        """Age of the oldest message that any robot acts on, ms."""
+        return max((robot.age_ms for robot in self.robots.values()), default=0.0)
+
+
+@dataclass
+class RobotPicture:
+    """One robot: its state and why, its worst distance error (m), the age of its oldest neighbour
+    (ms), its last tick's time (us) and the ticks it missed."""
+
+    state: str
+    reason: str
+    error_m: float | None
+    age_ms: float
+    tick_us: int | None
+    overruns: int
+
+
+class Watch:
+    """Keeps the latest hand state and status of every robot; `picture` sums them up."""
+
+    def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
+        self._fleet, self._geometry = fleet, geometry
+        self.hands: dict[int, HandState] = {}
+        self.statuses: dict[int, Status] = {}
+
+    def feed(self, message: Message) -> None:
+        if type(message) is HandState:
+            self.hands[message.robot] = message
+        elif type(message) is Status:
+            self.statuses[message.robot] = message
+
+    def states(self) -> dict[int, str]:
+        """Every robot's state, "" of one that has said nothing yet."""
+        return {
+            robot: self.statuses[robot].state if robot in self.statuses else ""
+            for robot in self._geometry.ids
+        }
+
+    def picture(self, time_s: float | None) -> Picture:
+        """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
+        ids = self._geometry.ids
+        points = np.array(
+            [self.hands[robot][4:6] if robot in self.hands else (np.nan, np.nan) for robot in ids]
+        )
+        i, j = self._geometry.edges.T
+        distances = np.hypot(*(points[i] - points[j]).T)
+        errors = np.abs(distances - self._geometry.distances)
+        by_robot = np.full(len(ids), -1.0)
+        known = np.where(np.isfinite(errors), errors, -1.0)
+        np.maximum.at(by_robot, i, known)
+        np.maximum.at(by_robot, j, known)
+        picture = Picture(time_s, self._fleet.fleet.duration_s)
+        if np.isfinite(distances).any():
+            near, far = int(np.nanargmin(distances)), int(np.nanargmax(errors))
+            picture.nearest = float(distances[near]), ids[i[near]], ids[j[near]]
+            picture.worst = float(errors[far]), ids[i[far]], ids[j[far]]
+        picture.robots = {
+            robot: self._robot(self.statuses.get(robot), float(by_robot[index]))
+            for index, robot in enumerate(ids)
+        }
+        return picture
+
+    def _robot(self, status: Status | None, error: float) -> RobotPicture:
+        if status is None:
+            return RobotPicture("", "nothing heard yet", None, 0.0, None, 0)
+        return RobotPicture(
+            status.state,
+            status.reason,
+            error if error >= 0.0 else None,
+            max((age for _, age in status.neighbours), default=0) / 1e3,
+            max(status.tick_us, default=None),
+            dict(status.counters).get("overruns", 0),
+        )
+
+
+class View(Protocol):
+    """Where progress is shown. A context manager."""
+
+    def __enter__(self) -> View: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+    def say(self, text: str) -> None:
+        """One line that stays."""
+        ...
+
+    def show(self, picture: Picture) -> None:
+        """The fleet as it is now."""
+        ...
+
+
+def make_view(stream: TextIO | None = None, *, quiet: bool = False) -> View:
+    """A live table on a terminal, plain lines elsewhere, only what matters when `quiet`."""
+    stream = sys.stderr if stream is None else stream
+    if quiet or not stream.isatty():
+        return Lines(stream, quiet=quiet)
+    return Terminal(Console(file=stream))
+
+
+class Lines:
+    """Plain lines, for logs and pipes."""
+
+    PERIOD_S: Final = 2.0
+
+    def __init__(self, stream: TextIO, *, quiet: bool) -> None:
+        self._stream, self._quiet = stream, quiet
+        self._due_s = 0.0
+        self._last: Sequence[str] = ()
+
+    def __enter__(self) -> Lines:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def say(self, text: str) -> None:
+        print(text, file=self._stream, flush=True)
+
+    def show(self, picture: Picture) -> None:
+        if self._quiet or picture.time_s is None or picture.time_s < self._due_s:
+            return
+        self._due_s = (picture.time_s // self.PERIOD_S + 1.0) * self.PERIOD_S
+        self.say(f"{picture.time_s:6.1f} s  {summary(picture)}")
+
+
+class Terminal:
+    """A table that is redrawn in place."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+
+    def __enter__(self) -> Terminal:
+        self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.__exit__(kind, error, trace)
+
+    def say(self, text: str) -> None:
+        self._console.print(Text(text))
+
+    def show(self, picture: Picture) -> None:
+        self._live.update(Group(_bar(picture), Text(summary(picture)), _table(picture)), refresh=True)
+
+
+def summary(picture: Picture) -> str:
+    """One line: worst edge, closest pair, oldest message, and how many robots are in which state."""
+    parts = []
+    if picture.worst is not None and picture.nearest is not None:
+        parts.append("worst edge {:.3f} m off ({}-{})".format(*picture.worst))
+        parts.append("closest {:.3f} m ({}-{})".format(*picture.nearest))
+    parts.append(f"oldest message {picture.oldest_ms:.0f} ms")
+    states: dict[str, list[int]] = {}
+    for robot, about in picture.robots.items():
+        states.setdefault(about.state or "silent", []).append(robot)
+    for state, robots in states.items():
+        parts.append(f"all {state}" if len(states) == 1 else f"{state}: {', '.join(map(str, robots))}")
+    return ", ".join(parts)
+
+
+def _bar(picture: Picture) -> Progress:
+    progress = Progress(
+        TextColumn("[bold]{task.description}"), BarColumn(bar_width=None), TextColumn("{task.fields[clock]}")
+    )
+    now = max(0.0, picture.time_s or 0.0)
+    what = "starting" if picture.time_s is None else "driving"
+    clock = f"{now:5.1f} of {picture.duration_s:.0f} s"
+    task = progress.add_task(what, total=picture.duration_s, clock=clock)
+    progress.update(task, completed=min(now, picture.duration_s))
+    return progress
+
+
+def _table(picture: Picture) -> Table:
+    table = Table(expand=True, pad_edge=False, box=None)
+    for heading in ("robot", "state", "worst edge m", "oldest ms", "tick us", "missed"):
+        table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
+    table.add_column("why", ratio=1, no_wrap=True, overflow="ellipsis")
+    rows = sorted(picture.robots.items(), key=lambda item: (item[1].state == State.RUNNING.value, item[0]))
+    if len(rows) <= ROWS_MAX:
+        rows.sort(key=lambda item: item[0])
+    for robot, about in rows[:ROWS_MAX]:
+        table.add_row(
+            str(robot),
+            Text(about.state or "-", style=STYLES.get(about.state, "")),
+            "-" if about.error_m is None else f"{about.error_m:.3f}",
+            f"{about.age_ms:.0f}",
+            "-" if about.tick_us is None else str(about.tick_us),
+            str(about.overruns),
+            about.reason,
+        )
+    if len(rows) > ROWS_MAX:
+        table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "")
+    return table
+
+
+def fleet_time_s(now_ns: int, epoch_ns: int | None) -> float | None:
+    """Seconds since the epoch, None before it is set."""
+    return None if epoch_ns is None else (now_ns - epoch_ns) / NS_PER_S

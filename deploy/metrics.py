@@ -1,0 +1,318 @@
+"""What a run is judged by: pure functions from a recording to numbers and a verdict.
+
+Distances are between hand points, the points that the law controls. All values SI unless named.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.fleet import Fleet, law_name
+from agent.formation import Geometry
+from agent.supervision import State
+from agent.trajectory import make_trajectory
+from deploy.recorder import RecordingError
+from deploy.recording import Floats, Recording
+
+SETTLED: Final = 0.05
+"""An edge has settled while its distance is within this fraction of the wanted one."""
+GAP_S: Final = 0.5
+"""Poses missing for longer than this make a run's data incomplete."""
+MESSAGES: Final = ("sent", "received", "lost", "delayed", "duplicated", "corrupted", "rejected")
+_REJECTED: Final = "rejected."
+_GOOD_STATES: Final = (State.RUNNING.value, State.STOPPING.value, State.STOPPED.value)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A run on one grid of k times, for n robots and m edges.
+
+    `hands` and `desired` (k, n, 2) m; `distances` (k, m) m. NaN where a robot sent no pose at all.
+    """
+
+    grid: Floats
+    hands: Floats
+    desired: Floats
+    edges: NDArray[np.int64]
+    wanted: Floats
+    distances: Floats
+    off: NDArray[np.bool_]
+    """(k, m): the edge is further than `SETTLED` from its distance."""
+    settling_s: float | None
+    """Last time that any edge was off, 0 when none was, None when one is at the end (or nothing is known)."""
+
+
+def analyse(recording: Recording, geometry: Geometry) -> Analysis:
+    """The run's hand points, desired hand points and edge distances over time."""
+    grid = recording.grid
+    hands = recording.hand_positions(grid)
+    edges = np.asarray(geometry.edges, dtype=np.int64).reshape(-1, 2)
+    wanted = np.asarray(geometry.distances, dtype=np.float64)
+    trajectory = make_trajectory(recording.fleet.trajectory)
+    centre = np.array([trajectory.at(float(t))[:2] for t in grid])
+    desired = centre[:, None, :] + np.asarray(geometry.offsets, dtype=np.float64)[None, :, :]
+    distances = _norm(hands[:, edges[:, 0]] - hands[:, edges[:, 1]])
+    off = np.abs(distances - wanted) > SETTLED * wanted  # False for NaN
+    return Analysis(grid, hands, desired, edges, wanted, distances, off, _settling(grid, distances, off))
+
+
+def _settling(grid: Floats, distances: Floats, off: NDArray[np.bool_]) -> float | None:
+    if not np.isfinite(distances).any() or off[-1].any():
+        return None
+    when = np.flatnonzero(off.any(axis=1))
+    return float(grid[when[-1]]) if len(when) else 0.0
+
+
+def _norm(vectors: Floats) -> Floats:
+    length: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
+    return length
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The closest that a pair of robots came, and the number of pairs that came below the safe distance."""
+
+    distance_m: float
+    t_s: float
+    pair: tuple[int, int]
+    unsafe: int
+
+
+def closest(analysis: Analysis, ids: Sequence[int], safe_m: float, *, sharing_edge: bool) -> Closest | None:
+    """The closest approach among the pairs with (or without) an edge; None when there is no such pair."""
+    edges = {(min(i, j), max(i, j)) for i, j in analysis.edges.tolist()}
+    best: Closest | None = None
+    unsafe = 0
+    for i in range(len(ids) - 1):  # a robot at a time: all pairs of a large fleet at once would not fit
+        others = [j for j in range(i + 1, len(ids)) if ((i, j) in edges) == sharing_edge]
+        between = _norm(analysis.hands[:, others] - analysis.hands[:, i : i + 1])
+        between[np.isnan(between)] = np.inf
+        if not others:
+            continue
+        unsafe += int((between.min(axis=0) < safe_m).sum())
+        k, column = divmod(int(between.argmin()), len(others))
+        distance = float(between[k, column])
+        if isfinite(distance) and (best is None or distance < best.distance_m):
+            best = Closest(distance, float(analysis.grid[k]), (ids[i], ids[others[column]]), 0)
+    return None if best is None else Closest(best.distance_m, best.t_s, best.pair, unsafe)
+
+
+def compute(
+    recording: Recording,
+    fleet: Fleet,
+    geometry: Geometry,
+    *,
+    mode: str,
+    seed: int,
+    reasons: Sequence[str] = (),
+    analysis: Analysis | None = None,
+) -> dict[str, Any]:
+    """The content of ``metrics.json``, in the order of its description.
+
+    mode: ``run`` or ``simulate`` (virtual time has no tick times: null).
+    reasons: full sentences that fail the verdict and that the recording does not know, such as a
+        process that died; they come first.
+    analysis: that of `analyse`, when it is at hand.
+    """
+    a = analyse(recording, geometry) if analysis is None else analysis
+    safe_m = fleet.formation.safe_distance_m
+    with_edge = closest(a, recording.ids, safe_m, sharing_edge=True)
+    without = closest(a, recording.ids, safe_m, sharing_edge=False)
+    errors = a.distances - a.wanted
+    tracking = _norm(a.hands[-1] - a.desired[-1])
+    totals: Counter[str] = Counter()
+    for robot in recording.robots.values():
+        totals.update(robot.status.totals())
+    rejected = {
+        name.removeprefix(_REJECTED): count
+        for name, count in sorted(totals.items())
+        if name.startswith(_REJECTED) and count
+    }
+    # Before the start and after the end, neighbours come and go: such ages say nothing about the drive.
+    statuses = [robot.status for robot in recording.robots.values()]
+    ages_ms = np.concatenate([status.ages_between(0.0, recording.end_s) for status in statuses]) / 1e3
+    ticks_us = np.concatenate([status.tick_us for status in statuses])
+    if mode == "simulate":
+        ticks_us = ticks_us[:0]
+    found = [
+        *reasons,
+        *_incomplete(recording),
+        *_states(recording),
+        *_unsafe(with_edge, safe_m, "share an edge"),
+        *_unsafe(without, safe_m, "share no edge"),
+        *_unsettled(a, recording.ids),
+    ]
+    metrics: dict[str, Any] = {
+        "fleet": fleet.fleet.name,
+        "law": law_name(fleet.control),
+        "seed": seed,
+        "mode": mode,
+        "robots": len(fleet.robots),
+        "edges": len(a.edges),
+        "rate_hz": _number(fleet.fleet.rate_hz),
+        "duration_s": _number(recording.end_s),
+        "min_distance_m": {
+            "edge": _number(with_edge.distance_m) if with_edge else None,
+            "any": _least(with_edge, without),
+        },
+        "settling_time_s": _number(a.settling_s),
+        "final_distance_error_m": _largest(np.abs(errors[-1])),
+        "final_tracking_error_m": _largest(tracking),
+        "rms_distance_error_m": _rms(errors),
+        "messages": {name: totals[name] for name in MESSAGES},
+        "age_of_information_ms": {
+            "p50": _percentile(ages_ms, 50),
+            "p99": _percentile(ages_ms, 99),
+            "max": _largest(ages_ms),
+        },
+        "tick": {
+            "p50_us": _percentile(ticks_us, 50),
+            "p99_us": _percentile(ticks_us, 99),
+            "overruns": totals["overruns"],
+        },
+        "verdict": {"passed": not found, "reasons": found},
+    }
+    if rejected:
+        metrics["messages_rejected_by_reason"] = rejected
+    return metrics
+
+
+def write(path: str | PathLike[str], metrics: dict[str, Any]) -> None:
+    """Write ``metrics.json``: the same metrics give the same bytes, which end in a newline.
+
+    Raises:
+        RecordingError: when it cannot be written.
+    """
+    text = json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _number(value: float | None) -> float | None:
+    """Rounded to a micro-unit, so that the last bits of a platform's sine do not show; None for NaN."""
+    if value is None or not isfinite(value):
+        return None
+    return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
+
+
+def _largest(values: NDArray[Any]) -> float | None:
+    finite = values[np.isfinite(values)]
+    return _number(float(finite.max())) if finite.size else None
+
+
+def _percentile(values: NDArray[Any], percent: float) -> float | None:
+    return _number(float(np.percentile(values, percent))) if values.size else None
+
+
+def _rms(errors: Floats) -> float | None:
+    finite = errors[np.isfinite(errors)]
+    return _number(float(np.sqrt(np.mean(finite**2)))) if finite.size else None
+
+
+def _least(*found: Closest | None) -> float | None:
+    distances = [each.distance_m for each in found if each is not None]
+    return _number(min(distances)) if distances else None
+
+
+def names(ids: Sequence[int]) -> str:
+    """``robot 3``, or ``robots 1, 2 and 3``; long lists are cut."""
+    if len(ids) == 1:
+        return f"robot {ids[0]}"
+    if len(ids) > 6:
+        return f"robots {', '.join(map(str, ids[:5]))} and {len(ids) - 5} others"
+    return f"robots {', '.join(map(str, ids[:-1]))} and {ids[-1]}"
+
+
+def _incomplete(recording: Recording) -> list[str]:
+    """Sentences for what the data do not hold."""
+    out = []
+    if recording.epoch_ns is None:
+        out.append("No mission was recorded: the fleet was never told to start, so it did not drive.")
+    silent = [robot for robot, data in recording.robots.items() if not len(data.body)]
+    if silent:
+        out.append(f"The data are incomplete: no pose of {names(silent)} was recorded.")
+    mute = [robot for robot, data in recording.robots.items() if not len(data.status)]
+    if mute:
+        verb = "agent of" if len(mute) == 1 else "agents of"
+        out.append(f"The data are incomplete: the {verb} {names(mute)} never said a word.")
+    if recording.epoch_ns is None:
+        return out
+    end_s, planned_s = recording.end_s, recording.planned_s
+    for robot, data in recording.robots.items():
+        if not len(data.body):
+            continue
+        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
+        gaps = np.diff(times)
+        k = int(gaps.argmax())
+        if gaps[k] > GAP_S:
+            out.append(
+                f"The data are incomplete: robot {robot} sent no pose "
+                f"from {times[k]:.2f} s to {times[k + 1]:.2f} s."
+            )
+    if end_s < planned_s - GAP_S:
+        why = ""
+        if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
+            why = ": it was stopped"
+        elif recording.interrupted:
+            why = ": it was interrupted"
+        out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
+    return out
+
+
+def _states(recording: Recording) -> list[str]:
+    """Sentences for robots that did not drive at the end of the drive."""
+    out = []
+    for robot, data in recording.robots.items():
+        last = data.status.at(recording.end_s)
+        if last is None or last[0] in _GOOD_STATES:
+            continue
+        state, reason = last
+        why = f" ({reason})" if reason else ""
+        meaning = {
+            State.FAULT.value: "it braked because something of its own was wrong",
+            State.HOLDING.value: "it braked because a neighbour was silent for too long",
+        }.get(state, "it did not drive")
+        out.append(f"Robot {robot} ended the drive in state {state}: {meaning}{why}.")
+    return out
+
+
+def _unsafe(found: Closest | None, safe_m: float, relation: str) -> list[str]:
+    if found is None or not found.unsafe:
+        return []
+    i, j = found.pair
+    others = {1: "", 2: " One other such pair came too close as well."}.get(
+        found.unsafe, f" {found.unsafe - 1} other such pairs came too close as well."
+    )
+    return [
+        f"Robots {i} and {j}, which {relation}, came within {found.distance_m:.3f} m of each other at "
+        f"{found.t_s:.2f} s; the safe distance is {safe_m:.3f} m.{others}"
+    ]
+
+
+def _unsettled(a: Analysis, ids: Sequence[int]) -> list[str]:
+    off = np.flatnonzero(a.off[-1])
+    if not len(off):
+        return []
+    error = np.abs(a.distances[-1] - a.wanted)
+    worst = int(off[np.argmax((error / a.wanted)[off])])
+    i, j = (ids[index] for index in a.edges[worst])
+    others = {1: "", 2: " One other edge was off as well."}.get(
+        len(off), f" {len(off) - 1} other edges were off as well."
+    )
+    return [
+        f"The formation had not settled at the end ({a.grid[-1]:.1f} s): robots {i} and {j} were "
+        f"{a.distances[-1, worst]:.3f} m apart instead of {a.wanted[worst]:.3f} m, "
+        f"{100 * error[worst] / a.wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}"
+    ]

@@ -1,0 +1,74 @@
+"""Ports for a fleet on this machine: free now, and not taken by another run between now and its start."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import tempfile
+from pathlib import Path
+from typing import Final
+
+BLOCK: Final = 128
+"""Ports are reserved in blocks of this many."""
+PORT_MAX: Final = 32_767
+"""Above lies the range from which the system picks ports for outgoing connections."""
+
+
+class NoPortsError(RuntimeError):
+    """No run of free ports is left."""
+
+
+def _free(address: str, port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((address, port))
+        except OSError:
+            return False
+    return True
+
+
+class Reservation:
+    """`count` ports in a row on `address`, from `base` or the next free place after it.
+
+    Between runs on one machine a lock on the block of ports decides, held until `close` or the
+    end of the process; other programs are found by trying the ports.
+
+    Raises:
+        NoPortsError: when there is no room up to `PORT_MAX`.
+    """
+
+    def __init__(self, address: str, base: int, count: int) -> None:
+        self._locks: list[int] = []
+        first = base
+        while base + count - 1 <= PORT_MAX:
+            if self._lock(base, count):
+                if all(_free(address, port) for port in range(base, base + count)):
+                    self.base = base
+                    return
+                self.close()
+            base += BLOCK
+        raise NoPortsError(
+            f"no {count} free ports in a row from {first} to {PORT_MAX} on {address}: "
+            "end other runs, or set a lower [network] base_port"
+        )
+
+    def _lock(self, base: int, count: int) -> bool:
+        folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        for block in range(base // BLOCK, (base + count - 1) // BLOCK + 1):
+            handle = os.open(folder / f"ports-{block}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            self._locks.append(handle)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                self.close()
+                return False
+        return True
+
+    def close(self) -> None:
+        """Gives the ports back."""
+        for handle in self._locks:
+            os.close(handle)
+        self._locks.clear()

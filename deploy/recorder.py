@@ -1,0 +1,225 @@
+"""Writing a run to MCAP: every message as it arrived, in a file that stands on its own.
+
+One channel per key and message class, JSON with a schema, so that Foxglove and every MCAP tool
+reads it. The file holds the fleet file too (attachment) and what the run was (metadata). Nothing
+here reads a clock: the same input gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final, Self
+
+import tomli_w
+from mcap.writer import CompressionType, Writer
+
+from agent.fleet import Fleet, law_name, to_dict
+from agent.messages import Malformed, Message, PlantState, decode
+from deploy.foxglove import SCHEMAS, Scene
+from deploy.message_json import schema, schema_name, to_json
+
+FLEET_ATTACHMENT: Final = "fleet.toml"
+RUN_METADATA: Final = "handfast.run"
+OUTCOME_METADATA: Final = "handfast.outcome"
+RAW_ENCODING: Final = "application/octet-stream"
+
+# A chunk is what a killed process loses at most: about a second of traffic, or this many bytes.
+CHUNK_BYTES: Final = 256 * 1024
+FLUSH_PERIOD_NS: Final = 1_000_000_000
+# Garbage on made-up keys must not grow the file's tables without bound (MCAP has 2**16 channels).
+CHANNELS_MAX: Final = 4096
+_Kind = type[Message] | str | None
+"""What a channel carries: a message class, the name of a Foxglove schema, or None for raw bytes."""
+_TIME_MAX: Final = 2**64 - 1
+_SEQUENCE_MASK: Final = 2**32 - 1  # MCAP's sequence has 32 bits
+
+
+class RecordingError(Exception):
+    """A recording that cannot be written or read; the text is one line naming the file."""
+
+
+def handfast_version() -> str:
+    """Version of the installed distribution, ``unknown`` when it runs from a bare checkout."""
+    try:
+        return version("handfast")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+class Recorder:
+    """Records the messages of one run to an MCAP file. A context manager: leaving it completes the file.
+
+    Args:
+        path: the file to write; an existing one is overwritten.
+        fleet: what runs.
+        mode: ``run`` or ``simulate``.
+        fleet_toml: text of the resolved fleet file, kept as an attachment; written from `fleet` unless given.
+        seed: seed of the run, that of the fleet unless given.
+
+    Raises:
+        RecordingError: when the file cannot be written (from the constructor, `record` or `close`).
+            What was written before stays readable. `record` does nothing more after it failed once.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        fleet: Fleet,
+        *,
+        mode: str = "run",
+        fleet_toml: str | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.recorded = 0
+        """Messages written, those that do not decode included."""
+        self.rejected: Counter[str] = Counter()
+        """Payloads that do not decode, by reason (`agent.messages.REASONS`), and ``channels`` for
+        those that were not kept because they came on too many different keys."""
+        self._failed = False
+        self._closed = False
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, _Kind], int] = {}
+        self._flush_due_ns: int | None = None
+        self._now_ns = 0
+        self._scene = Scene(fleet)
+        self._stream: IO[bytes] | None = None
+        run = {
+            "version": handfast_version(),
+            "fleet": fleet.fleet.name,
+            "law": law_name(fleet.control),
+            "mode": mode,
+            "seed": str(fleet.fleet.seed if seed is None else seed),
+        }
+        text = tomli_w.dumps(to_dict(fleet)) if fleet_toml is None else fleet_toml
+        try:
+            self._stream = open(self.path, "wb")  # noqa: SIM115 - closed by close()
+            self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._writer.start(profile="", library="handfast")
+            self._writer.add_metadata(RUN_METADATA, run)
+            # Its own write: a file cut short still says what it was.
+            self._writer.add_attachment(0, 0, FLEET_ATTACHMENT, "application/toml", text.encode())
+            self._stream.flush()
+        except OSError as error:
+            failure = self._error(error)
+            self.close()
+            raise failure from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except RecordingError:
+            if error is None:  # never hide the error that ended the run
+                raise
+
+    def record(self, received_ns: int, key: str, payload: bytes) -> Message | None:
+        """Write one payload as it came from the bus.
+
+        received_ns: wall clock (or virtual time) of its reception. Returns the decoded message,
+        None for a payload that is not one: it is kept as raw bytes and counted.
+        """
+        try:
+            message = decode(payload)
+        except Malformed as problem:
+            self.rejected[problem.reason] += 1
+            self._write(received_ns, key, None, payload, received_ns, 0)
+            return None
+        self.record_message(received_ns, key, message)
+        return message
+
+    def record_message(self, received_ns: int, key: str, message: Message) -> None:
+        """Write one message that is decoded already (a simulation has it at hand)."""
+        sequence = message[1] if "sequence" in message._fields else message[0]
+        self._write(received_ns, key, type(message), to_json(message), message.time_ns, sequence)
+        if type(message) is PlantState and not key.endswith("/truth"):
+            for scene_key, name, content in self._scene.update(received_ns, message):
+                self._write(received_ns, scene_key, name, content, received_ns, 0)
+
+    def set_outcome(self, reasons: Sequence[str], *, interrupted: bool = False) -> None:
+        """Keep what only the operator's side knows: why the verdict fails, such as a process that died.
+
+        A report that is rebuilt from the file finds them in `Recording.reasons`.
+        """
+        outcome = {"reasons": json.dumps(list(reasons)), "interrupted": json.dumps(interrupted)}
+        if self._failed or self._closed:
+            return
+        try:
+            self._writer.add_metadata(OUTCOME_METADATA, outcome)
+        except OSError as error:
+            raise self._error(error) from error
+
+    def close(self) -> None:
+        """Complete the file. Does nothing the second time."""
+        if self._closed or self._stream is None:
+            return
+        self._closed = True
+        try:
+            if not self._failed:
+                self._writer.finish()
+            self._stream.close()
+        except OSError as error:
+            # What the file holds is what can be saved; closing once more drops the buffer quietly.
+            with suppress(OSError):
+                self._stream.close()
+            if not self._failed:
+                raise self._error(error) from error
+
+    def _write(
+        self,
+        received_ns: int,
+        key: str,
+        kind: _Kind,
+        content: bytes,
+        time_ns: int,
+        sequence: int,
+    ) -> None:
+        if self._failed or self._closed:
+            return
+        channel = self._channels.get((key, kind))
+        try:
+            if channel is None:
+                if len(self._channels) >= CHANNELS_MAX:
+                    self.rejected["channels"] += 1
+                    return
+                channel = self._channel(key, kind)
+            log_ns = min(max(received_ns, 0), _TIME_MAX)
+            self._writer.add_message(channel, log_ns, content, time_ns, sequence & _SEQUENCE_MASK)
+            if self._flush_due_ns is None:
+                self._flush_due_ns = log_ns + FLUSH_PERIOD_NS
+            elif log_ns >= self._flush_due_ns:
+                self._flush_due_ns = log_ns + FLUSH_PERIOD_NS
+                self._writer.flush()
+        except OSError as error:
+            raise self._error(error) from error
+        if type(kind) is not str:
+            self.recorded += 1
+
+    def _channel(self, key: str, kind: _Kind) -> int:
+        """Register the channel of a key and a kind."""
+        if kind is None:
+            channel = self._writer.register_channel(key, RAW_ENCODING, 0)
+        else:
+            name = kind if isinstance(kind, str) else schema_name(kind)
+            if name not in self._schemas:
+                content = json.dumps(SCHEMAS[kind] if isinstance(kind, str) else schema(kind))
+                self._schemas[name] = self._writer.register_schema(name, "jsonschema", content.encode())
+            derived = {"derived": "true"} if isinstance(kind, str) else {}
+            channel = self._writer.register_channel(key, "json", self._schemas[name], derived)
+        self._channels[(key, kind)] = channel
+        return int(channel)
+
+    def _error(self, error: OSError) -> RecordingError:
+        self._failed = True
+        return RecordingError(f"cannot write the recording {self.path}: {error.strerror or error}")

@@ -1,0 +1,421 @@
+"""A run's report: the figures and one HTML page that needs nothing beside itself.
+
+Import this module only where a report is wanted: it loads matplotlib.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from agent.fleet import Fleet
+from agent.formation import Geometry, resolve
+from agent.supervision import State
+from deploy import figures, metrics
+from deploy.metrics import Analysis, analyse
+from deploy.recorder import RecordingError, handfast_version
+from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
+
+METRICS_NAME: Final = "metrics.json"
+REPORT_NAME: Final = "report.html"
+
+
+def finish(folder: str | PathLike[str], recording: Recording) -> dict[str, Any]:
+    """Write ``metrics.json``, the figures and ``report.html`` of a run into its folder; returns the metrics.
+
+    Raises:
+        RecordingError: when something cannot be written.
+        FormationError: when the fleet's formation cannot be resolved.
+    """
+    geometry = resolve(recording.fleet)
+    analysis = analyse(recording, geometry)
+    found = metrics.compute(
+        recording, recording.fleet, geometry, mode=recording.mode, seed=recording.seed,
+        reasons=recording.reasons, analysis=analysis,
+    )  # fmt: skip
+    metrics.write(Path(folder) / METRICS_NAME, found)
+    write_report(folder, recording, recording.fleet, found, geometry=geometry, analysis=analysis)
+    return found
+
+
+def rebuild(folder: str | PathLike[str]) -> dict[str, Any]:
+    """``handfast report RUN``: figures, metrics and page again, from ``run.mcap`` and ``fleet.toml`` alone.
+
+    Raises:
+        RecordingError: when the folder holds no run that can be read, or cannot be written.
+        FleetError, FormationError: when its fleet file is not valid.
+    """
+    return finish(folder, Recording.from_folder(folder))
+
+
+def write_report(
+    folder: str | PathLike[str],
+    recording: Recording,
+    fleet: Fleet,
+    found: dict[str, Any],
+    *,
+    geometry: Geometry | None = None,
+    analysis: Analysis | None = None,
+) -> Path:
+    """Draw the figures and write ``report.html`` into `folder`; returns the page's path.
+
+    found: the metrics, as `deploy.metrics.compute` gives them.
+
+    Raises:
+        RecordingError: when something cannot be written.
+    """
+    a = analyse(recording, geometry or resolve(fleet)) if analysis is None else analysis
+    pictures = figures.write_figures(folder, recording, fleet, a)
+    toml = recording.fleet_toml or _text_of(Path(folder) / FLEET_NAME)
+    page = _page(
+        recording, fleet, found, a, toml, {name: path.read_bytes() for name, path in pictures.items()}
+    )
+    path = Path(folder) / REPORT_NAME
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+    return path
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError):
+        return ""  # the page does without
+
+
+# --- words -----------------------------------------------------------------------------------
+
+
+def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[str]:
+    """What to try after a run that failed: sentences (HTML, escaped)."""
+    if found["verdict"]["passed"]:
+        return []
+    out = []
+    safe = fleet.formation.safe_distance_m
+    least = found["min_distance_m"]
+    ends = [robot.status.at(recording.end_s) for robot in recording.robots.values()]
+    states = {end[0] for end in ends if end is not None}
+    if (
+        recording.reasons
+        or recording.warnings
+        or None in ends
+        or states & {State.WAITING.value, State.READY.value}
+    ):
+        out.append(
+            "Look first at what the processes said (<code>handfast logs</code>, or the last lines that "
+            "<code>handfast run</code> printed): a robot that is not there makes every other number worse."
+        )
+    if State.FAULT.value in states:
+        out.append("A robot in state <em>fault</em> says why in the table of robots below.")
+    if State.HOLDING.value in states:
+        out.append(
+            "A robot in state <em>holding</em> heard nothing from a neighbour for longer than "
+            "<code>control.prediction_horizon_s</code>: look at the links between them."
+        )
+    if least["edge"] is not None and least["edge"] < safe:
+        if found["law"] == "paper":
+            out.append(
+                "The published law (<code>paper</code>) does not keep robots with several edges apart, as "
+                "<code>docs/theory.md</code> shows: try <code>--law joint</code>."
+            )
+        else:
+            out.append(
+                "Robots with an edge came too close: check that they start further apart than the safe "
+                "distance (<code>handfast check</code>) and that the plants can follow (limits, lag)."
+            )
+    unsafe_elsewhere = least["any"] is not None and least["any"] < safe and least["any"] != least["edge"]
+    if unsafe_elsewhere:
+        out.append(
+            "The law keeps apart only robots that share an edge. Give the pair that came too close an edge, "
+            "let <code>formation.assign = true</code> choose slots so that ways cross less, or start them "
+            "elsewhere."
+        )
+    if found["settling_time_s"] is None and found["final_distance_error_m"] is not None:
+        out.append(
+            "If distances were still changing at the end, drive for longer (<code>--duration</code>). If "
+            "they stood still off their marks, the formation is stuck in a wrong shape: try "
+            "<code>--set formation.assign=true</code> or <code>--law joint</code>."
+        )
+    return out
+
+
+def _summary(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> str:
+    """What the verdict means, in plain words."""
+    safe = fleet.formation.safe_distance_m
+    if found["verdict"]["passed"]:
+        settled, closest = found["settling_time_s"], found["min_distance_m"]["any"]
+        if not found["edges"] or settled is None:
+            what = "drove to the end"
+        elif settled == 0:
+            what = "was in formation all the time"
+        else:
+            what = f"was in formation after {settled:.1f} s and stayed so to the end"
+        apart = ""
+        if closest is not None:
+            apart = f" No two robots came closer than {closest:.3f} m; {safe:g} m is the least allowed."
+        return f"The fleet {what}.{apart}"
+    count = len(found["verdict"]["reasons"])
+    return f"{'One thing was' if count == 1 else f'{count} things were'} not as they must be:"
+
+
+_ROWS: Final = (
+    ("min_distance_m.edge", "Closest, robots with an edge", "m",
+     "Least distance ever between two robots that share an edge."),
+    ("min_distance_m.any", "Closest, any two robots", "m", "Least distance ever between any two robots."),
+    ("settling_time_s", "Settling time", "s", "Last time that any edge was more than 5 % off its distance."),
+    ("final_distance_error_m", "Final distance error", "m",
+     "At the end: the worst edge's distance against the wanted one."),
+    ("final_tracking_error_m", "Final tracking error", "m",
+     "At the end: how far the worst robot is from its place on the desired path."),
+    ("rms_distance_error_m", "RMS distance error", "m", "Root mean square over all edges and all times."),
+    ("age_of_information_ms.p50", "Age of information, median", "ms",
+     "How old a neighbour's state was when the law used it."),
+    ("age_of_information_ms.p99", "Age of information, 99 %", "ms", "Of 100 ages, 99 are below this."),
+    ("age_of_information_ms.max", "Age of information, greatest", "ms", "The oldest state ever used."),
+    ("tick.p50_us", "Tick, median", "µs", "Time an agent needs for one round of its loop."),
+    ("tick.p99_us", "Tick, 99 %", "µs", "Of 100 rounds, 99 take less than this."),
+    ("tick.overruns", "Overruns", "", "Rounds that started too late and were skipped."),
+    ("messages.sent", "Messages sent", "", "Hand states, counted once for every neighbour."),
+    ("messages.received", "Messages received", "", "Hand states that agents accepted."),
+    ("messages.lost", "Messages lost", "", "Hand states that did not arrive."),
+    ("messages.delayed", "Messages delayed", "", "Held back on purpose by the fault model."),
+    ("messages.duplicated", "Messages duplicated", "", "Arrived more than once."),
+    ("messages.corrupted", "Messages corrupted", "", "Damaged on the way."),
+    ("messages.rejected", "Messages rejected", "",
+     "Malformed, out of order or from the future: dropped, without effect."),
+)  # fmt: skip
+
+_CAPTIONS: Final = {
+    "trajectories": "Paths of the hand points (solid) and the desired ones (dotted). Circles are the starts; "
+    "the formation is drawn with its edges at the times written beside it. After the paper's Fig. 3.",
+    "distances": "Distance of every pair of robots that share an edge. No line may touch the red one; all "
+    "must end in the green band. After the paper's Fig. 4.",
+    "forces": "What drives the robots: the navigation force pulls each along its path, the constraint force "
+    "keeps the distances. Below, what the agents ask of their plants.",
+    "timing": "How long the agents' rounds took, and how old the neighbours' states were when used.",
+}
+
+
+# --- page ------------------------------------------------------------------------------------
+
+_CSS: Final = """
+:root {
+  color-scheme: light dark;
+  --ink: #1d1d1f; --soft: #62666d; --page: #fbfbfa; --card: #fff; --line: #dfe1e5;
+  --good: #00664b; --bad: #b3121d; --good-bg: #e6f4ef; --bad-bg: #fcebec;
+}
+@media (prefers-color-scheme: dark) {
+  :root {
+    --ink: #e8e8ea; --soft: #a2a6ae; --page: #16171a; --card: #1f2125; --line: #383b42;
+    --good: #5fd3a9; --bad: #ff8a8f; --good-bg: #12312a; --bad-bg: #3a1a1d;
+  }
+}
+* { box-sizing: border-box; }
+body {
+  margin: 0 auto; padding: 1.5rem; max-width: 62rem; background: var(--page); color: var(--ink);
+  font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
+}
+h1 { font-size: 1.6rem; margin: 0 0 .2rem; }
+h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
+p { margin: .4rem 0; }
+.soft { color: var(--soft); }
+.verdict { border-left: .4rem solid; border-radius: .3rem; padding: .8rem 1.1rem; margin: 1.2rem 0; }
+.verdict h2 { margin: 0 0 .2rem; }
+.verdict ul { margin: .4rem 0; padding-left: 1.3rem; }
+.passed { border-color: var(--good); background: var(--good-bg); }
+.passed h2 { color: var(--good); }
+.failed { border-color: var(--bad); background: var(--bad-bg); }
+.failed h2 { color: var(--bad); }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; width: 100%; background: var(--card); font-size: .88rem; }
+th, td { border-bottom: 1px solid var(--line); padding: .3rem .6rem; text-align: left; vertical-align: top; }
+th { font-weight: 600; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+td.n { white-space: nowrap; }
+figure { margin: 0 0 1.6rem; }
+figcaption { font-size: .9rem; color: var(--soft); margin-top: .4rem; }
+img {
+  display: block; max-width: 100%; max-height: 52rem; height: auto; margin: 0 auto; padding: .5rem;
+  background: #fff; border: 1px solid var(--line); border-radius: .3rem;
+}
+pre {
+  background: var(--card); border: 1px solid var(--line); border-radius: .3rem; padding: .7rem;
+  overflow-x: auto; font: .8rem/1.45 ui-monospace, "DejaVu Sans Mono", monospace;
+}
+code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .92em; }
+@media print {
+  body { max-width: none; padding: 0; font-size: 11pt; }
+  figure, tr, .verdict { break-inside: avoid; }
+  h2 { break-after: avoid; }
+  pre { white-space: pre-wrap; }
+}
+"""
+
+
+def _page(
+    recording: Recording,
+    fleet: Fleet,
+    found: dict[str, Any],
+    a: Analysis,
+    toml: str,
+    pictures: dict[str, bytes],
+) -> str:
+    name = escape(fleet.fleet.name)
+    passed = found["verdict"]["passed"]
+    verdict = "passed" if passed else "failed"
+    reasons = _list([escape(reason) for reason in found["verdict"]["reasons"]])
+    tips = advice(recording, fleet, found)
+    warnings = "".join(f'<p class="soft">Note: {escape(warning)}.</p>' for warning in recording.warnings)
+    parts = [
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f"<title>{name}: {verdict}</title>\n"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<style>{_CSS}</style>\n</head>\n<body>\n<h1>{name}</h1>",
+        f'<p class="soft">{escape(fleet.fleet.description)}</p>' if fleet.fleet.description else "",
+        f"<p>{_what(recording, found)}</p>",
+        f'<section class="verdict {verdict}">\n<h2>{verdict.capitalize()}</h2>\n'
+        f"<p>{_summary(recording, fleet, found)}</p>\n{reasons}"
+        + (f"<p><strong>What to try</strong></p>{_list(tips)}" if tips else "")
+        + f"</section>\n{warnings}",
+        *(_figure(name, pictures[name]) for name in ("trajectories", "distances")),
+        "<h2>In numbers</h2>",
+        _metrics_table(found),
+        "<h2>Robots</h2>",
+        _robots_table(recording, a),
+        "<h2>Forces and timing</h2>",
+        *(_figure(name, pictures[name]) for name in ("forces", "timing")),
+        "<h2>Do it again</h2>",
+        _again(recording, found),
+        "<h2>Fleet file</h2>",
+        f"<pre>{escape(toml)}</pre>"
+        if toml
+        else f"<p>It is beside this page: <code>{FLEET_NAME}</code>.</p>",
+        f'<p class="soft">handfast {escape(handfast_version())}. Every message of the run is in '
+        f"<code>{MCAP_NAME}</code>, which Foxglove opens.</p>",
+        "</body>\n</html>\n",
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _what(recording: Recording, found: dict[str, Any]) -> str:
+    how = "in virtual time" if found["mode"] == "simulate" else "one process per agent and per plant"
+    when = ""
+    if found["mode"] == "run" and recording.epoch_ns is not None:
+        # From the recording, not from a clock: a rebuilt report is the same page.
+        when = f", started {datetime.fromtimestamp(recording.epoch_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    return (
+        f"{found['robots']} robots and {found['edges']} edges, law <code>{escape(found['law'])}</code>, "
+        f"{found['rate_hz']:g} Hz, {found['duration_s']:g} s, seed {found['seed']}, {how}{when}."
+    )
+
+
+def _list(items: Sequence[str]) -> str:
+    return "<ul>\n" + "\n".join(f"<li>{item}</li>" for item in items) + "\n</ul>\n" if items else ""
+
+
+def _figure(name: str, picture: bytes) -> str:
+    data = base64.b64encode(picture).decode()
+    caption = escape(_CAPTIONS[name])
+    return (
+        f'<figure>\n<img alt="{escape(name.capitalize())}: {caption}" src="data:image/png;base64,{data}">\n'
+        f"<figcaption>{caption}</figcaption>\n</figure>"
+    )
+
+
+def _shown(value: Any, unit: str = "") -> str:
+    if value is None:
+        return "–"
+    text = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+    return f"{text} {unit}".strip()
+
+
+def _metrics_table(found: dict[str, Any]) -> str:
+    rows = []
+    for place, title, unit, meaning in _ROWS:
+        value: Any = found
+        for key in place.split("."):
+            value = value[key]
+        rows.append(f'<tr><td>{title}</td><td class="n">{_shown(value, unit)}</td><td>{meaning}</td></tr>')
+    for reason, count in found.get("messages_rejected_by_reason", {}).items():
+        rows.append(
+            f'<tr><td>Rejected: {escape(reason)}</td><td class="n">{_shown(count)}</td><td></td></tr>'
+        )
+    head = '<tr><th>Metric</th><th class="n">Value</th><th>Meaning</th></tr>'
+    return _table(head, rows)
+
+
+def _robots_table(recording: Recording, a: Analysis) -> str:
+    columns = (
+        "Robot", "State at the end", "Closest (m)", "Worst edge at the end (m)",
+        "Off its place at the end (m)",
+        "Tick 99 % (µs)", "Overruns", "Age 99 % (ms)", "Sent", "Received", "Lost", "Rejected",
+    )  # fmt: skip
+    head = "".join(f'<th class="n">{c}</th>' if k != 1 else f"<th>{c}</th>" for k, c in enumerate(columns))
+    rows = []
+    for index, (robot, data) in enumerate(recording.robots.items()):
+        totals = data.status.totals()
+        state = data.status.at(recording.end_s)
+        words = "nothing heard" if state is None else f"{state[0]}: {state[1]}" if state[1] else state[0]
+        cells = [
+            _shown(_closest(a, index)),
+            _shown(_worst_edge(a, index)),
+            _shown(_finite(np.hypot(*(a.hands[-1, index] - a.desired[-1, index])))),
+            _shown(_percentile(data.status.tick_us) if recording.mode != "simulate" else None),
+            _shown(totals.get("overruns")),
+            _shown(_percentile(data.status.ages_us / 1e3)),
+            *(_shown(totals.get(name)) for name in ("sent", "received", "lost", "rejected")),
+        ]
+        numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
+        rows.append(f'<tr><td class="n">{robot}</td><td>{escape(words)}</td>{numbers}</tr>')
+    return _table(f"<tr>{head}</tr>", rows)
+
+
+def _table(head: str, rows: Sequence[str]) -> str:
+    body = "\n".join(rows)
+    return f'<div class="scroll"><table>\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody></table></div>'
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _percentile(values: Any) -> float | None:
+    return float(np.percentile(values, 99)) if len(values) else None
+
+
+def _closest(a: Analysis, index: int) -> float | None:
+    """Least distance of one robot from any other, ever."""
+    others = np.delete(a.hands, index, axis=1) - a.hands[:, index : index + 1]
+    lengths = np.hypot(others[..., 0], others[..., 1])
+    lengths = lengths[np.isfinite(lengths)]
+    return float(lengths.min()) if lengths.size else None
+
+
+def _worst_edge(a: Analysis, index: int) -> float | None:
+    own = (a.edges == index).any(axis=1)
+    errors = np.abs(a.distances[-1, own] - a.wanted[own])
+    errors = errors[np.isfinite(errors)]
+    return float(errors.max()) if errors.size else None
+
+
+def _again(recording: Recording, found: dict[str, Any]) -> str:
+    file = FLEET_NAME
+    same = f"handfast {'simulate' if found['mode'] == 'simulate' else 'run'} {file} --seed {found['seed']}"
+    lines = [(same, "this run again, from the file below, which holds every setting"),
+             (f"handfast simulate {file} --seed {found['seed']}", "the same in virtual time"),
+             ("handfast report .", "this page again, from the recording"),
+             ("handfast export . --format csv", "the data as tables")]  # fmt: skip
+    if found["mode"] == "simulate":
+        del lines[1]
+    width = max(len(command) for command, _ in lines)
+    text = "\n".join(f"{command.ljust(width)}  # {what}" for command, what in lines)
+    return f"<p>In the folder of this page:</p>\n<pre>{escape(text)}</pre>"

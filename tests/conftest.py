@@ -1,0 +1,151 @@
+"""What holds for every test: order, randomness, no skips in CI, no process left behind."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import time
+from collections.abc import Generator, Iterator
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+HERE = Path(__file__).parent
+PROCESS_FOLDERS = ("process", "hosts")  # every test in them starts processes
+ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
+MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
+GRACE_S = 2.0  # how long a process that was told to stop may take to be gone
+NO_SKIPS = os.environ.get("HANDFAST_NO_SKIPS") == "1"  # set by .ci/run
+
+hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("dev", deadline=None, print_blob=True)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose hypothesis's profile, and a seed that can be given again, unless the caller did."""
+    if config.getoption("--hypothesis-profile") is None:
+        profile = "ci" if os.environ.get("CI") else "dev"
+        hypothesis.settings.load_profile(profile)
+        if profile == "dev" and config.getoption("--hypothesis-seed") is None:
+            config.option.hypothesis_seed = str(secrets.randbits(32))  # xdist hands it to its workers
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """Say how the run's random examples can be had again."""
+    seed = config.getoption("--hypothesis-seed")
+    if seed is None:
+        return "random examples: the same in every run"
+    return f"random examples: seed {seed}; again with --hypothesis-seed={seed}"
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of the folders that start processes; order by marker, else as written."""
+    for item in items:
+        if item.path.is_relative_to(HERE) and item.path.relative_to(HERE).parts[0] in PROCESS_FOLDERS:
+            item.add_marker(pytest.mark.process)
+    items.sort(key=_place)
+
+
+def _place(item: pytest.Item) -> int:
+    return max(ORDER.index(name) if item.get_closest_marker(name) else 0 for name in ORDER)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Turn a skip into a failure where everything must run."""
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail") and item.get_closest_marker("autopilot") is None:
+        _refuse_skip(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Likewise for a module that skips itself while it is collected."""
+    report = yield
+    if report.skipped:
+        _refuse_skip(report)
+    return report
+
+
+def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+    if NO_SKIPS:
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        report.outcome = "failed"
+        report.longrepr = f"skipped where every test must run (HANDFAST_NO_SKIPS=1): {reason}"
+
+
+@pytest.fixture(autouse=True)
+def no_process_left_behind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Fail a test that leaves a process running, and kill it.
+
+    Linux only (elsewhere it does nothing). A process that fixtures of a wider scope started
+    before the test is not the test's. Found are descendants of this process and, for tests
+    marked `process`, orphans that inherited its environment.
+    """
+    if not Path("/proc/self/task").exists():
+        yield
+        return
+    marked = f"{MARK_VARIABLE}={os.getpid()}-{secrets.token_hex(8)}"
+    orphans = request.node.get_closest_marker("process") is not None
+    if orphans:
+        monkeypatch.setenv(*marked.split("=", 1))
+    before = _descendants()
+    yield
+    deadline = time.monotonic() + GRACE_S
+    while left := (_descendants() | (_marked(marked) if orphans else set())) - before:
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.01)
+    told = [f"{pid}: {_command(pid)}" for pid in sorted(left)]
+    for pid in left:
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+    if told:
+        pytest.fail("left running (now killed):\n  " + "\n  ".join(told), pytrace=False)
+
+
+def _descendants() -> set[int]:
+    """Running processes below this one, without the helpers that Python itself keeps."""
+    found: set[int] = set()
+    parents = [os.getpid()]
+    while parents:
+        for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
+            for pid in map(int, _read(listing).split()):
+                parents.append(pid)
+                if _running(pid) and "multiprocessing.resource_tracker" not in _command(pid):
+                    found.add(pid)
+    return found
+
+
+def _marked(environment: str) -> set[int]:
+    """Running processes that were started with this line in their environment."""
+    wanted = environment.encode()
+    found = set()
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and wanted in _read(entry / "environ").split(b"\0"):
+            found.add(int(entry.name))
+    return {pid for pid in found if _running(pid)}
+
+
+def _running(pid: int) -> bool:
+    state = _read(Path(f"/proc/{pid}/stat")).rpartition(b")")[2].split()
+    return bool(state) and state[0] not in (b"Z", b"X")  # a zombie only waits for its parent to ask
+
+
+def _command(pid: int) -> str:
+    return _read(Path(f"/proc/{pid}/cmdline")).replace(b"\0", b" ").decode(errors="replace").strip()
+
+
+def _read(path: Path) -> bytes:
+    """Contents of a file under /proc, nothing when its process is gone or not ours."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""

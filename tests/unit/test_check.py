@@ -1,0 +1,504 @@
+"""What `handfast check` finds, and that its linear algebra is the law's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi, sqrt
+
+import numpy as np
+import pytest
+
+from agent import formation, law
+from agent.fleet import (
+    ControlSection,
+    Fleet,
+    FleetSection,
+    FormationSection,
+    Robot,
+    TrajectorySection,
+)
+from deploy.check import (
+    Finding,
+    Mode,
+    check,
+    describe,
+    modes,
+    sampled_radius,
+    settling_time,
+    sweep_radius,
+)
+
+H = sqrt(3.0) / 2.0
+EDGES = ((1, 2), (1, 3), (2, 3), (2, 4), (2, 5), (3, 5), (3, 6), (4, 5), (5, 6))
+OFFSETS = ((0.0, -2 * H), (-0.5, -H), (0.5, -H), (-1.0, 0.0), (0.0, 0.0), (1.0, 0.0))
+STARTS = ((-1.0, 1.4), (-0.7, -0.9), (-0.2, 0.3), (1.0, 2.0), (0.1, 1.0), (-0.18, 0.0))  # the paper's
+SQUARE = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+WAYPOINTS = TrajectorySection(
+    "waypoints", waypoints_m=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), speed_mps=0.5, corner_acceleration=0.3
+)
+CIRCLE = TrajectorySection("circle", centre_m=(0.0, 0.0), radius_m=2.0, speed_mps=0.4)
+
+
+def fleet(
+    starts=STARTS, edges=EDGES, offsets=OFFSETS, trajectory=None, control=None, body=None, **fields
+) -> Fleet:
+    """The delta from the paper's starts, or other starts, edges and offsets."""
+    return Fleet(
+        FleetSection("test", **{key: fields.pop(key) for key in ("rate_hz", "duration_s") if key in fields}),
+        FormationSection(
+            edges=edges, safe_distance_m=fields.pop("safe_distance_m", 0.22), offsets=offsets, **fields
+        ),
+        ControlSection(**(control or {})),
+        trajectory or TrajectorySection("line", velocity_mps=(0.2, 0.2)),
+        tuple(Robot(id=k, x_m=x, y_m=y, **(body or {})) for k, (x, y) in enumerate(starts, 1)),
+    )
+
+
+def lattice(rows: int, **control) -> Fleet:
+    """A triangle of robots 1 m apart, `rows` in its last row, started 1.3 times as large."""
+    places = [(column - row / 2, row * H) for row in range(rows) for column in range(row + 1)]
+    edges = [
+        (i + 1, j + 1)
+        for j, b in enumerate(places)
+        for i, a in enumerate(places[:j])
+        if abs(np.hypot(a[0] - b[0], a[1] - b[1]) - 1.0) < 1e-6
+    ]
+    starts = tuple((1.3 * x, 1.3 * y) for x, y in places)
+    return fleet(starts, tuple(edges), tuple(places), TrajectorySection(), control)
+
+
+def at(findings: list[Finding], place: str, level: str) -> str:
+    """Message of the one finding at `place`, which must have this level."""
+    found = [finding for finding in findings if finding.place == place]
+    assert [finding.level for finding in found] == [level], findings
+    return found[0].message
+
+
+def levels(findings: list[Finding]) -> list[str]:
+    return [finding.level for finding in findings]
+
+
+# --- a sound fleet ---
+
+
+def test_the_delta_with_the_joint_law_has_nothing_to_report():
+    assert check(fleet()) == []
+    assert check(fleet(assign=True, distance_m=1.0)) == []
+    assert check(fleet(offsets=None, distance_m=1.0, assign=True)) == []
+
+
+def test_one_robot_and_two_robots_are_fine():
+    assert check(fleet(STARTS[:1], (), ((0.0, 0.0),))) == []
+    assert check(fleet(STARTS[:2], ((1, 2),), ((0.0, 0.0), (0.0, -1.0)))) == []
+
+
+def test_findings_come_at_once_errors_first():
+    findings = check(
+        fleet(
+            distance_m=1.5,
+            edges=EDGES[:-1],
+            control={"kp": 9.0, "coupling": "edge"},
+            body={"position_noise_m": 0.01},
+        )
+    )
+    assert levels(findings) == sorted(levels(findings), key=["error", "warning", "info"].index)
+    assert {finding.level for finding in findings} == {"error", "warning", "info"}
+    assert levels(findings).count("error") == 8
+
+
+# --- formation ---
+
+
+def test_distances_that_contradict_offsets_are_listed_edge_by_edge():
+    each = (1.0,) * 8 + (1.02,)
+    message = at(check(fleet(distance_m=each)), "formation.distance_m[9]", "error")
+    assert "[5, 6] is to be 1.02 m long" in message
+    assert "1 m apart" in message
+    assert check(fleet(distance_m=(1.0,) * 8 + (1.009,))) == []
+
+
+def test_a_graph_in_parts_lists_them():
+    message = at(check(fleet(edges=((1, 2), (2, 3), (1, 3), (4, 5), (5, 6)))), "formation.edges", "error")
+    assert "{1, 2, 3}, {4, 5, 6}" in message
+
+
+def test_a_shape_that_can_shift_says_which_robots():
+    message = at(check(fleet(SQUARE, ((1, 2), (2, 3), (3, 4), (4, 1)), SQUARE)), "formation.edges", "warning")
+    assert "robots 3, 4 can shift" in message
+    assert "rank 4 of 5" in message
+    assert "1 more edge " in message
+
+
+def test_a_line_of_robots_says_that_no_edges_make_it_rigid():
+    line = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.0))
+    message = at(check(fleet(line, ((1, 2), (2, 3), (1, 3)), line)), "formation.edges", "warning")
+    assert "in one line" in message
+    assert "robot 2" in message or "robot 3" in message
+
+
+def test_distances_that_no_plane_has_are_an_error_with_the_residual():
+    all_pairs = tuple((a, b) for b in range(1, 5) for a in range(1, b))
+    message = at(check(fleet(SQUARE, all_pairs, None, distance_m=1.0)), "formation.distance_m", "error")
+    assert "instead of 1 m" in message
+
+
+def test_rounded_distances_are_mentioned():
+    edges = ((1, 2), (2, 3), (3, 4), (4, 1), (1, 3), (2, 4))
+    rounded = (1.0, 1.0, 1.0, 1.0, 1.41, 1.41)
+    message = at(check(fleet(SQUARE, edges, None, distance_m=rounded)), "formation.distance_m", "info")
+    assert "do not quite fit" in message
+
+
+def test_a_safe_distance_near_or_above_an_edge():
+    close = {"starts": tuple((3 * x, 3 * y) for x, y in OFFSETS), "trajectory": TrajectorySection()}
+    assert "85% of" in at(check(fleet(**close, safe_distance_m=0.85)), "formation.safe_distance_m", "warning")
+    message = at(check(fleet(**close, safe_distance_m=1.0)), "formation.safe_distance_m", "error")
+    assert "1 m, but edge" in message
+    assert "below 0.8 m" in message
+
+
+def test_places_too_close_without_an_edge_are_an_error():
+    offsets = (*OFFSETS[:5], (-0.9, 0.1))  # robot 6 next to robot 4
+    findings = check(fleet(offsets=offsets, edges=(*EDGES[:-1], (5, 6))))
+    assert "robots 4 and 6 share no edge and their places are 0.141 m apart" in at(
+        findings, "formation.offsets", "error"
+    )
+
+
+def test_what_cannot_be_a_formation_is_one_error():
+    findings = check(fleet(edges=((1, 2), (1, 9))))
+    assert levels(findings) == ["error"]
+    assert "robot 9" in findings[0].message
+
+
+# --- starts ---
+
+
+def test_edges_must_start_above_the_safe_distance_at_their_hand_points():
+    starts = (*STARTS[:5], (-0.2, 0.1))  # robot 6: 0.2 m from robot 3, with which it shares an edge
+    message = at(check(fleet(starts)), "robot[6]", "error")
+    assert "robots 3 and 6" in message
+    assert "0.2 m apart" in message
+    # Turned back to back their hand points are further apart, and it is the hands that count.
+    turned = fleet(starts)
+    turned = replace(
+        turned,
+        robots=tuple(
+            replace(robot, heading_rad={3: pi / 2, 6: -pi / 2}.get(robot.id, 0.0)) for robot in turned.robots
+        ),
+    )
+    assert check(turned) == []
+
+
+def test_the_edges_are_those_of_the_robots_that_took_the_slots():
+    # Robot k starts on slot order[k], but for two that stand close and share an edge only by their slots.
+    starts = [OFFSETS[k] for k in (5, 1, 2, 3, 4, 0)]
+    starts[5] = (0.4, -1.0)  # robot 6 takes slot 1, whose edge [1, 3] joins it with robot 3 at (0.5, -H)
+    given = fleet(tuple(starts), trajectory=TrajectorySection(), assign=True)
+    assert formation.resolve(given).offsets[5].tolist() == list(OFFSETS[0])
+    assert "share an edge" in at(check(given), "robot[6]", "error")
+
+
+def test_robots_without_an_edge_that_start_close_are_a_warning():
+    starts = (*STARTS[:5], (-0.65, -0.8))  # robot 6, next to robot 2
+    message = at(check(fleet(starts)), "robot[6]", "warning")
+    assert "robots 2 and 6" in message
+    assert "share no edge" in message
+
+
+def test_far_starts_saturate():
+    starts = ((-30.0, 1.4), *STARTS[1:])
+    message = at(
+        check(fleet(starts, body={"hand_offset_m": 2.0}, duration_s=100.0)),
+        "control.max_acceleration",
+        "info",
+    )
+    assert "robot 1, " in message or "robots 1" in message
+    assert "clipped at 5 m/s2" in message
+
+
+# --- law ---
+
+
+def control_of(coupling: str) -> ControlSection:
+    return ControlSection(coupling=coupling, c1=0.4, c2=0.7, kd=1.8, k2=5.0, kp=0.9)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
+def test_modes_are_those_of_the_law_itself(coupling: str):
+    """Differences of `agent.law` about the formation give the same gains as `modes`."""
+    given = lattice(3)
+    control, geometry = control_of(coupling), formation.resolve(given)
+    n, step = len(geometry.ids), 1e-5
+
+    def force(error, rate):
+        return commanded(geometry, control, error, rate)
+
+    def differences(which: int):
+        columns = []
+        for k in range(2 * n):
+            shift = np.zeros(2 * n)
+            shift[k] = step
+            shift = shift.reshape(n, 2).T
+            zero = np.zeros((2, n))
+            plus, minus = (
+                force(*((sign * shift, zero) if which == 0 else (zero, sign * shift))) for sign in (1.0, -1.0)
+            )
+            columns.append(((plus - minus) / (2 * step)).T.ravel())
+        return -np.array(columns).T
+
+    stiffness, damping = differences(0), differences(1)
+    found = modes(geometry, control, 0.22)
+    assert len(found) == 2 * n
+    assert np.sort(np.linalg.eigvals(stiffness).real) == pytest.approx(
+        sorted(mode.k1 for mode in found), abs=1e-5
+    )
+    assert np.sort(np.linalg.eigvals(damping).real) == pytest.approx(
+        sorted(mode.k2 for mode in found), abs=1e-5
+    )
+    assert sum(mode.shape for mode in found) == 9
+
+
+def commanded(geometry, control, error, rate, multipliers=None):
+    """u of all robots by `agent.law`, (2, n); with `multipliers`, by one sweep, and those after it."""
+    gains = law.Gains(control.kd, control.k2, control.kp)
+    i, j = geometry.edges.T
+    n = len(geometry.ids)
+    position = error + geometry.offsets.T
+    navigation = law.navigation_force(0.0, error, rate, control.c1, control.c2)
+    edges = law.edges(
+        position[:, i] - position[:, j],
+        rate[:, i] - rate[:, j],
+        navigation[:, i] - navigation[:, j],
+        geometry.distances,
+        0.22,
+        gains,
+    )
+    if multipliers is not None:
+        total = law.total_forces(law.forces(edges, multipliers), i, j, n)
+        degree = np.bincount(geometry.edges.ravel(), minlength=n)
+        new = law.multipliers_sweep(
+            edges, multipliers, total[:, i] - total[:, j], degree[i] + degree[j], gains
+        )
+        return navigation + law.total_forces(law.forces(edges, new), i, j, n), new
+    if control.coupling == "joint":
+        new = law.multipliers_joint(edges, i, j, n, gains)
+    elif control.coupling == "edge":
+        new = law.multipliers_edge(edges, gains)
+    else:
+        new = law.multipliers_penalty(edges, gains)
+    return navigation + law.total_forces(law.forces(edges, new), i, j, n)
+
+
+@pytest.mark.parametrize(("kd", "stable"), [(1.8, True), (15.0, True), (500.0, False)])
+def test_sweep_radius_says_how_the_sampled_law_grows(kd: float, stable: bool):
+    """The law run with sweeps from a small error grows or falls as the largest eigenvalue says."""
+    given, rate_hz = lattice(3), 50.0
+    geometry = formation.resolve(given)
+    control = replace(given.control, kd=kd)
+    radius = sweep_radius(geometry, control, 0.22, rate_hz)
+    assert (radius < 1.0) == stable
+    h, n = 1.0 / rate_hz, len(geometry.ids)
+    generator = np.random.default_rng(5)
+    error, speed = (1e-5 if stable else 1e-9) * generator.normal(size=(2, n)), np.zeros((2, n))
+    multipliers = np.zeros(len(geometry.edges))
+    sizes = []
+    ticks = 1800 if stable else 15
+    for _ in range(ticks):
+        u, multipliers = commanded(geometry, control, error, speed, multipliers)
+        error, speed = error + h * speed + 0.5 * h * h * u, speed + h * u
+        sizes.append(np.sqrt(np.sum(error**2) + np.sum(speed**2)))
+    slope = np.log(sizes[-1] / sizes[ticks // 2]) / (ticks - 1 - ticks // 2)
+    assert slope == pytest.approx(np.log(radius), rel=0.1)
+
+
+def test_sampled_radius_of_known_loops():
+    # Velocity feedback alone: z = 1 - K h, and z^2 - z + K h = 0 with one period of delay.
+    assert sampled_radius(Mode(0.0, 120.0, True), 50.0) == pytest.approx(1.4)
+    assert sampled_radius(Mode(0.0, 60.0, True), 50.0, predicted=False) == pytest.approx(sqrt(1.2))
+    # Slow poles are those of continuous time: exp(s h).
+    slow = sampled_radius(Mode(0.02, 0.3, True), 50.0)
+    assert slow == pytest.approx(np.exp(-0.1 / 50.0), abs=4e-6)
+
+
+@pytest.mark.parametrize(("kd", "level"), [(10.0, None), (60.0, "warning"), (200.0, "error")])
+def test_a_rate_too_slow_for_the_gains(kd: float, level: str | None):
+    findings = check(fleet(control={"kd": kd, "c2": 0.6}, duration_s=1e4))
+    if level is None:
+        assert findings == []
+        return
+    message = at(findings, "fleet.rate_hz", level)
+    assert message.startswith("50 Hz")
+    needed = float(message.split("at least ")[1].split(" Hz")[0])
+    assert check(fleet(control={"kd": kd}, rate_hz=needed * 1.05, duration_s=1e4)) == [] or level == "error"
+    assert "error" not in levels(check(fleet(control={"kd": kd}, rate_hz=needed * 1.05, duration_s=1e4)))
+
+
+def test_the_papers_law_is_unstable_on_large_lattices_only():
+    paper = {"coupling": "edge", "kp": 0.0}
+    assert "error" not in levels(check(fleet(control=paper)))
+    assert "error" not in levels(check(lattice(5, **paper)))
+    findings = check(lattice(9, **paper))
+    assert findings[0].level == "error"
+    assert "unstable at the formation itself" in findings[0].message
+    assert check(lattice(9)) == []
+
+
+def test_laws_without_a_proof_say_so():
+    message = at(check(fleet(control={"coupling": "edge", "kp": 0.0})), "control.coupling", "info")
+    assert "the paper's law is not proved stable for 6 robots" in message
+    message = at(check(fleet(control={"coupling": "edge"})), "control.coupling", "info")
+    assert "edge by edge" in message
+    assert "yardstick" in at(check(fleet(control={"coupling": "penalty"})), "control.coupling", "info")
+    two = fleet(STARTS[:2], ((1, 2),), ((0.0, 0.0), (0.0, -1.0)), control={"coupling": "edge"})
+    assert check(two) == []
+
+
+@pytest.mark.parametrize(("kp", "level"), [(0.0, "info"), (4.0, None), (4.5, "warning")])
+def test_kp_too_low_or_too_high(kp: float, level: str | None):
+    findings = [finding for finding in check(fleet(control={"kp": kp})) if finding.place == "control.kp"]
+    assert levels(findings) == ([level] if level else [])
+
+
+def test_an_actuator_lag_that_a_mode_cannot_bear():
+    assert "unstable from" in at(
+        check(fleet(body={"actuator_lag_s": 1.0})), "robot[1].actuator_lag_s", "warning"
+    )
+    at(check(fleet(body={"actuator_lag_s": 3.0})), "robot[1].actuator_lag_s", "error")
+    assert check(fleet(body={"actuator_lag_s": 0.1})) == []
+
+
+def test_the_settling_estimate_is_that_of_the_law_for_two_robots():
+    """Two robots, apart along their edge: the law itself, run in small steps, settles when estimated."""
+    given = fleet(((-0.85, 0.0), (0.65, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0)), TrajectorySection())
+    geometry = formation.resolve(given)
+    estimate = settling_time(given, geometry)
+    assert estimate is not None
+    error = (formation.start_hands(given) - geometry.offsets).T
+    speed, h, last = np.zeros((2, 2)), 0.005, 0.0
+    for k in range(8000):
+        u = commanded(geometry, given.control, error, speed)
+        speed = speed + h * u
+        error = error + h * speed
+        if abs(1.0 + error[0, 1] - error[0, 0] - 1.0) > 0.05:
+            last = h * (k + 1)
+    assert 0.5 * last < estimate < 2.0 * last
+    assert "may end before" in at(
+        check(replace(given, fleet=FleetSection("test", duration_s=0.5 * estimate))),
+        "fleet.duration_s",
+        "info",
+    )
+
+
+# --- trajectory and bodies ---
+
+
+def test_a_circle_too_fast_for_the_acceleration_limit():
+    quick = replace(CIRCLE, speed_mps=2.6)  # 3.38 m/s2
+    assert "68% of" in at(
+        check(fleet(trajectory=quick, body={"hand_offset_m": 0.5})), "trajectory.speed_mps", "warning"
+    )
+    too_quick = replace(CIRCLE, speed_mps=3.3)  # 5.4 m/s2
+    message = at(
+        check(fleet(trajectory=too_quick, body={"hand_offset_m": 0.5})), "trajectory.speed_mps", "error"
+    )
+    assert "take speed_mps = 3.16 or less" in message
+
+
+def test_a_circle_smaller_than_the_hand_offset():
+    small = replace(CIRCLE, radius_m=0.09, speed_mps=0.05)
+    assert "0.09 m is not above" in at(check(fleet(trajectory=small)), "trajectory.radius_m", "error")
+    assert check(fleet(trajectory=CIRCLE)) == []
+
+
+def test_a_run_longer_or_shorter_than_its_trajectory():
+    assert "comes to rest after 16.5 s" in at(check(fleet(trajectory=WAYPOINTS)), "trajectory", "info")
+    message = at(check(fleet(trajectory=WAYPOINTS, duration_s=12.0)), "trajectory", "info")
+    assert "needs 16.5 s, but fleet.duration_s = 12" in message
+
+
+def test_legs_too_short_for_the_speed_are_named():
+    short = replace(WAYPOINTS, waypoints_m=((0.0, 0.0), (5.0, 0.0), (5.0, 0.1), (9.0, 0.1)))
+    message = at(check(fleet(trajectory=short)), "trajectory.waypoints_m", "info")
+    assert message.startswith("leg 2 is too short for 0.5 m/s")
+
+
+@pytest.mark.parametrize(("offset", "level"), [(0.1, None), (0.03, "warning"), (0.005, "error")])
+def test_a_hand_offset_too_small_for_the_speed(offset: float, level: str | None):
+    findings = check(
+        fleet(trajectory=TrajectorySection("line", velocity_mps=(0.6, 0.0)), body={"hand_offset_m": offset})
+    )
+    if level is None:
+        assert findings == []
+        return
+    (finding,) = [finding for finding in findings if finding.place.endswith("hand_offset_m")]
+    assert finding.level == level
+    assert f"robot {finding.place[6]}'s is {offset:g} m" in finding.message
+
+
+def test_bodies_too_weak_for_the_trajectory():
+    findings = check(fleet(trajectory=WAYPOINTS, body={"max_force_n": 2.0}))
+    assert "it takes 3 N" in at(findings, "robot[1].max_force_n", "error")
+    assert "clips before the law" in at(
+        check(fleet(trajectory=WAYPOINTS, body={"max_force_n": 20.0})), "robot[1].max_force_n", "info"
+    )
+    weak = [f for f in check(fleet(trajectory=WAYPOINTS, body={"max_torque_nm": 0.3})) if "torque" in f.place]
+    assert levels(weak) == ["warning"] * 6
+    assert "takes 0.39 N m" in weak[0].message
+    slow_circle = replace(CIRCLE, speed_mps=1.0)  # 0.5 m/s2
+    at(check(fleet(trajectory=slow_circle, body={"max_force_n": 2.0})), "robot[1].max_force_n", "warning")
+
+
+def test_a_bad_trajectory_is_an_error_of_its_own():
+    findings = check(fleet(trajectory=replace(CIRCLE, radius_m=None)))
+    assert "radius_m must be above zero" in at(findings, "trajectory", "error")
+
+
+def test_noise_is_mentioned_with_what_it_does():
+    message = at(check(fleet(body={"position_noise_m": 0.003, "heading_noise_rad": 0.04})), "robot", "info")
+    assert "up to 0.005 m and 0 m/s" in message
+
+
+# --- description ---
+
+
+def test_a_description_names_what_matters():
+    text = describe(fleet())
+    for words in (
+        "6 robots (1, 2, 3, 4, 5, 6), 9 edges, 50 Hz for 30 s",
+        "edges of 1 m, rigid, safe distance 0.22 m",
+        "joint multipliers; c1 0.4, c2 0.6, kd 1.8, k2 5, kp 1",
+        "a line from (0, 0) m at 0.283 m/s, 8.49 m to (6, 6) m",
+        "closest are robots 3 and 6, hand points 0.301 m apart (share an edge)",
+        "edges within 5% after about",
+        "ports from 7600",
+    ):
+        assert words in text, text
+
+
+def test_the_bound_of_a_description_is_that_of_the_energy_at_the_start():
+    """Two robots at rest on a line: E(0) by hand."""
+    given = fleet(((-0.35, 0.0), (0.15, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0)), TrajectorySection())
+    phi = (0.5 - 1.0) / (0.5 - 0.22)
+    energy = 5.0 * 0.4 / 2 * (0.25**2 + 0.25**2) + 0.5 * phi**2
+    least = 0.22 + 0.78 / (1.0 + sqrt(2.0 * energy))
+    assert f"no edge comes closer than {least:.3g} m" in describe(given)
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "words"),
+    [
+        (CIRCLE, "a circle of 2 m radius at 0.4 m/s, counter-clockwise, 0.955 turns"),
+        (replace(CIRCLE, clockwise=True), "m/s, clockwise"),
+        (WAYPOINTS, "3 waypoints, 7 m at up to 0.5 m/s, corners passed within 0.23 m, at rest after 16.5 s"),
+        (TrajectorySection("hold", start_m=(1.0, 2.0)), "holds at (1, 2) m"),
+    ],
+)
+def test_trajectories_are_described(trajectory: TrajectorySection, words: str):
+    assert words in describe(fleet(trajectory=trajectory))
+
+
+def test_a_fleet_that_cannot_be_driven_is_described_as_far_as_possible():
+    text = describe(fleet(edges=((1, 9),)))
+    assert "cannot be driven" in text
+    assert "robot 9" in text

@@ -1,0 +1,302 @@
+"""Recordings as other programs see them: through the `mcap` library's own reader, and as bytes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import BytesIO
+from itertools import pairwise
+from math import isclose
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from agent import keys
+from agent.fleet import parse_fleet
+from agent.messages import HandState, Message, Mission, PlantState, Status, Stop, Wrench, encode
+from deploy.mcap_file import MAGIC
+from deploy.message_json import CLASSES, DESCRIPTIONS, reader, schema, to_json
+from deploy.recorder import (
+    CHANNELS_MAX,
+    FLEET_ATTACHMENT,
+    OUTCOME_METADATA,
+    RUN_METADATA,
+    Recorder,
+    RecordingError,
+)
+from tests.unit.synthetic_run import (
+    EPOCH_NS,
+    in_formation,
+    make_fleet,
+    messages,
+    payloads,
+    standing,
+    triangle,
+)
+
+FLEET = make_fleet(*triangle(2), duration_s=1.0)
+
+floats = st.floats(allow_nan=False, allow_infinity=False)
+counts = st.integers(0, 2**62 - 1)
+texts = st.text(max_size=20)
+pairs = st.lists(st.tuples(st.integers(1, 9999), floats), max_size=5).map(tuple)
+ages = st.lists(st.tuples(st.integers(1, 9999), st.integers(-1, 2**40)), max_size=5).map(tuple)
+rows = st.lists(counts, max_size=5).map(tuple)
+any_message = st.one_of(
+    st.builds(HandState, counts, counts, counts, st.booleans(), *(floats,) * 8, pairs),
+    st.builds(PlantState, counts, counts, counts, *(floats,) * 7, st.booleans(), st.booleans(), texts),
+    st.builds(Wrench, counts, counts, counts, floats, floats, st.booleans()),
+    st.builds(Mission, counts, counts, counts, counts, texts),
+    st.builds(Stop, counts, counts, texts),
+    st.builds(
+        Status, counts, counts, counts, texts, texts, counts, ages, rows, rows,
+        st.lists(st.tuples(texts, counts), max_size=5).map(tuple),
+    ),
+)  # fmt: skip
+
+
+def record(path: Path, sent: Any, **options: Any) -> Recorder:
+    with Recorder(path, FLEET, **options) as recorder:
+        for each in sent:
+            recorder.record(*each)
+    return recorder
+
+
+def read(path: Path) -> list[tuple[Any, Any, Any]]:
+    return list(make_reader(BytesIO(path.read_bytes())).iter_messages(log_time_order=False))
+
+
+def conforms(value: Any, described: dict[str, Any]) -> bool:
+    """Whether `value` is as its JSON schema says: the few words of it that we use."""
+    kind = described["type"]
+    if kind == "object":
+        inside = described["properties"]
+        return set(value) == set(inside) and all(conforms(value[name], inside[name]) for name in inside)
+    if kind == "array":
+        return all(conforms(item, described["items"]) for item in value)
+    if kind in ("integer", "boolean", "string"):
+        return type(value) is {"integer": int, "boolean": bool, "string": str}[kind]
+    return kind == "number" and type(value) is float
+
+
+@given(any_message)
+def test_json_holds_all_of_a_message_and_is_what_its_schema_says(message: Message) -> None:
+    content = json.loads(to_json(message))
+    assert list(content) == list(message._fields)
+    assert conforms(content, schema(type(message)))
+    assert reader(type(message))(content) == message
+
+
+@pytest.mark.parametrize("cls", CLASSES)
+def test_every_field_is_described(cls: type[Message]) -> None:
+    assert list(DESCRIPTIONS[cls]) == list(cls._fields)
+    assert list(schema(cls)["properties"]) == list(cls._fields)
+    assert schema(cls)["title"] == f"handfast.{cls.__name__}"
+
+
+def test_a_recording_holds_every_message_with_its_times(tmp_path: Path) -> None:
+    sent = list(messages(FLEET, in_formation(FLEET)))
+    recorder = record(tmp_path / "run.mcap", ((t, key, encode(message)) for t, key, message in sent))
+    found = [each for each in read(tmp_path / "run.mcap") if not each[0].name.startswith("foxglove.")]
+    assert recorder.recorded == len(found) == len(sent)
+    for (received_ns, key, message), (described, channel, stored) in zip(sent, found, strict=True):
+        assert (channel.topic, channel.message_encoding) == (key, "json")
+        assert (described.name, described.encoding) == (f"handfast.{type(message).__name__}", "jsonschema")
+        assert stored.log_time == received_ns
+        assert stored.publish_time == message.time_ns
+        assert stored.sequence == getattr(message, "sequence", getattr(message, "version", None))
+        assert stored.data == to_json(message)
+        assert conforms(json.loads(stored.data), json.loads(described.data))
+
+
+def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        record(tmp_path / name, payloads(messages(FLEET, in_formation(FLEET))))
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_the_file_says_what_it_is_and_holds_the_fleet_file(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", FLEET, mode="simulate", seed=7) as recorder:
+        recorder.set_outcome(["Robot 2's agent died."], interrupted=True)
+    found = make_reader(BytesIO((tmp_path / "run.mcap").read_bytes()))
+    metadata = {each.name: each.metadata for each in found.iter_metadata()}
+    run = metadata[RUN_METADATA]
+    assert (run["fleet"], run["mode"], run["seed"], run["law"]) == ("made-up", "simulate", "7", "joint")
+    assert json.loads(metadata[OUTCOME_METADATA]["reasons"]) == ["Robot 2's agent died."]
+    (attachment,) = found.iter_attachments()
+    assert attachment.name == FLEET_ATTACHMENT
+    assert parse_fleet(attachment.data.decode(), source="attachment") == FLEET
+
+
+def test_garbage_is_kept_as_it_came_and_counted(tmp_path: Path) -> None:
+    key = keys.hand("made-up", 1)
+    sent = [
+        (EPOCH_NS, key, b"\xff\x00garbage"),
+        (EPOCH_NS + 1, key, b""),
+        (EPOCH_NS + 2, "else/where", b"{}"),
+    ]
+    recorder = record(tmp_path / "run.mcap", sent)
+    assert sum(recorder.rejected.values()) == 3
+    found = read(tmp_path / "run.mcap")
+    assert [(channel.topic, stored.log_time, stored.data) for _, channel, stored in found] == [
+        (key, EPOCH_NS, b"\xff\x00garbage"), (key, EPOCH_NS + 1, b""), ("else/where", EPOCH_NS + 2, b"{}"),
+    ]  # fmt: skip
+    assert all(described is None for described, _, _ in found)
+    assert {channel.message_encoding for _, channel, _ in found} == {"application/octet-stream"}
+
+
+def test_made_up_keys_do_not_grow_the_file_without_bound(tmp_path: Path) -> None:
+    sent = ((EPOCH_NS + k, f"made/up/{k}", b"x") for k in range(CHANNELS_MAX + 50))
+    recorder = record(tmp_path / "run.mcap", sent)
+    assert recorder.rejected["channels"] == 50
+    assert len(read(tmp_path / "run.mcap")) == CHANNELS_MAX
+
+
+def test_sequence_numbers_beyond_32_bits_are_recorded(tmp_path: Path) -> None:
+    wrench = Wrench(1, 2**40 + 5, EPOCH_NS, 1.0, 2.0, False)
+    record(tmp_path / "run.mcap", [(EPOCH_NS, keys.wrench("made-up", 1), encode(wrench))])
+    ((_, _, stored),) = read(tmp_path / "run.mcap")
+    assert stored.sequence == 5
+    assert json.loads(stored.data)["sequence"] == 2**40 + 5
+
+
+def test_an_error_within_the_run_leaves_a_complete_file(tmp_path: Path) -> None:
+    def crash() -> None:
+        with Recorder(tmp_path / "run.mcap", FLEET) as recorder:
+            recorder.record(EPOCH_NS, "some/key", b"kept")
+            raise KeyError("the run's own error")
+
+    with pytest.raises(KeyError, match="the run's own error"):
+        crash()
+    assert [stored.data for _, _, stored in read(tmp_path / "run.mcap")] == [b"kept"]
+
+
+def test_a_killed_recorder_has_lost_a_second_at_most(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Recorder(path, FLEET) as recorder:
+        for k in range(40):
+            recorder.record(EPOCH_NS + k * 100_000_000, "some/key", b"%d" % k)
+        content = path.read_bytes()  # what SIGKILL would leave now
+    assert content.startswith(MAGIC)
+    assert not content.endswith(MAGIC)
+    last = max(int(n) for n in _raw_of(content))
+    assert 28 <= last < 40
+
+
+def _raw_of(content: bytes) -> list[bytes]:
+    """Payloads of the complete chunks of a file without an end."""
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Message as Stored
+    from mcap.stream_reader import StreamReader
+
+    found = []
+    try:
+        for each in StreamReader(BytesIO(content)).records:
+            if isinstance(each, Stored):
+                found.append(each.data)
+    except EndOfFile:
+        pass
+    return found
+
+
+def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "run.mcap"
+    with pytest.raises(RecordingError) as caught:
+        Recorder(path, FLEET)
+    assert str(caught.value) == f"cannot write the recording {path}: No such file or directory"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_clear_line() -> None:
+    path = Path("/dev/full")
+    with pytest.raises(
+        RecordingError, match=r"^cannot write the recording /dev/full: No space left on device$"
+    ):
+        Recorder(path, FLEET)
+
+
+def test_a_disk_that_fills_up_is_said_once_and_ends_quietly(tmp_path: Path) -> None:
+    class Full:
+        """A file on a disk that fills up after the header."""
+
+        def __init__(self, stream: Any) -> None:
+            self._stream = stream
+
+        def write(self, data: bytes) -> int:
+            raise OSError(28, "No space left on device")
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._stream, name)
+
+    recorder = Recorder(tmp_path / "run.mcap", FLEET)
+    recorder._writer._Writer__stream = Full(recorder._stream)  # type: ignore[attr-defined]
+    recorder.record(EPOCH_NS, "some/key", b"buffered")
+    with pytest.raises(RecordingError, match=r"run\.mcap: No space left on device"):
+        recorder.record(EPOCH_NS + 2 * 10**9, "some/key", b"flushes")
+    recorder.record(EPOCH_NS + 4 * 10**9, "some/key", b"ignored")
+    recorder.set_outcome(["ignored"])
+    recorder.close()
+    recorder.close()
+
+
+def test_foxglove_sees_robots_and_edges_ten_times_a_second(tmp_path: Path) -> None:
+    fleet = replace(FLEET, robots=tuple(replace(robot, hand_offset_m=0.2) for robot in FLEET.robots))
+    paths = [standing(1.0, 2.0, 0.5), standing(3.0, 2.0), standing(2.0, 4.0)]
+    with Recorder(tmp_path / "run.mcap", fleet) as recorder:
+        for received_ns, key, message in messages(fleet, paths):
+            recorder.record_message(received_ns, key, message)
+    scene: dict[str, list[Any]] = {}
+    for described, channel, stored in read(tmp_path / "run.mcap"):
+        if described.name.startswith("foxglove."):
+            assert channel.metadata == {"derived": "true"}
+            content = json.loads(stored.data)
+            scene.setdefault(channel.topic, []).append((described.name, stored.log_time, content))
+    assert set(scene) == {f"made-up/foxglove/{name}" for name in ("robots", "poses", "edges")}
+
+    poses = scene["made-up/foxglove/poses"]
+    assert {name for name, _, _ in poses} == {"foxglove.FrameTransforms"}
+    seconds = (poses[-1][1] - poses[0][1]) / 1e9
+    assert 9 <= (len(poses) - 1) / seconds <= 11
+    first = poses[-1][2]["transforms"][0]
+    assert (first["parent_frame_id"], first["child_frame_id"]) == ("world", "robot/1")
+    assert first["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+    assert isclose(first["rotation"]["z"], 0.24740395925452294)  # sin(0.25)
+
+    ((name, _, shapes),) = scene["made-up/foxglove/robots"]
+    assert name == "foxglove.SceneUpdate"
+    assert [entity["frame_id"] for entity in shapes["entities"]] == ["robot/1", "robot/2", "robot/3"]
+
+    line = scene["made-up/foxglove/edges"][-1][2]["entities"][0]["lines"][0]
+    assert line["type"] == 2  # pairs of points
+    ends = [(point["x"], point["y"]) for point in line["points"]]
+    hands = {1: (1.0 + 0.2 * 0.8775825618903728, 2.0 + 0.2 * 0.479425538604203), 2: (3.2, 2.0), 3: (2.2, 4.0)}
+    assert ends == [pytest.approx(hands[i]) for edge in fleet.formation.edges for i in edge]
+
+
+def test_foxglove_draws_the_edges_of_assigned_slots(tmp_path: Path) -> None:
+    """Robots that start in each other's slots swap them, edges and all."""
+    base = make_fleet([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], [(1, 2), (2, 3)])
+    robots = (replace(base.robots[0], x_m=1.0), replace(base.robots[1], x_m=0.0), base.robots[2])
+    fleet = replace(base, robots=robots, formation=replace(base.formation, assign=True))
+    with Recorder(tmp_path / "run.mcap", fleet) as recorder:
+        for received_ns, key, message in messages(fleet, [standing(1, 0), standing(0, 0), standing(2, 0)]):
+            recorder.record_message(received_ns, key, message)
+    drawn = [
+        json.loads(stored.data)["entities"][0]["lines"][0]["points"]
+        for _, channel, stored in read(tmp_path / "run.mcap")
+        if channel.topic.endswith("edges")
+    ]
+    ends = [point["x"] for point in drawn[-1]]
+    assert {frozenset(ends[k : k + 2]) for k in (0, 2)} == {frozenset({1.1, 0.1}), frozenset({1.1, 2.1})}
+
+
+def test_chunks_are_in_the_order_of_time(tmp_path: Path) -> None:
+    record(tmp_path / "run.mcap", payloads(messages(FLEET, in_formation(FLEET))))
+    summary = make_reader(BytesIO((tmp_path / "run.mcap").read_bytes())).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) >= 2
+    assert all(a.message_end_time <= b.message_start_time for a, b in pairwise(summary.chunk_indexes))

@@ -1,0 +1,384 @@
+"""Reading runs back: whole, cut anywhere, damaged, and what is not a run at all."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from dataclasses import replace
+from io import BytesIO
+from math import cos, pi, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from agent import keys
+from agent.fleet import Fleet, FleetError, to_dict
+from agent.messages import HandState, Message, Mission, PlantState, Status, Stop, Wrench, encode
+from deploy.mcap_file import MAGIC
+from deploy.recorder import Recorder, RecordingError
+from deploy.recording import Recording, RunData, Table
+from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
+
+FLEET = make_fleet(*triangle(2), duration_s=1.6)
+NAME = FLEET.fleet.name
+
+
+def write_run(folder: Path, fleet: Fleet, sent: Iterable[Sent]) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "fleet.toml").write_text(tomli_w.dumps(to_dict(fleet)))
+    with Recorder(folder / "run.mcap", fleet) as recorder:
+        for received_ns, key, message in sent:
+            recorder.record(received_ns, key, encode(message))
+    return folder
+
+
+def fed(fleet: Fleet, sent: Iterable[Sent]) -> Recording:
+    data = RunData(fleet)
+    for each in sent:
+        data.feed(*each)
+    return data.recording()
+
+
+def assert_same(a: Recording, b: Recording) -> None:
+    assert a.ids == b.ids
+    assert (a.epoch_ns, list(a.missions), list(a.stops)) == (b.epoch_ns, list(b.missions), list(b.stops))
+    for one, other in zip(a.robots.values(), b.robots.values(), strict=True):
+        for name in ("plant", "truth", "hand", "multipliers", "wrench"):
+            mine, theirs = getattr(one, name), getattr(other, name)
+            assert mine.names == theirs.names
+            assert np.array_equal(mine.t, theirs.t)
+            assert np.array_equal(mine.values, theirs.values)
+        for name in ("t", "tick_us", "tick_counts", "ages_us", "age_counts"):
+            assert np.array_equal(getattr(one.status, name), getattr(other.status, name))
+        for name in ("states", "reasons", "counters"):
+            assert list(getattr(one.status, name)) == list(getattr(other.status, name))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The bytes of a run of three robots."""
+    folder = tmp_path_factory.mktemp("whole")
+    write_run(folder, FLEET, messages(FLEET, in_formation(FLEET, 0.5), truth=True))
+    return (folder / "run.mcap").read_bytes()
+
+
+def test_fed_live_and_read_back_are_the_same(tmp_path: Path) -> None:
+    sent = list(messages(FLEET, in_formation(FLEET, 0.5), truth=True))
+    live = fed(FLEET, sent)
+    back = Recording.from_folder(write_run(tmp_path / "run", FLEET, sent))
+    assert_same(live, back)
+    assert not back.warnings
+    assert back.fleet == FLEET
+    assert len(live.robots[1].plant) == 100
+
+
+def test_every_column_holds_what_was_sent() -> None:
+    plant = PlantState(1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, "dizzy")
+    force = (0.1, 0.2, 0.3, 0.4)
+    hand = HandState(1, 5, EPOCH_NS + 2 * 10**9, True, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)))
+    wrench = Wrench(1, 6, EPOCH_NS + 3 * 10**9, 10.0, 11.0, True)
+    status = Status(
+        1, 7, EPOCH_NS + 4 * 10**9, "running", "well", 1, ((2, -1),), (90, 95), (5, -1, 6), (("sent", 3),)
+    )
+    sent: list[Sent] = [
+        (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, "")),
+        (EPOCH_NS, keys.plant_state(NAME, 1), plant),
+        (EPOCH_NS, keys.hand(NAME, 1), hand),
+        (EPOCH_NS, keys.wrench(NAME, 1), wrench),
+        (EPOCH_NS, keys.status(NAME, 1), status),
+    ]
+    robot = fed(FLEET, sent).robots[1]
+
+    def row(table: Table) -> dict[str, float]:
+        assert len(table) == 1
+        return {"t": float(table.t[0])} | {name: float(table[name][0]) for name in table.names}
+
+    assert row(robot.plant) == {
+        "t": 1.0, "x": 1.5, "y": 2.5, "heading": 0.25, "speed": 0.5, "yaw_rate": -0.75,
+        "force": 3.0, "torque": 4.0, "driving": 1.0, "healthy": 0.0,
+    }  # fmt: skip
+    assert row(robot.hand) == {
+        "t": 2.0, "following": 1.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
+        "navigation_x": 0.1, "navigation_y": 0.2, "constraint_x": 0.3, "constraint_y": 0.4,
+    }  # fmt: skip
+    assert row(robot.wrench) == {"t": 3.0, "force": 10.0, "torque": 11.0, "brake": 1.0}
+    assert robot.multipliers.t.tolist() == [2.0, 2.0]
+    assert robot.multipliers.values.tolist() == [[2.0, 1.5], [3.0, 2.5]]
+    assert robot.status.t.tolist() == [4.0]
+    assert robot.status.tick_us.tolist() == [90, 95]
+    assert robot.status.ages_us.tolist() == [5, 6]  # a neighbour that was never heard has no age
+    assert robot.status.age_counts.tolist() == [2]
+    assert robot.status.totals() == {"sent": 3}
+
+
+def test_hand_points_are_ahead_of_the_pose_and_interpolated() -> None:
+    """Eq. (2): r = (x + L cos, y + L sin)."""
+    fleet = make_fleet([(0, 0)], [], duration_s=0.1, rate_hz=10, hand_offset_m=0.5)
+    mission = Mission(1, EPOCH_NS, EPOCH_NS, 10**8, "")
+    sent: list[Sent] = [(EPOCH_NS, keys.mission(NAME), mission)]
+    for ms, x in ((-25, 0.0), (75, 1.0), (175, 5.0)):
+        state = PlantState(1, 0, EPOCH_NS + ms * 10**6, x, 2.0, pi / 6, *(0.0,) * 4, True, True, "")
+        sent.append((state.time_ns, keys.plant_state(NAME, 1), state))
+    recording = fed(fleet, sent)
+    assert recording.grid.tolist() == [0.0, 0.1]
+    hands = recording.hand_positions()
+    assert hands.shape == (2, 1, 2)
+    assert hands[:, 0, 0] == pytest.approx([0.25 + 0.5 * cos(pi / 6), 2.0 + 0.5 * cos(pi / 6)])
+    assert hands[:, 0, 1] == pytest.approx([2.0 + 0.5 * sin(pi / 6)] * 2)
+    outside = recording.hand_positions(np.array([-9.0, 9.0]))
+    assert outside[:, 0, 0] == pytest.approx([0.5 * cos(pi / 6), 5.0 + 0.5 * cos(pi / 6)])
+
+
+def test_truth_is_preferred_to_measurements() -> None:
+    sent = messages(FLEET, [standing(1, 2), standing(3, 4), standing(5, 6)], truth=True)
+    recording = fed(FLEET, sent)  # measurements are half a metre off
+    assert recording.hand_positions()[-1].tolist() == [[1.1, 2.0], [3.1, 4.0], [5.1, 6.0]]
+    assert recording.robots[1].plant["x"][0] == 1.5
+
+
+def test_a_robot_that_sent_nothing_has_no_place() -> None:
+    sent = [each for each in messages(FLEET, in_formation(FLEET)) if "robot/2/" not in each[1]]
+    hands = fed(FLEET, sent).hand_positions()
+    assert np.isnan(hands[:, 1]).all()
+    assert np.isfinite(hands[:, [0, 2]]).all()
+
+
+def test_fleet_time_starts_at_the_epoch_of_the_newest_mission() -> None:
+    def mission(version: int, epoch_s: int, duration_s: int) -> Sent:
+        epoch_ns = EPOCH_NS + epoch_s * 10**9
+        return EPOCH_NS, keys.mission(NAME), Mission(version, EPOCH_NS, epoch_ns, duration_s * 10**9, "")
+
+    pose = PlantState(1, 0, EPOCH_NS + 30 * 10**9, *(0.0,) * 7, True, True, "")
+    recording = fed(
+        FLEET,
+        [
+            mission(1, 5, 9),
+            mission(3, 20, 7),
+            mission(2, 8, 8),
+            (pose.time_ns, keys.plant_state(NAME, 1), pose),
+        ],
+    )
+    assert recording.robots[1].plant.t.tolist() == [10.0]
+    assert (recording.planned_s, recording.end_s) == (7.0, 7.0)
+
+
+def test_the_drive_ends_as_planned_or_when_stopped_or_with_the_data() -> None:
+    sent = list(messages(FLEET, in_formation(FLEET)))
+    assert fed(FLEET, sent).end_s == 1.6
+    stop = (EPOCH_NS + 500_000_000, keys.stop(NAME), Stop(1, EPOCH_NS + 500_000_000, "enough"))
+    assert fed(FLEET, [*sent, stop]).end_s == 0.5
+    late = (EPOCH_NS + 1_700_000_000, keys.stop(NAME), Stop(1, EPOCH_NS + 1_700_000_000, "the end"))
+    assert fed(FLEET, [*sent, late]).end_s == 1.6
+    assert fed(FLEET, (each for each in sent if each[0] < EPOCH_NS + 10**9)).end_s == pytest.approx(0.98)
+    assert fed(FLEET, []).end_s == 0.0
+    assert fed(FLEET, []).grid.tolist() == [0.0]
+
+
+def test_late_and_repeated_messages_are_put_in_order() -> None:
+    sent = list(messages(FLEET, in_formation(FLEET, 0.5)))
+    shuffled = sent + [each for each in sent if "plant/state" in each[1]]
+    random.Random(5).shuffle(shuffled)
+    assert np.array_equal(fed(FLEET, sent).hand_positions(), fed(FLEET, shuffled).hand_positions())
+
+
+@pytest.mark.parametrize(
+    ("key", "robot", "late_s"),
+    [
+        (keys.plant_state(NAME, 1), 2, 0),  # another robot's number
+        (keys.plant_state(NAME, 9), 9, 0),  # no robot of the fleet
+        (keys.hand(NAME, 1), 1, 0),  # another topic's key
+        ("other/robot/1/plant/state", 1, 0),  # another fleet
+        (keys.mission(NAME), 1, 0),
+        (keys.plant_state(NAME, 1), 1, 3600),  # nobody's clock is an hour off
+        (keys.plant_state(NAME, 1), 1, -3600),
+    ],
+)
+def test_valid_messages_from_nowhere_change_nothing(key: str, robot: int, late_s: int) -> None:
+    sent = list(messages(FLEET, in_formation(FLEET)))
+    received_ns = EPOCH_NS + 400_000_000
+    time_ns = received_ns - late_s * 10**9
+    stray = PlantState(robot, 0, time_ns, 99.0, 99.0, *(0.0,) * 5, True, True, "")
+    recording = fed(FLEET, [*sent[:300], (received_ns, key, stray), *sent[300:]])
+    assert recording.foreign == 1
+    assert_same(recording, fed(FLEET, sent))
+
+
+def test_what_the_operator_knew_comes_back(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", FLEET, mode="simulate", seed=11) as recorder:
+        for received_ns, key, message in messages(FLEET, in_formation(FLEET)):
+            recorder.record(received_ns, key, encode(message))
+        recorder.set_outcome(["Robot 2's plant died."], interrupted=True)
+    back = Recording.from_mcap(tmp_path / "run.mcap")
+    assert (list(back.reasons), back.interrupted, back.mode, back.seed) == (
+        ["Robot 2's plant died."], True, "simulate", 11,
+    )  # fmt: skip
+
+
+def test_a_lone_recording_is_enough(tmp_path: Path, whole: bytes) -> None:
+    (tmp_path / "run.mcap").write_bytes(whole)
+    assert Recording.from_folder(tmp_path).fleet == FLEET
+
+
+def rewritten(whole: bytes, **options: Any) -> bytes:
+    """The same messages written by another program: no chunks, or another compression."""
+    out = BytesIO()
+    writer = Writer(out, **options)
+    writer.start()
+    source = make_reader(BytesIO(whole))
+    for each in source.iter_metadata():
+        writer.add_metadata(each.name, each.metadata)
+    for file in source.iter_attachments():
+        writer.add_attachment(0, 0, file.name, file.media_type, file.data)
+    ids: dict[int, int] = {}
+    for described, channel, stored in source.iter_messages():
+        if channel.id not in ids:
+            kind = (
+                writer.register_schema(described.name, described.encoding, described.data) if described else 0
+            )
+            ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+        writer.add_message(
+            ids[channel.id], stored.log_time, stored.data, stored.publish_time, stored.sequence
+        )
+    writer.finish()
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"use_chunking": False}, {"compression": CompressionType.LZ4}, {"compression": CompressionType.NONE}],
+)
+def test_other_programs_ways_of_writing_are_read(
+    tmp_path: Path, whole: bytes, options: dict[str, Any]
+) -> None:
+    (tmp_path / "a.mcap").write_bytes(whole)
+    (tmp_path / "b.mcap").write_bytes(rewritten(whole, **options))
+    assert_same(Recording.from_mcap(tmp_path / "a.mcap"), Recording.from_mcap(tmp_path / "b.mcap"))
+
+
+# --- files that are cut, damaged or foreign --------------------------------------------------
+
+
+def attempt(path: Path) -> tuple[Recording | None, str]:
+    """The recording, or why it is refused; any other exception fails the test."""
+    try:
+        return Recording.from_mcap(path), ""
+    except (RecordingError, FleetError) as error:
+        return None, str(error)
+
+
+def test_a_file_cut_anywhere_is_read_to_its_last_complete_chunk(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    poses = Recording.from_mcap(path).robots[1].truth
+    cuts = sorted({*range(60), *range(60, len(whole), 997), *range(len(whole) - 40, len(whole))})
+    lengths = []
+    for cut in cuts:
+        path.write_bytes(whole[:cut])
+        recording, refusal = attempt(path)
+        if recording is None:
+            assert refusal.startswith(str(path))
+            assert "\n" not in refusal
+            lengths.append(-1)
+            continue
+        (warning,) = recording.warnings
+        assert "cut short" in warning
+        found = recording.robots[1].truth
+        assert np.array_equal(found.values, poses.values[: len(found)])
+        lengths.append(len(found))
+    assert lengths == sorted(lengths), "a longer file holds no less"
+    assert lengths[0] == -1
+    assert 0 < lengths[len(lengths) // 2] < len(poses)
+    assert lengths[-1] == len(poses), "only the index was missing"
+
+
+def test_damaged_bytes_are_never_a_traceback(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    chance = random.Random(2008)
+    outcomes = set()
+    for _ in range(150):
+        damaged = bytearray(whole)
+        for _ in range(chance.choice((1, 1, 20))):
+            damaged[chance.randrange(len(damaged))] ^= 1 << chance.randrange(8)
+        path.write_bytes(damaged)
+        recording, refusal = attempt(path)
+        if recording is None:
+            assert str(path) in refusal
+        outcomes.add("refused" if recording is None else "cut" if recording.warnings else "read")
+    assert "cut" in outcomes
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty; a recording of handfast (MCAP) was expected"),
+        (b"\x89PNG\r\n\x1a\n and so on", "is not an MCAP file; a recording of handfast was expected"),
+        (MAGIC[:5], "is not an MCAP file; a recording of handfast was expected"),
+        (MAGIC, "is cut short before it says what it is; a recording that a run has left was expected"),
+    ],
+)
+def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, content: bytes, says: str) -> None:
+    (tmp_path / "run.mcap").write_bytes(content)
+    with pytest.raises(RecordingError) as caught:
+        Recording.from_folder(tmp_path)
+    assert str(caught.value) == f"{tmp_path / 'run.mcap'} {says}"
+
+
+def test_a_foreign_mcap_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/camera", "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"other\.mcap was not written by handfast"):
+        Recording.from_mcap(path)
+
+
+def test_a_recording_without_messages_is_refused(tmp_path: Path) -> None:
+    Recorder(tmp_path / "run.mcap", FLEET).close()
+    with pytest.raises(RecordingError, match=r"run\.mcap holds no message: there is nothing to report$"):
+        Recording.from_mcap(tmp_path / "run.mcap")
+
+
+def test_json_that_is_no_message_is_refused(tmp_path: Path, whole: bytes) -> None:
+    stored = rewritten(whole, compression=CompressionType.NONE, enable_crcs=False)
+    (tmp_path / "run.mcap").write_bytes(stored.replace(b'"yaw_rate":', b'"yaw-rate":'))
+    with pytest.raises(RecordingError, match=r"robot/\d/plant/\w+ holds what is not a message of handfast$"):
+        Recording.from_mcap(tmp_path / "run.mcap")
+
+
+def test_folders_that_hold_no_run_are_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError) as caught:
+        Recording.from_folder(tmp_path / "nowhere")
+    assert str(caught.value) == (
+        f"{tmp_path / 'nowhere'} does not exist; give the folder that a run has left (it holds run.mcap)"
+    )
+    with pytest.raises(RecordingError) as caught:
+        Recording.from_folder(tmp_path)
+    assert str(caught.value) == f"{tmp_path} holds no run.mcap; give the folder that a run has left"
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="is not a folder"):
+        Recording.from_folder(tmp_path / "file")
+
+
+def test_a_spoilt_fleet_file_beside_it_is_said(tmp_path: Path, whole: bytes) -> None:
+    (tmp_path / "run.mcap").write_bytes(whole)
+    (tmp_path / "fleet.toml").write_text("[fleet]\nname = 3\n")
+    with pytest.raises(FleetError, match=r"fleet\.toml"):
+        Recording.from_folder(tmp_path)
+
+
+def test_other_hand_offsets_move_the_hand_points() -> None:
+    """The fleet file decides, per robot."""
+    robots = (replace(FLEET.robots[0], hand_offset_m=0.4), *FLEET.robots[1:])
+    fleet = replace(FLEET, robots=robots)
+    sent: list[tuple[int, str, Message]] = list(
+        messages(fleet, [standing(0, 0), standing(1, 0), standing(2, 0)])
+    )
+    assert fed(fleet, sent).hand_positions()[0].tolist() == [[0.4, 0.0], [1.1, 0.0], [2.1, 0.0]]

@@ -1,0 +1,158 @@
+"""Desired navigation: every kind's values at known times, and what a bad section says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import hypot, pi, sqrt
+
+import pytest
+
+from agent.fleet import TrajectorySection
+from agent.trajectory import (
+    corner_distances,
+    duration,
+    legs,
+    make_trajectory,
+    maximum_acceleration,
+    maximum_speed,
+)
+
+LINE = TrajectorySection("line", start_m=(1.0, -2.0), velocity_mps=(0.2, -0.1))
+HOLD = TrajectorySection("hold", start_m=(3.0, 4.0))
+CIRCLE = TrajectorySection("circle", centre_m=(1.0, 2.0), radius_m=2.0, speed_mps=0.5, phase_rad=pi / 2)
+CORNER = TrajectorySection(
+    "waypoints", waypoints_m=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), speed_mps=0.5, corner_acceleration=0.3
+)
+
+
+def test_line_moves_from_the_epoch_on():
+    assert make_trajectory(LINE).at(10.0) == pytest.approx((3.0, -3.0, 0.2, -0.1, 0.0, 0.0))
+    assert make_trajectory(LINE).at(0.0) == (1.0, -2.0, 0.2, -0.1, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("section", [LINE, HOLD, CIRCLE, CORNER], ids=lambda section: section.kind)
+def test_before_the_epoch_it_holds_at_the_start_at_rest(section: TrajectorySection):
+    trajectory = make_trajectory(section)
+    assert trajectory.at(-5.0) == (*trajectory.at(0.0)[:2], 0.0, 0.0, 0.0, 0.0)
+
+
+def test_hold_stays():
+    assert make_trajectory(HOLD).at(1e6) == (3.0, 4.0, 0.0, 0.0, 0.0, 0.0)
+    assert duration(HOLD) == 0.0
+
+
+def test_circle_starts_at_its_phase_counter_clockwise():
+    assert make_trajectory(CIRCLE).at(0.0) == pytest.approx((1.0, 4.0, -0.5, 0.0, 0.0, -0.125))
+    quarter = pi / 2 / (0.5 / 2.0)
+    assert make_trajectory(CIRCLE).at(quarter) == pytest.approx((-1.0, 2.0, 0.0, -0.5, 0.125, 0.0))
+
+
+def test_circle_clockwise_turns_the_other_way():
+    trajectory = make_trajectory(replace(CIRCLE, clockwise=True))
+    quarter = pi / 2 / (0.5 / 2.0)
+    assert trajectory.at(quarter) == pytest.approx((3.0, 2.0, 0.0, -0.5, -0.125, 0.0))
+
+
+def test_waypoints_begin_and_end_at_rest_on_the_first_and_last():
+    trajectory, end = make_trajectory(CORNER), duration(CORNER)
+    assert end is not None
+    assert trajectory.at(0.0) == (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for t in (end, end + 1.0, 1e5):
+        assert trajectory.at(t) == (4.0, 3.0, 0.0, 0.0, 0.0, 0.0)
+    # legs of 8 s and 6 s; half of a blend of 1.5 * 0.5 / 0.3 s before the first and after the last
+    assert end == pytest.approx(14.0 + 2.5)
+
+
+def test_waypoints_drive_the_middle_of_a_leg_straight_at_the_wanted_speed():
+    trajectory = make_trajectory(CORNER)
+    x, y, vx, vy, ax, ay = trajectory.at(1.25 + 4.0)
+    assert (x, y) == pytest.approx((2.0, 0.0))
+    assert (vx, vy, ax, ay) == (0.5, 0.0, 0.0, 0.0)
+
+
+def test_waypoints_pass_a_corner_at_the_stated_distance_with_the_stated_acceleration():
+    trajectory = make_trajectory(CORNER)
+    x, y, vx, vy, ax, ay = trajectory.at(1.25 + 8.0)  # the middle of the blend
+    assert hypot(x - 4.0, y) == pytest.approx(corner_distances(CORNER)[1])
+    assert corner_distances(CORNER)[1] == pytest.approx(9.0 / 64.0 * 2.0 * 0.25 / 0.3)
+    assert (vx, vy) == pytest.approx((0.25, 0.25))
+    assert (ax, ay) == pytest.approx((-0.3 / sqrt(2.0), 0.3 / sqrt(2.0)))
+
+
+def test_a_short_leg_is_driven_slower_and_the_others_as_asked():
+    section = replace(CORNER, waypoints_m=((0.0, 0.0), (5.0, 0.0), (5.0, 0.1), (9.0, 0.1)))
+    speeds = [leg.speed for leg in legs(section)]
+    assert speeds[0] == speeds[2] == 0.5
+    # 0.75 v (|dv| + |dv'|) <= a length, met with at most 2 % to spare
+    used = 0.75 * speeds[1] * 2.0 * hypot(0.5, speeds[1])
+    assert 0.96 * 0.3 * 0.1 <= used <= 0.3 * 0.1
+
+
+def test_a_single_leg_too_short_for_the_speed_is_an_acceleration_and_a_braking():
+    section = replace(CORNER, waypoints_m=((0.0, 0.0), (0.5, 0.0)), speed_mps=5.0)
+    (leg,) = legs(section)
+    assert leg.speed == pytest.approx(sqrt(0.3 * 0.5 / 1.5), rel=0.02)  # v^2 = a length / 1.5
+    assert maximum_speed(section) == leg.speed
+    assert make_trajectory(section).at(100.0)[:2] == (0.5, 0.0)
+
+
+def test_waypoints_in_one_line_are_passed_without_braking():
+    section = replace(CORNER, waypoints_m=((0.0, 0.0), (4.0, 0.0), (8.0, 0.0)))
+    assert make_trajectory(section).at(1.25 + 8.0) == pytest.approx((4.0, 0.0, 0.5, 0.0, 0.0, 0.0))
+    assert corner_distances(section) == (0.0, 0.0, 0.0)
+
+
+def test_a_path_that_turns_back_turns_the_stated_distance_before_the_waypoint():
+    section = replace(CORNER, waypoints_m=((0.0, 0.0), (4.0, 0.0), (0.0, 0.0)))
+    turning = make_trajectory(section).at(1.25 + 8.0)
+    assert turning[:4] == pytest.approx((4.0 - 9.0 / 16.0 * 0.25 / 0.3, 0.0, 0.0, 0.0))
+    assert corner_distances(section)[1] == pytest.approx(4.0 - turning[0])
+
+
+def test_a_waypoint_on_the_one_before_it_makes_no_leg():
+    doubled = replace(CORNER, waypoints_m=((0.0, 0.0), (4.0, 0.0), (4.0, 0.0), (4.0, 3.0)))
+    assert legs(doubled) == legs(CORNER)
+    assert make_trajectory(doubled).at(9.0) == make_trajectory(CORNER).at(9.0)
+
+
+def test_waypoints_all_the_same_hold():
+    section = replace(CORNER, waypoints_m=((1.0, 2.0), (1.0, 2.0)))
+    assert make_trajectory(section).at(3.0) == (1.0, 2.0, 0.0, 0.0, 0.0, 0.0)
+    assert (duration(section), maximum_speed(section), maximum_acceleration(section)) == (0.0, 0.0, 0.0)
+    assert corner_distances(section) == (0.0,)
+
+
+def test_durations_and_greatest_values():
+    assert duration(LINE) is None
+    assert duration(replace(LINE, velocity_mps=(0.0, 0.0))) == 0.0
+    assert duration(CIRCLE) is None
+    assert maximum_speed(LINE) == pytest.approx(hypot(0.2, 0.1))
+    assert maximum_speed(CIRCLE) == maximum_speed(CORNER) == 0.5
+    assert maximum_speed(HOLD) == 0.0
+    assert maximum_acceleration(CIRCLE) == pytest.approx(0.125)
+    assert maximum_acceleration(CORNER) == 0.3
+    assert maximum_acceleration(LINE) == maximum_acceleration(HOLD) == 0.0
+    assert legs(LINE) == corner_distances(LINE) == ()
+
+
+@pytest.mark.parametrize(
+    ("section", "field"),
+    [
+        (TrajectorySection("line"), "velocity_mps"),
+        (replace(HOLD, start_m=(float("nan"), 0.0)), "start_m"),
+        (replace(CIRCLE, radius_m=0.0), "radius_m"),
+        (replace(CIRCLE, speed_mps=None), "speed_mps"),
+        (replace(CIRCLE, centre_m=None), "centre_m"),
+        (replace(CIRCLE, phase_rad=float("inf")), "phase_rad"),
+        (replace(CORNER, waypoints_m=()), "waypoints_m"),
+        (replace(CORNER, waypoints_m=((0.0, 0.0), (float("inf"), 0.0))), r"waypoints_m\[2\]"),
+        (replace(CORNER, speed_mps=-1.0), "speed_mps"),
+        (replace(CORNER, corner_acceleration=0.0), "corner_acceleration"),
+        (replace(HOLD, kind="spiral"), "kind"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_bad_section_names_the_field(section: TrajectorySection, field: str):
+    with pytest.raises(ValueError, match=rf"trajectory\.{field}"):
+        make_trajectory(section)
+    with pytest.raises(ValueError, match=rf"trajectory\.{field}"):
+        duration(section)
