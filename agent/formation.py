@@ -32,7 +32,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.fleet import Fleet
+from agent.fleet import Fleet, FleetError
+from agent.schema import Problem
 from agent.trajectory import make_trajectory
 
 Floats = NDArray[np.float64]
@@ -49,8 +50,15 @@ _GOLDEN: Final = 0.618033988749895
 _PLASTIC: Final = 0.754877666246693
 
 
-class FormationError(ValueError):
+class FormationError(FleetError):
     """The file's formation is not one: the message names the field, the values and what is wrong."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__("[formation]", [Problem("", message)])
+        self.message = message
+
+    def __str__(self) -> str:
+        return self.message
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +110,7 @@ def resolve(fleet: Fleet) -> Geometry:
     distances = given_distances(fleet)
     hands = start_hands(fleet)
     x, y = make_trajectory(fleet.trajectory).at(0.0)[:2]
-    starts = hands - (x, y)
+    starts = hands - (x, y)  # as seen from the reference; sums of squares do not depend on it
     slots = np.arange(len(ids))
     if offsets is not None:
         if distances is None:
@@ -542,8 +550,8 @@ def _refuse_misfit(fleet: Fleet, shape: Realisation, distances: Floats) -> None:
         return
     i, j = fleet.formation.edges[worst]
     raise FormationError(
-        f"formation.distance_m: found no places in the plane that meet all {len(distances)} distances; in the "
-        f"nearest [{i}, {j}] is {distances[worst] + shape.error[worst]:.4g} m long instead of "
+        f"formation.distance_m: found no places in the plane that meet all {len(distances)} distances; in "
+        f"the nearest [{i}, {j}] is {distances[worst] + shape.error[worst]:.4g} m long instead of "
         f"{distances[worst]:.4g} m "
         f"(root mean square over all edges {np.sqrt(np.mean(shape.error**2)):.3g} m)"
     )

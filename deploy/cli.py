@@ -266,6 +266,8 @@ def _say_verdict(metrics: dict[str, Any], folder: Path) -> None:
     print("PASSED" if verdict["passed"] else "FAILED")
     for reason in verdict["reasons"]:
         print(f"  {reason}")
+    for warning in verdict["warnings"]:
+        print(f"  warning: {warning}")
     settled = metrics["settling_time_s"]
     nearest = metrics["min_distance_m"]["edge"]
     error = metrics["final_distance_error_m"]
@@ -283,7 +285,8 @@ def _say_verdict(metrics: dict[str, Any], folder: Path) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from deploy.check import check, describe
+    from deploy.check import check
+    from deploy.description import describe
 
     fleet = load_fleet(fleet_path(options.fleet), _overrides(options), options.law)
     print(describe(fleet))

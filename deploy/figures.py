@@ -259,7 +259,7 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
     axes.axhline(safe, color=RED, linewidth=1.3, linestyle=(0, (5, 3)))
     finite = a.distances[np.isfinite(a.distances)]
     greatest = [1.08 * float(values.max()) for values in (finite, 1.06 * wanted) if values.size]
-    top = max(2 * safe, *greatest)
+    top = max([2 * safe, *greatest])
     axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, top)
     if a.settling_s:
@@ -277,7 +277,9 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
         xytext=(4 if left else -2, -3), textcoords="offset points", ha="left" if left else "right", va="top",
         color=RED, fontsize=8,
     )  # fmt: skip
-    if few:
+    if not len(a.edges):
+        _note(axes, "no robots share an edge")
+    elif few:
         figure.legend(loc="outside right upper")
     else:
         figure.legend(loc="outside upper left", ncols=4)
@@ -423,7 +425,7 @@ def _draw_over_time(axes: Axes, times: Floats, values: Floats, end: float, color
     axes.plot(middle, top, ".", color=GREY, markersize=3.5, label="greatest")
     axes.plot(middle, high, color=color, linewidth=0.9, linestyle=(0, (4, 2)), label="99th percentile")
     axes.plot(middle, median, color=color, linewidth=1.5, label="median")
-    axes.set_ylim(0.0, 1.15 * float(top.max()) or 1.0)
+    axes.set_ylim(0.0, 1.25 * float(top.max()) or 1.0)
     axes.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.5)
 
 
@@ -434,9 +436,10 @@ def _draw_spread(axes: Axes, values: Floats, color: str, unit: str) -> None:
     counts, edges = np.histogram(np.minimum(values, limit), bins=40, range=(0.0, limit))
     axes.stairs(100 * counts / len(values), edges, fill=True, color=color, alpha=0.45)
     for value, name in ((median, "median"), (high, "99 %")):
+        number = f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
         axes.axvline(value, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
         axes.annotate(
-            f"{name} {value:.3g} {unit}", (value, 1.0), xycoords=("data", "axes fraction"),
+            f"{name} {number} {unit}", (value, 1.0), xycoords=("data", "axes fraction"),
             xytext=(3 if value < 0.6 * limit else -3, -2 if name == "median" else -13),
             textcoords="offset points", ha="left" if value < 0.6 * limit else "right", va="top", fontsize=8,
             bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},

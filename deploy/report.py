@@ -96,10 +96,10 @@ def _text_of(path: Path) -> str:
 
 
 def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[str]:
-    """What to try after a run that failed: sentences (HTML, escaped)."""
-    if found["verdict"]["passed"]:
-        return []
+    """What to try after a run that failed or has warnings: sentences (HTML, escaped)."""
     out = []
+    if found["verdict"]["passed"]:
+        return _advice_apart(fleet, found)
     safe = fleet.formation.safe_distance_m
     least = found["min_distance_m"]
     ends = [robot.status.at(recording.end_s) for robot in recording.robots.values()]
@@ -111,8 +111,8 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
         or states & {State.WAITING.value, State.READY.value}
     ):
         out.append(
-            "Look first at what the processes said (<code>handfast logs</code>, or the last lines that "
-            "<code>handfast run</code> printed): a robot that is not there makes every other number worse."
+            "Look first at what the processes said (the folder <code>logs</code> beside this page): a robot "
+            "that is not there makes every other number worse."
         )
     if State.FAULT.value in states:
         out.append("A robot in state <em>fault</em> says why in the table of robots below.")
@@ -132,13 +132,7 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
                 "Robots with an edge came too close: check that they start further apart than the safe "
                 "distance (<code>handfast check</code>) and that the plants can follow (limits, lag)."
             )
-    unsafe_elsewhere = least["any"] is not None and least["any"] < safe and least["any"] != least["edge"]
-    if unsafe_elsewhere:
-        out.append(
-            "The law keeps apart only robots that share an edge. Give the pair that came too close an edge, "
-            "let <code>formation.assign = true</code> choose slots so that ways cross less, or start them "
-            "elsewhere."
-        )
+    out += _advice_apart(fleet, found)
     if found["settling_time_s"] is None and found["final_distance_error_m"] is not None:
         out.append(
             "If distances were still changing at the end, drive for longer (<code>--duration</code>). If "
@@ -148,11 +142,22 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
     return out
 
 
+def _advice_apart(fleet: Fleet, found: dict[str, Any]) -> list[str]:
+    """For a pair without an edge that came too close."""
+    least, safe = found["min_distance_m"], fleet.formation.safe_distance_m
+    if least["any"] is None or least["any"] >= safe or least["any"] == least["edge"]:
+        return []
+    return [
+        "Two robots that share no edge came too close. Give them an edge, let "
+        "<code>formation.assign = true</code> choose slots so that ways cross less, or start them elsewhere."
+    ]
+
+
 def _summary(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> str:
     """What the verdict means, in plain words."""
     safe = fleet.formation.safe_distance_m
     if found["verdict"]["passed"]:
-        settled, closest = found["settling_time_s"], found["min_distance_m"]["any"]
+        settled, closest = found["settling_time_s"], found["min_distance_m"]["edge"]
         if not found["edges"] or settled is None:
             what = "drove to the end"
         elif settled == 0:
@@ -161,10 +166,10 @@ def _summary(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> str:
             what = f"was in formation after {settled:.1f} s and stayed so to the end"
         apart = ""
         if closest is not None:
-            apart = f" No two robots came closer than {closest:.3f} m; {safe:g} m is the least allowed."
+            apart = f" No neighbours came closer than {closest:.3f} m; {safe:g} m is the least allowed."
         return f"The fleet {what}.{apart}"
     count = len(found["verdict"]["reasons"])
-    return f"{'One thing was' if count == 1 else f'{count} things were'} not as they must be:"
+    return f"{'One thing is not as it' if count == 1 else f'{count} things are not as they'} should be:"
 
 
 _ROWS: Final = (
@@ -273,6 +278,7 @@ def _page(
     passed = found["verdict"]["passed"]
     verdict = "passed" if passed else "failed"
     reasons = _list([escape(reason) for reason in found["verdict"]["reasons"]])
+    cautions = _list([f"Warning: {escape(warning)}" for warning in found["verdict"]["warnings"]])
     tips = advice(recording, fleet, found)
     warnings = "".join(f'<p class="soft">Note: {escape(warning)}.</p>' for warning in recording.warnings)
     parts = [
@@ -283,7 +289,7 @@ def _page(
         f'<p class="soft">{escape(fleet.fleet.description)}</p>' if fleet.fleet.description else "",
         f"<p>{_what(recording, found)}</p>",
         f'<section class="verdict {verdict}">\n<h2>{verdict.capitalize()}</h2>\n'
-        f"<p>{_summary(recording, fleet, found)}</p>\n{reasons}"
+        f"<p>{_summary(recording, fleet, found)}</p>\n{reasons}{cautions}"
         + (f"<p><strong>What to try</strong></p>{_list(tips)}" if tips else "")
         + f"</section>\n{warnings}",
         *(_figure(name, pictures[name]) for name in ("trajectories", "distances")),
@@ -334,7 +340,8 @@ def _figure(name: str, picture: bytes) -> str:
 def _shown(value: Any, unit: str = "") -> str:
     if value is None:
         return "–"
-    text = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+    whole = isinstance(value, int) or abs(value) >= 1000
+    text = f"{value:,.0f}" if whole else f"{value:.4g}"
     return f"{text} {unit}".strip()
 
 

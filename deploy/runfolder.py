@@ -67,8 +67,10 @@ class RunFolder:
 
     def close(self, reasons: Sequence[str] = (), *, interrupted: bool = False) -> None:
         """Completes the recording with what only the operator knows of the run's end."""
-        self._recorder.set_outcome(reasons, interrupted=interrupted)
-        self._recorder.close()
+        try:
+            self._recorder.set_outcome(reasons, interrupted=interrupted)
+        finally:
+            self._recorder.close()
 
     def finish(
         self, reasons: Sequence[str] = (), *, interrupted: bool = False, report: bool = True

@@ -17,16 +17,9 @@ from agent.fleet import (
     Robot,
     TrajectorySection,
 )
-from deploy.check import (
-    Finding,
-    Mode,
-    check,
-    describe,
-    modes,
-    sampled_radius,
-    settling_time,
-    sweep_radius,
-)
+from deploy.check import Finding, check
+from deploy.description import describe
+from deploy.stability import Mode, modes, sampled_radius, settling_time, sweep_radius
 
 H = sqrt(3.0) / 2.0
 EDGES = ((1, 2), (1, 3), (2, 3), (2, 4), (2, 5), (3, 5), (3, 6), (4, 5), (5, 6))
@@ -124,7 +117,7 @@ def test_a_graph_in_parts_lists_them():
 
 def test_a_shape_that_can_shift_says_which_robots():
     message = at(check(fleet(SQUARE, ((1, 2), (2, 3), (3, 4), (4, 1)), SQUARE)), "formation.edges", "warning")
-    assert "robots 3, 4 can shift" in message
+    assert "robots 3 and 4 can shift" in message
     assert "rank 4 of 5" in message
     assert "1 more edge " in message
 
@@ -191,12 +184,14 @@ def test_edges_must_start_above_the_safe_distance_at_their_hand_points():
 
 
 def test_the_edges_are_those_of_the_robots_that_took_the_slots():
-    # Robot k starts on slot order[k], but for two that stand close and share an edge only by their slots.
-    starts = [OFFSETS[k] for k in (5, 1, 2, 3, 4, 0)]
-    starts[5] = (0.4, -1.0)  # robot 6 takes slot 1, whose edge [1, 3] joins it with robot 3 at (0.5, -H)
+    # Robots 1 and 4 start nearer to each other's slots; [3, 4] is no edge of the file, [1, 3] is.
+    starts = [OFFSETS[k] for k in (3, 1, 2, 0, 4, 5)]
+    starts[3] = (0.4, -1.0)  # robot 4 takes slot 1; robot 3 is at (0.5, -H)
     given = fleet(tuple(starts), trajectory=TrajectorySection(), assign=True)
-    assert formation.resolve(given).offsets[5].tolist() == list(OFFSETS[0])
-    assert "share an edge" in at(check(given), "robot[6]", "error")
+    assert formation.resolve(given).offsets[3].tolist() == list(OFFSETS[0])
+    message = at(check(given), "robot[4]", "error")
+    assert "robots 3 and 4" in message
+    assert "share an edge" in message
 
 
 def test_robots_without_an_edge_that_start_close_are_a_warning():
@@ -368,9 +363,11 @@ def test_an_actuator_lag_that_a_mode_cannot_bear():
     assert check(fleet(body={"actuator_lag_s": 0.1})) == []
 
 
-def test_the_settling_estimate_is_that_of_the_law_for_two_robots():
+@pytest.mark.parametrize("kd", [1.8, 12.0])
+def test_the_settling_estimate_is_that_of_the_law_for_two_robots(kd: float):
     """Two robots, apart along their edge: the law itself, run in small steps, settles when estimated."""
-    given = fleet(((-0.85, 0.0), (0.65, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0)), TrajectorySection())
+    two, edge, places = ((-0.85, 0.0), (0.65, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0))
+    given = fleet(two, edge, places, TrajectorySection(), {"kd": kd})
     geometry = formation.resolve(given)
     estimate = settling_time(given, geometry)
     assert estimate is not None

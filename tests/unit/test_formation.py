@@ -82,10 +82,10 @@ def test_robots_in_one_line_are_not_rigid_however_many_edges():
 
 
 def test_the_smallest_singular_value_of_a_long_truss_still_counts():
-    places = [(k * 0.5, H * (k % 2)) for k in range(120)]
-    edges = [(k, k + step) for step in (1, 2) for k in range(120 - step)]
+    places = [(k * 0.5, H * (k % 2)) for k in range(300)]
+    edges = [(k, k + step) for step in (1, 2) for k in range(300 - step)]
     assert formation.is_rigid(places, edges)
-    assert not formation.is_rigid(places, [edge for edge in edges if edge != (60, 61)])
+    assert not formation.is_rigid(places, [edge for edge in edges if edge != (150, 151)])
 
 
 def test_loose_robots_are_those_outside_the_largest_rigid_part():
@@ -219,7 +219,7 @@ def test_assigned_slots_take_their_edges_with_them():
     assert formation.edge_lengths(geometry.offsets, geometry.edges) == pytest.approx(np.ones(9))
 
 
-def test_slots_are_assigned_by_hand_points_and_by_where_the_formation_is_at_the_epoch():
+def test_slots_are_assigned_by_hand_points():
     # Two robots back to back: their centres are nearest to one pairing, their hands to the other.
     robots = (
         Robot(id=1, x_m=-0.1, y_m=0.0, heading_rad=0.0, hand_offset_m=1.0),

@@ -88,6 +88,15 @@ def test_a_short_leg_is_driven_slower_and_the_others_as_asked():
     assert 0.96 * 0.3 * 0.1 <= used <= 0.3 * 0.1
 
 
+def test_a_leg_beside_one_that_is_slowed_still_has_room_for_its_blends():
+    # Leg 1 alone just fits; leg 2 is slowed, so the velocity changes between them and that takes time too.
+    section = replace(CORNER, waypoints_m=((0.0, 0.0), (0.63, 0.0), (0.73, 0.0)))
+    first, second = legs(section)
+    assert second.speed < first.speed < 0.5
+    assert 0.75 * first.speed * (first.speed + first.speed - second.speed) <= 0.3 * first.length
+    assert 0.75 * second.speed * (first.speed - second.speed + second.speed) <= 0.3 * second.length
+
+
 def test_a_single_leg_too_short_for_the_speed_is_an_acceleration_and_a_braking():
     section = replace(CORNER, waypoints_m=((0.0, 0.0), (0.5, 0.0)), speed_mps=5.0)
     (leg,) = legs(section)

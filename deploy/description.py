@@ -1,0 +1,128 @@
+"""What a fleet will do, in plain words: the first half of `handfast check`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot, pi
+
+import numpy as np
+
+from agent import formation, trajectory
+from agent.fleet import ControlSection, Fleet
+from agent.formation import Geometry
+from agent.trajectory import make_trajectory
+from deploy.stability import SETTLED, guaranteed_distance, settling_time
+from deploy.wording import some
+
+
+def describe(fleet: Fleet) -> str:
+    """In plain words, several lines: who drives, in what shape, by which law, where to, and how near it gets.
+
+    For a fleet that cannot be resolved it says what it can; `check` says why.
+    """
+    n, edges = len(fleet.robots), len(fleet.formation.edges)
+    about = f": {fleet.fleet.description}" if fleet.fleet.description else ""
+    lines = [f"{fleet.fleet.name}{about}"]
+    lines.append(
+        f"  {n} robot{'s' * (n != 1)} ({some([robot.id for robot in fleet.robots])}), {edges} "
+        f"edge{'s' * (edges != 1)}, {fleet.fleet.rate_hz:g} Hz for {fleet.fleet.duration_s:g} s, "
+        f"seed {fleet.fleet.seed}"
+    )
+    try:
+        geometry = formation.resolve(fleet)
+        make_trajectory(fleet.trajectory)
+    except ValueError as error:
+        lines.append(f"  cannot be driven: {error}")
+        return "\n".join(lines)
+    lines.append(f"  formation: {_describe_shape(fleet, geometry)}")
+    lines.append(f"  law: {_describe_law(fleet.control)}")
+    lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
+    lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
+    lines.append(f"  network: {fleet.network.address}, ports from {fleet.network.base_port} up")
+    return "\n".join(lines)
+
+
+def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:
+    n = len(geometry.ids)
+    parts = []
+    if len(geometry.distances):
+        least, most = float(geometry.distances.min()), float(geometry.distances.max())
+        parts.append(
+            f"edges of {least:.4g} m" if most - least < 1e-9 else f"edges of {least:.4g} to {most:.4g} m"
+        )
+    if n > 1:
+        parts.append("rigid" if formation.is_rigid(geometry.offsets, geometry.edges) else "not rigid")
+    parts.append(f"safe distance {fleet.formation.safe_distance_m:.4g} m")
+    if fleet.formation.offsets is None and n > 1:
+        parts.append("places found from the distances")
+    if fleet.formation.assign:
+        parts.append("robots take the places nearest to them")
+    return ", ".join(parts)
+
+
+def _describe_law(control: ControlSection) -> str:
+    name = {
+        "joint": "joint multipliers",
+        "edge": "edge by edge" if control.kp > 0.0 else "edge by edge, the paper's",
+        "penalty": "potential field",
+    }[control.coupling]
+    return (
+        f"{name}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 {control.k2:g}, kp "
+        f"{control.kp:g}; at most {control.max_acceleration:g} m/s2"
+    )
+
+
+def _describe_trajectory(fleet: Fleet) -> str:
+    section, seconds = fleet.trajectory, fleet.fleet.duration_s
+    if section.kind == "hold":
+        return f"holds at ({section.start_m[0]:g}, {section.start_m[1]:g}) m"
+    if section.kind == "line" and section.velocity_mps is not None:
+        vx, vy = section.velocity_mps
+        end = (section.start_m[0] + vx * seconds, section.start_m[1] + vy * seconds)
+        return (
+            f"a line from ({section.start_m[0]:g}, {section.start_m[1]:g}) m at {hypot(vx, vy):.3g} m/s, "
+            f"{hypot(vx, vy) * seconds:.3g} m to ({end[0]:.3g}, {end[1]:.3g}) m"
+        )
+    if section.kind == "circle" and section.radius_m is not None and section.speed_mps is not None:
+        turns = section.speed_mps * seconds / (2.0 * pi * section.radius_m)
+        return (
+            f"a circle of {section.radius_m:g} m radius at {section.speed_mps:g} m/s, "
+            f"{'clockwise' if section.clockwise else 'counter-clockwise'}, {turns:.3g} turns"
+        )
+    legs = trajectory.legs(section)
+    cuts = trajectory.corner_distances(section)
+    return (
+        f"{len(legs) + 1} waypoints, {sum(leg.length for leg in legs):.4g} m at up to "
+        f"{max((leg.speed for leg in legs), default=0.0):.3g} m/s, corners passed within {max(cuts):.2g} m, "
+        f"at rest after {trajectory.duration(section):.4g} s"
+    )
+
+
+def _describe_start(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
+    hands = formation.start_hands(fleet)
+    n = len(hands)
+    if n > 1:
+        i, j = np.triu_indices(n, 1)
+        apart = np.hypot(hands[i, 0] - hands[j, 0], hands[i, 1] - hands[j, 1])
+        k = int(np.argmin(apart))
+        joined = {frozenset(edge) for edge in geometry.edges.tolist()}
+        a, b = int(i[k]), int(j[k])
+        kind = "share an edge" if frozenset((a, b)) in joined else "share no edge"
+        yield (
+            f"start: closest are robots {geometry.ids[a]} and {geometry.ids[b]}, hand points {apart[k]:.3g} "
+            f"m apart ({kind})"
+        )
+    safe = fleet.formation.safe_distance_m
+    if not len(geometry.edges) or float(geometry.distances.min()) <= safe:
+        return
+    settling = settling_time(fleet, geometry)
+    if settling is None:
+        yield f"settling: edges do not come within {SETTLED:.0%}: the law is unstable at the formation"
+    else:
+        yield f"settling: edges within {SETTLED:.0%} after about {settling:.2g} s"
+    least = guaranteed_distance(fleet, geometry)
+    if least is not None:
+        yield (
+            f"bound: while nothing is clipped, no edge comes closer than {least:.3f} m ({least - safe:.3f} m "
+            "above the safe distance), by the energy at the start"
+        )

@@ -1,0 +1,29 @@
+"""Lists of robots in messages: short, and in good English."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+NAMES_SHOWN: Final = 8
+
+
+def robots(ids: Iterable[Any]) -> str:
+    """'robot 3', 'robots 1, 2 and 3', or 'robots 1, 2, 3, 4, 5, 6, 7, 8 and 37 more'."""
+    shown = list(ids)
+    if 1 < len(shown) <= NAMES_SHOWN:
+        return f"robots {some(shown[:-1])} and {shown[-1]}"
+    return f"robot{'s' * (len(shown) != 1)} {some(shown)}"
+
+
+def counted(name: str, numbers: Iterable[Any]) -> str:
+    """'leg 2 is' or 'legs 2, 3 are'."""
+    shown = list(numbers)
+    return f"{name} {some(shown)} is" if len(shown) == 1 else f"{name}s {some(shown)} are"
+
+
+def some(ids: Iterable[Any]) -> str:
+    """'1, 2, 3', or '1, 2, 3, 4, 5, 6, 7, 8 and 37 more'."""
+    shown = [str(number) for number in ids]
+    text = ", ".join(shown[:NAMES_SHOWN])
+    return f"{text} and {len(shown) - NAMES_SHOWN} more" if len(shown) > NAMES_SHOWN else text

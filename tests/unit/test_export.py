@@ -1,0 +1,124 @@
+"""Exported tables: what they hold, in every format."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from agent.messages import encode
+from deploy.export import ExportError, export, tabulate
+from deploy.recorder import Recorder, RecordingError
+from deploy.recording import Recording
+from tests.unit.synthetic_run import in_formation, make_fleet, messages, standing, triangle
+
+FLEET = make_fleet(*triangle(2), duration_s=0.4)
+TABLES = ("hands", "plants", "wrenches", "multipliers", "distances", "statuses")
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Folder of a run whose robot 3 sent nothing but its hand states."""
+    with Recorder(tmp_path / "run.mcap", FLEET) as recorder:
+        for received_ns, key, message in messages(FLEET, [standing(0, 0), standing(0.9, 0), standing(2, 0)]):
+            if "robot/3/" not in key or key.endswith("hand"):
+                recorder.record(received_ns, key, encode(message))
+    return tmp_path
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_csv(run: Path) -> None:
+    paths = export(run, "csv")
+    assert paths == [run / "export" / f"{name}.csv" for name in TABLES]
+    distances = read_csv(run / "export" / "distances.csv")
+    assert list(distances[0]) == ["t_s", "edge_i", "edge_j", "distance_m", "wanted_m"]
+    assert len(distances) == 21 * 3
+    assert [list(row.values())[:3] for row in distances[:4]] == [
+        ["0.0", "1", "2"], ["0.0", "1", "3"], ["0.0", "2", "3"], ["0.02", "1", "2"],
+    ]  # fmt: skip
+    assert float(distances[0]["distance_m"]) == pytest.approx(0.9)
+    assert float(distances[0]["wanted_m"]) == pytest.approx(1.0)
+    assert distances[1]["distance_m"] == ""  # of robot 3 nothing is known
+    plants = read_csv(run / "export" / "plants.csv")
+    assert {row["robot"] for row in plants} == {"1", "2"}
+    assert (plants[0]["driving"], plants[0]["x_m"], plants[0]["heading_rad"]) == ("true", "0.0", "0.0")
+    assert {row["robot"] for row in read_csv(run / "export" / "hands.csv")} == {"1", "2", "3"}
+
+
+def test_numbers_are_exact(run: Path) -> None:
+    export(run, "csv")
+    forces = Recording.from_folder(run).robots[1].wrench["force"]
+    written = [
+        float(row["force_n"]) for row in read_csv(run / "export" / "wrenches.csv") if row["robot"] == "1"
+    ]
+    assert written == forces.tolist()
+
+
+def test_json_holds_the_same(run: Path) -> None:
+    export(run, "csv", run / "a")
+    paths = export(run, "json", run / "b")
+    for path in paths:
+        records = json.loads(path.read_text())
+        rows = read_csv(run / "a" / f"{path.stem}.csv")
+        assert len(records) == len(rows) > 0
+        for record, row in zip(records, rows, strict=True):
+            assert list(record) == list(row)
+            for name, value in record.items():
+                text = "" if value is None else str(value).lower() if value in (True, False) else str(value)
+                assert text == row[name] or float(text) == float(row[name])
+
+
+def test_parquet_holds_the_same(run: Path) -> None:
+    tables = tabulate(Recording.from_folder(run))
+    for path in export(run, "parquet"):
+        stored = pq.read_table(path)
+        expected = tables[path.stem]
+        assert stored.column_names == list(expected)
+        for name, column in expected.items():
+            values = column if isinstance(column, list) else column.tolist()
+            assert stored[name].to_pylist() == [None if value != value else value for value in values]
+    kinds = {field.name: str(field.type) for field in pq.read_schema(run / "export" / "statuses.parquet")}
+    assert (kinds["t_s"], kinds["robot"], kinds["state"], kinds["sent"]) == (
+        "double",
+        "int64",
+        "string",
+        "int64",
+    )
+
+
+def test_the_truth_has_a_table_of_its_own_where_there_is_one(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", FLEET) as recorder:
+        for received_ns, key, message in messages(FLEET, in_formation(FLEET), truth=True):
+            recorder.record(received_ns, key, encode(message))
+    tables = tabulate(Recording.from_folder(tmp_path))
+    assert set(tables) == {*TABLES, "truths"}
+    measured, true = (np.asarray(tables[name]["x_m"]) for name in ("plants", "truths"))
+    assert measured == pytest.approx(true + 0.5)
+
+
+def test_columns_of_a_table_have_one_length(run: Path) -> None:
+    for name, columns in tabulate(Recording.from_folder(run)).items():
+        assert len({len(column) for column in columns.values()}) == 1, name
+
+
+def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ExportError, match=r"^unknown format 'xlsx'; there are csv, parquet, json$"):
+        export(run, "xlsx")
+    (run / "empty").mkdir()
+    with pytest.raises(RecordingError, match=r"empty holds no run\.mcap"):
+        export(run / "empty", "csv")
+    (run / "file").touch()
+    with pytest.raises(ExportError, match=rf"^cannot write the export to {run / 'file'}: File exists$"):
+        export(run, "csv", run / "file")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ExportError, match="Parquet needs pyarrow, which is not installed"):
+        export(run, "parquet")

@@ -1,0 +1,246 @@
+"""Reports: complete, self-contained, safe, and the same bytes however they are made."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import tomli_w
+
+from agent import keys
+from agent.fleet import Fleet, TrajectorySection, to_dict
+from agent.formation import resolve
+from agent.messages import Status, encode
+from deploy import figures
+from deploy.metrics import analyse, compute
+from deploy.recorder import Recorder, RecordingError
+from deploy.recording import Recording, RunData
+from deploy.report import finish, rebuild, write_report
+from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, triangle
+
+FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)
+FILES = ("metrics.json", "report.html", *(f"{name}.png" for name in figures.NAMES))
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Checks that every element is closed; collects attributes and text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def recorded(fleet: Fleet, sent: Iterable[Sent], mode: str = "run") -> Recording:
+    data = RunData(fleet, mode=mode)
+    for each in sent:
+        data.feed(*each)
+    return data.recording()
+
+
+def leave_run(
+    folder: Path, fleet: Fleet, sent: Iterable[Sent], *, mode: str = "run", reasons: Iterable[str] = ()
+) -> Recording:
+    """What a run leaves before its report; the recording that was fed live."""
+    data = RunData(fleet, mode=mode)
+    toml = tomli_w.dumps(to_dict(fleet))
+    (folder / "fleet.toml").write_text(toml)
+    with Recorder(folder / "run.mcap", fleet, mode=mode, fleet_toml=toml) as recorder:
+        for received_ns, key, message in sent:
+            recorder.record(received_ns, key, encode(message))
+            data.feed(received_ns, key, message)
+        recorder.set_outcome(list(reasons))
+    return data.recording(reasons=list(reasons))
+
+
+def good_run() -> Iterator[Sent]:
+    return messages(FLEET, in_formation(FLEET, 0.3, calm_s=0.4))
+
+
+def test_live_and_rebuilt_reports_are_the_same_bytes(tmp_path: Path) -> None:
+    recording = leave_run(tmp_path, FLEET, good_run())
+    found = finish(tmp_path, recording)
+    assert found["verdict"]["passed"]
+    live = {name: (tmp_path / name).read_bytes() for name in FILES}
+    for name in FILES:
+        (tmp_path / name).unlink()
+    assert rebuild(tmp_path) == found
+    assert {name: (tmp_path / name).read_bytes() for name in FILES} == live
+    assert json.loads(live["metrics.json"]) == found
+
+
+def test_the_page_needs_nothing_beside_itself(tmp_path: Path) -> None:
+    finish(tmp_path, leave_run(tmp_path, FLEET, good_run()))
+    text = (tmp_path / "report.html").read_text()
+    page = Page(text)
+    sources = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
+    assert len(sources) == len(figures.NAMES)
+    for source, name in zip(sources, ("trajectories", "distances", "forces", "timing"), strict=True):
+        assert source is not None
+        prefix, _, data = source.partition(",")
+        assert prefix == "data:image/png;base64"
+        assert base64.b64decode(data) == (tmp_path / f"{name}.png").read_bytes()
+    tags = {tag for tag, _ in page.tags}
+    assert not tags & {"script", "link", "iframe", "object"}
+    assert not re.findall(r"(?:href|src|url\()\s*=?\s*[\"']?(?!data:)\w+:", text)
+    assert all(attributes.get("alt") for tag, attributes in page.tags if tag == "img")
+
+
+def test_a_good_run_is_said_to_be_one(tmp_path: Path) -> None:
+    found = finish(tmp_path, leave_run(tmp_path, FLEET, good_run()))
+    page = Page((tmp_path / "report.html").read_text())
+    settled = found["settling_time_s"]
+    assert f"The fleet was in formation after {settled:.1f} s and stayed so to the end." in page.text
+    assert "Passed" in page.text
+    assert "What to try" not in page.text
+    assert "handfast run fleet.toml --seed 0" in page.text
+    assert 'name = "made-up"' in page.text
+
+
+def test_a_failed_run_says_why_and_what_to_try(tmp_path: Path) -> None:
+    sent = messages(FLEET, in_formation(FLEET, 1.5, calm_s=1e9))
+    found = finish(tmp_path, leave_run(tmp_path, FLEET, sent, reasons=["Robot 2's agent died: <boom>."]))
+    page = Page((tmp_path / "report.html").read_text())
+    assert "Failed" in page.text
+    assert found["verdict"]["reasons"][0] == "Robot 2's agent died: <boom>."
+    for reason in found["verdict"]["reasons"]:
+        assert reason in page.text
+    assert "What to try" in page.text
+    assert "drive for longer" in page.text
+
+
+def test_texts_of_others_are_escaped(tmp_path: Path) -> None:
+    """Descriptions, reasons of states and names of counters come from outside."""
+    attack = '<script>alert("x")</script>&amp;'
+    fleet = replace(FLEET, fleet=replace(FLEET.fleet, description=attack))
+    sent = []
+    for received_ns, key, message in messages(fleet, in_formation(fleet)):
+        if type(message) is Status:
+            message = message._replace(state="fault", reason=attack, counters=((f"rejected.{attack}", 1),))
+        sent.append((received_ns, key, message))
+    finish(tmp_path, leave_run(tmp_path, fleet, sent, reasons=[attack]))
+    page = Page((tmp_path / "report.html").read_text())
+    assert "script" not in {tag for tag, _ in page.tags}
+    # Title line, verdict, six robots' reasons twice, one counter, the fleet file.
+    assert page.text.count(attack) >= 9
+
+
+def test_virtual_time_has_no_tick_time(tmp_path: Path) -> None:
+    found = finish(tmp_path, leave_run(tmp_path, FLEET, good_run(), mode="simulate"))
+    assert found["tick"]["p50_us"] is None
+    page = Page((tmp_path / "report.html").read_text())
+    assert "in virtual time" in page.text
+    assert "started" not in page.text.split("Passed")[0]
+
+
+def test_a_truncated_recording_is_reported_with_a_note(tmp_path: Path) -> None:
+    leave_run(tmp_path, FLEET, good_run())
+    content = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(content[: len(content) // 2])
+    found = rebuild(tmp_path)
+    assert any(reason.startswith("The run ended after") for reason in found["verdict"]["reasons"])
+    assert "is cut short or damaged" in Page((tmp_path / "report.html").read_text()).text
+
+
+def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
+    recording = leave_run(tmp_path, FLEET, good_run())
+    found = compute(recording, FLEET, resolve(FLEET), mode="run", seed=0)
+    (tmp_path / "distances.png").mkdir()
+    with pytest.raises(RecordingError, match=r"^cannot write .*distances\.png: Is a directory$"):
+        write_report(tmp_path, recording, FLEET, found)
+
+
+# --- figures ---------------------------------------------------------------------------------
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    header = path.read_bytes()[:24]
+    assert header[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", header[16:24])
+    return width, height
+
+
+def draw(folder: Path, fleet: Fleet, sent: Iterable[Sent]) -> dict[str, Path]:
+    recording = recorded(fleet, sent)
+    return figures.write_figures(folder, recording, fleet, analyse(recording, resolve(fleet)))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5])
+def test_fleets_of_any_size_are_drawn(tmp_path: Path, rows: int) -> None:
+    fleet = make_fleet(*triangle(rows), velocity=(0.2, 0.0), duration_s=1.0, rate_hz=10)
+    paths = draw(tmp_path, fleet, messages(fleet, in_formation(fleet, 0.2)))
+    assert set(paths) == set(figures.NAMES)
+    for path in paths.values():
+        width, height = size_of(path)
+        assert 500 <= width <= 1500
+        assert 400 <= height <= 1500
+
+
+def test_runs_with_holes_are_drawn(tmp_path: Path) -> None:
+    nothing_of_2 = [each for each in good_run() if "robot/2/" not in each[1]]
+    poses_only = [
+        each for each in good_run() if "plant/state" in each[1] or each[1] == keys.mission("made-up")
+    ]
+    for sent in (nothing_of_2, poses_only, []):
+        assert set(draw(tmp_path, FLEET, sent)) == set(figures.NAMES)
+
+
+def test_no_text_of_software_or_date_is_in_a_figure(tmp_path: Path) -> None:
+    for path in draw(tmp_path, FLEET, good_run()).values():
+        chunks = set(re.findall(rb"(tEXt|iTXt|zTXt|tIME)", path.read_bytes()[:200]))
+        assert not chunks
+
+
+def test_drawing_leaves_no_setting_behind_and_heeds_none(tmp_path: Path) -> None:
+    plain = draw(tmp_path, FLEET, good_run())["forces"].read_bytes()
+    with mpl.rc_context({"lines.linewidth": 9.0, "font.size": 20.0, "axes.facecolor": "black"}):
+        again = draw(tmp_path, FLEET, good_run())["forces"].read_bytes()
+        assert mpl.rcParams["font.size"] == 20.0
+    assert again == plain
+
+
+def test_the_formation_is_drawn_at_start_and_end_and_where_it_is_apart() -> None:
+    def moments(trajectory: TrajectorySection) -> list[float]:
+        fleet = replace(FLEET, trajectory=trajectory)
+        recording = recorded(fleet, messages(fleet, in_formation(fleet)))
+        a = analyse(recording, resolve(fleet))
+        return [float(a.grid[k]) for k in figures._moments(a)]
+
+    assert moments(TrajectorySection("hold")) == [0.0, 3.0]
+    assert moments(TrajectorySection("line", velocity_mps=(2.0, 0.0))) == pytest.approx(
+        [0, 0.75, 1.5, 2.25, 3], abs=0.06
+    )
+    # 0.6 m in all is not half the formation's width: one more between would be a blur.
+    assert moments(TrajectorySection("line", velocity_mps=(0.2, 0.0))) == [0.0, 3.0]
+
+
+def test_the_figures_are_not_blank(tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    for path in draw(tmp_path, FLEET, good_run()).values():
+        ink = np.asarray(imread(path))[..., :3].min(axis=2) < 0.9
+        assert 0.005 < ink.mean() < 0.5
