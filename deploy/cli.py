@@ -219,7 +219,7 @@ def _simulate(options: argparse.Namespace) -> int:
     folder = _folder(options, fleet, "simulate")
     watch = Watch(fleet, resolve(fleet))
     interrupt = Interrupt()
-    view = make_view(quiet=options.quiet)
+    view = make_view(quiet=options.quiet, period_s=fleet.fleet.duration_s / 10)
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:
         message = folder.record(received_ns, key, payload)

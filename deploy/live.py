@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Protocol, TextIO
@@ -139,23 +139,23 @@ class View(Protocol):
         ...
 
 
-def make_view(stream: TextIO | None = None, *, quiet: bool = False) -> View:
-    """A live table on a terminal, plain lines elsewhere, only what matters when `quiet`."""
+def make_view(stream: TextIO | None = None, *, quiet: bool = False, period_s: float = 2.0) -> View:
+    """A live table on a terminal; elsewhere plain lines, one for each `period_s` of fleet time.
+
+    When `quiet`, only what `say` is told.
+    """
     stream = sys.stderr if stream is None else stream
     if quiet or not stream.isatty():
-        return Lines(stream, quiet=quiet)
+        return Lines(stream, quiet=quiet, period_s=period_s)
     return Terminal(Console(file=stream))
 
 
 class Lines:
     """Plain lines, for logs and pipes."""
 
-    PERIOD_S: Final = 2.0
-
-    def __init__(self, stream: TextIO, *, quiet: bool) -> None:
-        self._stream, self._quiet = stream, quiet
+    def __init__(self, stream: TextIO, *, quiet: bool, period_s: float) -> None:
+        self._stream, self._quiet, self._period_s = stream, quiet, period_s
         self._due_s = 0.0
-        self._last: Sequence[str] = ()
 
     def __enter__(self) -> Lines:
         return self
@@ -171,7 +171,7 @@ class Lines:
     def show(self, picture: Picture) -> None:
         if self._quiet or picture.time_s is None or picture.time_s < self._due_s:
             return
-        self._due_s = (picture.time_s // self.PERIOD_S + 1.0) * self.PERIOD_S
+        self._due_s = (picture.time_s // self._period_s + 1.0) * self._period_s
         self.say(f"{picture.time_s:6.1f} s  {summary(picture)}")
 
 
