@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+import termios
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Final, Protocol, TextIO
+from typing import Any, Final, Protocol, TextIO
 
 import numpy as np
 from rich.console import Console, Group
@@ -181,8 +183,15 @@ class Terminal:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._settings: list[Any] | None = None
 
     def __enter__(self) -> Terminal:
+        # A Ctrl-C that the terminal echoes as ^C would shift the table from where it is redrawn.
+        with suppress(termios.error, ValueError, OSError):
+            self._settings = termios.tcgetattr(self._console.file.fileno())
+            quiet = list(self._settings)
+            quiet[3] &= ~termios.ECHOCTL
+            termios.tcsetattr(self._console.file.fileno(), termios.TCSANOW, quiet)
         self._live.__enter__()
         return self
 
@@ -190,6 +199,8 @@ class Terminal:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._live.__exit__(kind, error, trace)
+        if self._settings is not None:
+            termios.tcsetattr(self._console.file.fileno(), termios.TCSANOW, self._settings)
 
     def say(self, text: str) -> None:
         self._console.print(Text(text))

@@ -182,8 +182,10 @@ class LocalRun:
     def _stop(self, bus: Bus) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
         hurried = self._interrupt.count > 0
+        if hurried:
+            self._view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
         deadline = time.monotonic() + (INTERRUPT_STOP_TIMEOUT_S if hurried else STOP_TIMEOUT_S)
-        why = "Ctrl-C" if hurried else "; ".join(self.reasons) or "the run is over"
+        why = "interrupted" if hurried else "; ".join(self.reasons) or "the run is over"
         now_ns = self._clock.now_ns()
         stop = Stop(max(self._version, now_ns // 1_000_000), now_ns, why[:100])
         bus.publish(keys.stop(self._fleet.fleet.name), encode(stop))
