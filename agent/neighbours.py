@@ -87,13 +87,16 @@ class Neighbours:
         self._following = [False] * count
         self._copies: list[float | None] = [None] * count
         self._early: dict[int, HandState] = {}
+        self._tick_ns = _NEVER
         self.received = self.lost = self.delayed = self.duplicated = 0
 
     def begin(self, now_ns: int) -> None:
-        """Begins the tick at `now_ns`: takes what came too early for the last one."""
-        early, self._early = self._early, {}
-        for message in early.values():
-            self.accept(message, now_ns)
+        """Begins the tick at `now_ns`, if it has not begun: takes what came too early for the last one."""
+        if now_ns > self._tick_ns:
+            self._tick_ns = now_ns
+            early, self._early = self._early, {}
+            for message in early.values():
+                self.accept(message, now_ns)
 
     def accept(self, message: HandState, now_ns: int) -> str | None:
         """Takes a neighbour's message at the tick `now_ns`; returns why it is refused, None when it is taken.
@@ -106,6 +109,7 @@ class Neighbours:
         would be up to the scheduler. So a message of this tick waits for the next one: every
         robot works with its neighbours' last tick, as the joint sweep supposes.
         """
+        self.begin(now_ns)
         column = self._column.get(message.robot)
         if column is None:
             return "stranger"
