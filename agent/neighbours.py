@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from math import cos, cosh, exp, sin, sinh, sqrt
-from typing import Final, NamedTuple
+from math import cos, exp, sin, sqrt
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,20 +33,22 @@ def transition(c1: float, c2: float, age: float) -> tuple[float, float, float, f
     Returns (a11, a12, a21, a22, b1, b2) with [e; e'] <- [[a11, a12], [a21, a22]] [e; e'] + [b1; b2] F_c,
     that is exp(A T) and A^-1 (exp(A T) - I) B. c1 > 0.
     """
+    # c and s are cos and sin / omega (or cosh and sinh / omega, or 1 and age) with the decay in them:
+    # of two real roots each keeps its own exponential, for cosh would overflow.
     sigma = 0.5 * c2
     discriminant = sigma * sigma - c1
+    omega = sqrt(abs(discriminant))
     if discriminant < 0.0:
-        omega = sqrt(-discriminant)
-        c, s = cos(omega * age), sin(omega * age) / omega
+        decay = exp(-sigma * age)
+        c, s = decay * cos(omega * age), decay * sin(omega * age) / omega
     elif discriminant > 0.0:
-        omega = sqrt(discriminant)
-        c, s = cosh(omega * age), sinh(omega * age) / omega
+        slow, fast = exp((omega - sigma) * age), exp(-(omega + sigma) * age)
+        c, s = 0.5 * (slow + fast), 0.5 * (slow - fast) / omega
     else:
-        c, s = 1.0, age
-    decay = exp(-sigma * age)
-    a12 = decay * s
-    a22 = decay * (c - sigma * s)
-    return decay * (c + sigma * s), a12, -c1 * a12, a22, (1.0 - a22 - c2 * a12) / c1, a12
+        c = exp(-sigma * age)
+        s = age * c
+    a22 = c - sigma * s
+    return c + sigma * s, s, -c1 * s, a22, (1.0 - a22 - c2 * s) / c1, s
 
 
 class Prediction(NamedTuple):
@@ -81,7 +83,7 @@ class Neighbours:
         self._c1, self._c2 = c1, c2
         self._period_ns = period_ns
         count = len(self.ids)
-        self._state = np.zeros((8, count))  # x y vx vy, F_n, F_c by column
+        self._state = np.zeros((8, count))  # position less offset, velocity, F_n, F_c by column
         self._time_ns = [_NEVER] * count
         self._sequence = [_NEVER] * count
         self._following = [False] * count
@@ -122,11 +124,17 @@ class Neighbours:
                 return "duplicate"
             return "out_of_order"
         if now_ns <= time_ns < now_ns + self._period_ns:
-            self._early[column] = message
+            waiting = self._early.setdefault(column, message)
+            if waiting is not message:
+                if waiting.time_ns >= time_ns:
+                    self.duplicated += waiting.time_ns == time_ns
+                    return "duplicate" if waiting.time_ns == time_ns else "out_of_order"
+                self._early[column] = message
             return None
-        gap = message.sequence - self._sequence[column] - 1
-        if self._sequence[column] != _NEVER and gap > 0:
-            self.lost += gap
+        if self._sequence[column] != _NEVER:
+            # No more can be missing than there was time for, whatever the numbers say.
+            gap = message.sequence - self._sequence[column] - 1
+            self.lost += max(0, min(gap, (time_ns - self._time_ns[column]) // self._period_ns))
         self.received += 1
         if now_ns - time_ns > 2 * self._period_ns:
             self.delayed += 1
@@ -134,6 +142,7 @@ class Neighbours:
         self._sequence[column] = message.sequence
         self._following[column] = message.following
         self._state[:, column] = message[4:12]
+        self._state[0:2, column] -= self._offsets[:, column]
         self._copies[column] = next(
             (value for robot, value in message.multipliers if robot == self._owner), None
         )
@@ -159,32 +168,24 @@ class Neighbours:
 
         A message from before `epoch_ns` is of a robot that stands until then.
         """
-        rows = []
-        for stamp in self._time_ns:
-            since = max(stamp, epoch_ns)
-            rows.append(transition(self._c1, self._c2, (time_ns - since) * 1e-9) + reference(since))
-        a11, a12, a21, a22, b1, b2, x, y, vx, vy, _, _ = np.array(rows).T
-        x1, y1, vx1, vy1, ax1, ay1 = reference(time_ns)
-        state, offsets = self._state, self._offsets
-        constraint = state[6:8]
-        error = state[0:2] - offsets
-        error[0] -= x
-        error[1] -= y
-        error_rate = state[2:4].copy()
-        error_rate[0] -= vx
-        error_rate[1] -= vy
-        position = a11 * error + a12 * error_rate + b1 * constraint
-        velocity = a21 * error + a22 * error_rate + b2 * constraint
-        navigation = -self._c1 * position - self._c2 * velocity
-        navigation[0] += ax1
-        navigation[1] += ay1
-        position += offsets
-        position[0] += x1
-        position[1] += y1
-        velocity[0] += vx1
-        velocity[1] += vy1
+        since = [max(stamp, epoch_ns) for stamp in self._time_ns]
+        carry: Any
+        if since.count(since[0]) == len(since):  # all of one round, as a rule: one step serves all
+            carry = transition(self._c1, self._c2, (time_ns - since[0]) * 1e-9)
+            then = np.array(reference(since[0])[:4]).reshape(4, 1)
+        else:
+            carry = np.array([transition(self._c1, self._c2, (time_ns - at) * 1e-9) for at in since]).T
+            then = np.array([reference(at)[:4] for at in since]).T
+        a11, a12, a21, a22, b1, b2 = carry
+        place, speed, acceleration = np.array(reference(time_ns)).reshape(3, 2, 1)
+        error = self._state[0:4] - then
+        e, edot, constraint = error[0:2], error[2:4], self._state[6:8].copy()
+        e_new = a11 * e + a12 * edot + b1 * constraint
+        edot_new = a21 * e + a22 * edot + b2 * constraint
+        navigation = acceleration - self._c1 * e_new - self._c2 * edot_new
+        position = e_new + self._offsets + place
+        velocity = edot_new + speed
         if not all(self._following):
-            constraint = constraint.copy()
             for column, following in enumerate(self._following):
                 if not following:
                     self._coast(column, time_ns, position, velocity)
@@ -196,4 +197,5 @@ class Neighbours:
         remains = exp(-(time_ns - self._time_ns[column]) * 1e-9 / BRAKING_TIME_S)
         moving = self._state[2:4, column]
         velocity[:, column] = remains * moving
-        position[:, column] = self._state[0:2, column] + BRAKING_TIME_S * (1.0 - remains) * moving
+        position[:, column] = self._state[0:2, column] + self._offsets[:, column]
+        position[:, column] += BRAKING_TIME_S * (1.0 - remains) * moving
