@@ -17,6 +17,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.messages import (
+    FLOAT_MAX,
     HandState,
     Malformed,
     Mission,
@@ -24,6 +25,7 @@ from agent.messages import (
     Status,
     Stop,
     Wrench,
+    clipped,
     decode,
     encode,
 )
@@ -168,11 +170,13 @@ class Agent:
         if self._mission is None or mission.version > self._mission.version:
             self._mission = mission
             self._refused_mission = ""
-            self._stop = None
+            self._references.clear()
+            if self._stop is not None and self._stop.version < mission.version:
+                self._stop = None
         return None
 
     def _accept_stop(self, stop: Stop) -> str | None:
-        # A stop belongs to the mission it was sent in: only a mission of a later version ends it.
+        # A stop is for all missions up to its version: only a later one ends it, whichever comes first.
         if self._mission is not None and stop.version < self._mission.version:
             return "out_of_order"
         self._stop = stop
@@ -308,7 +312,8 @@ class Agent:
             ux, uy = ux * self._acceleration_max / size, uy * self._acceleration_max / size
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         here = hand.hand(self._pose_at(now_ns), self._reach)
-        if not isfinite(force + torque + here.x + here.y + here.vx + here.vy + cx + cy + nx + ny):
+        sent = (force, torque, *here, nx, ny, cx, cy, *self._multipliers.tolist())
+        if not isfinite(sum(sent)) or max(sent) > FLOAT_MAX or min(sent) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
             self._numbers = f"the law gave force {force} N and torque {torque} N m at speed {body.speed} m/s"
             return self._brake(now_ns)
@@ -349,7 +354,7 @@ class Agent:
         out = [self._wrench(now_ns, 0.0, 0.0, brake=True)]
         if not self._plant_trouble:
             here = hand.hand(self._pose_at(now_ns), self._reach)
-            if isfinite(here.x + here.y + here.vx + here.vy):
+            if max(map(abs, here)) <= FLOAT_MAX:
                 follows = self.state is State.READY and self._mission is not None
                 out.append(self._hand(now_ns, here, follows, 0.0, 0.0, 0.0, 0.0))
         return out
@@ -392,7 +397,7 @@ class Agent:
             self._status_sequence,
             now_ns,
             self.state.value,
-            self.reason,
+            clipped(self.reason),
             self._mission.version if self._mission is not None else 0,
             tuple(
                 (other, -1 if age is None else max(age, 0) // 1000)

@@ -154,9 +154,10 @@ class ControlSection:
     )
     prediction_horizon_s: float = setting(
         2.0,
-        "A neighbour's last state is predicted ahead this long at most; 0 turns it off.",
+        "A neighbour's last state is carried forward this long at most; one that is silent for longer makes "
+        "the robot hold. At least two periods.",
         unit="s",
-        ge=0,
+        gt=0,
         le=60,
     )
     plant_timeout_s: float = setting(
@@ -617,7 +618,7 @@ def _check_trajectory(trajectory: Mapping[str, Any], raw: Mapping[str, Any], rea
 
 def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
     rate = values.get("fleet", {}).get("rate_hz")
-    for key in ("plant_timeout_s", "wrench_timeout_s"):
+    for key in ("plant_timeout_s", "wrench_timeout_s", "prediction_horizon_s"):
         timeout = values.get("control", {}).get(key)
         if rate is not None and timeout is not None and timeout < 2 / rate * (1 - 1e-9):
             reader.add(

@@ -20,6 +20,8 @@ VERSION: Final = 1
 BYTES_MAX: Final = 4096
 NEIGHBOURS_MAX: Final = 64
 TEXT_MAX: Final = 200
+FLOAT_MAX: Final = 1e15
+"""No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
 
 REASONS: Final = ("oversized", "malformed", "version", "type", "not_finite", "range")
@@ -192,36 +194,49 @@ def decode(payload: bytes) -> Message:
         raise Malformed("type", f"message type {_shown(number)} is not known")
     expected = _FIELD_TYPES[number]
     if tuple(map(type, fields)) != expected:
-        fields = _coerced(fields, expected, _CLASSES[number])
+        fields = _coerced(fields, expected, _CLASSES[number].__name__, _CLASSES[number]._fields)
     floats = _FLOATS[number]
-    # One sum instead of a test for each: NaN and infinities survive every addition.
-    if floats is not None and not isfinite(sum(fields[floats])):
-        raise Malformed(
-            "not_finite", f"{_CLASSES[number].__name__} holds a NaN, an infinity or an absurd value"
-        )
+    if floats is not None:
+        _check_floats(fields[floats], _CLASSES[number].__name__)
     return _CHECKS[number](fields)
 
 
+def _check_floats(values: list[float], what: str) -> None:
+    # One sum instead of a test for each: NaN and infinities survive every addition.
+    if not isfinite(sum(values)):
+        raise Malformed("not_finite", f"{what} holds a NaN or an infinity")
+    if max(values) > FLOAT_MAX or min(values) < -FLOAT_MAX:
+        raise Malformed("range", f"{what} holds a number beyond +-{FLOAT_MAX:g}")
+
+
+def clipped(text: str) -> str:
+    """`text` cut to what a message may hold, `TEXT_MAX` bytes."""
+    data = text.encode()
+    return text if len(data) <= TEXT_MAX else data[: TEXT_MAX - 3].decode(errors="ignore") + "..."
+
+
 def _shown(value: Any) -> str:
+    if isinstance(value, list):  # its repr could be as deep as the sender liked
+        return "an array"
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def _coerced(fields: list[Any], expected: tuple[type, ...], cls: type[Message]) -> list[Any]:
+def _coerced(fields: list[Any], expected: tuple[type, ...], what: str, names: tuple[str, ...]) -> list[Any]:
     """Fields of the right types, or `Malformed`.
 
     Other languages' encoders write 1.0 as the integer 1: such a number is taken as a float.
     """
     if len(fields) != len(expected):
-        raise Malformed("malformed", f"{cls.__name__} has {len(expected)} fields, got {len(fields)}")
+        raise Malformed("malformed", f"{what} has {len(expected)} fields, got {len(fields)}")
     out = []
-    for value, wanted, name in zip(fields, expected, cls._fields, strict=True):
+    for value, wanted, name in zip(fields, expected, names, strict=True):
         if type(value) is wanted:
             out.append(value)
         elif wanted is float and type(value) is int and -(2**53) <= value <= 2**53:
             out.append(float(value))
         else:
-            raise Malformed("malformed", f"{cls.__name__}.{name} is {_shown(value)}, not a {wanted.__name__}")
+            raise Malformed("malformed", f"{what}.{name} is {_shown(value)}, not a {wanted.__name__}")
     return out
 
 
@@ -239,19 +254,17 @@ def _hand_state(fields: list[Any]) -> HandState:
     multipliers = fields[12]
     if len(multipliers) > NEIGHBOURS_MAX:
         raise Malformed("range", f"{len(multipliers)} multipliers, at most {NEIGHBOURS_MAX} are accepted")
-    total = 0.0
+    pairs = []
     for entry in multipliers:
-        if (
-            type(entry) is not list
-            or len(entry) != 2
-            or type(entry[0]) is not int
-            or type(entry[1]) is not float
-        ):
+        if type(entry) is not list or len(entry) != 2 or type(entry[0]) is not int:
             raise Malformed("malformed", f"multiplier {_shown(entry)} is not [neighbour, lambda]")
-        total += entry[1]
-    if not isfinite(total):
-        raise Malformed("not_finite", "a multiplier is not finite")
-    fields[12] = tuple(map(tuple, multipliers))
+        neighbour, value = entry
+        if type(value) is not float:
+            (value,) = _coerced([value], (float,), "HandState", ("multipliers",))
+        if not -FLOAT_MAX <= value <= FLOAT_MAX:
+            _check_floats([value], "a multiplier")
+        pairs.append((neighbour, value))
+    fields[12] = tuple(pairs)
     return HandState._make(fields)
 
 

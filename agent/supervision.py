@@ -89,6 +89,7 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
         lambda c: not c.stop,
         _missing,
     ),
+    Transition("rescheduled", _ACTIVE, State.READY, lambda c: not c.started, lambda c: "for the epoch"),
     Transition(
         "neighbour_silent", _ACTIVE, State.HOLDING, lambda c: bool(c.neighbours), lambda c: c.neighbours
     ),

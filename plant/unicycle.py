@@ -5,7 +5,7 @@ Pure. Poses are in W (world ENU).
 
 from __future__ import annotations
 
-from math import ceil, cos, exp, sin
+from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
 from agent import draws
@@ -19,6 +19,10 @@ TURN_MAX: Final = 0.5
 BRAKE_TIME_S: Final = 0.1
 BRAKE_DECELERATION_MAX: Final = 5.0
 BRAKE_SPIN_MAX: Final = 50.0
+REST: Final = 1e-6
+SPEED_MAX: Final = 1e3
+YAW_RATE_MAX: Final = 1e3
+"""A simulated body that is driven beyond these (m/s, rad/s) is broken, and says so."""
 
 # Gauss-Legendre on [0, 1], five points: exact for polynomials of degree 9.
 _NODES: Final = (
@@ -96,16 +100,20 @@ class Unicycle:
 
     Args:
         body: its mass, inertia, limits, lag, noise and start.
-        period_s: time between two steps; a brake takes at least one.
+        period_s: time between two steps, s; a brake takes at least one.
         seed: of the measurement noise; each robot's and each step's draw is its own.
+        timeout_s: a command acts for so long at most when no step follows, s.
     """
 
-    def __init__(self, body: Robot, period_s: float, seed: int) -> None:
+    def __init__(self, body: Robot, period_s: float, seed: int, timeout_s: float = inf) -> None:
         self._body = body
         self._pose = Pose(body.x_m, body.y_m, body.heading_rad, 0.0, 0.0)
         self._force = self._torque = Actuator(0.0, 0.0, 0.0)
         self._time_ns: int | None = None
+        self._period_s, self._timeout_s = period_s, timeout_s
         self._brake_time_s = max(BRAKE_TIME_S, period_s)
+        self._driving = False
+        self._broken = ""
         self._noise = (
             body.position_noise_m,
             body.position_noise_m,
@@ -121,29 +129,64 @@ class Unicycle:
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
         """See `PlantBackend.step`."""
-        body = self._body
-        force_now = torque_now = 0.0
         if self._time_ns is not None and now_ns > self._time_ns:
-            dt = (now_ns - self._time_ns) / NS_PER_S
-            self._pose = integrate(self._pose, self._force, self._torque, body.mass_kg, body.inertia_kgm2, dt)
-            force_now, torque_now = self._force.value(dt), self._torque.value(dt)
+            self._move((now_ns - self._time_ns) / NS_PER_S)
         self._time_ns = now_ns
-        if command is None:
-            force, torque, lag = *self._brake(), 0.0  # a brake is not the motor: it has no lag
+        self._driving = command is not None and not self._broken
+        if command is not None and self._driving:
+            self._actuate(command, self._body.actuator_lag_s)
         else:
-            force, torque, lag = *command, body.actuator_lag_s
-        force, torque = _limited(force, body.max_force_n), _limited(torque, body.max_torque_nm)
-        self._force, self._torque = Actuator(force_now, force, lag), Actuator(torque_now, torque, lag)
+            self._actuate(self._brake(), 0.0)  # a brake is not the motor: it has no lag
         pose, truth = self._measured()
         self._steps += 1
-        return Reading(now_ns, pose, self._force.value(0.0), self._torque.value(0.0), truth=truth)
+        force, torque = self._force.value(0.0), self._torque.value(0.0)
+        return Reading(now_ns, pose, force, torque, not self._broken, self._broken, truth)
 
-    def _brake(self) -> tuple[float, float]:
+    def _actuate(self, command: Command, lag: float) -> None:
+        """From now on the actuators go from what they give to `command`, within their limits."""
+        body = self._body
+        self._force = Actuator(self._force.start, _limited(command.force, body.max_force_n), lag)
+        self._torque = Actuator(self._torque.start, _limited(command.torque, body.max_torque_nm), lag)
+
+    def _move(self, dt: float) -> None:
+        """The body `dt` seconds on, with what was asked of it last.
+
+        A step that comes late (its process was frozen) finds a body that drove on for the timeout of
+        a motor's own watchdog, and then braked.
+        """
+        if self._driving:
+            driven = min(dt, self._timeout_s)
+            self._integrate(driven)
+            dt -= driven
+            if dt > 0.0:
+                self._actuate(self._brake(), 0.0)
+        while dt > 0.0 and (self._pose.speed or self._pose.yaw_rate):
+            held = min(dt, self._period_s)
+            self._integrate(held)
+            dt -= held
+            if abs(self._pose.speed) < REST and abs(self._pose.yaw_rate) < REST:
+                self._pose = self._pose._replace(speed=0.0, yaw_rate=0.0)
+            self._actuate(self._brake(), 0.0)
+
+    def _integrate(self, dt: float) -> None:
+        body, pose, force, torque = self._body, self._pose, self._force, self._torque
+        speed = pose.speed + force.first_integral(dt) / body.mass_kg
+        yaw_rate = pose.yaw_rate + torque.first_integral(dt) / body.inertia_kgm2
+        if abs(speed) <= SPEED_MAX and abs(yaw_rate) <= YAW_RATE_MAX:
+            self._pose = integrate(pose, force, torque, body.mass_kg, body.inertia_kgm2, dt)
+            self._force = force._replace(start=force.value(dt))
+            self._torque = torque._replace(start=torque.value(dt))
+        else:  # also when they are not numbers
+            self._broken = f"driven to {speed:.3g} m/s and {yaw_rate:.3g} rad/s: no such body holds together"
+            self._pose = pose._replace(speed=0.0, yaw_rate=0.0)
+            self._force = self._torque = Actuator(0.0, 0.0, 0.0)
+
+    def _brake(self) -> Command:
         """Force and torque that take speed and yaw rate to zero in a few brake times, and hold them there."""
         body, pose = self._body, self._pose
         deceleration = _limited(-pose.speed / self._brake_time_s, BRAKE_DECELERATION_MAX)
         spin = _limited(-pose.yaw_rate / self._brake_time_s, BRAKE_SPIN_MAX)
-        return body.mass_kg * deceleration, body.inertia_kgm2 * spin
+        return Command(body.mass_kg * deceleration, body.inertia_kgm2 * spin)
 
     def _measured(self) -> tuple[Pose, Pose | None]:
         if not any(self._noise):
@@ -160,4 +203,5 @@ class Unicycle:
 
 def from_fleet(fleet: Fleet, robot: int) -> Unicycle:
     """The simulated body of robot `robot`, as the fleet file has it."""
-    return Unicycle(fleet.robot(robot), fleet.period_ns / NS_PER_S, fleet.fleet.seed)
+    period_s, timeout_s = fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s
+    return Unicycle(fleet.robot(robot), period_s, fleet.fleet.seed, timeout_s)
