@@ -10,8 +10,6 @@ from collections import Counter
 from math import hypot, isfinite
 from typing import Final
 
-import numpy as np
-
 from agent import hand, keys, law
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest
@@ -73,8 +71,8 @@ class Agent:
             if index in (i, j):
                 partners[j if i == index else i] = distance
         columns = sorted(partners, key=lambda other: geometry.ids[other])
-        self._distances = np.array([partners[other] for other in columns])
-        self._degrees = np.array([float(degrees[index] + degrees[other]) for other in columns])
+        self._distances = [partners[other] for other in columns]
+        self._degrees = [degrees[index] + degrees[other] for other in columns]
         self._neighbours = Neighbours(
             robot,
             {geometry.ids[other]: geometry.offsets[other].tolist() for other in columns},
@@ -103,10 +101,11 @@ class Agent:
         self._sent: dict[int, tuple[float, float]] = {}  # by the plant tick that takes it
         self._leaving = False
         self._numbers = ""
-        self._multipliers = np.zeros(len(columns))
+        self._multipliers = [0.0] * len(columns)
         self._hand_sequence = self._wrench_sequence = self._status_sequence = 0
         self._status_due_ns = 0
         self._counters: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
         self._tick_us: list[int] = []
         self._ages_us: list[int] = []
         self._overruns = 0
@@ -149,8 +148,7 @@ class Agent:
             self._reject(reason)
 
     def _reject(self, reason: str) -> None:
-        self._counters["rejected"] += 1
-        self._counters[f"rejected.{reason}"] += 1
+        self.rejected[reason] += 1
 
     def _accept_plant(self, state: PlantState, now_ns: int) -> str | None:
         if state.time_ns > now_ns + FUTURE_NS_MAX:
@@ -199,8 +197,8 @@ class Agent:
 
     @property
     def done(self) -> bool:
-        """True when a leaving robot stands, or nothing is left that could stop it."""
-        return self._leaving and (self.state is State.STOPPED or bool(self._plant_trouble))
+        """True when a leaving robot stands, or nothing is known of it that could say so."""
+        return self._leaving and (bool(self._plant_trouble) or self._at_rest)
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
@@ -214,7 +212,7 @@ class Agent:
         if row is not None:
             self.reason = row.reason(conditions)
         if self.state is State.RUNNING and was is not State.RUNNING:
-            self._multipliers[:] = 0.0
+            self._multipliers = [0.0] * len(self._multipliers)
         out = self._drive(now_ns) if self.state is State.RUNNING else self._brake(now_ns)
         if now_ns >= self._status_due_ns or len(self._ages_us) > STATUS_VALUES_MAX or self.state is not was:
             out.append(self._status(now_ns, ages_ns))
@@ -230,7 +228,7 @@ class Agent:
         return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
 
     def _conditions(self, now_ns: int, ages_ns: list[int | None]) -> Conditions:
-        plant, mission = self._plant, self._mission
+        mission = self._mission
         silent = [
             str(other) if age is None else f"{other} ({age / NS_PER_S:.1f} s)"
             for other, age in zip(self._neighbours.ids, ages_ns, strict=True)
@@ -251,13 +249,16 @@ class Agent:
             stop=stop,
             # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
             started=mission is not None and self._next_plant_tick_ns(now_ns) >= mission.epoch_ns,
-            at_rest=plant is not None
-            and abs(plant.speed) < REST_SPEED
-            and abs(plant.yaw_rate) < REST_YAW_RATE,
+            at_rest=self._at_rest,
         )
 
     def _next_plant_tick_ns(self, now_ns: int) -> int:
         return next_tick_ns(now_ns, self.period_ns, 0)
+
+    @property
+    def _at_rest(self) -> bool:
+        plant = self._plant
+        return plant is not None and abs(plant.speed) < REST_SPEED and abs(plant.yaw_rate) < REST_YAW_RATE
 
     def _reference(self, time_ns: int) -> tuple[float, float, float, float, float, float]:
         """The formation's reference point at a wall time; the neighbours' stamps repeat, so it is kept."""
@@ -312,14 +313,12 @@ class Agent:
             ux, uy = ux * self._acceleration_max / size, uy * self._acceleration_max / size
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         here = hand.hand(self._pose_at(now_ns), self._reach)
-        sent = (force, torque, *here, nx, ny, cx, cy, *self._multipliers.tolist())
+        sent = (force, torque, *here, nx, ny, cx, cy, *self._multipliers)
         if not isfinite(sum(sent)) or max(sent) > FLOAT_MAX or min(sent) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
             self._numbers = f"the law gave force {force} N and torque {torque} N m at speed {body.speed} m/s"
             return self._brake(now_ns)
-        if len(self._sent) >= SENT_MAX:
-            del self._sent[next(iter(self._sent))]
-        self._sent[acting_ns - self.period_ns // 2] = force, torque
+        self._remember(now_ns, force, torque)
         return [
             self._wrench(now_ns, force, torque, brake=False),
             self._hand(now_ns, here, True, nx, ny, cx, cy),
@@ -329,28 +328,52 @@ class Agent:
         """Own constraint force F_c (32) at `time_ns`, m/s^2; moves the multipliers on by one tick."""
         assert self._mission is not None
         others = self._neighbours.predict(time_ns, self._reference, self._mission.epoch_ns)
-        edges = law.edges(
-            np.array(((own.x,), (own.y,))) - others.position,
-            np.array(((own.vx,), (own.vy,))) - others.velocity,
-            np.array(((nx,), (ny,))) - others.navigation,
-            self._distances,
-            self._safe_distance,
-            self._gains,
-        )
+        gains = self._gains
+        edges = [
+            law.edges(
+                (own.x - other.position[0], own.y - other.position[1]),
+                (own.vx - other.velocity[0], own.vy - other.velocity[1]),
+                (nx - other.navigation[0], ny - other.navigation[1]),
+                distance,
+                self._safe_distance,
+                gains,
+            )
+            for other, distance in zip(others, self._distances, strict=True)
+        ]
         if self._coupling == "joint":
             self._neighbours.average(self._multipliers)
-            mine = law.forces(edges, self._multipliers).sum(axis=1, keepdims=True)
-            self._multipliers = law.multipliers_sweep(
-                edges, self._multipliers, mine - others.constraint, self._degrees, self._gains
-            )
+            cx, cy = self._total(edges)
+            self._multipliers = [
+                law.multipliers_sweep(
+                    edge, multiplier, (cx - other.constraint[0], cy - other.constraint[1]), degrees, gains
+                )
+                for edge, multiplier, other, degrees in zip(
+                    edges, self._multipliers, others, self._degrees, strict=True
+                )
+            ]
         elif self._coupling == "edge":
-            self._multipliers = law.multipliers_edge(edges, self._gains)
+            self._multipliers = [law.multipliers_edge(edge, gains) for edge in edges]
         else:
-            self._multipliers = law.multipliers_penalty(edges, self._gains)
-        cx, cy = law.forces(edges, self._multipliers).sum(axis=1).tolist()
+            self._multipliers = [law.multipliers_penalty(edge, gains) for edge in edges]
+        return self._total(edges)
+
+    def _total(self, edges: list[law.Edges]) -> tuple[float, float]:
+        """Own constraint force (32) with the multipliers as they are, m/s^2."""
+        cx = cy = 0.0
+        for edge, multiplier in zip(edges, self._multipliers, strict=True):
+            fx, fy = law.forces(edge, multiplier)
+            cx += fx
+            cy += fy
         return cx, cy
 
+    def _remember(self, now_ns: int, force: float, torque: float) -> None:
+        """Keeps what the plant will be given at its next tick (N, N m)."""
+        if len(self._sent) >= SENT_MAX:
+            del self._sent[next(iter(self._sent))]
+        self._sent[self._next_plant_tick_ns(now_ns)] = force, torque
+
     def _brake(self, now_ns: int) -> list[Outgoing]:
+        self._remember(now_ns, 0.0, 0.0)  # how hard the plant brakes is its own affair
         out = [self._wrench(now_ns, 0.0, 0.0, brake=True)]
         if not self._plant_trouble:
             here = hand.hand(self._pose_at(now_ns), self._reach)
@@ -368,7 +391,7 @@ class Agent:
         self, now_ns: int, here: hand.Hand, following: bool, nx: float, ny: float, cx: float, cy: float
     ) -> Outgoing:
         multipliers = (
-            tuple(zip(self._neighbours.ids, self._multipliers.tolist(), strict=True))
+            tuple(zip(self._neighbours.ids, self._multipliers, strict=True))
             if self.state is State.RUNNING
             else ()
         )
@@ -388,9 +411,9 @@ class Agent:
             "delayed": neighbours.delayed,
             "duplicated": neighbours.duplicated,
             "corrupted": self._counters["corrupted"],
-            "rejected": self._counters["rejected"],
+            "rejected": sum(self.rejected.values()),
             "overruns": self._overruns,
-            **{name: count for name, count in sorted(self._counters.items()) if name.startswith("rejected.")},
+            **{f"rejected.{reason}": count for reason, count in sorted(self.rejected.items())},
         }
         status = Status(
             self.robot,

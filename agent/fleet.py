@@ -14,12 +14,14 @@ import json
 import math
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from agent.messages import NEIGHBOURS_MAX
 from agent.schema import Problem, Reader, about, build, entries, plain, printable, setting, show
 
 Pair = tuple[float, float]
@@ -542,6 +544,14 @@ def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader
         if first.setdefault(frozenset(edge), number) != number:
             reader.add(
                 place, f"{shown} is formation.edges[{first[frozenset(edge)]}] again: give each edge once"
+            )
+    degrees = Counter(end for edge in first for end in edge)
+    for robot_id, degree in sorted(degrees.items()):
+        if degree > NEIGHBOURS_MAX:
+            reader.add(
+                "formation.edges",
+                f"robot {robot_id} has {degree} edges: must be at most {NEIGHBOURS_MAX}, for its messages "
+                "must stay small",
             )
 
 

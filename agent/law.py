@@ -1,11 +1,13 @@
 """The constraint-force law of Zou & Pagilla (2008), and the joint multipliers that repair it.
 
-Pure, and vectorised over edges: an agent calls it with its own k edges, a simulation of a whole
-fleet with all m. Equation numbers are the paper's; those marked (J) are `docs/theory.md`'s.
+Pure, and elementwise over edges: every function takes one edge as floats or m of them as arrays of
+shape (m,). An agent calls it for each of its few edges, where floats are several times faster
+than small arrays; a simulation or a proof about a whole fleet calls it once with all m. Equation
+numbers are the paper's; those marked (J) are `docs/theory.md`'s.
 
-Vectors are arrays of shape (2, m), x and y first, in W (world ENU), one column an edge;
-scalars of an edge have shape (m,). Forces are per unit mass (m/s^2). An edge joins robot i and
-robot j and everything here is antisymmetric in them: the force on i is ``+force``, on j ``-force``.
+A vector is a pair of its x and y components in W (world ENU): a tuple of two floats, or an array
+of shape (2, m). Forces are per unit mass (m/s^2). An edge joins robot i and robot j and everything
+here is antisymmetric in them: the force on i is ``+force``, on j ``-force``.
 """
 
 from __future__ import annotations
@@ -16,6 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Scalar = Any
+"""A float, or an array of shape (m,)."""
+Vector = Any
+"""Two floats, or an array of shape (2, m): x and y."""
 
 CLEARANCE_MIN: Final = 1e-3
 """Least rho - r_s that the law computes with, as a share of d - r_s.
@@ -36,10 +42,10 @@ class Gains(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """What the law needs of m edges at one instant, each of shape (m,) unless said.
+    """What the law needs of one edge or of m at one instant.
 
     Attributes:
-        normal: n = (r_i - r_j) / rho, shape (2, m).
+        normal: n = (r_i - r_j) / rho, a vector.
         distance: rho = |r_i - r_j|, m.
         phi: constraint function (7).
         slope: phi' = d phi / d rho, so that a_ij = phi' n^T (10), 1/m.
@@ -47,84 +53,98 @@ class Edges(NamedTuple):
         demand: right-hand side of (33) with k_p: -Adot rdot - A F_n - k_d phidot - k_p phi, 1/s^2.
     """
 
-    normal: Array
-    distance: Array
-    phi: Array
-    slope: Array
-    rate: Array
-    demand: Array
+    normal: Vector
+    distance: Scalar
+    phi: Scalar
+    slope: Scalar
+    rate: Scalar
+    demand: Scalar
+
+
+def _at_least(value: Scalar, least: Scalar) -> Scalar:
+    if type(value) is float:
+        return value if value > least else least
+    return np.maximum(value, least)
+
+
+def _vector(x: Scalar, y: Scalar) -> Vector:
+    return (x, y) if type(x) is float else np.array((x, y))
 
 
 def edges(
-    offset: Array, velocity: Array, navigation: Array, distance: Any, safe_distance: float, gains: Gains
+    offset: Vector,
+    velocity: Vector,
+    navigation: Vector,
+    distance: Scalar,
+    safe_distance: float,
+    gains: Gains,
 ) -> Edges:
     """Constraint function, its derivatives and the demand on the multiplier, eqs (7)-(11), (33).
 
     Args:
-        offset: D = r_i - r_j, (2, m), m.
-        velocity: w = rdot_i - rdot_j, (2, m), m/s.
-        navigation: F_ni - F_nj, (2, m), m/s^2.
-        distance: wanted distances d, (m,) or one number, m; each above `safe_distance`.
+        offset: D = r_i - r_j, m.
+        velocity: w = rdot_i - rdot_j, m/s.
+        navigation: F_ni - F_nj, m/s^2.
+        distance: wanted distance d, m; above `safe_distance`.
         safe_distance: r_s, m.
         gains: k_d, k_2, k_p.
     """
-    rho = np.hypot(offset[0], offset[1])
-    np.maximum(rho, DISTANCE_MIN, out=rho)
-    normal = offset / rho
+    x, y = offset
+    wx, wy = velocity
+    fx, fy = navigation
+    rho = _at_least((x * x + y * y) ** 0.5, DISTANCE_MIN)
+    nx, ny = x / rho, y / rho
     span = distance - safe_distance
-    clearance = np.maximum(rho - safe_distance, CLEARANCE_MIN * span)
+    clearance = _at_least(rho - safe_distance, CLEARANCE_MIN * span)
     phi = (rho - distance) / clearance  # (7)
     slope = span / (clearance * clearance)  # phi'
-    nx, ny = normal
-    wx, wy = velocity
     closing = nx * wx + ny * wy  # n.w
     rate = slope * closing  # (9)
     # Adot rdot = phi'' (n.w)^2 + phi' (|w|^2 - (n.w)^2) / rho, with phi'' = -2 phi' / (rho - r_s)
     # and |w|^2 - (n.w)^2 = (n x w)^2, which does not cancel.
     across = nx * wy - ny * wx
     drift = across * across / rho - 2.0 * closing * closing / clearance
-    push = nx * navigation[0] + ny * navigation[1]  # n.(F_ni - F_nj)
+    push = nx * fx + ny * fy  # n.(F_ni - F_nj)
     demand = -slope * (drift + push) - gains.kd * rate - gains.kp * phi
-    return Edges(normal, rho, phi, slope, rate, demand)
+    return Edges(_vector(nx, ny), rho, phi, slope, rate, demand)
 
 
-def multipliers_edge(e: Edges, gains: Gains) -> Array:
-    """Each edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2. Shape (m,)."""
-    result: Array = e.demand / (gains.k2 + 2.0 * e.slope * e.slope)
-    return result
+def multipliers_edge(e: Edges, gains: Gains) -> Scalar:
+    """Each edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2."""
+    return e.demand / (gains.k2 + 2.0 * e.slope * e.slope)
 
 
-def multipliers_sweep(e: Edges, multipliers: Array, constraint: Array, degrees: Any, gains: Gains) -> Array:
-    """One damped sweep towards the joint multipliers of (J2), shape (m,).
+def multipliers_sweep(
+    e: Edges, multipliers: Scalar, constraint: Vector, degrees: Scalar, gains: Gains
+) -> Scalar:
+    """One damped sweep towards the joint multipliers of (J2).
 
     lambda <- lambda + (demand - k_2 lambda - phi' n.(F_ci - F_cj)) / (k_2 + phi'^2 (deg_i + deg_j)):
     mass-split Jacobi (Tonge et al. 2012); the degrees in the denominator make it converge on any
     graph. Each tick continues from the last one's multipliers.
 
     Args:
-        multipliers: lambda before the sweep, (m,).
-        constraint: F_ci - F_cj with those multipliers, (2, m), m/s^2.
-        degrees: deg_i + deg_j, (m,) or one number.
+        multipliers: lambda before the sweep.
+        constraint: F_ci - F_cj with those multipliers, m/s^2.
+        degrees: deg_i + deg_j.
     """
     pull = e.normal[0] * constraint[0] + e.normal[1] * constraint[1]
     residual = e.demand - gains.k2 * multipliers - e.slope * pull
-    result: Array = multipliers + residual / (gains.k2 + e.slope * e.slope * degrees)
-    return result
+    return multipliers + residual / (gains.k2 + e.slope * e.slope * degrees)
 
 
-def multipliers_penalty(e: Edges, gains: Gains) -> Array:
+def multipliers_penalty(e: Edges, gains: Gains) -> Scalar:
     """The potential-field law that the paper argues against: the gradient of k_p phi^2 / 2, damped.
 
-    lambda = -(k_p phi + k_d phidot), not divided by A A^T: kept as a yardstick. Shape (m,).
+    lambda = -(k_p phi + k_d phidot), not divided by A A^T: kept as a yardstick.
     """
-    result: Array = -(gains.kp * e.phi + gains.kd * e.rate)
-    return result
+    return -(gains.kp * e.phi + gains.kd * e.rate)
 
 
-def forces(e: Edges, multipliers: Array) -> Array:
-    """Constraint force of every edge on its robot i: A_i^T lambda = phi' lambda n (29), (2, m), m/s^2."""
-    result: Array = e.normal * (e.slope * multipliers)
-    return result
+def forces(e: Edges, multipliers: Scalar) -> Vector:
+    """Constraint force of every edge on its robot i: A_i^T lambda = phi' lambda n (29), m/s^2."""
+    size = e.slope * multipliers
+    return _vector(e.normal[0] * size, e.normal[1] * size)
 
 
 def total_forces(force: Array, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:

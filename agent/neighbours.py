@@ -9,11 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from math import cos, exp, sin, sqrt
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-import numpy as np
-
-from agent.law import Array
 from agent.messages import HandState
 
 _NEVER: Final = -1
@@ -52,15 +49,15 @@ def transition(c1: float, c2: float, age: float) -> tuple[float, float, float, f
 
 
 class Prediction(NamedTuple):
-    """Every neighbour at one instant, columns in the order of `Neighbours.ids`, W.
+    """One neighbour at one instant, vectors (x, y) in W.
 
-    position (2, k) m, velocity (2, k) m/s, navigation F_n (2, k) and constraint F_c (2, k) m/s^2.
+    position m, velocity m/s, navigation force F_n and constraint force F_c m/s^2.
     """
 
-    position: Array
-    velocity: Array
-    navigation: Array
-    constraint: Array
+    position: tuple[float, float]
+    velocity: tuple[float, float]
+    navigation: tuple[float, float]
+    constraint: tuple[float, float]
 
 
 class Neighbours:
@@ -79,14 +76,13 @@ class Neighbours:
         self.ids: Final = tuple(sorted(offsets))
         self._owner = owner
         self._column = {robot: column for column, robot in enumerate(self.ids)}
-        self._offsets = np.array([offsets[robot] for robot in self.ids]).reshape(-1, 2).T
+        self._offsets = [(offsets[robot][0], offsets[robot][1]) for robot in self.ids]
         self._c1, self._c2 = c1, c2
         self._period_ns = period_ns
         count = len(self.ids)
-        self._state = np.zeros((8, count))  # position less offset, velocity, F_n, F_c by column
+        self._latest: list[HandState | None] = [None] * count
         self._time_ns = [_NEVER] * count
         self._sequence = [_NEVER] * count
-        self._following = [False] * count
         self._copies: list[float | None] = [None] * count
         self._early: dict[int, HandState] = {}
         self._tick_ns = _NEVER
@@ -140,20 +136,19 @@ class Neighbours:
             self.delayed += 1
         self._time_ns[column] = time_ns
         self._sequence[column] = message.sequence
-        self._following[column] = message.following
-        self._state[:, column] = message[4:12]
-        self._state[0:2, column] -= self._offsets[:, column]
-        self._copies[column] = next(
-            (value for robot, value in message.multipliers if robot == self._owner), None
-        )
+        self._latest[column] = message
+        self._copies[column] = None
+        for robot, value in message.multipliers:
+            if robot == self._owner:
+                self._copies[column] = value
         return None
 
     def ages_ns(self, now_ns: int) -> list[int | None]:
         """Age of each neighbour's hand state, None where none has come; below 0 if its clock is ahead."""
         return [None if time_ns == _NEVER else now_ns - time_ns for time_ns in self._time_ns]
 
-    def average(self, multipliers: Array) -> None:
-        """Averages `multipliers` (k,), in place, with the neighbours' copies that came since the last call.
+    def average(self, multipliers: list[float]) -> None:
+        """Averages `multipliers`, one a neighbour, in place, with the copies that came since the last call.
 
         Both ends of an edge hold a copy of lambda; this keeps lambda_ij = lambda_ji, (31), when
         messages are lost.
@@ -163,39 +158,41 @@ class Neighbours:
                 multipliers[column] = 0.5 * (multipliers[column] + copy)
                 self._copies[column] = None
 
-    def predict(self, time_ns: int, reference: Reference, epoch_ns: int) -> Prediction:
-        """Every neighbour carried forward to `time_ns`. Each must have been heard.
+    def predict(self, time_ns: int, reference: Reference, epoch_ns: int) -> list[Prediction]:
+        """Every neighbour carried forward to `time_ns`, in the order of `ids`. Each must have been heard.
 
-        A message from before `epoch_ns` is of a robot that stands until then.
+        A message from before `epoch_ns` is of a robot that stands until then. One that is ahead of
+        `time_ns` (a clock that is ahead) is taken as it is.
         """
-        since = [max(stamp, epoch_ns) for stamp in self._time_ns]
-        carry: Any
-        if since.count(since[0]) == len(since):  # all of one round, as a rule: one step serves all
-            carry = transition(self._c1, self._c2, (time_ns - since[0]) * 1e-9)
-            then = np.array(reference(since[0])[:4]).reshape(4, 1)
-        else:
-            carry = np.array([transition(self._c1, self._c2, (time_ns - at) * 1e-9) for at in since]).T
-            then = np.array([reference(at)[:4] for at in since]).T
-        a11, a12, a21, a22, b1, b2 = carry
-        place, speed, acceleration = np.array(reference(time_ns)).reshape(3, 2, 1)
-        error = self._state[0:4] - then
-        e, edot, constraint = error[0:2], error[2:4], self._state[6:8].copy()
-        e_new = a11 * e + a12 * edot + b1 * constraint
-        edot_new = a21 * e + a22 * edot + b2 * constraint
-        navigation = acceleration - self._c1 * e_new - self._c2 * edot_new
-        position = e_new + self._offsets + place
-        velocity = edot_new + speed
-        if not all(self._following):
-            for column, following in enumerate(self._following):
-                if not following:
-                    self._coast(column, time_ns, position, velocity)
-                    navigation[:, column] = constraint[:, column] = 0.0
-        return Prediction(position, velocity, navigation, constraint)
+        c1, c2 = self._c1, self._c2
+        x1, y1, vx1, vy1, ax1, ay1 = reference(time_ns)
+        out = []
+        for message, (offset_x, offset_y) in zip(self._latest, self._offsets, strict=True):
+            assert message is not None
+            _, _, stamp, following, x, y, vx, vy, _, _, fx, fy, _ = message
+            if not following:
+                out.append(_coasting(message, max(0, time_ns - stamp) * 1e-9))
+                continue
+            since = min(max(stamp, epoch_ns), time_ns)
+            a11, a12, a21, a22, b1, b2 = transition(c1, c2, (time_ns - since) * 1e-9)
+            x0, y0, vx0, vy0, _, _ = reference(since)
+            ex, ey, edot_x, edot_y = x - offset_x - x0, y - offset_y - y0, vx - vx0, vy - vy0
+            new_x, new_y = a11 * ex + a12 * edot_x + b1 * fx, a11 * ey + a12 * edot_y + b1 * fy
+            new_vx, new_vy = a21 * ex + a22 * edot_x + b2 * fx, a21 * ey + a22 * edot_y + b2 * fy
+            out.append(
+                Prediction(
+                    (x1 + offset_x + new_x, y1 + offset_y + new_y),
+                    (vx1 + new_vx, vy1 + new_vy),
+                    (ax1 - c1 * new_x - c2 * new_vx, ay1 - c1 * new_y - c2 * new_vy),
+                    (fx, fy),
+                )
+            )
+        return out
 
-    def _coast(self, column: int, time_ns: int, position: Array, velocity: Array) -> None:
-        """A neighbour that brakes: its speed dies away, and it feels no force."""
-        remains = exp(-(time_ns - self._time_ns[column]) * 1e-9 / BRAKING_TIME_S)
-        moving = self._state[2:4, column]
-        velocity[:, column] = remains * moving
-        position[:, column] = self._state[0:2, column] + self._offsets[:, column]
-        position[:, column] += BRAKING_TIME_S * (1.0 - remains) * moving
+
+def _coasting(message: HandState, age: float) -> Prediction:
+    """A neighbour that brakes, `age` seconds later: its speed dies away, and it feels no force."""
+    remains = exp(-age / BRAKING_TIME_S)
+    way = BRAKING_TIME_S * (1.0 - remains)
+    position = message.x + way * message.vx, message.y + way * message.vy
+    return Prediction(position, (remains * message.vx, remains * message.vy), (0.0, 0.0), (0.0, 0.0))

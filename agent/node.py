@@ -6,7 +6,7 @@ Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 Outgoing = tuple[str, bytes]
@@ -45,6 +45,11 @@ class Node(Protocol):
         ...
 
     @property
+    def rejected(self) -> Mapping[str, int]:
+        """How many messages were not valid, by reason."""
+        ...
+
+    @property
     def done(self) -> bool:
         """True when, after `leave`, the process may end."""
         ...
@@ -58,7 +63,7 @@ class Node(Protocol):
         ...
 
     def timed(self, duration_ns: int, missed: int) -> None:
-        """Told after each tick how long it took and how many ticks were skipped before it."""
+        """Told after each tick how long it took, from draining to encoding, and how many it skipped."""
         ...
 
     def leave(self) -> None:

@@ -15,7 +15,7 @@ from agent.clock import NS_PER_S, Clock, RealClock
 from agent.fleet import Fleet, FleetError, load_fleet
 from agent.node import Node, next_tick_ns
 
-LEAVE_TIMEOUT_NS: Final = 4 * NS_PER_S // 10
+LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was told to end has this long to bring its robot to a standstill."""
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
 
@@ -66,9 +66,10 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> No
             log(f"ending ({shutdown.why})")
             node.leave()
             leave_by_ns = deadline_ns + LEAVE_TIMEOUT_NS
-        for key, payload in node.tick(deadline_ns):
-            bus.publish(key, payload)
+        outgoing = node.tick(deadline_ns)
         node.timed(clock.now_ns() - start_ns, missed)
+        for key, payload in outgoing:
+            bus.publish(key, payload)
         if node.condition[0] != state:
             state, reason = node.condition
             log(f"{state}: {reason}" if reason else state)
@@ -91,6 +92,10 @@ def serve(node: Node, bus: Bus, shutdown: Shutdown, log: Log) -> None:
     gc.collect()
     gc.freeze()
     loop(node, bus, RealClock(), shutdown, log)
+    if node.rejected:
+        reasons = sorted(((count, name) for name, count in node.rejected.items()), reverse=True)
+        shown = ", ".join(f"{count} {name}" for count, name in reasons)
+        log(f"ignored {sum(node.rejected.values())} messages that were not valid: {shown}")
 
 
 def main(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.clock import NS_PER_S
 from agent.fleet import LAWS, Fleet, FleetError, load_fleet
+from deploy.version import handfast_version
 
 if TYPE_CHECKING:
     from deploy.runfolder import RunFolder
@@ -47,8 +48,8 @@ def fleet_path(name: str) -> Path:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status (see `--help`)."""
-    options = _parser().parse_args(argv)
     try:
+        options = _parser().parse_args(argv)
         result: int = options.command(options)
         return result
     except (FleetError, InputError) as error:
@@ -72,8 +73,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from deploy.recorder import handfast_version
-
     parser = argparse.ArgumentParser(
         prog="handfast",
         description="Drives a group of mobile robots in formation, each on its own.",
@@ -184,16 +183,16 @@ def _run(options: argparse.Namespace) -> int:
     from deploy.ports import NoPortsError
     from deploy.recorder import RecordingError
 
-    fleet = _load(options)
-    _refuse_errors(options, fleet)
-    try:
-        fleet, ports = place(fleet)
-    except NoPortsError as error:
-        raise InputError(str(error)) from None
-    folder = _folder(options, fleet, "run")
     interrupt = Interrupt()
-    view = make_view(quiet=options.quiet)
     with interrupt.caught():
+        fleet = _load(options)
+        _refuse_errors(options, fleet)
+        try:
+            fleet, ports = place(fleet)
+        except NoPortsError as error:
+            raise InputError(str(error)) from None
+        folder = _folder(options, fleet, "run")
+        view = make_view(quiet=options.quiet)
         run = LocalRun(fleet, folder, view, interrupt)
         try:
             with view:
@@ -214,23 +213,23 @@ def _simulate(options: argparse.Namespace) -> int:
     from deploy.recorder import RecordingError
     from deploy.simulation import Simulation
 
-    fleet = _load(options)
-    _refuse_errors(options, fleet)
-    folder = _folder(options, fleet, "simulate")
-    watch = Watch(fleet, resolve(fleet))
     interrupt = Interrupt()
-    view = make_view(quiet=options.quiet, period_s=fleet.fleet.duration_s / 10)
-
-    def sink(received_ns: int, key: str, payload: bytes) -> None:
-        message = folder.record(received_ns, key, payload)
-        if message is not None:
-            watch.feed(message)
-
-    def progress(time_s: float) -> bool:
-        view.show(watch.picture(time_s))
-        return interrupt.count == 0
-
     with interrupt.caught():
+        fleet = _load(options)
+        _refuse_errors(options, fleet)
+        folder = _folder(options, fleet, "simulate")
+        watch = Watch(fleet, resolve(fleet))
+        view = make_view(quiet=options.quiet, period_s=fleet.fleet.duration_s / 10)
+
+        def sink(received_ns: int, key: str, payload: bytes) -> None:
+            message = folder.record(received_ns, key, payload)
+            if message is not None:
+                watch.feed(key, message)
+
+        def progress(time_s: float) -> bool:
+            view.show(watch.picture(time_s))
+            return interrupt.count == 0
+
         begun = time.perf_counter()
         try:
             with view:

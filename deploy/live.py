@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Final, Protocol, TextIO
+from typing import Any, Final, Protocol, TextIO, TypeVar
 
 import numpy as np
 from rich.console import Console, Group
@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import Geometry
@@ -75,11 +76,13 @@ class Watch:
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
 
-    def feed(self, message: Message) -> None:
-        if type(message) is HandState:
-            self.hands[message.robot] = message
-        elif type(message) is Status:
-            self.statuses[message.robot] = message
+    def feed(self, key: str, message: Message) -> None:
+        """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
+        name = self._fleet.fleet.name
+        if type(message) is HandState and key == keys.hand(name, message.robot):
+            _keep_newest(self.hands, message)
+        elif type(message) is Status and key == keys.status(name, message.robot):
+            _keep_newest(self.statuses, message)
 
     def states(self) -> dict[int, str]:
         """Every robot's state, "" of one that has said nothing yet."""
@@ -123,6 +126,14 @@ class Watch:
             max(status.tick_us, default=None),
             dict(status.counters).get("overruns", 0),
         )
+
+
+S = TypeVar("S", HandState, Status)
+
+
+def _keep_newest(known: dict[int, S], message: S) -> None:
+    if message.robot not in known or message.time_ns > known[message.robot].time_ns:
+        known[message.robot] = message
 
 
 class View(Protocol):

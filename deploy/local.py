@@ -31,8 +31,8 @@ EPOCH_AHEAD_NS: Final = NS_PER_S // 2
 READY_TIMEOUT_S: Final = 10.0
 READY_TIMEOUT_PER_CHILD_S: Final = 0.5
 STOP_TIMEOUT_S: Final = 2.0
-INTERRUPT_STOP_TIMEOUT_S: Final = 0.4
-END_TIMEOUT_S: Final = 0.45
+INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
+END_TIMEOUT_S: Final = 0.4
 RECORDER_INBOX: Final = 65_536
 
 MODULES: Final = {"unicycle": "plant"}
@@ -216,7 +216,7 @@ class LocalRun:
         for key, payload in bus.drain():
             message = self._folder.record(now_ns, key, payload)
             if message is not None:
-                self._watch.feed(message)
+                self._watch.feed(key, message)
 
     def _deaths(self) -> bool:
         """Reports every child that has ended; True when there was one."""

@@ -11,7 +11,6 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -24,6 +23,7 @@ from agent.fleet import Fleet, law_name, to_dict
 from agent.messages import Malformed, Message, PlantState, decode
 from deploy.foxglove import SCHEMAS, Scene
 from deploy.message_json import schema, schema_name, to_json
+from deploy.version import handfast_version
 
 FLEET_ATTACHMENT: Final = "fleet.toml"
 RUN_METADATA: Final = "handfast.run"
@@ -43,14 +43,6 @@ _SEQUENCE_MASK: Final = 2**32 - 1  # MCAP's sequence has 32 bits
 
 class RecordingError(Exception):
     """A recording that cannot be written or read; the text is one line naming the file."""
-
-
-def handfast_version() -> str:
-    """Version of the installed distribution, ``unknown`` when it runs from a bare checkout."""
-    try:
-        return version("handfast")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 class Recorder:

@@ -20,8 +20,9 @@ from agent.formation import Geometry, resolve
 from agent.supervision import State
 from deploy import figures, metrics
 from deploy.metrics import Analysis, analyse
-from deploy.recorder import RecordingError, handfast_version
+from deploy.recorder import RecordingError
 from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
+from deploy.version import handfast_version
 
 METRICS_NAME: Final = "metrics.json"
 REPORT_NAME: Final = "report.html"

@@ -15,7 +15,8 @@ from agent.hand import Pose
 from plant.backend import Command, Reading
 
 TURN_MAX: Final = 0.5
-"""Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path."""
+"""Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
+as long as an actuator's lag is not much shorter than the step."""
 BRAKE_TIME_S: Final = 0.1
 BRAKE_DECELERATION_MAX: Final = 5.0
 BRAKE_SPIN_MAX: Final = 50.0

@@ -1,0 +1,132 @@
+"""CPU of one robot, agent and plant, against a bare Zenoh program that moves the same messages.
+
+Both arms have the same processes, links, keys, message sizes (those that the agents really sent),
+rates, wake-ups and inboxes, and the same observer listens to them. They take turns, so that what
+else the machine does falls on both. Where `agent.bus` names a `RUNTIME` (Zenoh's threads), the bare
+programs get the same.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+from agent import bus, keys
+from agent.core import STATUS_PERIOD_NS, Agent
+from agent.fleet import Fleet, load_fleet
+from agent.formation import resolved
+from agent.node import Node
+from deploy.cli import fleet_path
+from plant.node import PlantNode
+from plant.unicycle import from_fleet
+from tests.benchmarks.figures import Figure, Options, Result, spread, table
+from tests.benchmarks.processes import ROLES, Cost, Group, Traffic, measure, start_handfast
+
+BARE: Final = Path(__file__).with_name("bare.py")
+# Like for like: if agents set up Zenoh's threads, the bare programs have the same ones.
+BARE_ENVIRONMENT: Final = {"ZENOH_RUNTIME": bus.RUNTIME} if hasattr(bus, "RUNTIME") else {}
+TARGET: Final = 1.5
+UNSEEN_SIZE: Final = 64
+
+
+def start_bare(
+    group: Group, fleet: Fleet, _fleet_file: Path, *, seen: Traffic, config: dict[str, Any] | None = None
+) -> None:
+    """Bare programs in the places of the fleet's agents and plants; `seen` says how large messages are."""
+
+    def publications(node: Node) -> list[tuple[str, int, int]]:
+        status = keys.status(fleet.fleet.name, "*").rpartition("/")[2]
+        every = round(STATUS_PERIOD_NS / fleet.period_ns)
+        return [
+            (key, round(seen.sizes[key] / count), every if key.endswith(status) else 1)
+            for key in node.publications
+            if (count := seen.counts.get(key, 0))
+        ]
+
+    for robot in fleet.ids:
+        agent, plant = Agent(fleet, robot), PlantNode(fleet, robot, from_fleet(fleet, robot))
+        ends = {
+            "agent": (
+                [fleet.agent_endpoint(robot)],
+                [fleet.agent_endpoint(other) for other in fleet.neighbours(robot) if other < robot],
+            ),
+            "plant": ([fleet.plant_endpoint(robot)], [fleet.agent_endpoint(robot)]),
+        }
+        nodes: dict[str, Node] = {"agent": agent, "plant": plant}
+        for role, node in nodes.items():
+            listen, connect = ends[role]
+            order = {
+                "listen": listen,
+                "connect": connect,
+                "subscribe": list(node.subscriptions),
+                "publish": publications(node),
+                "alive": node.alive_key,
+                "period_ns": node.period_ns,
+                "phase_ns": node.phase_ns,
+                "config": config or {},
+            }
+            group.start(robot, role, [sys.executable, "-P", str(BARE), json.dumps(order)], BARE_ENVIRONMENT)
+
+
+def run(options: Options) -> Result:
+    fleet = resolved(load_fleet(fleet_path("delta")))
+    rounds = 2 if options.quick else 5
+    times = {"settle_s": 2.0, "window_s": 10.0 if options.quick else 15.0}
+    ours: list[Cost] = []
+    bares: list[Cost] = []
+    with tempfile.TemporaryDirectory(prefix="handfast-bench-") as folder:
+        for number in range(rounds):
+
+            def ours_once(number: int = number) -> None:
+                place = Path(folder) / f"handfast-{number}"
+                ours.append(measure(fleet, place, start_handfast, drive=True, **times))
+
+            def bare_once(number: int = number) -> None:
+                start = partial(start_bare, seen=ours[0].traffic)
+                bares.append(measure(fleet, Path(folder) / f"bare-{number}", start, drive=False, **times))
+
+            # The arm that goes first changes from round to round.
+            for arm in (ours_once, bare_once) if number % 2 == 0 else (bare_once, ours_once):
+                arm()
+    result = Result()
+    for what, of in (
+        ("agent + plant", lambda cost: cost.robot),
+        ("agent", lambda cost: cost.cpu["agent"]),
+        ("plant", lambda cost: cost.cpu["plant"]),
+    ):
+        ratios = [of(a) / of(b) for a, b in zip(ours, bares, strict=True)]
+        note = f"rounds {' '.join(f'{ratio:.2f}' for ratio in ratios)}"
+        limit = TARGET if what == "agent + plant" else None
+        result.figures.append(Figure(f"CPU {what}, handfast / bare", median(ratios), "", limit, note=note))
+    rows = []
+    for name, costs in (("handfast", ours), ("bare", bares)):
+        messages = [sum(cost.traffic.counts.values()) / times["window_s"] for cost in costs]
+        rows.append(
+            [
+                name,
+                *(spread([100.0 * cost.cpu[role] for cost in costs]) for role in ROLES),
+                spread([100.0 * cost.robot for cost in costs]),
+                *(spread([cost.pss[role] for cost in costs]) for role in ROLES),
+                spread(messages),
+                spread([cost.load for cost in costs]),
+            ]
+        )
+    heading = [
+        "arm",
+        "agent CPU %",
+        "plant CPU %",
+        "robot CPU %",
+        "agent MB",
+        "plant MB",
+        "messages/s",
+        "load",
+    ]
+    result.details += table(heading, rows)
+    ticks = [us for cost in ours for us in cost.traffic.tick_us]
+    result.details.append(f"tick in these runs: median {median(ticks):.0f} us over {len(ticks)} ticks")
+    return result

@@ -1,0 +1,232 @@
+"""One agent tick: drain, decode 4 neighbours and the plant, law, encode.
+
+In one process, without Zenoh: *hot*, tick after tick, and *cold*, where the process sleeps before
+each tick as a real one does and finds its caches cold. Then as real agents measure it themselves
+in `handfast run delta`.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import subprocess
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+
+from agent import core, law
+from agent.fleet import load_fleet
+from agent.formation import resolved
+from agent.neighbours import Neighbours
+from agent.node import Node, Outgoing
+from agent.supervision import State
+from deploy import simulation
+from deploy.cli import fleet_path
+from deploy.recording import Recording
+from tests.benchmarks.figures import Figure, Options, Result, table
+from tests.benchmarks.processes import BenchmarkError, end, environment, handfast
+
+ROBOT: Final = 2
+"""It has four neighbours."""
+TARGET_US: Final = 150.0
+OVERRUNS: Final = 0.1
+"""Percent."""
+COLD_SLEEP_S: Final = 0.01
+COMMAND_TIMEOUT_S: Final = 60.0
+
+# Stage -> functions whose time it is; names that are not there any more are passed over.
+STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
+    "decode": ((core, "decode"),),
+    "accept": ((Neighbours, "accept"), (core.Agent, "_accept_plant")),
+    "predict": ((Neighbours, "predict"),),
+    "law": tuple(
+        (law, name)
+        for name in dir(law)
+        if callable(getattr(law, name)) and name.islower() and getattr(law, name).__module__ == law.__name__
+    ),
+    "encode": ((core, "encode"),),
+    "status": ((core.Agent, "_status"),),
+}
+
+
+class Probe:
+    """A node that is timed in a simulation; with `sleep_s` the process sleeps before each of its ticks."""
+
+    def __init__(self, node: Node, sleep_s: float) -> None:
+        self._node, self._sleep_s = node, sleep_s
+        self.ticks_us: list[float] = []
+        self.stages_us: list[dict[str, float]] = []
+        self._now: dict[str, float] = defaultdict(float)
+        self._spent_ns = 0
+        self._depth: str | None = None
+        self.active = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._node, name)
+
+    def receive(self, now_ns: int, key: str, payload: bytes) -> None:
+        if not self.active:
+            self.active = True
+            self._now.clear()
+            self._spent_ns = 0
+            if self._sleep_s:
+                time.sleep(self._sleep_s)
+        begun = time.perf_counter_ns()
+        self._node.receive(now_ns, key, payload)
+        self._spent_ns += time.perf_counter_ns() - begun
+
+    def tick(self, now_ns: int) -> list[Outgoing]:
+        begun = time.perf_counter_ns()
+        out = self._node.tick(now_ns)
+        self._spent_ns += time.perf_counter_ns() - begun
+        if self.active and self._node.condition[0] == State.RUNNING.value:
+            self.ticks_us.append(self._spent_ns / 1e3)
+            self.stages_us.append(dict(self._now))
+        self.active = False
+        return out
+
+    def timed(self, duration_ns: int, missed: int) -> None:
+        self._node.timed(duration_ns, missed)
+
+    def wrapped(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """`function` with its time added to `stage`, unless another stage called it."""
+
+        def timed(*arguments: Any, **options: Any) -> Any:
+            if not self.active or self._depth is not None:
+                return function(*arguments, **options)
+            self._depth = stage
+            begun = time.perf_counter_ns()
+            try:
+                return function(*arguments, **options)
+            finally:
+                self._now[stage] += (time.perf_counter_ns() - begun) / 1e3
+                self._depth = None
+
+        return timed
+
+
+def probe(duration_s: float, *, sleep_s: float = 0.0, stages: bool = False) -> Probe:
+    """Drives the delta for a while and times the agent of `ROBOT`."""
+    fleet = resolved(load_fleet(fleet_path("delta"), [f"fleet.duration_s={duration_s}"]))
+    driven = simulation.Simulation(fleet)
+    (agent,) = (agent for agent in driven.agents if agent.robot == ROBOT)
+    probe = Probe(agent, sleep_s)
+    for host in driven._hosts:
+        if host.node is agent:
+            host.node = probe
+    replaced: list[tuple[Any, str, Any]] = []
+    try:
+        if stages:
+            for stage, functions in STAGES.items():
+                for owner, name in functions:
+                    function = getattr(owner, name, None)
+                    if function is not None:
+                        replaced.append((owner, name, function))
+                        setattr(owner, name, probe.wrapped(stage, function))
+        gc.collect()
+        gc.freeze()  # as agents do
+        driven.run()
+    finally:
+        gc.unfreeze()
+        for owner, name, function in replaced:
+            setattr(owner, name, function)
+    return probe
+
+
+def in_process(options: Options) -> Result:
+    duration_s = 5.0 if options.quick else 20.0
+    hot, cold = probe(duration_s), probe(duration_s, sleep_s=COLD_SLEEP_S)
+    result = Result(
+        [
+            Figure("tick in one process, hot, median", median(hot.ticks_us), "us", TARGET_US),
+            Figure("tick in one process after a sleep, median", median(cold.ticks_us), "us"),
+        ]
+    )
+    split = [probe(duration_s, stages=True), probe(duration_s, sleep_s=COLD_SLEEP_S, stages=True)]
+    rows = []
+    totals = [median(each.ticks_us) for each in split]
+    rest = list(totals)
+    for stage in STAGES:
+        found = [
+            median([ticks[stage] for ticks in each.stages_us if stage in ticks] or [0.0]) for each in split
+        ]
+        often = sum(stage in ticks for ticks in split[0].stages_us) / len(split[0].stages_us)
+        if often > 0.5:
+            rest = [left - us for left, us in zip(rest, found, strict=True)]
+        note = "" if often > 0.5 else f"in one tick of {1.0 / often:.0f}" if often else "not found"
+        rows.append([stage, *(f"{us:.1f}" for us in found), note])
+    rows.append(["the rest", *(f"{us:.1f}" for us in rest), ""])
+    rows.append(["tick (timers included)", *(f"{us:.1f}" for us in totals), ""])
+    result.details += table(["stage", "hot us", "cold us", ""], rows)
+    return result
+
+
+def in_a_run(options: Options) -> Result:
+    """`handfast run delta` for a minute: what its agents say of their ticks, what its plants left out."""
+    duration_s = 15 if options.quick else 60
+    with tempfile.TemporaryDirectory(prefix="handfast-bench-") as folder:
+        out = Path(folder) / "run"
+        command = handfast("run", "delta", "--quiet", "--no-report", "--out", str(out))
+        process = subprocess.Popen(
+            [*command, "--duration", str(duration_s)],
+            env=environment(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
+        try:
+            _, errors = process.communicate(timeout=duration_s + COMMAND_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            raise BenchmarkError("handfast run did not end") from None
+        finally:
+            end(process)
+        if process.returncode not in (0, 1):
+            raise BenchmarkError(f"handfast run: {errors.decode(errors='replace')[-500:]}")
+        metrics = json.loads((out / "metrics.json").read_text())
+        recording = Recording.from_folder(out)
+    ticks = sum(len(robot.status.tick_us) for robot in recording.robots.values())
+    overruns = metrics["tick"]["overruns"]
+    period_s = recording.fleet.period_ns / 1e9
+    plants = missed = 0
+    for robot in recording.robots.values():
+        times = robot.plant.t[(robot.plant.t > 0.0) & (robot.plant.t <= recording.end_s)]
+        plants += len(times)
+        missed += int(np.rint(np.diff(times) / period_s - 1.0).clip(min=0).sum())
+    messages = metrics["messages"]
+    return Result(
+        [
+            Figure("tick in a run, median", metrics["tick"]["p50_us"], "us", TARGET_US),
+            Figure("tick in a run, 99th percentile", metrics["tick"]["p99_us"], "us"),
+            Figure(
+                "ticks missed by agents",
+                100.0 * overruns / (ticks + overruns),
+                "%",
+                OVERRUNS,
+                note=f"{overruns} of {ticks + overruns}, 12 processes, {duration_s} s",
+            ),
+            Figure(
+                "ticks missed by plants",
+                100.0 * missed / (plants + missed),
+                "%",
+                OVERRUNS,
+                note=f"{missed} of {plants + missed}, by gaps in their states",
+            ),
+            Figure(
+                "hand states lost on the way",
+                100.0 * messages["lost"] / max(1, messages["sent"]),
+                "%",
+                note="loopback",
+            ),
+        ]
+    )
+
+
+def run(options: Options) -> Result:
+    first, second = in_process(options), in_a_run(options)
+    return Result(first.figures + second.figures, first.details)

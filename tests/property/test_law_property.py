@@ -1,0 +1,314 @@
+"""The law over any graph and state: sweeps find the joint multipliers, and the joint law is stable."""
+
+from __future__ import annotations
+
+from math import ceil, log, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from agent import law
+
+Floats = NDArray[np.float64]
+RS = 0.22
+C1, C2 = 0.4, 0.6
+ROBOTS_MAX = 12
+
+
+class Group(NamedTuple):
+    """n robots: r, e and edot are (2, n); graph (m, 2); distances d (m,)."""
+
+    r: Floats
+    error: Floats
+    error_rate: Floats
+    graph: NDArray[np.intp]
+    d: Floats
+    gains: law.Gains
+    reference: Floats
+    """Velocity (2,) of the common trajectory, which is straight: A rdot_d = 0, rddot_d = 0."""
+
+    @property
+    def n(self) -> int:
+        return self.r.shape[1]
+
+    def edges(self) -> law.Edges:
+        i, j = self.graph.T
+        v = self.error_rate + self.reference[:, None]
+        fn = law.navigation_force(0.0, self.error, self.error_rate, C1, C2)
+        return law.edges(
+            self.r[:, i] - self.r[:, j], v[:, i] - v[:, j], fn[:, i] - fn[:, j], self.d, RS, self.gains
+        )
+
+
+@st.composite
+def groups(draw: st.DrawFn, clearance_min: float = 0.05, robots_max: int = ROBOTS_MAX) -> Group:
+    """Any graph of at least one edge, any state whose edges are longer than r_s + `clearance_min`."""
+    n = draw(st.integers(2, robots_max), label="robots")
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1), label="seed"))
+    pairs = np.array([(i, j) for i in range(n) for j in range(i)])
+    chosen = generator.random(len(pairs)) < draw(st.sampled_from([0.15, 0.5, 1.0]), label="density")
+    graph = pairs[chosen] if chosen.any() else pairs[:1]
+    r = generator.normal(size=(2, n)) * draw(st.sampled_from([0.6, 1.5, 4.0]), label="scale")
+    i, j = graph.T
+    shortest = np.hypot(*(r[:, i] - r[:, j])).min()
+    r *= max(1.0, (RS + clearance_min) / shortest)
+    speed = draw(st.sampled_from([0.0, 0.3, 3.0]), label="speed")
+    return Group(
+        r,
+        generator.normal(size=(2, n)),
+        generator.normal(size=(2, n)) * speed,
+        graph,
+        generator.uniform(0.3, 2.0, len(graph)),
+        law.Gains(
+            kd=draw(st.sampled_from([0.0, 1.8, 10.0]), label="kd"),
+            k2=draw(st.sampled_from([0.5, 5.0, 50.0]), label="k2"),
+            kp=draw(st.sampled_from([0.0, 1.0, 4.0]), label="kp"),
+        ),
+        generator.normal(size=2),
+    )
+
+
+# ---------------------------------------------------------------------- the distributed solution
+
+
+class Sweeper:
+    """Every agent's sweeps on a frozen state, and the norm in which they contract.
+
+    With M = k_2 I + A A^T and the sweep's diagonal P, the error becomes (I - P^-1 M) error. Since
+    x^T A A^T x = sum over robots |sum over its edges of +-a_k x_k|^2 <= sum over robots of
+    deg sum |a_k x_k|^2 = sum over edges of phi'^2 (deg_i + deg_j) x_k^2, M <= P: all eigenvalues of
+    P^-1/2 M P^-1/2 lie in [k_2 / max P, 1], and in the norm of P the error shrinks by 1 - k_2 / max P.
+    """
+
+    def __init__(self, g: Group) -> None:
+        self.g, self.e = g, g.edges()
+        self.i, self.j = g.graph.T
+        degree = np.bincount(g.graph.ravel(), minlength=g.n).astype(float)
+        self.degrees = degree[self.i] + degree[self.j]
+        self.weights = g.gains.k2 + self.e.slope**2 * self.degrees
+        self.rate = 1.0 - g.gains.k2 / self.weights.max()
+        self.exact = law.multipliers_joint(self.e, self.i, self.j, g.n, g.gains)
+
+    def sweep(self, lam: Floats) -> Floats:
+        force = law.forces(self.e, lam)
+        constraint = law.total_forces(force, self.i, self.j, self.g.n)
+        pull = constraint[:, self.i] - constraint[:, self.j]
+        return law.multipliers_sweep(self.e, lam, pull, self.degrees, self.g.gains)
+
+    def norm(self, lam: Floats) -> float:
+        return sqrt(float(self.weights @ (lam - self.exact) ** 2))
+
+
+@given(groups(clearance_min=1e-3), st.integers(0, 2**32 - 1))
+@settings(max_examples=150)
+def test_every_sweep_shrinks_the_error(g: Group, seed: int):
+    """From any multipliers, and however close the pairs: in the norm of P, by a known factor at least."""
+    sweeper = Sweeper(g)
+    lam = np.random.default_rng(seed).normal(size=len(g.graph)) * (1.0 + np.abs(sweeper.exact).max())
+    rounding = 1e-9 * sweeper.norm(np.zeros_like(lam)) + 1e-9 * sweeper.norm(lam)
+    for _ in range(20):
+        before = sweeper.norm(lam)
+        lam = sweeper.sweep(lam)
+        assert sweeper.norm(lam) <= sweeper.rate * before + rounding
+
+
+@given(groups(clearance_min=0.3))
+@settings(max_examples=100)
+def test_sweeps_converge_to_the_joint_multipliers(g: Group):
+    """To 1e-8 of the start's error, in the number of sweeps that the factor gives."""
+    sweeper = Sweeper(g)
+    assume(sweeper.rate < 0.998)
+    lam = np.zeros(len(g.graph))
+    start = sweeper.norm(lam)
+    for _ in range(ceil(log(1e-8) / log(sweeper.rate))):
+        lam = sweeper.sweep(lam)
+    assert sweeper.norm(lam) <= 1.01e-8 * start + 1e-9 * (1.0 + np.abs(sweeper.exact).max())
+
+
+@given(groups(clearance_min=1e-3))
+@settings(max_examples=60)
+def test_joint_multipliers_are_the_sweeps_fixed_point(g: Group):
+    sweeper = Sweeper(g)
+    again = sweeper.sweep(sweeper.exact)
+    assert sweeper.norm(again) <= 1e-9 * sweeper.norm(np.zeros_like(again)) + 1e-12
+
+
+@given(groups(clearance_min=0.1))
+@settings(max_examples=60)
+def test_both_ends_of_an_edge_sweep_to_the_same_multiplier(g: Group):
+    """Each agent calls the law with its own edges only, seen from its own end."""
+    sweeper = Sweeper(g)
+    lam = np.random.default_rng(1).normal(size=len(g.graph))
+    together = sweeper.sweep(lam)
+    constraint = law.total_forces(law.forces(sweeper.e, lam), *g.graph.T, g.n)
+    v = g.error_rate + g.reference[:, None]
+    fn = law.navigation_force(0.0, g.error, g.error_rate, C1, C2)
+    for robot in range(g.n):
+        mine = np.flatnonzero((g.graph == robot).any(axis=1))
+        other = g.graph[mine].sum(axis=1) - robot
+        e = law.edges(
+            g.r[:, [robot]] - g.r[:, other],
+            v[:, [robot]] - v[:, other],
+            fn[:, [robot]] - fn[:, other],
+            g.d[mine],
+            RS,
+            g.gains,
+        )
+        own = law.forces(e, lam[mine]).sum(axis=1, keepdims=True)
+        swept = law.multipliers_sweep(
+            e, lam[mine], own - constraint[:, other], sweeper.degrees[mine], g.gains
+        )
+        assert np.allclose(swept, together[mine], rtol=1e-9, atol=1e-9)
+
+
+@given(groups(clearance_min=0.1), st.permutations(range(ROBOTS_MAX)))
+@settings(max_examples=60)
+def test_names_of_robots_and_order_of_edges_do_not_matter(g: Group, names: list[int]):
+    order = np.argsort([names[k] for k in range(g.n)])
+    place = np.argsort(order)
+    turned = g._replace(
+        r=g.r[:, order],
+        error=g.error[:, order],
+        error_rate=g.error_rate[:, order],
+        graph=place[g.graph][::-1, ::-1],
+        d=g.d[::-1],
+    )
+    one, other = Sweeper(g), Sweeper(turned)
+    assert np.allclose(other.exact[::-1], one.exact, rtol=1e-8, atol=1e-9)
+
+
+# ---------------------------------------------------------------------- the energy (35)
+
+
+def matrices(g: Group) -> tuple[Floats, Floats]:
+    """A (m, 2 n) and Adot rdot (m,) of (10), (11), edge by edge and apart from `agent.law`.
+
+    a = (d - r_s) D g with g = 1 / ((rho - r_s)^2 rho), so adot = (d - r_s)(w g + D gdot).
+    """
+    v = g.error_rate + g.reference[:, None]
+    a = np.zeros((len(g.graph), 2 * g.n))
+    drift = np.zeros(len(g.graph))
+    for k, (i, j) in enumerate(g.graph):
+        delta, w = g.r[:, i] - g.r[:, j], v[:, i] - v[:, j]
+        rho = float(np.linalg.norm(delta))
+        scale = 1.0 / ((rho - RS) ** 2 * rho)
+        scale_rate = -scale * (delta @ w / rho) * (2.0 / (rho - RS) + 1.0 / rho)
+        gradient = (g.d[k] - RS) * delta * scale
+        a[k, 2 * i : 2 * i + 2], a[k, 2 * j : 2 * j + 2] = gradient, -gradient
+        drift[k] = (g.d[k] - RS) * (w * scale + delta * scale_rate) @ w
+    return a, drift
+
+
+def energy_rate(g: Group, lam: Floats) -> tuple[float, float]:
+    """dE/dt of (35) with the stiffness term under these multipliers, and the size of its terms."""
+    a, drift = matrices(g)
+    v = (g.error_rate + g.reference[:, None]).T.ravel()
+    rate = a @ v  # (9)
+    rho = np.hypot(*(g.r[:, g.graph[:, 0]] - g.r[:, g.graph[:, 1]]))
+    phi = (rho - g.d) / (rho - RS)
+    e, e_rate = g.error.T.ravel(), g.error_rate.T.ravel()
+    acceleration = -C1 * e - C2 * e_rate + a.T @ lam
+    terms = np.concatenate(
+        [
+            g.gains.k2 * C1 * e * e_rate,
+            g.gains.k2 * e_rate * acceleration,
+            rate * (a @ acceleration + drift),
+            g.gains.kp * phi * rate,
+        ]
+    )
+    # In the joint law's own terms the sizes of what cancels: the demand and the constraint forces.
+    size = np.abs(terms).sum() + np.abs(rate) @ (np.abs(a) @ np.abs(a.T @ lam) + np.abs(drift))
+    return float(terms.sum()), float(size)
+
+
+def dissipation(g: Group) -> float:
+    """-k_2 c_2 |edot|^2 - k_d |phidot|^2, the right-hand side of (38)."""
+    e = g.edges()
+    return -g.gains.k2 * C2 * float(np.sum(g.error_rate**2)) - g.gains.kd * float(e.rate @ e.rate)
+
+
+def joint(g: Group) -> Floats:
+    return law.multipliers_joint(g.edges(), *g.graph.T, g.n, g.gains)
+
+
+@given(groups())
+@settings(max_examples=200)
+def test_energy_of_the_joint_law_falls_by_what_is_damped_38(g: Group):
+    lost, size = energy_rate(g, joint(g))
+    assert abs(lost - dissipation(g)) <= 1e-9 * size + 1e-12
+    assert lost <= 1e-9 * size + 1e-12
+
+
+def test_energy_of_the_papers_law_can_grow():
+    """The gap in Theorem 1: with two edges at a robot, (33) leaves out each other's constraint forces.
+
+    Three robots in a row, the outer ones drawn in by their navigation: at the middle one the
+    force of one edge is felt by the other.
+    """
+    gains = law.Gains(kd=1.8, k2=5.0, kp=0.0)
+    g = Group(
+        r=np.array([[0.0, 0.5, 0.9], [0.0, 0.0, 0.0]]),
+        error=np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 0.0]]),
+        error_rate=np.array([[0.2, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+        graph=np.array([[0, 1], [1, 2]]),
+        d=np.ones(2),
+        gains=gains,
+        reference=np.zeros(2),
+    )
+    per_edge = law.multipliers_edge(g.edges(), gains)
+    grows, size = energy_rate(g, per_edge)
+    assert grows > 0.1 * size
+    falls, _ = energy_rate(g, joint(g))
+    assert falls == pytest.approx(dissipation(g))
+    assert falls < 0.0
+
+
+@given(groups(robots_max=2))
+@settings(max_examples=60)
+def test_energy_of_the_papers_law_falls_for_one_pair_25(g: Group):
+    lost, size = energy_rate(g, law.multipliers_edge(g.edges(), g.gains))
+    assert abs(lost - dissipation(g)) <= 1e-9 * size + 1e-12
+
+
+@given(groups(clearance_min=0.1, robots_max=7))
+@settings(max_examples=12)
+def test_along_a_solution_energy_never_grows_and_edges_keep_their_bound(g: Group):
+    """rho >= r_s + (d - r_s) / (1 + sqrt(2 E(0) / k_p)) for all time."""
+    g = g._replace(gains=g.gains._replace(kp=max(g.gains.kp, 1.0)))
+    n = g.n
+
+    def at(y: Floats, t: float) -> Group:
+        error, error_rate = y[: 2 * n].reshape(2, n), y[2 * n :].reshape(2, n)
+        return g._replace(r=wanted + g.reference[:, None] * t + error, error=error, error_rate=error_rate)
+
+    def rate(t: float, y: Floats) -> Floats:
+        now = at(y, t)
+        e = now.edges()
+        lam = law.multipliers_joint(e, *g.graph.T, n, g.gains)
+        force = law.total_forces(law.forces(e, lam), *g.graph.T, n)
+        u = law.navigation_force(0.0, now.error, now.error_rate, C1, C2) + force
+        return np.concatenate([now.error_rate.ravel(), u.ravel()])
+
+    def energy(y: Floats, t: float) -> float:
+        now = at(y, t)
+        return law.energy(now.edges(), now.error, now.error_rate, C1, g.gains)
+
+    # Where the robots are wanted follows from where they are and how far off: any shape, not g.d's.
+    wanted = g.r - g.error
+    start = np.concatenate([g.error.ravel(), g.error_rate.ravel()])
+    first = energy(start, 0.0)
+    times = np.linspace(0.0, 3.0, 121)
+    solution = solve_ivp(
+        rate, (0.0, 3.0), start, method="DOP853", rtol=1e-8, atol=1e-10, t_eval=times, max_step=0.25
+    )
+    assert solution.success
+    energies = np.array([energy(y, t) for t, y in zip(solution.t, solution.y.T, strict=True)])
+    assert np.all(np.diff(energies) <= 1e-6 * first)
+    bound = RS + (g.d - RS) / (1.0 + sqrt(2.0 * first / g.gains.kp))
+    for t, y in zip(solution.t, solution.y.T, strict=True):
+        assert np.all(at(y, t).edges().distance >= bound * (1.0 - 1e-9))

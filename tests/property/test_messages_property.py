@@ -1,0 +1,229 @@
+"""The codec against anything: valid messages come back, and nothing else gets through or breaks it."""
+
+from __future__ import annotations
+
+import struct
+import time
+from math import inf, isfinite, nan
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from agent.messages import (
+    BYTES_MAX,
+    FLOAT_MAX,
+    REASONS,
+    TIME_NS_MAX,
+    VERSION,
+    HandState,
+    Malformed,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+    decode,
+    encode,
+)
+
+ROBOT = st.integers(1, 9999)
+NS = st.integers(0, TIME_NS_MAX - 1)
+FLOAT = st.floats(-FLOAT_MAX, FLOAT_MAX)
+TEXT = st.text(max_size=50).filter(lambda text: len(text.encode()) <= 200)
+MICROSECONDS = st.integers(-(2**31), 2**40)
+
+HANDS = st.builds(
+    HandState,
+    *(ROBOT, NS, NS, st.booleans(), *[FLOAT] * 8),
+    st.lists(st.tuples(ROBOT, FLOAT), max_size=64).map(tuple),
+)
+PLANTS = st.builds(PlantState, *(ROBOT, NS, NS, *[FLOAT] * 7, st.booleans(), st.booleans(), TEXT))
+WRENCHES = st.builds(Wrench, ROBOT, NS, NS, FLOAT, FLOAT, st.booleans())
+MISSIONS = st.builds(Mission, NS, NS, NS, st.integers(1, TIME_NS_MAX - 1), TEXT)
+STOPS = st.builds(Stop, NS, NS, TEXT)
+STATUSES = st.builds(
+    Status,
+    *(ROBOT, NS, NS, TEXT, TEXT, NS),
+    st.lists(st.tuples(ROBOT, MICROSECONDS), max_size=20).map(tuple),
+    st.lists(MICROSECONDS, max_size=60).map(tuple),
+    st.lists(MICROSECONDS, max_size=60).map(tuple),
+    st.lists(st.tuples(TEXT, NS), max_size=10).map(tuple),
+)
+MESSAGES = st.one_of(HANDS, PLANTS, WRENCHES, MISSIONS, STOPS, STATUSES)
+
+
+def floats_of(value: Any) -> list[float]:
+    if isinstance(value, float):
+        return [value]
+    return [number for part in value for number in floats_of(part)] if isinstance(value, tuple) else []
+
+
+def survives(payload: bytes) -> Message | None:
+    """Decodes; whatever comes of it must be a refusal by a known reason or a valid message."""
+    start = time.perf_counter()
+    message: Message | None = None
+    refused: Malformed | None = None
+    try:
+        message = decode(payload)
+    except Malformed as error:
+        refused = error
+    assert time.perf_counter() - start < 1.0
+    if refused is not None:
+        assert refused.reason in REASONS
+        assert len(str(refused)) < 300
+        return None
+    assert isinstance(message, Message)
+    assert all(isfinite(value) and abs(value) <= FLOAT_MAX for value in floats_of(message))
+    if isinstance(message, HandState):
+        assert all((type(robot), type(value)) == (int, float) for robot, value in message.multipliers)
+    elif isinstance(message, Status):
+        assert all(type(value) is int for value in (*message.tick_us, *message.ages_us))
+        assert all((type(robot), type(age)) == (int, int) for robot, age in message.neighbours)
+        assert all((type(name), type(count)) == (str, int) for name, count in message.counters)
+    assert decode(encode(message)) == message
+    hash(message)
+    return message
+
+
+@given(MESSAGES)
+@settings(max_examples=300)
+def test_round_trip(message: Message):
+    payload = encode(message)
+    if len(payload) > BYTES_MAX:
+        with pytest.raises(Malformed, match="oversized"):
+            decode(payload)
+        return
+    assert decode(payload) == message
+    assert type(decode(payload)) is type(message)
+
+
+@given(st.binary(max_size=BYTES_MAX + 1))
+@example(b"\x91" * BYTES_MAX)
+@settings(max_examples=500)
+def test_random_bytes(payload: bytes):
+    survives(payload)
+
+
+@given(st.binary(max_size=200), st.integers(0, 7), st.integers(6, 15))
+@settings(max_examples=300)
+def test_random_bytes_after_a_good_head(payload: bytes, number: int, fields: int):
+    survives(bytes([0x90 | fields, VERSION, number]) + payload)
+
+
+@given(MESSAGES, st.data())
+@settings(max_examples=500)
+def test_flipped_bits(message: Message, data: st.DataObject):
+    payload = bytearray(encode(message))
+    for bit in data.draw(
+        st.lists(st.integers(0, 8 * len(payload) - 1), min_size=1, max_size=4), label="bits"
+    ):
+        payload[bit // 8] ^= 1 << bit % 8
+    survives(bytes(payload))
+
+
+@given(MESSAGES, st.data())
+@settings(max_examples=300)
+def test_truncated_lengthened_and_spliced(message: Message, data: st.DataObject):
+    payload = encode(message)
+    cut = data.draw(st.integers(0, len(payload) - 1), label="cut")
+    assert survives(payload[:cut]) is None
+    assert survives(payload + b"\x00") is None
+    survives(payload[:cut] + data.draw(st.binary(max_size=16), label="put in") + payload[cut:])
+    other = encode(data.draw(MESSAGES, label="other"))
+    survives(payload[:cut] + other[min(cut, len(other)) :])
+
+
+# What MessagePack can hold at all, and what a field must never be.
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(2**63), 2**64 - 1),
+    st.sampled_from([0, -1, 2**53 + 1, 2**62, 2**63 - 1, 2**64 - 1, -(2**63)]),
+    st.floats(),
+    st.sampled_from([nan, inf, -inf, 1.7976931348623157e308]),
+    st.text(max_size=300),
+    st.binary(max_size=20),
+    st.builds(msgpack.ExtType, st.integers(0, 127), st.binary(max_size=20)),
+    st.builds(msgpack.Timestamp, st.integers(0, 2**40), st.integers(0, 999_999_999)),
+)
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=5), st.dictionaries(st.text(max_size=3), inner, max_size=3)
+    ),
+    max_leaves=20,
+)
+
+
+@given(VALUES)
+@settings(max_examples=300)
+def test_any_messagepack(value: Any):
+    survives(msgpack.packb(value))
+
+
+@given(MESSAGES, st.data())
+@settings(max_examples=500)
+def test_a_field_replaced_by_anything(message: Message, data: st.DataObject):
+    fields = list(msgpack.unpackb(encode(message), use_list=True))
+    place = data.draw(st.integers(0, len(fields) - 1), label="place")
+    fields[place] = data.draw(VALUES, label="value")
+    survives(msgpack.packb(fields))
+
+
+@given(STATUSES | HANDS, st.data())
+@settings(max_examples=300)
+def test_an_entry_of_a_list_replaced_by_anything(message: Message, data: st.DataObject):
+    fields = list(msgpack.unpackb(encode(message)))
+    entries = data.draw(st.sampled_from([field for field in fields if type(field) is list]), label="list")
+    place = data.draw(st.integers(0, len(entries)), label="place")
+    entries[place : place + 1] = [data.draw(SCALARS | VALUES, label="value")]
+    survives(msgpack.packb(fields))
+
+
+@given(MESSAGES, st.data())
+@settings(max_examples=200)
+def test_fields_repeated_left_out_or_swapped(message: Message, data: st.DataObject):
+    fields = list(msgpack.unpackb(encode(message)))
+    order = data.draw(st.lists(st.sampled_from(range(len(fields))), max_size=2 * len(fields)), label="order")
+    survives(msgpack.packb([fields[k] for k in order]))
+
+
+@given(HANDS, st.integers(0, 71), st.sampled_from([nan, inf, -inf]))
+def test_a_number_that_is_not_finite_never_gets_through(message: HandState, place: int, value: float):
+    place %= 8 + len(message.multipliers)
+    if place < 8:
+        message = message._replace(**{HandState._fields[4 + place]: value})
+    else:
+        multipliers = list(message.multipliers)
+        multipliers[place - 8] = (multipliers[place - 8][0], value)
+        message = message._replace(multipliers=tuple(multipliers))
+    with pytest.raises(Malformed, match="not_finite"):
+        decode(encode(message))
+
+
+@given(WRENCHES)
+def test_integers_and_single_precision_are_taken_for_floats(message: Wrench):
+    head = msgpack.packb([VERSION, 2, *message[:3]])[1:]
+    single = struct.pack(">f", 1.5)
+    mixed = decode(b"\x98" + head + b"\xca" + single + b"\x02" + b"\xc3")
+    assert mixed == message._replace(force=1.5, torque=2.0, brake=True)
+    assert type(mixed.torque) is float
+
+
+OPENINGS = {"array": b"\x91", "array of two": b"\x92\x01", "map": b"\x81\x01", "long": b"\xdc\x00\x01"}
+HEADS = {b"": 0, b"\x9f": 14, b"\x9f\x01": 13, b"\x9f\x01\x00": 12, b"\x98\x01\x02\x01\x01\x01": 2}
+
+
+@given(st.integers(1, 1100), st.sampled_from(sorted(OPENINGS)), st.sampled_from(sorted(HEADS)))
+@example(1000, "array", b"\x9f\x01")
+@settings(max_examples=300)
+def test_nesting_of_any_depth(depth: int, opening: str, head: bytes):
+    """Closed as it should be, so that MessagePack itself has nothing against it.
+
+    Hypothesis raises the recursion limit while it runs; tests/unit/test_messages.py has the usual one.
+    """
+    assert survives(head + OPENINGS[opening] * depth + b"\xc0" * (1 + HEADS[head])) is None

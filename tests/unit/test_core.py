@@ -1,0 +1,848 @@
+"""The agent, driven by hand: one robot, one neighbour, every message made here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from math import hypot, isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.core import Agent
+from agent.fleet import Fleet, FleetError, digest, parse_fleet
+from agent.hand import Pose, hand, hand_acceleration
+from agent.messages import (
+    TEXT_MAX,
+    HandState,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+    decode,
+    encode,
+)
+from agent.neighbours import FUTURE_NS_MAX
+from agent.supervision import State
+from agent.trajectory import make_trajectory
+from plant.backend import Command
+from plant.unicycle import from_fleet
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]
+fleet = { name = "two", rate_hz = 50 }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0]], safe_distance_m = 0.2 }
+control = { plant_timeout_s = 0.1, prediction_horizon_s = 0.5 }
+trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
+"""
+PERIOD = 20_000_000
+START = 1000 * NS_PER_S
+HAND, WRENCH, STATUS = (f"two/robot/1/{name}" for name in ("hand", "plant/wrench", "status"))
+PLANT, OTHER, MISSION, STOP = "two/robot/1/plant/state", "two/robot/2/hand", "two/mission", "two/stop"
+BRAKE = (0.0, 0.0, True)
+
+
+def fleet(*overrides: str) -> Fleet:
+    return parse_fleet(FLEET, source="here", overrides=overrides)
+
+
+class Out(NamedTuple):
+    """What one tick put on the bus."""
+
+    wrench: Wrench
+    hand: HandState | None
+    status: Status | None
+    raw: list[tuple[str, bytes]]
+
+
+def check_finite(message: Message) -> None:
+    def numbers(value: Any) -> Iterable[float]:
+        if isinstance(value, tuple):
+            for part in value:
+                yield from numbers(part)
+        elif isinstance(value, float):
+            yield value
+
+    assert all(map(isfinite, numbers(message))), message
+
+
+class Bench:
+    """An agent with its plant and its neighbour, as they appear on the bus.
+
+    A tick of the bench is a tick of the agent, half a period after the plant's. `pose` and `other`
+    are what plant and neighbour say of themselves, None for silence.
+    """
+
+    def __init__(self, *overrides: str, robot: int = 1, made: Fleet | None = None) -> None:
+        self.fleet = made or fleet(*overrides)
+        self.agent = Agent(self.fleet, robot)
+        self.now = START + PERIOD // 2
+        self.pose: Pose | None = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+        self.plant: Mapping[str, Any] = {}  # fields of the plant's state that are not the usual
+        self.other: tuple[float, float, float, float] | None = (1.5, 0.2, 0.0, 0.0)
+        self.ticks = 0
+        self.last: Status | None = None
+
+    @property
+    def state(self) -> State:
+        return self.agent.state
+
+    def give(self, key: str, payload: bytes | Message) -> None:
+        self.agent.receive(self.now, key, payload if isinstance(payload, bytes) else encode(payload))
+
+    def mission(self, version: int = 1, epoch_ns: int | None = None, duration_s: float = 60.0) -> None:
+        epoch_ns = self.now + 2 * PERIOD if epoch_ns is None else epoch_ns
+        duration_ns = round(duration_s * NS_PER_S)
+        self.give(MISSION, Mission(version, self.now, epoch_ns, duration_ns, digest(self.fleet)))
+
+    def tick(self, *extra: tuple[str, bytes]) -> Out:
+        """Plant and neighbour speak, then `extra` comes, then the agent ticks."""
+        if self.pose is not None:
+            state = PlantState(
+                1, self.ticks, self.now - PERIOD // 2, *self.pose, 0.0, 0.0, True, True, ""
+            )._replace(**self.plant)
+            self.give(PLANT, state)
+        if self.other is not None:
+            stamp = self.now - PERIOD
+            copies = ((1, 0.0),)
+            self.give(OTHER, HandState(2, self.ticks, stamp, True, *self.other, 0.0, 0.0, 0.0, 0.0, copies))
+        for key, payload in extra:
+            self.give(key, payload)
+        raw = self.agent.tick(self.now)
+        self.now += PERIOD
+        self.ticks += 1
+        found: dict[str, Message] = {}
+        for key, payload in raw:
+            assert key not in found
+            found[key] = decode(payload)  # nothing that a receiver would refuse
+            check_finite(found[key])
+        self.last = found.get(STATUS, self.last)
+        return Out(found[WRENCH], found.get(HAND), found.get(STATUS), raw)
+
+    def run(self, ticks: int) -> list[Out]:
+        return [self.tick() for _ in range(ticks)]
+
+    def drive(self) -> Out:
+        """To the state RUNNING."""
+        self.tick()
+        self.mission()
+        for _ in range(5):
+            out = self.tick()
+            if self.state is State.RUNNING:
+                return out
+        raise AssertionError(f"{self.agent.condition}")
+
+    def counters(self) -> dict[str, int]:
+        """Of a status that is sent now."""
+        for _ in range(12):
+            self.tick()
+        assert self.last is not None
+        return dict(self.last.counters)
+
+
+def brakes(out: Out) -> bool:
+    return out.wrench[3:] == BRAKE
+
+
+# ---------------------------------------------------------------------- keys
+
+
+def test_keys_are_those_of_its_neighbours_and_its_own_plant():
+    agent = Bench().agent
+    assert set(agent.subscriptions) == {PLANT, OTHER, MISSION, STOP}
+    assert set(agent.publications) == {HAND, WRENCH, STATUS}
+    assert agent.alive_key == keys.alive("two", 1, "agent")
+    assert (agent.period_ns, agent.phase_ns) == (PERIOD, PERIOD // 2)
+
+
+def test_unknown_robot():
+    with pytest.raises(FleetError, match="no robot 3"):
+        Agent(fleet(), 3)
+
+
+# ---------------------------------------------------------------------- from waiting to stopped
+
+
+def test_the_life_of_a_robot():
+    bench = Bench()
+    bench.pose = bench.other = None
+    out = bench.tick()
+    assert bench.agent.condition == ("waiting", "for its plant")
+    assert brakes(out)
+    assert out.hand is None  # it does not know where it is
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    out = bench.tick()
+    assert bench.agent.condition == ("waiting", "silent neighbours: 2")
+    assert out.hand is not None
+    assert not out.hand.following
+    bench.other = (1.5, 0.2, 0.0, 0.0)
+    bench.tick()
+    assert bench.agent.condition == ("ready", "for a mission")
+    epoch = bench.now + 3 * PERIOD + PERIOD // 2
+    bench.mission(epoch_ns=epoch, duration_s=1.0)
+    out = bench.tick()
+    assert bench.agent.condition == ("ready", "for the epoch")
+    assert brakes(out)
+    assert out.hand.following  # it will stand until the epoch and follow from then on
+    # The wrench of the last tick before the epoch is the one that acts at the epoch.
+    while bench.now + PERIOD // 2 < epoch:
+        assert brakes(bench.tick())
+        assert bench.state is State.READY
+    out = bench.tick()
+    assert bench.agent.condition == ("running", "")
+    assert not brakes(out)
+    assert out.hand.following
+    assert [robot for robot, _ in out.hand.multipliers] == [2]
+    while bench.now < epoch + NS_PER_S:
+        assert not brakes(bench.tick())
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.3, 0.0)
+    out = bench.tick()
+    assert bench.agent.condition == ("stopping", "the mission is over")
+    assert brakes(out)
+    assert not out.hand.following
+    assert out.hand.multipliers == ()
+    assert out.hand[8:12] == (0.0, 0.0, 0.0, 0.0)
+    bench.run(20)
+    assert bench.state is State.STOPPING  # it still moves
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.01, 0.0)
+    bench.tick()
+    assert bench.agent.condition == ("stopped", "the mission is over")
+    assert all(brakes(out) for out in bench.run(20))
+
+
+def test_sequence_numbers_count_every_message_of_a_kind():
+    bench = Bench()
+    bench.drive()
+    outs = bench.run(40)
+    for name in ("wrench", "hand", "status"):
+        numbers = [message.sequence for out in outs if (message := getattr(out, name)) is not None]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert [out.wrench.time_ns for out in outs] == [out.hand.time_ns for out in outs]
+
+
+def test_there_is_a_wrench_in_every_tick_of_every_state():
+    """The plant's watchdog lives on them."""
+    bench = Bench()
+    seen = set()
+    bench.pose = None
+    bench.tick()
+    seen.add(bench.state)
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    bench.drive()
+    for change in ("run", "silence", "stop", "fault"):
+        if change == "silence":
+            bench.other = None
+        elif change == "stop":
+            bench.other = (1.5, 0.2, 0.0, 0.0)
+            bench.give(STOP, Stop(1, bench.now, "now"))
+        elif change == "fault":
+            bench.pose = None
+        for _ in range(40):
+            now = bench.now
+            out = bench.tick()
+            seen.add(bench.state)
+            assert out.wrench.time_ns == now
+            assert out.wrench.robot == 1
+        if change == "run":
+            assert bench.state is State.RUNNING
+    assert seen >= {State.WAITING, State.RUNNING, State.HOLDING, State.STOPPED}
+
+
+# ---------------------------------------------------------------------- plant and neighbours fail
+
+
+def test_stale_plant_is_a_fault_within_its_timeout_and_back():
+    bench = Bench()
+    bench.drive()
+    bench.run(5)
+    bench.pose, silent_since = None, bench.now - PERIOD - PERIOD // 2
+    outs = []
+    while bench.state is State.RUNNING:
+        outs.append(bench.tick())
+    assert bench.agent.condition == ("fault", "plant silent for 0.11 s")
+    assert (bench.now - PERIOD) - silent_since <= 100_000_000 + PERIOD
+    assert brakes(outs[-1])
+    assert outs[-1].hand is None  # it no longer knows where it is
+    assert not any(map(brakes, outs[:-1]))
+    bench.run(10)
+    assert bench.state is State.FAULT
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    bench.tick()
+    assert bench.state is State.WAITING
+    assert not brakes(bench.tick())
+    assert bench.agent.condition == ("running", "")
+
+
+def test_unhealthy_plant_is_a_fault_and_says_why():
+    bench = Bench()
+    bench.drive()
+    bench.plant = {"healthy": False, "note": "estimator lost"}
+    out = bench.tick()
+    assert bench.agent.condition == ("fault", "plant unhealthy: estimator lost")
+    assert brakes(out)
+    assert out.hand is None
+    bench.plant = {"healthy": False}
+    bench.tick()
+    assert bench.agent.reason == "plant unhealthy: no reason given"
+    bench.plant = {}
+    bench.run(2)
+    assert bench.state is State.RUNNING
+
+
+def test_plant_that_never_came_is_waited_for():
+    bench = Bench()
+    bench.pose = None
+    bench.mission()
+    bench.run(50)
+    assert bench.agent.condition == ("waiting", "for its plant")
+
+
+def test_silent_neighbour_leads_to_holding_after_the_horizon_and_back():
+    bench = Bench()
+    bench.drive()
+    bench.run(5)
+    bench.other, silent_since = None, bench.now - 2 * PERIOD
+    outs = []
+    while bench.state is State.RUNNING:
+        outs.append(bench.tick())
+    age = bench.now - PERIOD - silent_since
+    assert NS_PER_S // 2 < age <= NS_PER_S // 2 + PERIOD
+    assert bench.agent.condition == ("holding", "silent neighbours: 2 (0.5 s)")
+    assert brakes(outs[-1])
+    assert not outs[-1].hand.following
+    assert not any(map(brakes, outs[:-1]))
+    bench.run(10)
+    assert bench.agent.condition == ("holding", "silent neighbours: 2 (0.7 s)")
+    bench.other = (1.5, 0.2, 0.0, 0.0)
+    assert not brakes(bench.tick())
+    assert bench.agent.condition == ("running", "")
+
+
+@pytest.mark.parametrize("horizon", ["0", "0.001", "0.02", "0.039"])
+def test_horizon_of_less_than_two_periods_drives_or_is_refused(horizon: str):
+    """A neighbour's state is a period old when it is used: no horizon may be a robot that never starts."""
+    try:
+        bench = Bench(f"control.prediction_horizon_s={horizon}")
+    except FleetError as error:
+        refusal = str(error)
+    else:
+        bench.drive()
+        assert not any(map(brakes, bench.run(20)))
+        return
+    assert "prediction_horizon_s" in refusal
+
+
+def test_a_robot_without_neighbours_drives_alone():
+    made = fleet()
+    made = replace(
+        made,
+        robots=(*made.robots, replace(made.robots[0], id=3, y_m=5.0)),
+        formation=replace(made.formation, offsets=((0.0, 0.0), (1.0, 0.0), (0.0, 5.0))),
+    )
+    agent = Agent(made, 3)
+    now = START + PERIOD // 2
+    agent.receive(now, "two/mission", encode(Mission(1, now, now, NS_PER_S, digest(made))))
+    for k in range(5):
+        state = PlantState(3, k, now - PERIOD // 2, 0.5, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, True, "")
+        agent.receive(now, "two/robot/3/plant/state", encode(state))
+        out = dict(agent.tick(now))
+        now += PERIOD
+    assert agent.state is State.RUNNING
+    message = decode(out["two/robot/3/hand"])
+    assert message.multipliers == ()
+    assert message[10:12] == (0.0, 0.0)
+    assert decode(out["two/robot/3/plant/wrench"]).force < 0.0  # back to where it belongs
+
+
+# ---------------------------------------------------------------------- missions and stops
+
+
+def test_mission_for_another_fleet_file_is_refused_and_says_so():
+    bench = Bench()
+    bench.tick()
+    bench.give(MISSION, Mission(1, bench.now, bench.now, NS_PER_S, "0123456789abcdef0123"))
+    bench.run(5)
+    assert bench.state is State.READY
+    mine = digest(bench.fleet)
+    assert bench.agent.reason == (
+        f"the mission is for another fleet file: its digest is 0123456789abcdef, this agent's is {mine}"
+    )
+    counters = bench.counters()
+    assert counters["rejected.digest"] == counters["rejected"] == 1
+    assert bench.last.mission_version == 0
+    bench.mission()
+    bench.run(5)
+    assert bench.state is State.RUNNING
+    assert bench.agent.reason == ""
+    bench.give(MISSION, Mission(9, bench.now, bench.now, NS_PER_S, "another"))
+    bench.run(5)
+    assert bench.agent.condition == ("running", "")
+
+
+def test_older_and_repeated_missions_are_ignored():
+    bench = Bench()
+    bench.tick()
+    bench.mission(version=5)
+    bench.run(4)
+    assert bench.state is State.RUNNING
+    for version in (5, 4, 0):
+        bench.mission(version, epoch_ns=START - NS_PER_S, duration_s=0.001)  # long over
+        bench.tick()
+        assert bench.state is State.RUNNING
+    assert bench.counters()["rejected"] == 0
+    assert bench.last.mission_version == 5
+
+
+def test_a_later_mission_replaces_the_one_that_is_driven():
+    bench = Bench()
+    bench.drive()
+    bench.mission(2, epoch_ns=START, duration_s=0.001)
+    bench.tick()
+    assert bench.agent.condition == ("stopping", "the mission is over")
+
+
+def test_a_later_mission_that_has_not_begun_is_waited_for():
+    """Neighbours take a robot to stand until the epoch of its mission."""
+    bench = Bench()
+    bench.drive()
+    bench.mission(2, epoch_ns=bench.now + NS_PER_S)
+    for out in bench.run(40):
+        assert brakes(out)
+    bench.run(15)
+    assert bench.state is State.RUNNING
+
+
+def test_a_later_mission_leaves_nothing_of_the_one_before():
+    """Reference points are kept by wall time: those of the old epoch must go with it."""
+    bench = Bench()
+    bench.drive()
+    bench.run(10)
+    epoch = START - 30 * NS_PER_S
+    bench.mission(2, epoch_ns=epoch)
+    bench.tick()
+    trajectory = make_trajectory(bench.fleet.trajectory)
+    for stamp, known in bench.agent._references.items():
+        assert known == pytest.approx(trajectory.at((stamp - epoch) / NS_PER_S)), stamp - bench.now
+
+
+def test_stop_stops_and_only_a_later_mission_starts_again():
+    bench = Bench()
+    bench.drive()
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.3, 0.0)
+    bench.give(STOP, Stop(1, bench.now, "somebody in the way"))
+    assert brakes(bench.tick())
+    assert bench.agent.condition == ("stopping", "stop: somebody in the way")
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    bench.tick()
+    assert bench.agent.condition == ("stopped", "stop: somebody in the way")
+    bench.mission(1)
+    bench.run(5)
+    assert bench.state is State.STOPPED
+    bench.mission(2)
+    bench.run(5)
+    assert bench.state is State.RUNNING
+
+
+def test_a_stop_of_an_older_mission_is_ignored():
+    bench = Bench()
+    bench.tick()
+    bench.mission(7)
+    bench.run(4)
+    bench.give(STOP, Stop(6, bench.now, "too late"))
+    bench.run(2)
+    assert bench.state is State.RUNNING
+    assert bench.counters()["rejected.out_of_order"] == 1
+
+
+@pytest.mark.parametrize("stop_version", [3, 4])
+def test_a_stop_wins_over_its_mission_whichever_comes_first(stop_version: int):
+    """Two keys, two channels: the stop of a mission may overtake it. Only a later mission ends a stop."""
+    bench = Bench()
+    bench.tick()
+    bench.give(STOP, Stop(stop_version, bench.now, "at once"))
+    bench.mission(3)
+    for out in bench.run(8):
+        assert brakes(out)
+    assert bench.agent.condition == ("stopped", "stop: at once")
+    bench.mission(stop_version + 1)
+    bench.run(5)
+    assert bench.state is State.RUNNING
+
+
+def test_a_robot_that_starts_in_the_middle_of_a_mission_joins_it():
+    bench = Bench()
+    bench.tick()
+    bench.mission(epoch_ns=START - 10 * NS_PER_S)
+    assert not brakes(bench.tick())
+    assert bench.state is State.RUNNING
+
+
+# ---------------------------------------------------------------------- leaving
+
+
+def test_leaving_brakes_and_is_done_at_rest():
+    bench = Bench()
+    bench.drive()
+    assert not bench.agent.done
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.5, 0.0)
+    bench.agent.leave()
+    assert brakes(bench.tick())
+    assert bench.agent.condition == ("stopping", "the agent was told to end")
+    assert not bench.agent.done
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.5)
+    bench.run(3)
+    assert not bench.agent.done
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    bench.tick()
+    assert bench.agent.done
+    bench.mission(9)
+    assert all(map(brakes, bench.run(5)))
+
+
+def test_leaving_without_a_plant_is_done_at_once():
+    bench = Bench()
+    bench.pose = None
+    bench.agent.leave()
+    bench.tick()
+    assert bench.agent.done
+
+
+def test_leaving_when_the_plant_dies_is_done():
+    bench = Bench()
+    bench.drive()
+    bench.pose = None
+    bench.agent.leave()
+    bench.run(10)
+    assert bench.agent.done
+
+
+# ---------------------------------------------------------------------- the law as the agent applies it
+
+
+def test_acceleration_is_clipped_in_its_direction():
+    pose = Pose(-40.0, 30.0, 0.3, 0.0, 0.0)
+
+    def asked(limit: float) -> tuple[float, float]:
+        bench = Bench(f"control.max_acceleration={limit}")
+        bench.pose = pose
+        wrench = bench.drive().wrench
+        return hand_acceleration(wrench.force, wrench.torque, pose, 10.0, 0.13, 0.1)
+
+    wanted = asked(1000.0)
+    size = hypot(*wanted)
+    assert 1.0 < size < 100.0
+    for share in (0.02, 0.9):
+        assert asked(share * size) == pytest.approx(np.multiply(wanted, share))
+    assert asked(1.001 * size) == pytest.approx(wanted)
+
+
+def test_hand_state_is_where_the_hand_is_now():
+    bench = Bench()
+    bench.pose = Pose(0.2, -0.1, 0.7, 0.5, 0.4)
+    out = bench.drive()
+    after = Pose(0.2 + 0.005 * np.cos(0.702), -0.1 + 0.005 * np.sin(0.702), 0.704, 0.5, 0.4)
+    assert out.hand[4:8] == pytest.approx(tuple(hand(after, 0.1)), abs=1e-8)
+
+
+def test_a_neighbour_that_is_too_near_is_pushed_away_from():
+    bench = Bench("trajectory.kind=hold", "formation.offsets=[[-0.5,0],[0.5,0]]")
+    bench.pose, bench.other = Pose(-0.3, 0.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0, 0.0)
+    out = bench.drive()
+    assert out.hand.constraint_x + out.hand.navigation_x < 0.0
+    assert out.wrench.force < 0.0
+    assert out.wrench.torque == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
+@pytest.mark.parametrize("gap", [0.25, 0.2001, 0.2, 0.15, 0.05])
+def test_a_pair_about_the_safe_distance_is_driven_apart_and_is_no_fault(coupling: str, gap: float):
+    """Noise or a push may put it there: however large the force, what is asked of the plant is clipped."""
+    bench = Bench(f"control.coupling={coupling}")
+    bench.pose, bench.other = Pose(0.3, 0.0, 0.0, 0.0, 0.0), (0.4 + gap, 0.0, -0.5, 0.0)
+    bench.drive()
+    outs = bench.run(5)
+    assert bench.agent.condition == ("running", "")
+    assert all(out.wrench.force < 0.0 for out in outs)
+    assert not any(map(brakes, outs))
+
+
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late: int):
+    """The agent knows what acts on its body, also when the plant's word is some ticks old."""
+    bench = Bench()
+    bench.pose = None
+    body = from_fleet(bench.fleet, 1)
+    command: Command | None = None
+    forces = []
+    bench.mission(epoch_ns=bench.now - PERIOD // 2)
+    for tick in range(30):
+        stamp = bench.now - PERIOD // 2
+        reading = body.step(stamp, command)
+        if tick < 30 - late:
+            state = (*reading.pose, reading.force, reading.torque)
+            bench.give(PLANT, PlantState(1, tick, stamp, *state, command is not None, True, ""))
+        # The neighbour jumps to and fro, so that no wrench is like the one before it.
+        bench.other = (1.5, 0.5, 0.0, 0.0) if tick % 2 else (0.6, -0.1, 0.0, 0.0)
+        out = bench.tick()
+        command = None if out.wrench.brake else Command(out.wrench.force, out.wrench.torque)
+        forces.append(out.wrench.force)
+    assert bench.state is State.RUNNING
+    assert np.abs(np.diff(forces[-5:])).min() > 0.5
+    # Half a period after its last step, with what it was given there.
+    truth = body.step(stamp + PERIOD // 2, None).pose
+    assert out.hand.time_ns == stamp + PERIOD // 2
+    assert out.hand[4:8] == pytest.approx(tuple(hand(truth, 0.1)), abs=1e-6)
+
+
+# ---------------------------------------------------------------------- garbage
+
+
+def garbage(bench: Bench) -> list[tuple[str, bytes]]:
+    """What may come in one tick and must change nothing, with the reason it is counted under."""
+    now, mine = bench.now, digest(bench.fleet)
+    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, *[3.0] * 8, ((1, 9.0),))
+    plant = PlantState(1, 10**6, now - PERIOD // 4, *[3.0] * 7, True, True, "")
+    every = (PLANT, OTHER, MISSION, STOP, HAND, WRENCH, STATUS, "two/robot/9/hand", "", "two/**")
+    out = [(key, junk) for key in every for junk in (b"", b"\x00", b"\xff" * 5000, b"\x91\x01", b"junk" * 20)]
+    out += [
+        (PLANT, encode(hand_state)),
+        (OTHER, encode(plant)),
+        (MISSION, encode(plant)),
+        (STOP, encode(plant)),
+    ]
+    out += [(key, encode(plant._replace(robot=2))) for key in every]
+    out += [(OTHER, encode(hand_state._replace(robot=robot))) for robot in (1, 3, 9999)]
+    out += [(key, encode(Wrench(1, 0, now, 1.0, 1.0, False))) for key in every]
+    for stamp in (now + FUTURE_NS_MAX + 1, now - 50 * PERIOD, 0):
+        out += [(OTHER, encode(hand_state._replace(time_ns=stamp)))]
+        out += [(PLANT, encode(plant._replace(time_ns=stamp, healthy=False)))]
+    for value in (float("nan"), float("inf")):
+        out += [(OTHER, encode(hand_state._replace(x=value))), (PLANT, encode(plant._replace(speed=value)))]
+    out += [(OTHER, encode(hand_state)[:-1]), (OTHER, encode(hand_state) + b"\x00")]
+    out += [
+        (MISSION, encode(Mission(99, now, now, 1, "not mine"))),
+        (PLANT, encode(Mission(99, now, 0, 1, mine))),
+    ]
+    out += [(MISSION, encode(Stop(99, now, ""))), (STOP, encode(Mission(99, now, 0, 1, mine)))]
+    out += [(STOP, encode(Stop(0, now, "older than the mission")))]
+    return out
+
+
+def test_garbage_on_every_key_changes_nothing_and_is_counted():
+    clean, dirty = Bench(), Bench()
+    given = counted = 0
+    for bench in (clean, dirty):
+        bench.drive()
+    assert clean.now == dirty.now
+    for tick in range(60):
+        for bench in (clean, dirty):
+            bench.pose = Pose(0.01 * tick, 0.0, 0.02 * tick, 0.1, 0.05)
+            bench.other = (1.5 - 0.01 * tick, 0.2, -0.1, 0.0)
+        junk = garbage(dirty)
+        given += len(junk)
+        one, other = clean.tick(), dirty.tick(*junk)
+        assert dirty.state is State.RUNNING
+        assert [pair for pair in one.raw if pair[0] != STATUS] == [
+            pair for pair in other.raw if pair[0] != STATUS
+        ]
+        assert (one.status is None) == (other.status is None)
+        if one.status is not None:
+            assert one.status._replace(counters=()) == other.status._replace(counters=())
+    before = clean.counters()
+    after = dirty.counters()
+    counted = after["rejected"]
+    assert counted == given
+    assert before["rejected"] == 0
+    reasons = {name: count for name, count in after.items() if name.startswith("rejected.")}
+    assert sum(reasons.values()) == counted
+    assert {name.partition(".")[2] for name in reasons} == {
+        "malformed", "oversized", "not_finite", "wrong_key", "future", "out_of_order", "digest"
+    }  # fmt: skip
+    assert after["corrupted"] > 0
+    assert after["received"] == before["received"]
+
+
+def test_garbage_before_the_start_keeps_nobody_from_starting():
+    bench = Bench()
+    for _ in range(5):
+        bench.tick(*[(key, junk) for key, junk in garbage(bench) if key != STOP])
+    bench.drive()
+
+
+@pytest.mark.parametrize("depth", [500, 1000, 1020])
+def test_deeply_nested_garbage_does_not_kill_the_agent(depth: int):
+    bench = Bench()
+    bench.drive()
+    bench.tick((OTHER, b"\x9f" + b"\x91" * depth + b"\x90" + b"\xc0" * 14))
+    assert bench.state is State.RUNNING
+    assert bench.counters()["rejected"] == 1
+
+
+# ---------------------------------------------------------------------- numbers that fail
+
+
+EXTREMES = [1e6, 1e155, 1e300, -1.7e308]
+
+
+@pytest.mark.parametrize("value", EXTREMES)
+@pytest.mark.parametrize("name", PlantState._fields[3:10])
+@pytest.mark.parametrize("when", ["before", "while driving"])
+def test_absurd_plant_states_never_reach_the_wire_nor_end_the_agent(name: str, value: float, when: str):
+    """`Bench.tick` decodes all that is sent, and finds it finite."""
+    bench = Bench()
+    if when == "while driving":
+        bench.drive()
+    bench.plant = {name: value}
+    with np.errstate(all="ignore"):
+        if when == "before":
+            bench.tick()
+            bench.mission()
+        for _ in range(10):
+            out = bench.tick()
+            if bench.state is not State.RUNNING:
+                assert brakes(out)
+    if bench.state is State.FAULT:
+        assert bench.agent.reason
+
+
+@pytest.mark.parametrize("value", EXTREMES)
+@pytest.mark.parametrize("name", HandState._fields[4:12])
+@pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
+def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, value: float, coupling: str):
+    bench = Bench(f"control.coupling={coupling}")
+    bench.drive()
+    with np.errstate(all="ignore"):
+        for tick in range(6):
+            stamp = bench.now - PERIOD // 2
+            absurd = HandState(2, 10**6 + tick, stamp, True, *[0.0] * 8, ((1, 0.0),))._replace(
+                **{name: value}
+            )
+            out = bench.tick((OTHER, encode(absurd)))
+            if bench.state is not State.RUNNING:
+                assert brakes(out)
+
+
+def test_numbers_that_fail_are_a_fault_for_good():
+    made = fleet()
+    robots = tuple(replace(robot, mass_kg=1.7e308) for robot in made.robots)  # no file may say so
+    bench = Bench(made=replace(made, robots=robots))
+    bench.pose = Pose(50.0, 50.0, 0.3, 0.0, 0.0)
+    assert brakes(bench.drive())  # the tick in which they fail brakes
+    assert brakes(bench.tick())
+    assert bench.state is State.FAULT  # the next says so
+    assert bench.agent.reason.startswith("the law gave force")
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    outs = bench.run(20)
+    bench.mission(5)
+    outs += bench.run(5)
+    assert bench.state is State.FAULT
+    assert all(map(brakes, outs))
+    assert not any(out.hand.following for out in outs)
+
+
+def test_absurd_bodies_do_not_end_the_agent():
+    made = fleet()
+    for mass, inertia in ((1e-300, 1e300), (1e300, 1e-300), (1.7e308, 1.7e308)):
+        robots = tuple(replace(robot, mass_kg=mass, inertia_kgm2=inertia) for robot in made.robots)
+        bench = Bench(made=replace(made, robots=robots))
+        bench.pose = Pose(50.0, 50.0, 0.3, 0.1, 0.1)
+        bench.drive()
+        bench.run(3)
+
+
+# ---------------------------------------------------------------------- status
+
+
+def test_status_comes_five_times_a_second_and_at_every_change():
+    bench = Bench()
+    bench.drive()
+    statuses = [(k, out.status) for k, out in enumerate(bench.run(100)) if out.status is not None]
+    assert all(after - before == 10 for (before, _), (after, _) in pairwise(statuses))
+    bench.plant = {"healthy": False}
+    out = bench.tick()
+    assert out.status.state == "fault"
+    bench.plant = {}
+    states = [out.status.state for out in bench.run(2)]
+    assert states == ["waiting", "running"]
+
+
+def test_status_tells_times_ages_and_counters():
+    bench = Bench()
+    bench.drive()
+    for _ in range(30):
+        bench.tick()
+        bench.agent.timed(123_456, 2)
+    status = next(out.status for out in bench.run(10) if out.status is not None)
+    assert status.robot == 1
+    assert set(status.tick_us) == {123}
+    assert set(status.ages_us) == {PERIOD // 1000}
+    assert status.neighbours == ((2, PERIOD // 1000),)
+    counters = dict(status.counters)
+    assert counters["overruns"] == 60
+    assert (
+        counters["sent"]
+        == counters["received"]
+        == bench.ticks - (bench.now // PERIOD - status.time_ns // PERIOD) + 1
+    )
+    assert (counters["lost"], counters["delayed"], counters["duplicated"], counters["rejected"]) == (
+        0,
+        0,
+        0,
+        0,
+    )
+
+
+def test_neighbour_never_heard_has_no_age():
+    bench = Bench()
+    bench.other = None
+    assert bench.tick().status.neighbours == ((2, -1),)
+
+
+def test_status_fits_however_long_the_reasons_are():
+    """A text of the wire has TEXT_MAX bytes: what is put before it must not push it beyond."""
+    bench = Bench()
+    bench.drive()
+    bench.plant = {"healthy": False, "note": "n" * TEXT_MAX}
+    bench.tick()
+    bench.plant = {}
+    bench.run(2)
+    bench.give(STOP, Stop(1, bench.now, "é" * (TEXT_MAX // 2)))
+    bench.run(3)
+    assert bench.state is State.STOPPED
+
+
+def star(spokes: int) -> Fleet:
+    robots = ", ".join(f"{{ id = {9000 + k}, x_m = {2 * k}, y_m = 0 }}" for k in range(spokes))
+    edges = ", ".join(f"[1, {9000 + k}]" for k in range(spokes))
+    offsets = ", ".join(f"[{2 * k + 1}, 1]" for k in range(spokes))
+    text = f"""
+    robot = [{{ id = 1, x_m = -2, y_m = 0 }}, {robots}]
+    fleet = {{ name = "two" }}
+    formation = {{ edges = [{edges}], offsets = [[0, 0], {offsets}], safe_distance_m = 0.2 }}
+    """
+    return parse_fleet(text, source="here")
+
+
+@pytest.mark.parametrize("spokes", [10, 20, 40, 64])
+def test_status_fits_however_many_neighbours_there_are(spokes: int):
+    bench = Bench(made=star(spokes))
+    bench.other = None
+    bench.run(30)
+    assert bench.last.state == "waiting"
+    assert bench.last.reason.startswith("silent neighbours: 9000")
+    assert len(bench.last.neighbours) == spokes
+
+
+def test_status_fits_after_a_long_stall_of_the_loop():
+    bench = Bench()
+    bench.drive()
+    for _ in range(1000):
+        bench.agent.timed(10**12, 0)
+    bench.run(12)
+    assert bench.last.tick_us

@@ -1,0 +1,367 @@
+"""The codec: what is sent comes back, and what is not exactly a message is refused by its reason."""
+
+from __future__ import annotations
+
+import struct
+import time
+import tracemalloc
+from math import inf, nan
+
+import msgpack
+import pytest
+
+from agent.messages import (
+    BYTES_MAX,
+    FLOAT_MAX,
+    NEIGHBOURS_MAX,
+    REASONS,
+    TEXT_MAX,
+    TIME_NS_MAX,
+    VERSION,
+    HandState,
+    Malformed,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+    decode,
+    encode,
+)
+
+HAND = HandState(
+    3, 7, 10**18, True, 1.5, -2.0, 0.25, 0.0, 0.1, 0.2, -0.3, 0.4, ((1, 0.5), (2, -1.25), (9999, 0.0))
+)
+PLANT = PlantState(3, 8, 10**18, 1.0, 2.0, -0.5, 0.3, 0.01, 12.0, -0.5, True, False, "no estimate")
+WRENCH = Wrench(3, 9, 10**18, 4.5, -0.125, False)
+MISSION = Mission(2, 10**18, 10**18 + 5, 30 * 10**9, "0123456789abcdef")
+STOP = Stop(2, 10**18, "by the operator")
+STATUS = Status(
+    3,
+    10,
+    10**18,
+    "running",
+    "",
+    2,
+    ((1, 20_000), (2, -1)),
+    (150, 160),
+    (20_000, 40_000),
+    (("sent", 5), ("rejected.future", 1)),
+)
+MESSAGES = [HAND, PLANT, WRENCH, MISSION, STOP, STATUS]
+NUMBER = {type(message): number for number, message in enumerate(MESSAGES)}
+
+
+def packed(*parts: object) -> bytes:
+    return msgpack.packb(parts)
+
+
+def changed(message: Message, **fields: object) -> bytes:
+    """The message's bytes with other values, whatever their types."""
+    values = message._asdict() | fields
+    return packed(VERSION, NUMBER[type(message)], *values.values())
+
+
+def reason(payload: bytes) -> str:
+    with pytest.raises(Malformed) as caught:
+        decode(payload)
+    assert caught.value.reason in REASONS
+    assert str(caught.value).startswith(caught.value.reason + ": ")
+    return caught.value.reason
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_round_trip(message: Message):
+    again = decode(encode(message))
+    assert again == message
+    assert type(again) is type(message)
+    assert encode(again) == encode(message)
+    hash(again)  # tuples all the way down
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_wire_is_version_type_and_fields_in_order(message: Message):
+    version, number, *fields = msgpack.unpackb(encode(message), use_list=False)
+    assert version == VERSION
+    assert number == NUMBER[type(message)]
+    assert tuple(fields) == tuple(message)
+
+
+def test_floats_keep_every_bit():
+    values = (0.1, -0.0, 5e-324, FLOAT_MAX, 1 / 3, -1e-17, -FLOAT_MAX, 3.0)
+    again = decode(encode(HAND._replace(**dict(zip(HAND._fields[4:12], values, strict=True)))))
+    assert [x.hex() for x in again[4:12]] == [x.hex() for x in values]
+
+
+# ---------------------------------------------------------------------- refused, and why
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"\xc0",
+        b"\x01",
+        b"\x90",
+        packed(VERSION),
+        packed(VERSION, 0),
+        b"hello",
+        b"\xc1",  # never used in MessagePack
+        msgpack.packb({"version": 1}),
+        msgpack.packb("text"),
+        encode(WRENCH)[:-1],
+        encode(WRENCH) + b"\x00",
+        encode(WRENCH) * 2,
+        packed(VERSION, 2, 3, 9, 10**18, 4.5, -0.125, b"\x00"),
+        packed(VERSION, 4, 2, 0, msgpack.ExtType(5, b"")),
+        packed(VERSION, 4, 2, 0, msgpack.ExtType(5, b"x")),
+        packed(VERSION, 4, 2, 0, msgpack.Timestamp(1, 2)),
+        packed(VERSION, 4, 2, 0, {}),
+        packed(VERSION, 4, 2, 0, {"a": 1}),
+        packed(VERSION, 4, 2, 0, None),
+        b"\x95\x01\x04\x02\x00\xa2\xff\xfe",  # text that is not UTF-8
+        b"\x95\x01\x04\x02\x00\xa3\xed\xa0\x80",  # half of a surrogate pair
+    ],
+)
+def test_malformed(payload: bytes):
+    assert reason(payload) == "malformed"
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_wrong_number_of_fields(message: Message):
+    number = NUMBER[type(message)]
+    assert reason(packed(VERSION, number, *message[:-1])) == "malformed"
+    assert reason(packed(VERSION, number, *message, 0)) == "malformed"
+    assert reason(packed(VERSION, number, *message, *message)) == "malformed"  # every field twice
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_every_field_of_another_type_is_refused(message: Message):
+    for name, value in message._asdict().items():
+        for other in (None, "x", [1], [], True, 1, 1.5, 2**63):
+            integer_for_float = isinstance(value, float) and type(other) is int and other < 2**53
+            if type(other) is type(value) or (isinstance(value, tuple) and type(other) is list):
+                continue
+            if integer_for_float:
+                continue
+            assert reason(changed(message, **{name: other})) == "malformed", (name, other)
+
+
+def test_bool_is_no_integer_and_no_float():
+    assert reason(changed(HAND, robot=True)) == "malformed"
+    assert reason(changed(HAND, x=True)) == "malformed"
+    assert reason(changed(HAND, following=1)) == "malformed"
+    assert reason(changed(HAND, multipliers=[[True, 0.5]])) == "malformed"
+    assert reason(changed(STATUS, tick_us=[True])) == "malformed"
+    assert reason(packed(True, 0, *HAND)) == "version"
+    assert reason(packed(VERSION, False, *HAND)) == "type"
+
+
+def test_integers_are_taken_for_floats():
+    """Other languages' encoders write 1.0 as the integer 1."""
+    message = decode(changed(WRENCH, force=3, torque=-2))
+    assert message == WRENCH._replace(force=3.0, torque=-2.0)
+    assert type(message.force) is float
+    everywhere = decode(changed(HAND, **dict.fromkeys(HAND._fields[4:12], 2)))
+    assert all(type(value) is float for value in everywhere[4:12])
+    assert decode(changed(PLANT, x=int(FLOAT_MAX), y=-int(FLOAT_MAX)))[3:5] == (FLOAT_MAX, -FLOAT_MAX)
+    assert reason(changed(PLANT, x=2**53 + 1)) == "malformed"  # no float is equal to it
+    assert reason(changed(PLANT, x=2**64 - 1)) == "malformed"
+
+
+def test_integers_are_taken_for_multipliers_as_well():
+    """A whole multiplier, 0 above all, is the first that a robot sends."""
+    message = decode(changed(HAND, multipliers=[[1, 0], [2, -3]]))
+    assert message.multipliers == ((1, 0.0), (2, -3.0))
+    assert all(type(value) is float for _, value in message.multipliers)
+
+
+def test_single_precision_is_taken():
+    payload = (
+        b"\x98\x01\x02\x03\x09\x00" + b"\xca" + struct.pack(">f", 0.5) + b"\xca" + struct.pack(">f", -2.0)
+    )
+    assert decode(payload + b"\xc2") == Wrench(3, 9, 0, 0.5, -2.0, False)
+
+
+@pytest.mark.parametrize("version", [0, 2, -1, 255, 2**63, 1.0, "1", None, [1]])
+def test_other_versions(version: object):
+    assert reason(packed(version, 0, *HAND)) == "version"
+
+
+@pytest.mark.parametrize("number", [6, -1, 255, 2**64 - 1, 0.0, "0", None, [0]])
+def test_unknown_types(number: object):
+    assert reason(packed(VERSION, number, *HAND)) == "type"
+
+
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+@pytest.mark.parametrize("message", [HAND, PLANT, WRENCH], ids=lambda m: type(m).__name__)
+def test_not_finite_anywhere(message: Message, value: float):
+    for name, known in message._asdict().items():
+        if isinstance(known, float):
+            assert reason(changed(message, **{name: value})) == "not_finite", name
+    if message is HAND:
+        assert reason(changed(HAND, multipliers=[[1, value], [2, 0.0]])) == "not_finite"
+
+
+def test_infinities_of_both_signs_do_not_cancel():
+    assert reason(changed(HAND, x=inf, y=-inf)) == "not_finite"
+    assert reason(changed(HAND, multipliers=[[1, inf], [2, -inf]])) == "not_finite"
+
+
+@pytest.mark.parametrize("message", [HAND, PLANT, WRENCH], ids=lambda m: type(m).__name__)
+def test_absurd_numbers_are_out_of_range(message: Message):
+    for name, known in message._asdict().items():
+        if isinstance(known, float):
+            for value in (FLOAT_MAX * 1.001, -FLOAT_MAX * 1.001, 1e300, -1.7e308, 2**53):
+                assert reason(changed(message, **{name: value})) == "range", (name, value)
+    if message is HAND:
+        for value in (FLOAT_MAX * 1.001, -1e300, 2**53):
+            assert reason(changed(HAND, multipliers=[[1, 0.0], [2, value]])) == "range"
+
+
+def test_absurd_numbers_whose_sum_overflows():
+    assert reason(changed(PLANT, **dict.fromkeys(PLANT._fields[3:10], 1e308))) in ("not_finite", "range")
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        changed(HAND, robot=0),
+        changed(HAND, robot=-1),
+        changed(HAND, robot=10_000),
+        changed(HAND, sequence=-1),
+        changed(HAND, sequence=TIME_NS_MAX),
+        changed(HAND, time_ns=-1),
+        changed(HAND, time_ns=TIME_NS_MAX),
+        changed(HAND, multipliers=[[k + 1, 0.5] for k in range(NEIGHBOURS_MAX + 1)]),
+        changed(PLANT, robot=0),
+        changed(WRENCH, time_ns=2**63 - 1),
+        changed(WRENCH, sequence=2**64 - 1),
+        changed(MISSION, version=-1),
+        changed(MISSION, time_ns=-5),
+        changed(MISSION, epoch_ns=-1),
+        changed(MISSION, epoch_ns=TIME_NS_MAX),
+        changed(MISSION, duration_ns=0),
+        changed(MISSION, duration_ns=-1),
+        changed(MISSION, duration_ns=TIME_NS_MAX),
+        changed(STOP, version=-1),
+        changed(STOP, time_ns=-1),
+        changed(STATUS, robot=0),
+        changed(STATUS, sequence=-1),
+    ],
+)
+def test_out_of_range(payload: bytes):
+    assert reason(payload) == "range"
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        changed(HAND, multipliers=[1]),
+        changed(HAND, multipliers=[[1]]),
+        changed(HAND, multipliers=[[1, 0.5, 2]]),
+        changed(HAND, multipliers=[[1.0, 0.5]]),
+        changed(HAND, multipliers=[["1", 0.5]]),
+        changed(HAND, multipliers=[[1, "0.5"]]),
+        changed(HAND, multipliers=[[1, None]]),
+        changed(HAND, multipliers=[[1, [0.5]]]),
+        changed(HAND, multipliers=[[]]),
+        changed(STATUS, neighbours=[[1]]),
+        changed(STATUS, neighbours=[[1, 2.0]]),
+        changed(STATUS, neighbours=[1, 2]),
+        changed(STATUS, counters=[[1, 1]]),
+        changed(STATUS, counters=[["sent", 1.5]]),
+        changed(STATUS, counters=["sent"]),
+        changed(STATUS, tick_us=[1.5]),
+        changed(STATUS, tick_us=[None]),
+        changed(STATUS, ages_us=["1"]),
+        changed(STATUS, ages_us=[[1]]),
+    ],
+)
+def test_malformed_parts(payload: bytes):
+    assert reason(payload) == "malformed"
+
+
+def test_text_has_a_greatest_length():
+    assert decode(changed(STOP, reason="x" * TEXT_MAX)).reason == "x" * TEXT_MAX
+    assert reason(changed(STOP, reason="x" * (TEXT_MAX + 1))) == "malformed"
+    assert decode(changed(STOP, reason="é" * (TEXT_MAX // 2))).reason == "é" * (TEXT_MAX // 2)
+    assert reason(changed(STOP, reason="é" * (TEXT_MAX // 2 + 1))) == "malformed"  # bytes are what counts
+
+
+def test_size_has_a_limit():
+    room = BYTES_MAX - len(encode(STATUS._replace(ages_us=()))) - 2  # the array's head grows by 2
+    largest = encode(STATUS._replace(ages_us=(100,) * room))
+    assert len(largest) == BYTES_MAX
+    # That many values are more than an array may hold; with five bytes a value it fits.
+    assert reason(largest) == "malformed"
+    assert decode(encode(STATUS._replace(ages_us=(100_000,) * (room // 5)))).ages_us[-1] == 100_000
+    assert reason(largest + b"\x00") == "oversized"
+    assert reason(b"\x00" * (BYTES_MAX + 1)) == "oversized"
+    assert reason(b"\xff" * 10_000_000) == "oversized"
+
+
+def test_as_many_multipliers_as_neighbours_fit():
+    most = HAND._replace(multipliers=tuple((9000 + k, 0.1) for k in range(NEIGHBOURS_MAX)))
+    assert decode(encode(most)) == most
+
+
+# ---------------------------------------------------------------------- hostile
+
+
+HOSTILE = {
+    "array of 2^32": b"\xdd\xff\xff\xff\xff",
+    "array of 2^16": b"\xdc\xff\xff",
+    "text of 2^32": b"\x95\x01\x04\x02\x00\xdb\xff\xff\xff\xff",
+    "bytes of 2^32": b"\x95\x01\x04\x02\x00\xc6\xff\xff\xff\xff",
+    "map of 2^32": b"\xdf\xff\xff\xff\xff",
+    "extension of 2^32": b"\x95\x01\x04\x02\x00\xc9\xff\xff\xff\xff\x05",
+    "arrays in arrays": b"\x91" * BYTES_MAX,
+    "arrays in arrays, closed": b"\x91" * (BYTES_MAX - 1) + b"\x90",
+    "long arrays in arrays": b"\xdc\x08\x00" * (BYTES_MAX // 3),
+    "huge arrays in arrays": b"\xdd\x00\x00\x08\x00" * (BYTES_MAX // 5),
+    "maps in maps": b"\x81\x01" * (BYTES_MAX // 2),
+    "empty arrays": b"\xdc\x08\x00" + b"\x90" * 2048,
+}
+
+
+@pytest.mark.parametrize("payload", HOSTILE.values(), ids=HOSTILE)
+def test_hostile_payloads_are_refused_fast_and_small(payload: bytes):
+    decode(encode(WRENCH))
+    tracemalloc.start()
+    try:
+        start = time.perf_counter()
+        reason(payload)
+        took = time.perf_counter() - start
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 40_000_000
+    assert took < 1.0  # under tracemalloc; a stall would be far beyond it
+
+
+@pytest.mark.parametrize("depth", [10, 100, 300, 500, 900, 1000, 1020, 2000])
+@pytest.mark.parametrize("place", ["version", "type", "field", "multiplier", "neighbour"])
+def test_deep_nesting_is_refused_wherever_it_is(depth: int, place: str):
+    """Also where the reason for the refusal shows the value."""
+    deep = b"\x91" * depth + b"\x90"
+    head = msgpack.packb([*HAND])[1:]
+    payload = {
+        "version": b"\x9f" + deep + b"\x00" + head,
+        "type": b"\x9f\x01" + deep + head,
+        "field": b"\x9f\x01\x00" + deep + msgpack.packb([*HAND[1:]])[1:],
+        "multiplier": b"\x9f\x01\x00" + msgpack.packb([*HAND[:-1]])[1:] + b"\x91" + deep,
+        "neighbour": b"\x9c\x01\x05"
+        + msgpack.packb([*STATUS[:6]])[1:]
+        + b"\x91"
+        + deep
+        + msgpack.packb([*STATUS[7:]])[1:],
+    }[place]
+    assert reason(payload) in ("version", "type", "malformed")
+
+
+def test_a_reason_is_short_whatever_was_sent():
+    with pytest.raises(Malformed) as caught:
+        decode(packed(["x" * 200] * 15, 0, 0))
+    assert len(str(caught.value)) < 200
