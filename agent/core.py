@@ -104,7 +104,7 @@ class Agent:
         self._multipliers = [0.0] * len(columns)
         self._hand_sequence = self._wrench_sequence = self._status_sequence = 0
         self._status_due_ns = 0
-        self._counters: Counter[str] = Counter()
+        self._sent_hands = self._corrupted = 0
         self.rejected: Counter[str] = Counter()
         self._tick_us: list[int] = []
         self._ages_us: list[int] = []
@@ -129,7 +129,7 @@ class Agent:
             message = decode(payload)
         except Malformed as error:
             if key in self._hands:
-                self._counters["corrupted"] += 1
+                self._corrupted += 1
             self._reject(error.reason)
             return
         reason: str | None = "wrong_key"
@@ -206,11 +206,12 @@ class Agent:
         ages_ns = self._neighbours.ages_ns(now_ns)
         self._ages_us.extend([age // 1000 for age in ages_ns if age is not None])
         self._plant_trouble = self._check_plant(now_ns)
-        conditions = self._conditions(now_ns, ages_ns)
         was = self.state
-        self.state, row = step(was, conditions)
-        if row is not None:
-            self.reason = row.reason(conditions)
+        if not (was is State.RUNNING and self._all_well(now_ns, ages_ns)):
+            conditions = self._conditions(now_ns, ages_ns)
+            self.state, row = step(was, conditions)
+            if row is not None:
+                self.reason = row.reason(conditions)
         if self.state is State.RUNNING and was is not State.RUNNING:
             self._multipliers = [0.0] * len(self._multipliers)
         out = self._drive(now_ns) if self.state is State.RUNNING else self._brake(now_ns)
@@ -226,6 +227,22 @@ class Agent:
         if age_ns > self._plant_timeout_ns:
             return f"plant silent for {age_ns / NS_PER_S:.2f} s"
         return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
+
+    def _all_well(self, now_ns: int, ages_ns: list[int | None]) -> bool:
+        """True when a running robot has nothing to worry about: the table has no row for that."""
+        mission, horizon_ns = self._mission, self._horizon_ns
+        for age in ages_ns:
+            if age is None or age > horizon_ns:
+                return False
+        return not (
+            self._plant_trouble
+            or self._leaving
+            or self._stop is not None
+            or self._numbers
+            or mission is None
+            or now_ns >= mission.epoch_ns + mission.duration_ns
+            or self._next_plant_tick_ns(now_ns) < mission.epoch_ns
+        )
 
     def _conditions(self, now_ns: int, ages_ns: list[int | None]) -> Conditions:
         mission = self._mission
@@ -399,18 +416,18 @@ class Agent:
             self.robot, self._hand_sequence, now_ns, following, *here, nx, ny, cx, cy, multipliers
         )
         self._hand_sequence += 1
-        self._counters["sent"] += len(self._neighbours.ids)
+        self._sent_hands += len(self._neighbours.ids)
         return self._key_hand, encode(message)
 
     def _status(self, now_ns: int, ages_ns: list[int | None]) -> Outgoing:
         neighbours = self._neighbours
         counters = {
-            "sent": self._counters["sent"],
+            "sent": self._sent_hands,
             "received": neighbours.received,
             "lost": neighbours.lost,
             "delayed": neighbours.delayed,
             "duplicated": neighbours.duplicated,
-            "corrupted": self._counters["corrupted"],
+            "corrupted": self._corrupted,
             "rejected": sum(self.rejected.values()),
             "overruns": self._overruns,
             **{f"rejected.{reason}": count for reason, count in sorted(self.rejected.items())},

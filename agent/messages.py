@@ -23,6 +23,7 @@ TEXT_MAX: Final = 200
 FLOAT_MAX: Final = 1e15
 """No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
+ROBOT_MAX: Final = 9999
 
 REASONS: Final = ("oversized", "malformed", "version", "type", "not_finite", "range")
 
@@ -142,19 +143,30 @@ M = TypeVar("M", HandState, PlantState, Wrench, Mission, Stop, Status)
 _CLASSES: Final[tuple[type[Message], ...]] = (HandState, PlantState, Wrench, Mission, Stop, Status)
 _TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}
 
-# Exact types of the fields on the wire; a list stands for a variable part, checked on its own.
+# Exact types of the fields on the wire; a tuple stands for a variable part, checked on its own.
 _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
-    (int, int, int, bool, *(float,) * 8, list),
+    (int, int, int, bool, *(float,) * 8, tuple),
     (int, int, int, *(float,) * 7, bool, bool, str),
     (int, int, int, float, float, bool),
     (int, int, int, int, str),
     (int, int, str),
-    (int, int, int, str, str, int, list, list, list, list),
+    (int, int, int, str, str, int, tuple, tuple, tuple, tuple),
 )
+_HEAD: Final = 2  # version and type come before the fields
 _FLOATS: Final = tuple(
-    slice(types.index(float), len(types) - types[::-1].index(float)) if float in types else None
+    slice(types.index(float), len(types) - types[::-1].index(float)) if float in types else slice(0)
     for types in _FIELD_TYPES
 )
+# The messages of every tick, by the types on the wire: number of the class, its floats, the class.
+_FREQUENT: Final = {
+    (int, int, *_FIELD_TYPES[number]): (
+        number,
+        slice(_FLOATS[number].start + _HEAD, _FLOATS[number].stop + _HEAD),
+        _CLASSES[number],
+    )
+    for number in (0, 1, 2)
+}
+_HAND_STATE: Final = 0
 _STATUS_VALUES_MAX: Final = 2048
 
 _pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
@@ -176,36 +188,58 @@ def decode(payload: bytes) -> Message:
         raise Malformed("oversized", f"{len(payload)} bytes, at most {BYTES_MAX} are accepted")
     try:
         array = msgpack.unpackb(
-            payload,
-            max_array_len=_STATUS_VALUES_MAX,
-            max_str_len=TEXT_MAX,
-            max_map_len=0,
-            max_bin_len=0,
-            max_ext_len=0,
+            payload, use_list=False, max_array_len=_STATUS_VALUES_MAX, max_str_len=TEXT_MAX
         )
     except Exception as error:  # msgpack raises a dozen unrelated types; each means the same here
         raise Malformed("malformed", f"not one MessagePack array ({type(error).__name__})") from None
-    if type(array) is not list or len(array) < 3:
+    # A valid message of the frequent kinds is through here; `_examine` takes all others and says why.
+    if type(array) is tuple:
+        frequent = _FREQUENT.get(tuple(map(type, array)))
+        if frequent is not None:
+            number, floats, cls = frequent
+            if (
+                array[0] == VERSION
+                and array[1] == number
+                and 0 < array[2] <= ROBOT_MAX
+                and 0 <= array[3] < TIME_NS_MAX
+                and 0 <= array[4] < TIME_NS_MAX
+                and sum(map(abs, array[floats])) <= FLOAT_MAX  # false for NaN and infinities, too
+                and (number != _HAND_STATE or _plain(array[-1]))
+            ):
+                message: Message = tuple.__new__(cls, array[_HEAD:])
+                return message
+    return _examine(array)
+
+
+def _plain(multipliers: tuple[Any, ...]) -> bool:
+    """True when all are (neighbour, lambda) as they should be."""
+    for entry in multipliers:
+        if type(entry) is not tuple or tuple(map(type, entry)) != (int, float):
+            return False
+        if not -FLOAT_MAX <= entry[1] <= FLOAT_MAX:
+            return False
+    return len(multipliers) <= NEIGHBOURS_MAX
+
+
+def _examine(array: Any) -> Message:
+    """The message in what was unpacked, or `Malformed` with the first thing that is wrong with it."""
+    if type(array) is not tuple or len(array) < 3:
         raise Malformed("malformed", "not a MessagePack array [version, type, *fields]")
-    version, number, *fields = array
+    version, number, fields = array[0], array[1], array[_HEAD:]
     if type(version) is not int or version != VERSION:
         raise Malformed("version", f"version {_shown(version)}, this program speaks {VERSION}")
     if type(number) is not int or not 0 <= number < len(_CLASSES):
         raise Malformed("type", f"message type {_shown(number)} is not known")
-    expected = _FIELD_TYPES[number]
-    if tuple(map(type, fields)) != expected:
-        fields = _coerced(fields, expected, _CLASSES[number].__name__, _CLASSES[number]._fields)
-    floats = _FLOATS[number]
-    if floats is not None:
-        _check_floats(fields[floats], _CLASSES[number].__name__)
+    cls = _CLASSES[number]
+    fields = _coerced(fields, _FIELD_TYPES[number], cls.__name__, cls._fields)
+    _check_floats(fields[_FLOATS[number]], cls.__name__)
     return _CHECKS[number](fields)
 
 
-def _check_floats(values: list[float], what: str) -> None:
-    # One sum instead of a test for each: NaN and infinities survive every addition.
-    if not isfinite(sum(values)):
+def _check_floats(values: tuple[float, ...], what: str) -> None:
+    if not all(map(isfinite, values)):
         raise Malformed("not_finite", f"{what} holds a NaN or an infinity")
-    if max(values) > FLOAT_MAX or min(values) < -FLOAT_MAX:
+    if any(abs(value) > FLOAT_MAX for value in values):
         raise Malformed("range", f"{what} holds a number beyond +-{FLOAT_MAX:g}")
 
 
@@ -216,13 +250,15 @@ def clipped(text: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, list):  # its repr could be as deep as the sender liked
+    if isinstance(value, tuple):  # its repr could be as deep as the sender liked
         return "an array"
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def _coerced(fields: list[Any], expected: tuple[type, ...], what: str, names: tuple[str, ...]) -> list[Any]:
+def _coerced(
+    fields: tuple[Any, ...], expected: tuple[type, ...], what: str, names: tuple[str, ...]
+) -> tuple[Any, ...]:
     """Fields of the right types, or `Malformed`.
 
     Other languages' encoders write 1.0 as the integer 1: such a number is taken as a float.
@@ -237,48 +273,44 @@ def _coerced(fields: list[Any], expected: tuple[type, ...], what: str, names: tu
             out.append(float(value))
         else:
             raise Malformed("malformed", f"{what}.{name} is {_shown(value)}, not a {wanted.__name__}")
-    return out
+    return tuple(out)
 
 
 def _check_times(robot: int, sequence: int, time_ns: int) -> None:
-    if not 0 < robot < 10_000:
-        raise Malformed("range", f"robot {robot} is not within 1..9999")
+    if not 0 < robot <= ROBOT_MAX:
+        raise Malformed("range", f"robot {robot} is not within 1..{ROBOT_MAX}")
     if not 0 <= sequence < TIME_NS_MAX:
         raise Malformed("range", f"sequence number {sequence} is negative or absurd")
     if not 0 <= time_ns < TIME_NS_MAX:
         raise Malformed("range", f"time {time_ns} ns is negative or absurd")
 
 
-def _hand_state(fields: list[Any]) -> HandState:
+def _hand_state(fields: tuple[Any, ...]) -> HandState:
     _check_times(fields[0], fields[1], fields[2])
     multipliers = fields[12]
     if len(multipliers) > NEIGHBOURS_MAX:
         raise Malformed("range", f"{len(multipliers)} multipliers, at most {NEIGHBOURS_MAX} are accepted")
-    pairs = []
+    checked = []
     for entry in multipliers:
-        if type(entry) is not list or len(entry) != 2 or type(entry[0]) is not int:
+        if type(entry) is not tuple or len(entry) != 2 or type(entry[0]) is not int:
             raise Malformed("malformed", f"multiplier {_shown(entry)} is not [neighbour, lambda]")
-        neighbour, value = entry
-        if type(value) is not float:
-            (value,) = _coerced([value], (float,), "HandState", ("multipliers",))
-        if not -FLOAT_MAX <= value <= FLOAT_MAX:
-            _check_floats([value], "a multiplier")
-        pairs.append((neighbour, value))
-    fields[12] = tuple(pairs)
-    return HandState._make(fields)
+        values = _coerced(entry[1:], (float,), "HandState", ("multipliers",))
+        _check_floats(values, "a multiplier")
+        checked.append((entry[0], *values))
+    return HandState._make((*fields[:-1], tuple(checked)))
 
 
-def _plant_state(fields: list[Any]) -> PlantState:
+def _plant_state(fields: tuple[Any, ...]) -> PlantState:
     _check_times(fields[0], fields[1], fields[2])
     return PlantState._make(fields)
 
 
-def _wrench(fields: list[Any]) -> Wrench:
+def _wrench(fields: tuple[Any, ...]) -> Wrench:
     _check_times(fields[0], fields[1], fields[2])
     return Wrench._make(fields)
 
 
-def _mission(fields: list[Any]) -> Mission:
+def _mission(fields: tuple[Any, ...]) -> Mission:
     mission = Mission._make(fields)
     _check_times(1, mission.version, mission.time_ns)
     if not 0 <= mission.epoch_ns < TIME_NS_MAX or not 0 < mission.duration_ns < TIME_NS_MAX:
@@ -286,25 +318,23 @@ def _mission(fields: list[Any]) -> Mission:
     return mission
 
 
-def _stop(fields: list[Any]) -> Stop:
+def _stop(fields: tuple[Any, ...]) -> Stop:
     stop = Stop._make(fields)
     _check_times(1, stop.version, stop.time_ns)
     return stop
 
 
-def _status(fields: list[Any]) -> Status:
+def _status(fields: tuple[Any, ...]) -> Status:
     _check_times(fields[0], fields[1], fields[2])
     for index, types in ((6, (int, int)), (9, (str, int))):
         for entry in fields[index]:
-            if type(entry) is not list or tuple(map(type, entry)) != types:
+            if type(entry) is not tuple or tuple(map(type, entry)) != types:
                 raise Malformed("malformed", f"Status.{Status._fields[index]} holds {_shown(entry)}")
-        fields[index] = tuple(map(tuple, fields[index]))
     for index in (7, 8):
         if not all(type(value) is int for value in fields[index]):
             raise Malformed(
                 "malformed", f"Status.{Status._fields[index]} holds a value that is not an integer"
             )
-        fields[index] = tuple(fields[index])
     return Status._make(fields)
 
 
