@@ -57,39 +57,42 @@ class Actuator(NamedTuple):
             return self.target * t
         return self.target * t + (self.start - self.target) * self.lag * (1.0 - exp(-t / self.lag))
 
-    def second_integral(self, t: float) -> float:
-        """The integral of `first_integral` over [0, t], for an angle."""
-        if self.lag <= 0.0:
-            return 0.5 * self.target * t * t
-        rest = t - self.lag * (1.0 - exp(-t / self.lag))
-        return 0.5 * self.target * t * t + (self.start - self.target) * self.lag * rest
-
 
 def integrate(pose: Pose, force: Actuator, torque: Actuator, mass: float, inertia: float, dt: float) -> Pose:
     """The unicycle (1) after `dt` seconds.
 
-    Speed, yaw rate and heading have closed forms. The position is the integral of
-    v (cos theta, sin theta), by Gauss-Legendre quadrature in steps of at most `TURN_MAX` radians.
+    Speed, yaw rate and heading have closed forms; with a = target/m, b = (start - target) lag/m:
+    v(t) = v + a t + b (1 - exp(-t/lag)), and likewise for the yaw rate and its integral, the heading.
+    The position is the integral of v (cos theta, sin theta), by Gauss-Legendre quadrature in steps of
+    at most `TURN_MAX` radians.
     """
-    rate_end = pose.yaw_rate + torque.first_integral(dt) / inertia
-    turn = max(abs(pose.yaw_rate), abs(rate_end)) * dt
-    steps = max(1, ceil(turn / TURN_MAX))
+    x0, y0, heading0, speed0, rate0 = pose
+    a, b, lag_a = force.target / mass, (force.start - force.target) * force.lag / mass, force.lag
+    spin, c, lag_c = (
+        torque.target / inertia,
+        (torque.start - torque.target) * torque.lag / inertia,
+        torque.lag,
+    )
+    rate_end = rate0 + torque.first_integral(dt) / inertia
+    steps = max(1, ceil(max(abs(rate0), abs(rate_end)) * dt / TURN_MAX))
     h = dt / steps
     x = y = 0.0
     for number in range(steps):
         for node, weight in _NODES:
             t = (number + node) * h
-            heading = pose.heading + pose.yaw_rate * t + torque.second_integral(t) / inertia
-            length = weight * (pose.speed + force.first_integral(t) / mass)
-            x += length * cos(heading)
-            y += length * sin(heading)
-    return Pose(
-        pose.x + h * x,
-        pose.y + h * y,
-        pose.heading + pose.yaw_rate * dt + torque.second_integral(dt) / inertia,
-        pose.speed + force.first_integral(dt) / mass,
-        rate_end,
-    )
+            speed = speed0 + a * t
+            heading = heading0 + (rate0 + 0.5 * spin * t) * t
+            if b:
+                speed += b * (1.0 - exp(-t / lag_a))
+            if c:
+                heading += c * (t - lag_c * (1.0 - exp(-t / lag_c)))
+            x += weight * speed * cos(heading)
+            y += weight * speed * sin(heading)
+    heading = heading0 + (rate0 + 0.5 * spin * dt) * dt
+    if c:
+        heading += c * (dt - lag_c * (1.0 - exp(-dt / lag_c)))
+    speed = speed0 + force.first_integral(dt) / mass
+    return Pose(x0 + h * x, y0 + h * y, heading, speed, rate_end)
 
 
 def _limited(value: float, limit: float | None) -> float:
@@ -122,6 +125,7 @@ class Unicycle:
             body.speed_noise_mps,
             body.yaw_rate_noise_radps,
         )
+        self._noisy = any(self._noise)
         self._streams = [
             draws.stream(seed, "plant", body.id, quantity)
             for quantity in ("x", "y", "heading", "speed", "yaw rate")
@@ -175,8 +179,8 @@ class Unicycle:
         yaw_rate = pose.yaw_rate + torque.first_integral(dt) / body.inertia_kgm2
         if abs(speed) <= SPEED_MAX and abs(yaw_rate) <= YAW_RATE_MAX:
             self._pose = integrate(pose, force, torque, body.mass_kg, body.inertia_kgm2, dt)
-            self._force = force._replace(start=force.value(dt))
-            self._torque = torque._replace(start=torque.value(dt))
+            self._force = Actuator(force.value(dt), force.target, force.lag)
+            self._torque = Actuator(torque.value(dt), torque.target, torque.lag)
         else:  # also when they are not numbers
             self._broken = f"driven to {speed:.3g} m/s and {yaw_rate:.3g} rad/s: no such body holds together"
             self._pose = pose._replace(speed=0.0, yaw_rate=0.0)
@@ -190,7 +194,7 @@ class Unicycle:
         return Command(body.mass_kg * deceleration, body.inertia_kgm2 * spin)
 
     def _measured(self) -> tuple[Pose, Pose | None]:
-        if not any(self._noise):
+        if not self._noisy:
             return self._pose, None
         noisy = [
             value + deviation * draws.normal(stream, self._steps)

@@ -41,9 +41,10 @@ class BenchmarkError(RuntimeError):
 
 
 def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Of a child: it finds this checkout's packages wherever it starts."""
+    """Of a child: it finds this checkout's packages wherever it starts. An empty value unsets a variable."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    return os.environ | _ENVIRONMENT | {"PYTHONPATH": path} | dict(extra or {})
+    whole = os.environ | _ENVIRONMENT | {"PYTHONPATH": path} | dict(extra or {})
+    return {name: value for name, value in whole.items() if value}
 
 
 def handfast(*arguments: str) -> list[str]:

@@ -96,14 +96,12 @@ def test_many_steps_are_one(lag: float):
     assert reading.force == pytest.approx(12.0 if lag == 0.0 else 12.0 * (1.0 - exp(-0.5 / lag)))
 
 
-def test_actuator_integrals_are_integrals():
+def test_an_actuators_integral_is_its_integral():
     for actuator in (Actuator(1.0, -2.0, 0.1), Actuator(0.0, 3.0, 0.0), Actuator(-1.0, 3.0, 2.0)):
         t, h = 0.3, 1e-5
         first = (actuator.first_integral(t + h) - actuator.first_integral(t - h)) / (2 * h)
-        second = (actuator.second_integral(t + h) - actuator.second_integral(t - h)) / (2 * h)
         assert first == pytest.approx(actuator.value(t), rel=1e-6)
-        assert second == pytest.approx(actuator.first_integral(t), rel=1e-6)
-        assert actuator.first_integral(0.0) == actuator.second_integral(0.0) == 0.0
+        assert actuator.first_integral(0.0) == 0.0
     assert Actuator(1.0, -2.0, 0.1).value(0.0) == 1.0
     assert Actuator(1.0, -2.0, 0.1).value(10.0) == pytest.approx(-2.0)
 
