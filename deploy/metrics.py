@@ -152,11 +152,10 @@ def compute(
         *_unsafe(with_edge, safe_m, "share an edge"),
         *_unsettled(a, recording.ids),
     ]
-    warnings = [
-        # The law keeps neighbours apart and says nothing about others: not its failure, but not to be hidden.
-        f"{sentence} The law keeps apart only robots that share an edge."
-        for sentence in _unsafe(without, safe_m, "share no edge")
-    ]
+    # The law keeps neighbours apart and says nothing about others: not its failure, but not to be hidden.
+    warnings = [f"{warning}." for warning in recording.warnings]
+    for sentence in _unsafe(without, safe_m, "share no edge"):
+        warnings.append(f"{sentence} The law keeps apart only robots that share an edge.")
     metrics: dict[str, Any] = {
         "fleet": fleet.fleet.name,
         "law": law_name(fleet.control),

@@ -281,7 +281,6 @@ def _page(
     reasons = _list([escape(reason) for reason in found["verdict"]["reasons"]])
     cautions = _list([f"Warning: {escape(warning)}" for warning in found["verdict"]["warnings"]])
     tips = advice(recording, fleet, found)
-    warnings = "".join(f'<p class="soft">Note: {escape(warning)}.</p>' for warning in recording.warnings)
     parts = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f"<title>{name}: {verdict}</title>\n"
@@ -292,7 +291,7 @@ def _page(
         f'<section class="verdict {verdict}">\n<h2>{verdict.capitalize()}</h2>\n'
         f"<p>{_summary(recording, fleet, found)}</p>\n{reasons}{cautions}"
         + (f"<p><strong>What to try</strong></p>{_list(tips)}" if tips else "")
-        + f"</section>\n{warnings}",
+        + "</section>",
         *(_figure(name, pictures[name]) for name in ("trajectories", "distances")),
         "<h2>In numbers</h2>",
         _metrics_table(found),
