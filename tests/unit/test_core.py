@@ -427,7 +427,7 @@ def test_a_later_mission_leaves_nothing_of_the_one_before():
     bench.mission(2, epoch_ns=epoch)
     bench.tick()
     trajectory = make_trajectory(bench.fleet.trajectory)
-    for stamp, known in bench.agent._references.items():
+    for stamp, known in bench.agent._controller._references.items():
         assert known == pytest.approx(trajectory.at((stamp - epoch) / NS_PER_S)), stamp - bench.now
 
 
