@@ -163,10 +163,10 @@ class ControlSection:
         le=60,
     )
     plant_timeout_s: float = setting(
-        0.25, "An agent whose plant is silent for so long stops. At least two periods.", unit="s", gt=0, le=60
+        0.2, "An agent whose plant is silent for so long stops. At least two periods.", unit="s", gt=0, le=60
     )
     wrench_timeout_s: float = setting(
-        0.25, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
+        0.2, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
     )
 
 
