@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-import numpy as np
-
 from agent.core import Agent
 from agent.fleet import Fleet
 from agent.formation import resolved
@@ -22,5 +20,4 @@ def start(fleet: Fleet, robot: int) -> tuple[Agent, Sequence[str], Sequence[str]
 
 
 if __name__ == "__main__":
-    np.seterr(all="ignore")  # numbers that fail are found by their values (`Agent._drive`)
     sys.exit(main(None, "python -m agent", "agent", start))

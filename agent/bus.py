@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import zenoh
 
-INBOX_SIZE: Final = 32
-"""Messages that wait for a tick, per key; the newest are kept."""
+from agent.node import INBOX_SIZE
+
 PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `messages.BYTES_MAX`, so that most are counted."""
 LEASE_MS: Final = 1000

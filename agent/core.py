@@ -246,8 +246,7 @@ class Agent:
 
     def _drive(self, now_ns: int) -> list[Outgoing]:
         assert self._plant is not None
-        drive = self._controller.drive(self._plant, now_ns)
-        force, torque, here, nx, ny, cx, cy = drive
+        force, torque, here, nx, ny, cx, cy = self._controller.drive(self._plant, now_ns)
         numbers = (force, torque, *here, nx, ny, cx, cy, *self._controller.multipliers)
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
@@ -277,11 +276,10 @@ class Agent:
     def _hand(
         self, now_ns: int, here: hand.Hand, following: bool, nx: float, ny: float, cx: float, cy: float
     ) -> Outgoing:
-        multipliers = (
-            tuple(zip(self._neighbours.ids, self._controller.multipliers, strict=True))
-            if self.state is State.RUNNING
-            else ()
-        )
+        # In the tick in which the numbers fail the state is RUNNING still, and they must not go out.
+        driven = following and self.state is State.RUNNING
+        pairs = zip(self._neighbours.ids, self._controller.multipliers, strict=True)
+        multipliers = tuple(pairs) if driven else ()
         message = HandState(
             self.robot, self._hand_sequence, now_ns, following, *here, nx, ny, cx, cy, multipliers
         )

@@ -12,7 +12,7 @@ clock (Unix epoch).
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import msgpack
 
@@ -138,7 +138,6 @@ class Status(NamedTuple):
 
 
 Message = HandState | PlantState | Wrench | Mission | Stop | Status
-M = TypeVar("M", HandState, PlantState, Wrench, Mission, Stop, Status)
 
 _CLASSES: Final[tuple[type[Message], ...]] = (HandState, PlantState, Wrench, Mission, Stop, Status)
 _TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}

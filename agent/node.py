@@ -7,10 +7,14 @@ Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 Outgoing = tuple[str, bytes]
 """A message to publish: its key and its bytes."""
+
+
+INBOX_SIZE: Final = 32
+"""Messages that wait for a node's tick, per key; the newest are kept."""
 
 
 class Node(Protocol):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.clock import NS_PER_S
 from agent.fleet import LAWS, Fleet, FleetError, load_fleet
+from deploy.interrupt import Interrupt
 from deploy.version import handfast_version
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def _refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
 def _run(options: argparse.Namespace) -> int:
     from agent.bus import BusError
     from deploy.live import make_view
-    from deploy.local import Interrupt, LocalRun, place
+    from deploy.local import LocalRun, place
     from deploy.ports import NoPortsError
     from deploy.recorder import RecordingError
 
@@ -209,7 +210,6 @@ def _run(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from agent.formation import resolve
     from deploy.live import Watch, make_view
-    from deploy.local import Interrupt
     from deploy.recorder import RecordingError
     from deploy.simulation import Simulation
 

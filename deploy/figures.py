@@ -20,9 +20,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from agent.fleet import Fleet
-from deploy.metrics import SETTLED, Analysis
+from deploy.metrics import Analysis
 from deploy.recorder import RecordingError
 from deploy.recording import Floats, Recording
+from deploy.stability import SETTLED
 
 PALETTE: Final = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",

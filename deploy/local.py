@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final
 
@@ -18,6 +16,7 @@ from agent.messages import Mission, Stop, encode
 from agent.node import next_tick_ns
 from agent.supervision import State
 from deploy.children import Child, end_all
+from deploy.interrupt import Interrupt
 from deploy.live import View, Watch, fleet_time_s
 from deploy.ports import Reservation
 from deploy.runfolder import RunFolder
@@ -37,28 +36,6 @@ RECORDER_INBOX: Final = 65_536
 
 MODULES: Final = {"unicycle": "plant"}
 """Kind of plant -> module that hosts it."""
-
-
-class Interrupt:
-    """Counts Ctrl-C (and SIGTERM, SIGHUP) instead of raising: a run is ended in order."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.number = 0
-
-    def _on_signal(self, number: int, _frame: object) -> None:
-        self.count += 1
-        self.number = number
-
-    @contextmanager
-    def caught(self) -> Iterator[Interrupt]:
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        before = {number: signal.signal(number, self._on_signal) for number in numbers}
-        try:
-            yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def place(fleet: Fleet) -> tuple[Fleet, Reservation]:

@@ -23,10 +23,9 @@ from agent.supervision import State
 from agent.trajectory import make_trajectory
 from deploy.recorder import RecordingError
 from deploy.recording import Floats, Recording
+from deploy.stability import SETTLED
 from deploy.wording import robots
 
-SETTLED: Final = 0.05
-"""An edge has settled while its distance is within this fraction of the wanted one."""
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 MESSAGES: Final = ("sent", "received", "lost", "delayed", "duplicated", "corrupted", "rejected")

@@ -13,12 +13,11 @@ from collections.abc import Callable
 from typing import Final
 
 from agent import keys
-from agent.bus import INBOX_SIZE
 from agent.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest
 from agent.messages import Mission, encode
-from agent.node import Node, Outgoing, next_tick_ns
+from agent.node import INBOX_SIZE, Node, Outgoing, next_tick_ns
 from agent.supervision import State
 from plant.node import PlantNode
 from plant.unicycle import from_fleet

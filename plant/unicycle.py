@@ -59,7 +59,7 @@ class Actuator(NamedTuple):
 
 
 def integrate(pose: Pose, force: Actuator, torque: Actuator, mass: float, inertia: float, dt: float) -> Pose:
-    """The unicycle (1) after `dt` seconds.
+    """The unicycle (1) after `dt` seconds, pose in W; mass in kg, inertia in kg m^2, actuators in N and N m.
 
     Speed, yaw rate and heading have closed forms; with a = target/m, b = (start - target) lag/m:
     v(t) = v + a t + b (1 - exp(-t/lag)), and likewise for the yaw rate and its integral, the heading.

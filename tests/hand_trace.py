@@ -14,9 +14,9 @@ from agent.formation import resolve
 from agent.messages import PlantState, decode
 from agent.trajectory import make_trajectory
 from deploy.simulation import Simulation
+from deploy.stability import SETTLED
 
 Floats = NDArray[np.float64]
-SETTLED = 0.05
 
 
 class Trace(NamedTuple):

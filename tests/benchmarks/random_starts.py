@@ -24,8 +24,8 @@ from agent.formation import resolve
 from agent.messages import PlantState, decode
 from agent.supervision import State
 from deploy.cli import fleet_path
-from deploy.metrics import SETTLED
 from deploy.simulation import Simulation
+from deploy.stability import SETTLED
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.random_starts import random_fleet
 

@@ -687,7 +687,7 @@ def test_deeply_nested_garbage_does_not_kill_the_agent(depth: int):
 # ---------------------------------------------------------------------- numbers that fail
 
 
-EXTREMES = [1e6, 1e155, 1e300, -1.7e308]
+EXTREMES = [1e6, 9e14, -9e14, 1e155, 1e300, -1.7e308]
 
 
 @pytest.mark.parametrize("value", EXTREMES)
