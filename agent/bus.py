@@ -19,6 +19,7 @@ from agent.node import INBOX_SIZE
 PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `messages.BYTES_MAX`, so that most are counted."""
 LEASE_MS: Final = 1000
+TX_QUEUE_SIZE: Final = 16
 RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (handover: app), tx: (handover: app), "
     "rx: (handover: app), net: (handover: app))"
@@ -52,6 +53,8 @@ def _config(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
+        # Messages of one tick wait here while Zenoh's thread has not run; its default of 2 lost some.
+        "transport/link/tx/queue/size/data": TX_QUEUE_SIZE,
         "transport/shared_memory/enabled": False,
         "low_pass_filter": [
             {
@@ -129,7 +132,7 @@ class Bus:
     def declare(self, key: str) -> None:
         """Prepares to publish on `key`. A full link drops messages rather than stall the loop."""
         self._publishers[key] = self._session.declare_publisher(
-            key, congestion_control=zenoh.CongestionControl.DROP, express=True
+            key, congestion_control=zenoh.CongestionControl.DROP
         )
 
     def publish(self, key: str, payload: bytes) -> None:

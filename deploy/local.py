@@ -155,6 +155,7 @@ class LocalRun:
                 bus.publish(keys.mission(self._fleet.fleet.name), encode(mission))
             if not self._step(bus):
                 return
+        self._show()  # how it ended, whenever the last look was
 
     def _stop(self, bus: Bus) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
@@ -185,8 +186,11 @@ class LocalRun:
         now_ns = self._clock.now_ns()
         if now_ns >= self._show_due_ns:
             self._show_due_ns = now_ns + SHOW_PERIOD_NS
-            self._view.show(self._watch.picture(fleet_time_s(now_ns, self._epoch_ns)))
+            self._show()
         return not self._interrupt.count and not self._deaths()
+
+    def _show(self) -> None:
+        self._view.show(self._watch.picture(fleet_time_s(self._clock.now_ns(), self._epoch_ns)))
 
     def _collect(self, bus: Bus) -> None:
         now_ns = self._clock.now_ns()
