@@ -3,9 +3,45 @@
 from __future__ import annotations
 
 import time
-from typing import Final, Protocol
+from math import floor
+from typing import Final, NamedTuple, Protocol
 
 NS_PER_S: Final = 1_000_000_000
+
+
+class LocalTime(NamedTuple):
+    """What a clock shows that is wrong on purpose: ahead by `skew_ns`, and faster by the share `drift`.
+
+        local = true + skew_ns + round(drift * max(0, true - epoch_ns))
+
+    True is the operator's time. `epoch_ns` is the mission's epoch, the one time that every process, a
+    simulation and a recording agree on: the skew is that at the epoch, and drift counts from there. While
+    it is not known (None) nothing drifts, so a clock that is told of it beforehand does not jump.
+    """
+
+    skew_ns: int = 0
+    drift: float = 0.0
+    epoch_ns: int | None = None
+
+    def local_ns(self, true_ns: int) -> int:
+        """What the clock shows at a true time."""
+        skew_ns, drift, epoch_ns = self
+        if not drift or epoch_ns is None or true_ns <= epoch_ns:
+            return true_ns + skew_ns
+        return true_ns + skew_ns + round(drift * (true_ns - epoch_ns))
+
+    def true_ns(self, local_ns: int) -> int:
+        """The first true time at which the clock shows `local_ns` or more."""
+        skew_ns, drift, epoch_ns = self
+        true_ns = local_ns - skew_ns
+        if not drift or epoch_ns is None or true_ns <= epoch_ns:
+            return true_ns
+        true_ns = epoch_ns + floor((true_ns - epoch_ns) / (1.0 + drift))
+        while (
+            self.local_ns(true_ns) < local_ns
+        ):  # never the other way: what is cut off is more than is rounded
+            true_ns += 1
+        return true_ns
 
 
 class Clock(Protocol):
@@ -19,14 +55,21 @@ class Clock(Protocol):
         """Returns at `time_ns` or, when that is past, at once."""
         ...
 
+    def begin(self, epoch_ns: int) -> None:
+        """Told of the mission's epoch, from which a clock drifts on purpose. Only the first counts."""
+        ...
+
 
 class RealClock:
     """The machine's clock: wall time at the start of the process, carried on by the monotonic clock.
 
     A wall clock that is set while robots drive must not move them: it is read once.
+
+    Args:
+        skew_ns, drift: by how much it is to be wrong, `LocalTime`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, skew_ns: int = 0, drift: float = 0.0) -> None:
         # The reading of the wall clock lies between two of the monotonic one: the closest of a
         # few pairs keeps a preempted process from starting with an offset.
         samples = []
@@ -36,24 +79,16 @@ class RealClock:
             after = time.monotonic_ns()
             samples.append((after - before, wall - (before + after) // 2))
         self._offset_ns = min(samples)[1]
+        self._local = LocalTime(skew_ns, drift)
+
+    def begin(self, epoch_ns: int) -> None:
+        if self._local.epoch_ns is None:
+            self._local = self._local._replace(epoch_ns=epoch_ns)
 
     def now_ns(self) -> int:
-        return time.monotonic_ns() + self._offset_ns
+        return self._local.local_ns(time.monotonic_ns() + self._offset_ns)
 
     def sleep_until(self, time_ns: int) -> None:
-        remaining = time_ns - self.now_ns()
+        remaining = self._local.true_ns(time_ns) - time.monotonic_ns() - self._offset_ns
         if remaining > 0:
             time.sleep(remaining / NS_PER_S)
-
-
-class VirtualClock:
-    """A clock that stands still until it is told to move; sleeping moves it."""
-
-    def __init__(self, now_ns: int = 0) -> None:
-        self._now_ns = now_ns
-
-    def now_ns(self) -> int:
-        return self._now_ns
-
-    def sleep_until(self, time_ns: int) -> None:
-        self._now_ns = max(self._now_ns, time_ns)

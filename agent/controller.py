@@ -12,7 +12,7 @@ from collections import Counter
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent import hand, law
+from agent import hand, law, neighbours
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import Geometry
@@ -68,6 +68,8 @@ class Controller:
             control.c1,
             control.c2,
             fleet.period_ns,
+            decay=neighbours.constraint_decay(control.kd, control.kp),
+            predict=control.prediction,
         )
         self.multipliers = [0.0] * len(columns)
         self._period_ns = fleet.period_ns
@@ -75,7 +77,7 @@ class Controller:
         self._trajectory = make_trajectory(fleet.trajectory)
         self._epoch_ns = 0
         self._references: dict[int, tuple[float, float, float, float, float, float]] = {}
-        self._gains = law.Gains(control.kd, control.k2, control.kp)
+        self._gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
         self._coupling = control.coupling
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m

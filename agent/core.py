@@ -17,6 +17,8 @@ from agent.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.messages import (
     FLOAT_MAX,
+    TOPICS,
+    Faults,
     HandState,
     Malformed,
     Mission,
@@ -29,7 +31,8 @@ from agent.messages import (
     encode,
 )
 from agent.neighbours import FUTURE_NS_MAX
-from agent.node import Outgoing
+from agent.node import Numbers, Outgoing
+from agent.reception import Reception
 from agent.supervision import Conditions, State, step
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
@@ -38,6 +41,8 @@ STATUS_VALUES_MAX: Final = 200
 REST_SPEED: Final = 0.06
 """Below this (m/s) a robot stands: an EKF reports up to 0.05 m/s of a rover at rest."""
 REST_YAW_RATE: Final = 0.1
+_HAND: Final = TOPICS.index("hand")
+_STATE: Final = TOPICS.index("state")
 
 
 class Agent:
@@ -72,8 +77,9 @@ class Agent:
         self._refused_mission = ""
         self._leaving = False
         self._numbers = ""
-        self._hand_sequence = self._wrench_sequence = self._status_sequence = 0
-        self._status_due_ns = 0
+        self._hand_numbers = Numbers(self.period_ns, self.phase_ns)
+        self._wrench_numbers = Numbers(self.period_ns, self.phase_ns)
+        self._status_sequence = self._status_due_ns = 0
         self._sent_hands = self._corrupted = 0
         self.rejected: Counter[str] = Counter()
         self._tick_us: list[int] = []
@@ -88,8 +94,22 @@ class Agent:
         self._key_stop = keys.stop(name)
         self._hands = {keys.hand(name, other): other for other in self._neighbours.ids}
         self.alive_key: Final = keys.alive(name, robot, "agent")
-        self.subscriptions: Final = (self._key_plant, *self._hands, self._key_mission, self._key_stop)
-        self.publications: Final = (self._key_wrench, self._key_hand, self._key_status)
+        self._reception = Reception(fleet, robot, "agent", {"hand": self._neighbours.ids, "state": (robot,)})
+        self.plan: Final = self._reception.plan
+        self._position: tuple[float, float] | None = None
+        self.subscriptions: Final = (
+            self._key_plant,
+            *self._hands,
+            self._key_mission,
+            self._key_stop,
+            *self._reception.subscriptions,
+        )
+        self.publications: Final = (
+            self._key_wrench,
+            self._key_hand,
+            self._key_status,
+            *self._reception.publications,
+        )
 
     # ------------------------------------------------------------------ in
 
@@ -98,24 +118,54 @@ class Agent:
         try:
             message = decode(payload)
         except Malformed as error:
-            if key in self._hands:
-                self._corrupted += 1
-            self._reject(error.reason)
+            self._refuse(key, error)
             return
         reason: str | None = "wrong_key"
         if type(message) is HandState:
             if self._hands.get(key) == message.robot:
-                reason = self._neighbours.accept(message, now_ns)
+                reception = self._reception
+                if reception.idle or reception.take(key, payload, _HAND, message, self._position):
+                    reason = self._neighbours.accept(message, now_ns)
+                else:
+                    reason = None
         elif type(message) is PlantState:
             if key == self._key_plant and message.robot == self.robot:
-                reason = self._accept_plant(message, now_ns)
+                reception = self._reception
+                if reception.idle or reception.take(key, payload, _STATE, message):
+                    reason = self._accept_plant(message, now_ns)
+                else:
+                    reason = None
         elif type(message) is Mission:
             if key == self._key_mission:
                 reason = self._accept_mission(message)
-        elif type(message) is Stop and key == self._key_stop:
-            reason = self._accept_stop(message)
+        elif type(message) is Stop:
+            if key == self._key_stop:
+                reason = self._accept_stop(message)
+        elif type(message) is Faults and key == self._reception.key_faults:
+            reason = self._reception.accept(message, now_ns)
         if reason is not None:
             self._reject(reason)
+
+    def _arrive(self, now_ns: int) -> None:
+        """Takes the messages that failing links let through at this tick."""
+        for key, payload, whole in self._reception.arrivals(now_ns):
+            try:
+                message = whole or decode(payload)  # damaged bytes are what the codec must find
+            except Malformed as error:
+                self._refuse(key, error)
+                continue
+            reason = None
+            if type(message) is HandState:
+                reason = self._neighbours.accept(message, now_ns)
+            elif type(message) is PlantState:
+                reason = self._accept_plant(message, now_ns)
+            if reason is not None:
+                self._reject(reason)
+
+    def _refuse(self, key: str, error: Malformed) -> None:
+        if key in self._hands:
+            self._corrupted += 1
+        self._reject(error.reason)
 
     def _reject(self, reason: str) -> None:
         self.rejected[reason] += 1
@@ -139,6 +189,9 @@ class Agent:
             self._mission = mission
             self._refused_mission = ""
             self._controller.plan(mission.epoch_ns)
+            self._reception.begin(mission.epoch_ns)
+            self._hand_numbers.begin(mission.epoch_ns)
+            self._wrench_numbers.begin(mission.epoch_ns)
             if self._stop is not None and self._stop.version < mission.version:
                 self._stop = None
         return None
@@ -173,6 +226,8 @@ class Agent:
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
         self._neighbours.begin(now_ns)
+        if not self._reception.idle:
+            self._arrive(now_ns)
         ages_ns = self._neighbours.ages_ns(now_ns)
         self._ages_us.extend([age // 1000 for age in ages_ns if age is not None])
         self._plant_trouble = self._check_plant(now_ns)
@@ -187,6 +242,8 @@ class Agent:
         out = self._drive(now_ns) if self.state is State.RUNNING else self._brake(now_ns)
         if now_ns >= self._status_due_ns or len(self._ages_us) > STATUS_VALUES_MAX or self.state is not was:
             out.append(self._status(now_ns, ages_ns))
+        stopping = self._leaving or self.state in (State.STOPPING, State.STOPPED)
+        out += self._reception.outgoing(now_ns, flush=stopping)
         return out
 
     def _check_plant(self, now_ns: int) -> str:
@@ -217,8 +274,8 @@ class Agent:
     def _conditions(self, now_ns: int, ages_ns: list[int | None]) -> Conditions:
         mission = self._mission
         silent = [
-            str(other) if age is None else f"{other} ({age / NS_PER_S:.1f} s)"
-            for other, age in zip(self._neighbours.ids, ages_ns, strict=True)
+            self._silence(column, age)
+            for column, age in enumerate(ages_ns)
             if age is None or age > self._horizon_ns
         ]
         stop = ""
@@ -238,6 +295,13 @@ class Agent:
             started=mission is not None and self._controller.acts_from_ns(now_ns) >= mission.epoch_ns,
             at_rest=self._at_rest,
         )
+
+    def _silence(self, column: int, age: int | None) -> str:
+        """A silent neighbour in words: its id, and for how long or why nothing is known of it."""
+        other, ahead_ns = self._neighbours.ids[column], self._neighbours.ahead_ns[column]
+        if ahead_ns:
+            return f"{other} (its clock is {ahead_ns / NS_PER_S:.2f} s ahead)"
+        return str(other) if age is None else f"{other} ({age / NS_PER_S:.1f} s)"
 
     @property
     def _at_rest(self) -> bool:
@@ -269,8 +333,8 @@ class Agent:
         return out
 
     def _wrench(self, now_ns: int, force: float, torque: float, *, brake: bool) -> Outgoing:
-        message = Wrench(self.robot, self._wrench_sequence, now_ns, force, torque, brake)
-        self._wrench_sequence += 1
+        sequence = self._wrench_numbers.next(now_ns)
+        message = Wrench(self.robot, sequence, now_ns, force, torque, brake)
         return self._key_wrench, encode(message)
 
     def _hand(
@@ -280,10 +344,21 @@ class Agent:
         driven = following and self.state is State.RUNNING
         pairs = zip(self._neighbours.ids, self._controller.multipliers, strict=True)
         multipliers = tuple(pairs) if driven else ()
+        self._position = here.x, here.y
+        sequence = self._hand_numbers.next(now_ns)
         message = HandState(
-            self.robot, self._hand_sequence, now_ns, following, *here, nx, ny, cx, cy, multipliers
+            self.robot,
+            sequence,
+            now_ns,
+            following,
+            *here,
+            nx,
+            ny,
+            cx,
+            cy,
+            multipliers,
+            self._neighbours.heard(),
         )
-        self._hand_sequence += 1
         self._sent_hands += len(self._neighbours.ids)
         return self._key_hand, encode(message)
 
@@ -308,8 +383,17 @@ class Agent:
             clipped(self.reason),
             self._mission.version if self._mission is not None else 0,
             tuple(
-                (other, -1 if age is None else max(age, 0) // 1000)
-                for other, age in zip(neighbours.ids, ages_ns, strict=True)
+                (
+                    other,
+                    -1 if age is None else max(age, 0) // 1000,
+                    neighbours.received_by[column],
+                    neighbours.lost_by[column],
+                    clock.offset_us,
+                    clock.error_us,
+                )
+                for column, (other, age, clock) in enumerate(
+                    zip(neighbours.ids, ages_ns, neighbours.clocks, strict=True)
+                )
             ),
             tuple(self._tick_us[:STATUS_VALUES_MAX]),
             tuple(self._ages_us[: STATUS_VALUES_MAX + len(neighbours.ids)]),

@@ -21,7 +21,10 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from agent.fault_checks import check_faults
+from agent.fault_settings import FaultsSection
 from agent.messages import NEIGHBOURS_MAX
+from agent.scenario import ScenarioError, parse_scenario
 from agent.schema import Problem, Reader, about, build, entries, plain, printable, setting, show
 
 Pair = tuple[float, float]
@@ -34,10 +37,10 @@ _FAR_M: Final = 1e6  # further away than any robot: squares of it stay far from 
 _PROBLEMS_SHOWN_MAX: Final = 100
 
 LAWS: Final[Mapping[str, Mapping[str, object]]] = {
-    "paper": {"coupling": "edge", "kp": 0.0},
-    "edge": {"coupling": "edge", "kp": 1.0},
-    "joint": {"coupling": "joint", "kp": 1.0},
-    "penalty": {"coupling": "penalty", "kp": 1.0},
+    "paper": {"coupling": "edge", "kp": 0.0, "relaxation": 0.001},
+    "edge": {"coupling": "edge", "kp": 1.0, "relaxation": 0.2},
+    "joint": {"coupling": "joint", "kp": 1.0, "relaxation": 0.2},
+    "penalty": {"coupling": "penalty", "kp": 1.0, "relaxation": 0.2},
 }
 """What ``--law NAME`` sets in ``[control]``."""
 
@@ -151,8 +154,20 @@ class ControlSection:
     kp: float = setting(
         1.0, "Stiffness of an edge's constraint; 0 is the paper's law.", unit="1/s2", ge=0, le=1e4
     )
+    relaxation: float = setting(
+        0.2,
+        "Below this share of the way from the safe distance to the wanted one the constraint goes on along "
+        "its tangent, instead of to its pole at the safe distance.",
+        unit="ratio",
+        ge=0.001,
+        lt=1,
+    )
     max_acceleration: float = setting(
         5.0, "Largest commanded acceleration of the hand point.", unit="m/s2", gt=0, le=1e3
+    )
+    prediction: bool = setting(
+        True,
+        "Carries a neighbour's state forward over the age of its message; false: takes it as it came.",
     )
     prediction_horizon_s: float = setting(
         2.0,
@@ -167,6 +182,15 @@ class ControlSection:
     )
     wrench_timeout_s: float = setting(
         0.2, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
+    )
+
+    clock_skew_max_s: float = setting(
+        0.05,
+        "A neighbour whose clock is found to be further off than this is warned of. Clocks are compared by "
+        "the stamps of messages, within about one period.",
+        unit="s",
+        gt=0,
+        le=60,
     )
 
 
@@ -316,6 +340,14 @@ class Fleet:
     network: NetworkSection = field(
         default_factory=NetworkSection, metadata=about("Where processes listen. Not part of the digest.")
     )
+    faults: FaultsSection = field(
+        default_factory=FaultsSection,
+        metadata=about(
+            "What goes wrong on purpose. `[faults]` itself holds for every link between agents, "
+            "`[[faults.rule]]` for some links, robots or times. For each effect the first rule that gives it "
+            "wins (docs/faults.md)."
+        ),
+    )
 
     @property
     def period_ns(self) -> int:
@@ -367,46 +399,66 @@ class Fleet:
 # --- from text to models ----------------------------------------------------------------------
 
 
-def load_fleet(path: str | Path, overrides: Sequence[str] = (), law: str | None = None) -> Fleet:
-    """Reads and parses a fleet file; see `parse_fleet`. `FleetError` of one line when it cannot be read."""
+def load_fleet(
+    path: str | Path,
+    overrides: Sequence[str] = (),
+    law: str | None = None,
+    scenario: str | Path | None = None,
+) -> Fleet:
+    """Reads and parses a fleet file, with the faults of a scenario file if one is given; see `parse_fleet`.
+
+    Raises:
+        FleetError: of one line when a file cannot be read.
+    """
+    text = read_text(path, "fleet file")
+    if scenario is None:
+        return parse_fleet(text, source=str(path), overrides=overrides, law=law)
+    faults = read_text(scenario, "scenario")
+    return parse_fleet(
+        text, source=str(path), overrides=overrides, law=law, scenario=faults, scenario_source=str(scenario)
+    )
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a file; `what` names it in messages. `FleetError` of one line when it cannot be read."""
     source = str(path)
     try:
         with open(path, "rb") as file:
             data = file.read(FILE_BYTES_MAX + 1)  # not all of it: it may be endless
     except OSError as error:
         reason = (error.strerror or type(error).__name__).lower()
-        raise FleetError(source, [Problem("", f"cannot read the fleet file: {reason}")]) from None
+        raise FleetError(source, [Problem("", f"cannot read the {what}: {reason}")]) from None
     except ValueError:  # a NUL in the path
-        raise FleetError(
-            source, [Problem("", "cannot read the fleet file: not a possible file name")]
-        ) from None
+        raise FleetError(source, [Problem("", f"cannot read the {what}: not a possible file name")]) from None
     if len(data) > FILE_BYTES_MAX:
-        raise FleetError(source, [_too_large()])
+        raise FleetError(source, [_too_large(what)])
     try:
-        text = data.decode("utf-8-sig")  # some editors write a byte order mark
+        return data.decode("utf-8-sig")  # some editors write a byte order mark
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        message = f"a fleet file must be text in UTF-8: byte 0x{data[error.start]:02x} on line {line} is not"
+        message = f"a {what} must be text in UTF-8: byte 0x{data[error.start]:02x} on line {line} is not"
         raise FleetError(source, [Problem("", message)]) from None
-    return parse_fleet(text, source=source, overrides=overrides, law=law)
 
 
-def parse_fleet(text: str, *, source: str, overrides: Sequence[str] = (), law: str | None = None) -> Fleet:
+def parse_fleet(
+    text: str,
+    *,
+    source: str,
+    overrides: Sequence[str] = (),
+    law: str | None = None,
+    scenario: str | None = None,
+    scenario_source: str = "the scenario",
+) -> Fleet:
     """The fleet that a TOML text describes.
 
     `source` names the text in messages. `law` is a name of `LAWS`; `overrides` are ``table.field=value`` as
-    typed after ``--set``. They win over the law, and the law over the text. Raises `FleetError` with every
-    problem at once (of a text that is not TOML, the one that its parser stops at), and nothing else.
+    typed after ``--set``. They win over the law, and the law over the text. `scenario` is the text of a file
+    of faults: its rules come before the text's, its other settings win over them. Raises `FleetError` with
+    every problem at once (of a text that is not TOML, the one that its parser stops at), and nothing else.
     """
-    if len(text) > FILE_BYTES_MAX:
-        raise FleetError(source, [_too_large()])
-    try:
-        raw = tomllib.loads(text)
-    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
-        raise FleetError(source, [_syntax_problem(error)]) from None
-    except RecursionError:
-        too_deep = Problem("", "not valid TOML: arrays or tables nested too deeply")
-        raise FleetError(source, [too_deep]) from None
+    raw = fleet_tables(text, source)
+    if scenario is not None:
+        add_scenario(raw, scenario, scenario_source)
 
     reader = Reader(Fleet)
     law_problems = _apply_law(raw, law)
@@ -422,8 +474,41 @@ def parse_fleet(text: str, *, source: str, overrides: Sequence[str] = (), law: s
     return build(Fleet, values)
 
 
-def _too_large() -> Problem:
-    return Problem("", f"larger than {FILE_BYTES_MAX // 1024} KiB: this is not a fleet file")
+def fleet_tables(text: str, source: str) -> dict[str, Any]:
+    """The tables of a TOML text, of which nothing is known yet. `FleetError` when it is not TOML."""
+    if len(text) > FILE_BYTES_MAX:
+        raise FleetError(source, [_too_large("fleet file")])
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
+        raise FleetError(source, [_syntax_problem(error)]) from None
+    except RecursionError:
+        too_deep = Problem("", "not valid TOML: arrays or tables nested too deeply")
+        raise FleetError(source, [too_deep]) from None
+
+
+def add_scenario(raw: dict[str, Any], text: str, source: str) -> None:
+    """Puts the faults of a scenario into the tables of a fleet file.
+
+    Raises:
+        FleetError: of `source`, for what is wrong with the scenario.
+    """
+    rows = raw.get("robot")
+    ids = [row.get("id") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    added = fleet_tables(text, source)
+    try:
+        parse_scenario(text, [number for number in ids if isinstance(number, int)])
+    except ScenarioError as error:
+        raise FleetError(source, error.problems) from None
+    own = raw.setdefault("faults", {})
+    if isinstance(own, dict):
+        for key, value in added.get("faults", {}).items():
+            before = own.get(key, [])
+            own[key] = [*value, *before] if isinstance(value, list) and isinstance(before, list) else value
+
+
+def _too_large(what: str) -> Problem:
+    return Problem("", f"larger than {FILE_BYTES_MAX // 1024} KiB: this is not a {what}")
 
 
 def _syntax_problem(error: ValueError) -> Problem:
@@ -500,6 +585,7 @@ def _check(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) ->
         _check_edges(formation, ids, reader)
         _check_shape(formation, ids, reader)
         _check_distances(formation, ids, reader)
+    check_faults(values.get("faults", {}), [robot_id for robot_id in ids if robot_id is not None], reader)
     _check_trajectory(values.get("trajectory", {}), _table(raw, "trajectory"), reader)
     _check_timeouts(values, reader)
 

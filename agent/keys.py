@@ -43,6 +43,35 @@ def stop(fleet: str) -> str:
     return f"{fleet}/stop"
 
 
+def faults(fleet: str) -> str:
+    """Live fault rules of one author, from the operator to every agent and plant."""
+    return f"{fleet}/faults"
+
+
+def faults_held(fleet: str, robot: int | str, role: str) -> str:
+    """Live fault rules that one process holds, for operators; `role` is one of `ROLES`."""
+    return f"{_process(fleet, robot, role)}/faults"
+
+
+def links(fleet: str, robot: int | str) -> str:
+    """What one agent did to messages under its fault rules, for operators."""
+    return f"{_process(fleet, robot, 'agent')}/links"
+
+
+def plant_links(fleet: str, robot: int | str) -> str:
+    """What one plant did to messages under its fault rules, for operators."""
+    return f"{_process(fleet, robot, 'plant')}/links"
+
+
+def _process(fleet: str, robot: int | str, role: str) -> str:
+    return f"{fleet}/robot/{robot}/plant" if role == "plant" else f"{fleet}/robot/{robot}"
+
+
+def events(fleet: str) -> str:
+    """What an operator did to processes on purpose, for the recording."""
+    return f"{fleet}/events"
+
+
 def alive(fleet: str, robot: int | str, role: str) -> str:
     """Liveliness token of one process; `role` is one of `ROLES` (or ``*``)."""
     return f"{fleet}/alive/robot/{robot}/{role}"

@@ -23,22 +23,23 @@ Scalar = Any
 Vector = Any
 """Two floats, or an array of shape (2, m): x and y."""
 
-CLEARANCE_MIN: Final = 1e-3
-"""Least rho - r_s that the law computes with, as a share of d - r_s.
-
-phi has a pole at rho = r_s and changes its sign below it: a pair that noise or a fault has put at
-or under the safe distance would be pulled together. Held at this clearance it is pushed apart.
-"""
+RELAXATION_MIN: Final = 1e-3
+"""Least `Gains.relaxation`: phi has a pole at rho = r_s and changes its sign below it, so that a pair
+that noise or a fault has put there would be pulled together."""
 DISTANCE_MIN: Final = 1e-9
 """Least rho (m): two coincident hand points have no direction between them, and then no force."""
 
 
 class Gains(NamedTuple):
-    """k_d of (18), k_2 of (24) and the stiffness k_p of (J1); k_p = 0 is the paper's law."""
+    """k_d of (18), k_2 of (24) and the stiffness k_p of (J1); k_p = 0 is the paper's law.
+
+    relaxation: where rho - r_s is less than this share of d - r_s, phi goes on along its tangent (B1).
+    """
 
     kd: float
     k2: float
     kp: float
+    relaxation: float = RELAXATION_MIN
 
 
 class Edges(NamedTuple):
@@ -47,7 +48,7 @@ class Edges(NamedTuple):
     Attributes:
         normal: n = (r_i - r_j) / rho, a vector.
         distance: rho = |r_i - r_j|, m.
-        phi: constraint function (7).
+        phi: constraint function (7), relaxed near r_s (B1).
         slope: phi' = d phi / d rho, so that a_ij = phi' n^T (10), 1/m.
         rate: phidot (9), 1/s.
         demand: right-hand side of (33) with k_p: -Adot rdot - A F_n - k_d phidot - k_p phi, 1/s^2.
@@ -95,15 +96,16 @@ def edges(
     rho = _at_least((x * x + y * y) ** 0.5, DISTANCE_MIN)
     nx, ny = x / rho, y / rho
     span = distance - safe_distance
-    clearance = _at_least(rho - safe_distance, CLEARANCE_MIN * span)
-    phi = (rho - distance) / clearance  # (7)
+    room = rho - safe_distance
+    clearance = _at_least(room, _at_least(gains.relaxation, RELAXATION_MIN) * span)
     slope = span / (clearance * clearance)  # phi'
+    phi = 1.0 - span / clearance + slope * (room - clearance)  # (7), and its tangent where held (B1)
     closing = nx * wx + ny * wy  # n.w
     rate = slope * closing  # (9)
-    # Adot rdot = phi'' (n.w)^2 + phi' (|w|^2 - (n.w)^2) / rho, with phi'' = -2 phi' / (rho - r_s)
-    # and |w|^2 - (n.w)^2 = (n x w)^2, which does not cancel.
+    # Adot rdot = phi'' (n.w)^2 + phi' (|w|^2 - (n.w)^2) / rho, with phi'' = -2 phi' / (rho - r_s), 0 on
+    # the tangent, and |w|^2 - (n.w)^2 = (n x w)^2, which does not cancel.
     across = nx * wy - ny * wx
-    drift = across * across / rho - 2.0 * closing * closing / clearance
+    drift = across * across / rho - (room >= clearance) * (2.0 * closing * closing / clearance)
     push = nx * fx + ny * fy  # n.(F_ni - F_nj)
     demand = -slope * (drift + push) - gains.kd * rate - gains.kp * phi
     return Edges(_vector(nx, ny), rho, phi, slope, rate, demand)

@@ -1,9 +1,14 @@
 """Messages on the bus and their codec.
 
 A message on the wire is one MessagePack array ``[version, type, *fields]`` with the fields in
-the order of the class. `decode` never trusts its input: anything that is not exactly one known,
-well-typed, finite message of at most `BYTES_MAX` raises `Malformed`, whose `reason` is one of
-`REASONS`, so that a receiver can drop it and count it by reason.
+the order of the class, and after it the CRC-32 (IEEE 802.3, as zlib computes it) of the array's
+bytes as a MessagePack uint32: the byte 0xce and 4 bytes, the highest first. Up to three flipped bits are
+always found in a message of at most 91,607 bits (P. Koopman, "32-bit cyclic redundancy codes for Internet
+applications", DSN 2002), which `BYTES_MAX` stays below, and so is any one burst of up to 32 bits.
+
+`decode` never trusts its input: anything that is not exactly one known, well-typed, finite message
+of at most `BYTES_MAX` raises `Malformed`, whose `reason` is one of `REASONS`, so that a receiver can
+drop it and count it by reason.
 
 Units are SI, positions and velocities in W (world ENU), times integer nanoseconds of the wall
 clock (Unix epoch).
@@ -12,20 +17,45 @@ clock (Unix epoch).
 from __future__ import annotations
 
 from math import isfinite
+from struct import Struct
 from typing import Any, Final, NamedTuple
+from zlib import crc32
 
 import msgpack
 
-VERSION: Final = 1
-BYTES_MAX: Final = 4096
+VERSION: Final = 2
+BYTES_MAX: Final = 10_240
 NEIGHBOURS_MAX: Final = 64
 TEXT_MAX: Final = 200
+"""Bytes of any text but `Faults.rules`."""
+RULES_MAX: Final = 8192
+"""Bytes of `Faults.rules`."""
+AUTHOR_MAX: Final = 60
+"""Characters of `Faults.author`."""
+EVERY_AUTHOR: Final = "*"
+"""As `Faults.author`, without rules: clears the rules of every author."""
+TRACE_MAX: Final = 128
+"""Entries of one `LinkTrace`."""
 FLOAT_MAX: Final = 1e15
 """No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
 ROBOT_MAX: Final = 9999
 
-REASONS: Final = ("oversized", "malformed", "version", "type", "not_finite", "range")
+TOPICS: Final = ("hand", "state", "wrench")
+"""What a link carries, by the number in a `LinkTrace`: agent to agent, plant to agent, agent to plant."""
+# What was done to a message, `LinkTrace`: the bits of `what`.
+LOST: Final = 1
+DUPLICATED: Final = 2
+CORRUPTED: Final = 4
+REORDERED: Final = 8
+HELD: Final = 16
+RANGE: Final = 32
+OVERFLOW: Final = 64
+WHAT_MAX: Final = 2**16 - 1
+EVENTS: Final = ("kill", "start", "stop", "continue")
+"""What is done to processes: SIGKILL, started again, SIGSTOP, SIGCONT."""
+
+REASONS: Final = ("oversized", "checksum", "malformed", "version", "type", "not_finite", "range")
 
 
 class Malformed(ValueError):
@@ -43,6 +73,9 @@ class HandState(NamedTuple):
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
     `multipliers` are the sender's copies of lambda, one ``(neighbour, lambda)`` for each of its edges.
+    `heard` echoes, as ``(neighbour, delay_us)``, the least apparent delay of each neighbour's hand
+    states: the sender's clock when it took one minus the stamp on it. As the clocks differ it may be
+    negative; from both directions both ends find the offset of their clocks.
     """
 
     robot: int
@@ -58,6 +91,7 @@ class HandState(NamedTuple):
     constraint_x: float
     constraint_y: float
     multipliers: tuple[tuple[int, float], ...]
+    heard: tuple[tuple[int, int], ...]
 
 
 class PlantState(NamedTuple):
@@ -122,7 +156,9 @@ class Status(NamedTuple):
 
     `tick_us` holds the duration of every tick since the last status (empty in virtual time),
     `ages_us` the age of every neighbour's hand state at every tick since the last status.
-    `neighbours` gives ``(id, age_us)`` for each neighbour now, -1 for one never heard.
+    `neighbours` gives ``(id, age_us, received, lost, offset_us, error_us)`` for each neighbour: the
+    age of its hand state now, -1 when never heard; how many of them came and how many did not; its
+    clock minus the own, and half of that estimate's uncertainty, -1 while nothing is known.
     """
 
     robot: int
@@ -131,25 +167,74 @@ class Status(NamedTuple):
     state: str
     reason: str
     mission_version: int
-    neighbours: tuple[tuple[int, int], ...]
+    neighbours: tuple[tuple[int, int, int, int, int, int], ...]
     tick_us: tuple[int, ...]
     ages_us: tuple[int, ...]
     counters: tuple[tuple[str, int], ...]
 
 
-Message = HandState | PlantState | Wrench | Mission | Stop | Status
+class Faults(NamedTuple):
+    """One author's whole set of live fault rules, to every agent and plant.
 
-_CLASSES: Final[tuple[type[Message], ...]] = (HandState, PlantState, Wrench, Mission, Stop, Status)
+    `rules` is TOML text, ``[[faults.rule]]`` tables as in the fleet file; their times count from
+    `origin_ns`. A greater `version` of the same author replaces the set. It ends at `time_ns` + `lease_ns`
+    unless it comes again with a later `time_ns`; with a lease of 0 it stays until it is cleared.
+    Author `EVERY_AUTHOR`, without rules, clears the sets of all.
+    """
+
+    version: int
+    time_ns: int
+    author: str
+    origin_ns: int
+    lease_ns: int
+    rules: str
+
+
+class LinkTrace(NamedTuple):
+    """What a receiver did to messages under its fault rules, one entry for every decision.
+
+    An entry is ``(source, topic, sequence, time_ns, what, delay_us)``: robot that sent the message, index
+    into `TOPICS`, its sequence number and stamp; `what` the sum of `LOST`, `DUPLICATED` (this is the second
+    copy), `CORRUPTED`, `REORDERED`, `HELD`, `RANGE` (lost to the range channel), `OVERFLOW` (lost to a full
+    queue); the injected delay after the stamp, -1 where it was lost. A message that passed untouched
+    under a rule has an entry as well; one on a link without a rule has none.
+    """
+
+    robot: int
+    sequence: int
+    time_ns: int
+    entries: tuple[tuple[int, int, int, int, int, int], ...]
+
+
+class Event(NamedTuple):
+    """What was done to a process on purpose: `what` is one of `EVENTS`, `rule` the name of the rule."""
+
+    robot: int
+    sequence: int
+    time_ns: int
+    role: str
+    what: str
+    rule: str
+
+
+Message = HandState | PlantState | Wrench | Mission | Stop | Status | Faults | LinkTrace | Event
+
+_CLASSES: Final[tuple[type[Message], ...]] = (
+    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event,
+)  # fmt: skip
 _TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}
 
 # Exact types of the fields on the wire; a tuple stands for a variable part, checked on its own.
 _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
-    (int, int, int, bool, *(float,) * 8, tuple),
+    (int, int, int, bool, *(float,) * 8, tuple, tuple),
     (int, int, int, *(float,) * 7, bool, bool, str),
     (int, int, int, float, float, bool),
     (int, int, int, int, str),
     (int, int, str),
     (int, int, int, str, str, int, tuple, tuple, tuple, tuple),
+    (int, int, str, int, int, str),
+    (int, int, int, tuple),
+    (int, int, int, str, str, str),
 )
 _HEAD: Final = 2  # version and type come before the fields
 _FLOATS: Final = tuple(
@@ -167,14 +252,19 @@ _FREQUENT: Final = {
 }
 _HAND_STATE: Final = 0
 _STATUS_VALUES_MAX: Final = 2048
+# A valid message of this kind begins with these three bytes; only such a one may hold a long text.
+_FAULTS_HEAD: Final = bytes([0x90 | _HEAD + len(Faults._fields), VERSION, _TYPE_OF[Faults]])
 
 _pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
+_checksum = Struct(">BI").pack
+_UINT32: Final = 0xCE
+_CHECKSUM_BYTES: Final = 5
 
 
 def encode(message: Message) -> bytes:
     """The message's bytes. Does not check: what is sent was made here (see `Agent.tick`)."""
     packed: bytes = _pack((VERSION, _TYPE_OF[type(message)], *message))
-    return packed
+    return packed + _checksum(_UINT32, crc32(packed))
 
 
 def decode(payload: bytes) -> Message:
@@ -185,10 +275,11 @@ def decode(payload: bytes) -> Message:
     """
     if len(payload) > BYTES_MAX:
         raise Malformed("oversized", f"{len(payload)} bytes, at most {BYTES_MAX} are accepted")
+    packed = payload[:-_CHECKSUM_BYTES]
+    if payload[-_CHECKSUM_BYTES:] != _checksum(_UINT32, crc32(packed)):
+        raise _unchecked(payload)
     try:
-        array = msgpack.unpackb(
-            payload, use_list=False, max_array_len=_STATUS_VALUES_MAX, max_str_len=TEXT_MAX
-        )
+        array = _unpacked(packed)
     except Exception as error:  # msgpack raises a dozen unrelated types; each means the same here
         raise Malformed("malformed", f"not one MessagePack array ({type(error).__name__})") from None
     # A valid message of the frequent kinds is through here; `_examine` takes all others and says why.
@@ -203,21 +294,50 @@ def decode(payload: bytes) -> Message:
                 and 0 <= array[3] < TIME_NS_MAX
                 and 0 <= array[4] < TIME_NS_MAX
                 and sum(map(abs, array[floats])) <= FLOAT_MAX  # false for NaN and infinities, too
-                and (number != _HAND_STATE or _plain(array[-1]))
+                and (number != _HAND_STATE or _plain(array[-2], array[-1]))
             ):
                 message: Message = tuple.__new__(cls, array[_HEAD:])
                 return message
     return _examine(array)
 
 
-def _plain(multipliers: tuple[Any, ...]) -> bool:
-    """True when all are (neighbour, lambda) as they should be."""
+def _unpacked(packed: bytes) -> Any:
+    text_max = RULES_MAX if packed[: len(_FAULTS_HEAD)] == _FAULTS_HEAD else TEXT_MAX
+    return msgpack.unpackb(packed, use_list=False, max_array_len=_STATUS_VALUES_MAX, max_str_len=text_max)
+
+
+def _unchecked(payload: bytes) -> Malformed:
+    """Why a payload without its checksum is refused: version 1 had none."""
+    try:
+        array = _unpacked(payload)
+    except Exception:  # whatever it is, it is no array of version 1
+        array = None
+    if type(array) is tuple and array and type(array[0]) is int and array[0] != VERSION:
+        return _other_version(array[0])
+    return Malformed("checksum", "the bytes are not those that were sent, or not of this protocol")
+
+
+def _other_version(version: Any) -> Malformed:
+    return Malformed("version", f"version {_shown(version)}, this program speaks {VERSION}")
+
+
+def _plain(multipliers: tuple[Any, ...], heard: tuple[Any, ...]) -> bool:
+    """True when all are (neighbour, lambda), respectively (neighbour, delay_us), as they should be."""
     for entry in multipliers:
-        if type(entry) is not tuple or tuple(map(type, entry)) != (int, float):
+        if type(entry) is not tuple or len(entry) != 2:
             return False
-        if not -FLOAT_MAX <= entry[1] <= FLOAT_MAX:
+        neighbour, value = entry
+        if type(neighbour) is not int or type(value) is not float or not -FLOAT_MAX <= value <= FLOAT_MAX:
             return False
-    return len(multipliers) <= NEIGHBOURS_MAX
+    for entry in heard:
+        if type(entry) is not tuple or len(entry) != 2:
+            return False
+        neighbour, delay_us = entry
+        if type(neighbour) is not int or type(delay_us) is not int:
+            return False
+        if not -TIME_NS_MAX < delay_us < TIME_NS_MAX:
+            return False
+    return len(multipliers) <= NEIGHBOURS_MAX and len(heard) <= NEIGHBOURS_MAX
 
 
 def _examine(array: Any) -> Message:
@@ -226,7 +346,7 @@ def _examine(array: Any) -> Message:
         raise Malformed("malformed", "not a MessagePack array [version, type, *fields]")
     version, number, fields = array[0], array[1], array[_HEAD:]
     if type(version) is not int or version != VERSION:
-        raise Malformed("version", f"version {_shown(version)}, this program speaks {VERSION}")
+        raise _other_version(version)
     if type(number) is not int or not 0 <= number < len(_CLASSES):
         raise Malformed("type", f"message type {_shown(number)} is not known")
     cls = _CLASSES[number]
@@ -286,9 +406,10 @@ def _check_times(robot: int, sequence: int, time_ns: int) -> None:
 
 def _hand_state(fields: tuple[Any, ...]) -> HandState:
     _check_times(fields[0], fields[1], fields[2])
-    multipliers = fields[12]
-    if len(multipliers) > NEIGHBOURS_MAX:
-        raise Malformed("range", f"{len(multipliers)} multipliers, at most {NEIGHBOURS_MAX} are accepted")
+    multipliers, heard = fields[12:]
+    for entries, what in ((multipliers, "multipliers"), (heard, "neighbours heard")):
+        if len(entries) > NEIGHBOURS_MAX:
+            raise Malformed("range", f"{len(entries)} {what}, at most {NEIGHBOURS_MAX} are accepted")
     checked = []
     for entry in multipliers:
         if type(entry) is not tuple or len(entry) != 2 or type(entry[0]) is not int:
@@ -296,7 +417,12 @@ def _hand_state(fields: tuple[Any, ...]) -> HandState:
         values = _coerced(entry[1:], (float,), "HandState", ("multipliers",))
         _check_floats(values, "a multiplier")
         checked.append((entry[0], *values))
-    return HandState._make((*fields[:-1], tuple(checked)))
+    for entry in heard:
+        if type(entry) is not tuple or tuple(map(type, entry)) != (int, int):
+            raise Malformed("malformed", f"HandState.heard holds {_shown(entry)}, not [neighbour, delay_us]")
+        if not -TIME_NS_MAX < entry[1] < TIME_NS_MAX:
+            raise Malformed("range", f"a delay of {entry[1]} us is absurd")
+    return HandState._make((*fields[:-2], tuple(checked), heard))
 
 
 def _plant_state(fields: tuple[Any, ...]) -> PlantState:
@@ -325,7 +451,7 @@ def _stop(fields: tuple[Any, ...]) -> Stop:
 
 def _status(fields: tuple[Any, ...]) -> Status:
     _check_times(fields[0], fields[1], fields[2])
-    for index, types in ((6, (int, int)), (9, (str, int))):
+    for index, types in ((6, (int,) * 6), (9, (str, int))):
         for entry in fields[index]:
             if type(entry) is not tuple or tuple(map(type, entry)) != types:
                 raise Malformed("malformed", f"Status.{Status._fields[index]} holds {_shown(entry)}")
@@ -337,4 +463,42 @@ def _status(fields: tuple[Any, ...]) -> Status:
     return Status._make(fields)
 
 
-_CHECKS: Final = (_hand_state, _plant_state, _wrench, _mission, _stop, _status)
+def _faults(fields: tuple[Any, ...]) -> Faults:
+    faults = Faults._make(fields)
+    _check_times(1, faults.version, faults.time_ns)
+    if not 0 <= faults.origin_ns < TIME_NS_MAX or not 0 <= faults.lease_ns < TIME_NS_MAX:
+        raise Malformed("range", "the origin or the lease of faults is negative or absurd")
+    if not 0 < len(faults.author) <= AUTHOR_MAX or not faults.author.isprintable():
+        raise Malformed(
+            "range",
+            f"the author of faults {_shown(faults.author)} is not 1 to {AUTHOR_MAX} printable characters",
+        )
+    if faults.author == EVERY_AUTHOR and faults.rules:
+        raise Malformed("range", f"author {EVERY_AUTHOR!r} clears the faults of all and has no rules")
+    return faults
+
+
+def _link_trace(fields: tuple[Any, ...]) -> LinkTrace:
+    trace = LinkTrace._make(fields)
+    _check_times(trace.robot, trace.sequence, trace.time_ns)
+    if len(trace.entries) > TRACE_MAX:
+        raise Malformed("range", f"{len(trace.entries)} entries, at most {TRACE_MAX} are accepted")
+    for entry in trace.entries:
+        if type(entry) is not tuple or tuple(map(type, entry)) != (int,) * 6:
+            raise Malformed("malformed", f"LinkTrace.entries holds {_shown(entry)}")
+        source, topic, sequence, time_ns, what, delay_us = entry
+        _check_times(source, sequence, time_ns)
+        if not 0 <= topic < len(TOPICS) or not 0 <= what <= WHAT_MAX or not -1 <= delay_us < TIME_NS_MAX:
+            raise Malformed("range", f"topic {topic}, what {what} or delay {delay_us} us is not possible")
+    return trace
+
+
+def _event(fields: tuple[Any, ...]) -> Event:
+    event = Event._make(fields)
+    _check_times(event.robot, event.sequence, event.time_ns)
+    if event.role not in ("agent", "plant") or event.what not in EVENTS:
+        raise Malformed("range", f"event {_shown(event.what)} of {_shown(event.role)} is not known")
+    return event
+
+
+_CHECKS: Final = (_hand_state, _plant_state, _wrench, _mission, _stop, _status, _faults, _link_trace, _event)

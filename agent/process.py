@@ -12,8 +12,9 @@ from typing import Final
 
 from agent.bus import Bus, BusError
 from agent.clock import NS_PER_S, Clock, RealClock
+from agent.faults import FaultPlan
 from agent.fleet import Fleet, FleetError, load_fleet
-from agent.node import Node, next_tick_ns
+from agent.node import Node, Ticks
 
 LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was told to end has this long to bring its robot to a standstill."""
@@ -44,45 +45,44 @@ class Shutdown:
 
 
 def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> None:
-    """Ticks `node` at absolute deadlines until it has been asked to end and is done.
+    """Ticks `node` at absolute deadlines (`agent.node.Ticks`) until it has been asked to end and is done.
 
     Wakes at the deadline, drains the bus, ticks, publishes. A tick is told the time of its
-    deadline, not of its waking: what is decided then does not depend on the scheduler. Deadlines
-    that have passed when the loop comes to them are skipped and counted.
+    deadline, not of its waking; skipped ones are counted.
     """
-    period_ns = node.period_ns
-    deadline_ns = next_tick_ns(clock.now_ns(), period_ns, node.phase_ns)
+    ticks = Ticks(node, clock.now_ns())
     leave_by_ns: int | None = None
     parent_due_ns = 0
     state = ""
     while True:
-        clock.sleep_until(deadline_ns)
+        clock.sleep_until(ticks.due_ns)
         start_ns = clock.now_ns()
-        missed = max(0, start_ns - deadline_ns) // period_ns
-        deadline_ns += missed * period_ns
+        now_ns, missed = ticks.take(start_ns)
         for key, payload in bus.drain():
-            node.receive(deadline_ns, key, payload)
+            node.receive(now_ns, key, payload)
         if shutdown.asked and leave_by_ns is None:
             log(f"ending ({shutdown.why})")
             node.leave()
-            leave_by_ns = deadline_ns + LEAVE_TIMEOUT_NS
-        outgoing = node.tick(deadline_ns)
+            leave_by_ns = now_ns + LEAVE_TIMEOUT_NS
+        outgoing = node.tick(now_ns)
         node.timed(clock.now_ns() - start_ns, missed)
         for key, payload in outgoing:
             bus.publish(key, payload)
         if node.condition[0] != state:
             state, reason = node.condition
             log(f"{state}: {reason}" if reason else state)
-        if leave_by_ns is not None and (node.done or deadline_ns >= leave_by_ns):
+        if leave_by_ns is not None and (node.done or now_ns >= leave_by_ns):
             return
-        if deadline_ns >= parent_due_ns:
-            parent_due_ns = deadline_ns + PARENT_PERIOD_NS
+        if now_ns >= parent_due_ns:
+            parent_due_ns = now_ns + PARENT_PERIOD_NS
             shutdown.look_for_parent()
-        deadline_ns += period_ns
+        if ticks.epoch_ns is not None:
+            clock.begin(ticks.epoch_ns)
+        ticks.plan(now_ns)
 
 
-def serve(node: Node, bus: Bus, shutdown: Shutdown, log: Log) -> None:
-    """Puts `node` on the bus and drives it in real time until the process is asked to end."""
+def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> None:
+    """Puts `node` on the bus and drives it by `clock` until the process is asked to end."""
     for key in node.publications:
         bus.declare(key)
     for key in node.subscriptions:
@@ -91,7 +91,7 @@ def serve(node: Node, bus: Bus, shutdown: Shutdown, log: Log) -> None:
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
-    loop(node, bus, RealClock(), shutdown, log)
+    loop(node, bus, clock, shutdown, log)
     if node.rejected:
         reasons = sorted(((count, name) for name, count in node.rejected.items()), reverse=True)
         shown = ", ".join(f"{count} {name}" for count, name in reasons)
@@ -132,7 +132,7 @@ def main(
         fleet = load_fleet(options.fleet, options.overrides, options.law)
         node, listen, connect = start(fleet, options.robot)
         with Bus(listen=listen, connect=connect) as bus:
-            serve(node, bus, shutdown, log)
+            serve(node, bus, RealClock(*FaultPlan(fleet).clock(options.robot)), shutdown, log)
     except (FleetError, BusError) as error:
         log(str(error))
         return 2

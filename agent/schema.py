@@ -15,19 +15,20 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache, reduce
 from operator import or_
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from agent.quantities import UNITS, Unit, quantity
+
 T = TypeVar("T")
 
 _METADATA: Final = "setting"
 _INVALID: Final = object()  # what a value that has a problem reads as
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
-_QUANTITY = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*([^\s0-9.]\S*)?\s*")
 _SUGGESTIONS_MAX = 100  # nearest names are slow to find: a file of rubbish does not get one for each line
 
 
@@ -40,30 +41,6 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{self.place}: {self.message}" if self.place else self.message
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """Spellings of a quantity in a string: suffix -> (times, divided by), so that "35%" is 0.35 exactly."""
-
-    example: str
-    suffixes: Mapping[str, tuple[float, float]]
-
-
-UNITS: Final[Mapping[str, Unit]] = {
-    "s": Unit("200ms", {"us": (1, 1e6), "ms": (1, 1e3), "s": (1, 1), "min": (60, 1), "h": (3600, 1)}),
-    "Hz": Unit("50Hz", {"Hz": (1, 1), "kHz": (1e3, 1)}),
-    "m": Unit("20cm", {"mm": (1, 1e3), "cm": (1, 100), "m": (1, 1), "km": (1e3, 1)}),
-    "m/s": Unit("20cm/s", {"mm/s": (1, 1e3), "cm/s": (1, 100), "m/s": (1, 1), "km/h": (1, 3.6)}),
-    "m/s2": Unit("0.3m/s2", {"m/s2": (1, 1), "m/s^2": (1, 1)}),
-    "rad": Unit("90deg", {"rad": (1, 1), "deg": (math.pi, 180)}),
-    "rad/s": Unit("5deg/s", {"rad/s": (1, 1), "deg/s": (math.pi, 180)}),
-    "kg": Unit("10kg", {"g": (1, 1e3), "kg": (1, 1)}),
-    "N": Unit("20N", {"N": (1, 1)}),
-    "N m": Unit("2Nm", {"Nm": (1, 1)}),
-    "ratio": Unit("30%", {"%": (1, 100)}),
-}
-"""Strings accepted for a number, by the field's unit. Other units (``kg m2``, ``1/s``) take plain numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +59,7 @@ class Setting:
     pattern_says: str = ""  # the pattern in words: "must be ..."
     example: str | None = None  # TOML text of a value
     shared: tuple[str, type] | None = None  # array of tables: key and model of the table of defaults
+    parse: Callable[[object], object] | None = None  # reads the value; ValueError says what is right
 
     def range_text(self) -> str:
         """The bounds in words, empty when there are none."""
@@ -133,7 +111,7 @@ class Entry:
     @property
     def table(self) -> type | None:
         """Model of a sub-table, None for anything else."""
-        return _model(self.hint)
+        return _model(self.hint) if self.setting.parse is None else None
 
     @property
     def tables(self) -> type | None:
@@ -366,6 +344,12 @@ class Reader:
 
     def _value(self, hint: Any, raw: object, place: str, said: Setting, default: object = None) -> Any:
         """A field's value, or `_INVALID` after adding what is wrong with it."""
+        if said.parse is not None:
+            try:
+                return said.parse(raw)
+            except ValueError as error:
+                self.add(place, printable(str(error)))
+                return _INVALID
         origin, args, unit = get_origin(hint), get_args(hint), UNITS.get(said.unit or "")
         if origin in (Union, UnionType):
             is_array = isinstance(raw, (list, tuple))
@@ -440,13 +424,15 @@ class Reader:
         return _INVALID
 
     def _quantity(self, raw: str, place: str, said: Setting, unit: Unit) -> Any:
-        match = _QUANTITY.fullmatch(raw) if len(raw) <= 60 else None
-        if match is None or match[2] not in unit.suffixes:
+        try:
+            value = quantity(raw, said.unit or "")
+        except ValueError:
+            value = None
+        if value is None or raw.strip()[-1:] in "0123456789.":  # text without a unit may mean any unit
             spelled = f"a string such as {show(unit.example)} (units: {', '.join(unit.suffixes)})"
             self.add(place, f"must be {describe(hint=float, unit=said.unit)} or {spelled}, got {show(raw)}")
             return _INVALID
-        times, divisor = unit.suffixes[match[2]]
-        return self._number(float, float(match[1]) * times / divisor, place, said, raw)
+        return self._number(float, value, place, said, raw)
 
     # --- names ------------------------------------------------------------------------------------
 
@@ -477,7 +463,7 @@ class Reader:
         """Puts one ``table.field=value`` of the command line into the raw document, before it is read.
 
         The value is read as TOML and, failing that, taken as a bare string. Entries of an array of tables are
-        addressed by their ``id``: ``robot.3.mass_kg=12``.
+        addressed by their ``id`` or ``name``: ``robot.3.mass_kg=12``.
         """
         path, equals, written = text.partition("=")
         keys = [key.strip() for key in path.split(".")]
@@ -514,11 +500,13 @@ class Reader:
     def _row(self, rows: Any, wanted: str, place: str, label: str) -> tuple[Any, str]:
         if not isinstance(rows, list):
             return None, place
-        ids = [row.get("id") for row in rows if isinstance(row, dict)]
+        known = [row.get("id", row.get("name")) for row in rows if isinstance(row, dict)]
         for number, row in enumerate(rows, 1):
-            if isinstance(row, dict) and "id" in row and _show(row["id"], 1) == wanted:
+            name = row.get("id", row.get("name")) if isinstance(row, dict) else None
+            if name is not None and str(name) == wanted:
                 return row, f"{place}[{number}]"
-        self.add(label, f"there is no {place} with id {_key(wanted)}; ids are {show(ids, 80)[1:-1]}")
+        there_are = show([name for name in known if name is not None], 80)[1:-1] or "none"
+        self.add(label, f"there is no {place} with id {_key(wanted)}; ids are {there_are}")
         return None, place
 
 
@@ -560,7 +548,10 @@ def build(model: type[T], values: Mapping[str, Any]) -> T:
 
 
 def plain(instance: object) -> dict[str, Any]:
-    """A model as a table that TOML can hold: complete but for None, arrays as lists, in the file's names."""
+    """A model as a table that TOML can hold: complete but for None, arrays as lists, in the file's names.
+
+    A value of a class of its own (`Setting.parse`) is written as its text.
+    """
     table: dict[str, Any] = {}
     model: type = type(instance)
     for entry in entries(model).values():
@@ -572,7 +563,7 @@ def plain(instance: object) -> dict[str, Any]:
         elif entry.tables is not None:
             value = [plain(row) for row in value]
         if value is not None:
-            table[entry.key] = _lists(value)
+            table[entry.key] = _lists(value) if entry.setting.parse is None else str(value)
     return table
 
 

@@ -9,9 +9,8 @@ for a few dozen robots. All findings come at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from math import atan2, exp, hypot, inf, sqrt
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,8 @@ from agent import formation, trajectory
 from agent.fleet import Fleet, Robot
 from agent.formation import FormationError, Geometry
 from agent.trajectory import make_trajectory
+from deploy.check_faults import check_faults
+from deploy.finding import Finding
 from deploy.stability import (
     SETTLED,
     Mode,
@@ -31,7 +32,8 @@ from deploy.stability import (
 )
 from deploy.wording import NAMES_SHOWN, counted, robots, some
 
-Level = Literal["error", "warning", "info"]
+__all__ = ["Finding", "check"]
+
 Floats = NDArray[np.float64]
 
 SWEEP_ROBOTS_MAX: Final = 60
@@ -53,24 +55,6 @@ broke between 1 and 1.5 at 150 degrees and beyond; half of that is the warning.
 _ORDER: Final = {"error": 0, "warning": 1, "info": 2}
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that the file's author should know.
-
-    Attributes:
-        level: error: it would not work; warning: it may not; info: good to know.
-        place: field of the fleet file; arrays count from 1 as in `agent.schema`.
-        message: what is found, its values, and what would be right.
-    """
-
-    level: Level
-    place: str
-    message: str
-
-    def __str__(self) -> str:
-        return f"{self.level}: {self.place}: {self.message}"
-
-
 def check(fleet: Fleet) -> list[Finding]:
     """Everything worth saying about a fleet, errors first. Never raises for a fleet that was parsed."""
     findings = list(_structure(fleet))
@@ -89,6 +73,7 @@ def check(fleet: Fleet) -> list[Finding]:
     findings += _gains(fleet)
     findings += _motion(fleet, geometry)
     findings += _noise(fleet)
+    findings += check_faults(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])
 
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -26,23 +26,27 @@ class Child:
         role: ``agent`` or ``plant``.
         module: what ``python -m`` runs.
         fleet_file: the resolved fleet file.
-        log: where its output goes.
+        log: where its output goes, after what is there.
+        more: further arguments.
     """
 
-    def __init__(self, robot: int, role: str, module: str, fleet_file: Path, log: Path) -> None:
+    def __init__(
+        self, robot: int, role: str, module: str, fleet_file: Path, log: Path, more: Sequence[str] = ()
+    ) -> None:
         self.robot, self.role, self.log = robot, role, log
         self.name = f"robot {robot}'s {role}"
         # -P: a folder called `agent` in the working directory must not be taken for the package.
         command = [sys.executable, "-P", "-m", module, "--fleet", str(fleet_file), "--robot", str(robot)]
         with open(log, "ab") as output:
             self._process = subprocess.Popen(
-                [*command, "--exit-with-parent"],
+                [*command, "--exit-with-parent", *more],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
                 env=os.environ | _ENVIRONMENT,
                 start_new_session=True,
             )
+        self._guard: subprocess.Popen[bytes] | None = None
 
     @property
     def pid(self) -> int:
@@ -65,14 +69,42 @@ class Child:
             return []
         return [line[:LINE_MAX] for line in text.splitlines() if line.strip()][-LAST_LINES:]
 
+    def pause(self) -> None:
+        """Freezes it; `resume` lets it go on, and so does the end of this process, however it ends."""
+        if self._process.poll() is not None or self._guard is not None:
+            return
+        # A frozen process cannot see that its parent is gone: a guard waits for the end of a pipe.
+        self._guard = subprocess.Popen(
+            ["/bin/sh", "-c", 'read -r _; kill -CONT "$0"', str(self.pid)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._process.send_signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Lets it go on after `pause`; does nothing to one that others have frozen."""
+        if self._guard is not None and self._process.poll() is None:
+            self._process.send_signal(signal.SIGCONT)
+        self._dismiss_guard()
+
+    def _dismiss_guard(self) -> None:
+        if self._guard is not None:
+            self._guard.kill()
+            self._guard.communicate()
+            self._guard = None
+
     def terminate(self) -> None:
         """Asks it to brake and end."""
         if self._process.poll() is None:
             self._process.terminate()
+        self.resume()
 
     def kill(self) -> None:
         if self._process.poll() is None:
             self._process.kill()
+        self._dismiss_guard()
 
     def wait(self, timeout_s: float) -> bool:
         """Waits for its end; False when it still runs after `timeout_s`."""

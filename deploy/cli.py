@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.clock import NS_PER_S
-from agent.fleet import LAWS, Fleet, FleetError, load_fleet
+from agent.fleet import Fleet, FleetError
+from deploy import faults_command, sweep_command
+from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
 from deploy.interrupt import Interrupt
 from deploy.version import handfast_version
 
@@ -18,33 +20,7 @@ if TYPE_CHECKING:
     from deploy.runfolder import RunFolder
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-FLEETS: Final = Path(__file__).parent / "fleets"
 TEMPLATE: Final = Path(__file__).parent / "template.toml"
-
-
-class InputError(Exception):
-    """Bad input; the text is one clear message."""
-
-
-def bundled() -> list[str]:
-    """Names of the fleets that come with the program."""
-    return sorted(path.stem for path in FLEETS.glob("*.toml"))
-
-
-def fleet_path(name: str) -> Path:
-    """The file that FLEET means: a path, or the name of a bundled fleet.
-
-    Raises:
-        InputError: it is neither.
-    """
-    path = Path(name)
-    if path.exists() or path.suffix == ".toml" or len(path.parts) > 1:
-        return path
-    if name in bundled():
-        return FLEETS / f"{name}.toml"
-    raise InputError(
-        f"{name}: no such file, and no bundled fleet of that name; there are: {', '.join(bundled())}"
-    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -93,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         ("simulate", _simulate, "drive the fleet in virtual time: fast, and the same every time"),
     ):
         sub = add(name, command, text)
-        _fleet_arguments(sub)
+        fleet_arguments(sub)
         sub.add_argument(
             "--out", metavar="DIR", help="the run's folder (default: runs/FLEET-TIME); must be empty or new"
         )
@@ -105,7 +81,9 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
     sub = add("check", _check, "say what the fleet will do and all that is wrong with it")
-    _fleet_arguments(sub)
+    fleet_arguments(sub)
+    sweep_command.add_parser(commands)
+    faults_command.add_parser(commands)
     sub = add("report", _report, "rebuild figures, metrics and report of a run from its recording")
     sub.add_argument("folder", metavar="RUN", help="the run's folder")
     sub = add("export", _export, "write a run's data as tables")
@@ -115,37 +93,6 @@ def _parser() -> argparse.ArgumentParser:
     sub = add("new", _new, "write a commented fleet file to start from")
     sub.add_argument("name", metavar="NAME", help="the fleet's name; NAME.toml is written")
     return parser
-
-
-def _fleet_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
-    parser.add_argument("--law", metavar="LAW", help=f"preset of the control law: {', '.join(LAWS)}")
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        action="append",
-        default=[],
-        metavar="A.B=V",
-        help="override any field, repeatedly",
-    )
-    parser.add_argument("--duration", metavar="TIME", help="short for --set fleet.duration_s=TIME")
-    parser.add_argument("--seed", metavar="N", help="short for --set fleet.seed=N")
-
-
-def _load(options: argparse.Namespace) -> Fleet:
-    """The fleet as the options have it, resolved: offsets, edges and distances written out."""
-    from agent.formation import resolved
-
-    return resolved(load_fleet(fleet_path(options.fleet), _overrides(options), options.law))
-
-
-def _overrides(options: argparse.Namespace) -> list[str]:
-    overrides = list(options.overrides)
-    if options.duration is not None:
-        overrides.append(f"fleet.duration_s={options.duration}")
-    if options.seed is not None:
-        overrides.append(f"fleet.seed={options.seed}")
-    return overrides
 
 
 # ---------------------------------------------------------------------- run and simulate
@@ -186,7 +133,7 @@ def _run(options: argparse.Namespace) -> int:
 
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = _load(options)
+        fleet = load(options)
         _refuse_errors(options, fleet)
         try:
             fleet, ports = place(fleet)
@@ -215,7 +162,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = _load(options)
+        fleet = load(options)
         _refuse_errors(options, fleet)
         folder = _folder(options, fleet, "simulate")
         watch = Watch(fleet, resolve(fleet))
@@ -240,9 +187,9 @@ def _simulate(options: argparse.Namespace) -> int:
             return FAILED
         took = time.perf_counter() - begun
         if not options.quiet:
-            driven = (simulation.now_ns - simulation.epoch_ns) / NS_PER_S
+            driven = max(0.0, (simulation.now_ns - simulation.epoch_ns) / NS_PER_S)
             view.say(f"{driven:.1f} s of driving in {took:.2f} s, {driven / took:.0f} times real time")
-        return _finish(options, folder, [], interrupted=interrupt.count > 0)
+        return _finish(options, folder, simulation.reasons, interrupted=interrupt.count > 0)
 
 
 def _finish(options: argparse.Namespace, folder: RunFolder, reasons: list[str], *, interrupted: bool) -> int:
@@ -287,7 +234,7 @@ def _check(options: argparse.Namespace) -> int:
     from deploy.check import check
     from deploy.description import describe
 
-    fleet = load_fleet(fleet_path(options.fleet), _overrides(options), options.law)
+    fleet = load_unresolved(options)
     print(describe(fleet))
     findings = check(fleet)
     for finding in findings:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import hypot, pi
+from typing import Final
 
 import numpy as np
 
 from agent import formation, trajectory
+from agent.faults import FaultPlan
 from agent.fleet import ControlSection, Fleet
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
+from deploy.fault_words import defaults, words
+from deploy.rule_text import described
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.wording import some
+
+FAULTS_SHOWN: Final = 12
 
 
 def describe(fleet: Fleet) -> str:
@@ -38,6 +44,7 @@ def describe(fleet: Fleet) -> str:
     lines.append(f"  law: {_describe_law(fleet.control)}")
     lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
     lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
+    lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines.append(f"  network: {fleet.network.address}, ports from {fleet.network.base_port} up")
     return "\n".join(lines)
 
@@ -96,6 +103,20 @@ def _describe_trajectory(fleet: Fleet) -> str:
         f"{max((leg.speed for leg in legs), default=0.0):.3g} m/s, corners passed within {max(cuts):.2g} m, "
         f"at rest after {trajectory.duration(section):.4g} s"
     )
+
+
+def _describe_faults(fleet: Fleet) -> Iterator[str]:
+    everywhere = defaults(fleet.faults)
+    if everywhere is not None:
+        yield f"faults: {words(everywhere)}, all the time"
+    rules = FaultPlan(fleet).file_rules()
+    for rule in rules[:FAULTS_SHOWN]:
+        yield f"fault {rule.name}: {described(rule)}"
+    if len(rules) > FAULTS_SHOWN:
+        yield f"and {len(rules) - FAULTS_SHOWN} further faults"
+    replays = len(fleet.faults.replays)
+    if replays:
+        yield f"faults: recorded fates on {replays} link{'s' * (replays != 1)}, as in an earlier run"
 
 
 def _describe_start(fleet: Fleet, geometry: Geometry) -> Iterator[str]:

@@ -18,9 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.formation import resolve
+from agent.messages import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
+from deploy.link_data import LinkTable
 from deploy.metrics import MESSAGES, analyse
 from deploy.recorder import RecordingError
-from deploy.recording import Recording, StatusTable, Table
+from deploy.recording import Recording
+from deploy.run_tables import StatusTable, Table
 
 FORMATS: Final = ("csv", "parquet", "json")
 FOLDER: Final = "export"
@@ -40,6 +43,10 @@ _HAND: Final = {
 _WRENCH: Final = {"force_n": "force", "torque_nm": "torque", "brake": "brake"}
 _MULTIPLIER: Final = {"neighbour": "neighbour", "multiplier": "value"}
 _FLAGS: Final = frozenset({"driving", "healthy", "following", "brake"})
+_WHAT: Final = {
+    "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED, "held": HELD,
+    "range": RANGE, "overflow": OVERFLOW,
+}  # fmt: skip
 _COUNTS: Final = (*MESSAGES, "overruns")
 
 
@@ -51,7 +58,8 @@ def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | 
     """Write the tables of the run in `folder` to the folder `out` (its own ``export`` unless given).
 
     Tables: ``hands``, ``plants``, ``wrenches``, ``multipliers``, ``statuses`` (one row per message),
-    ``distances`` (one per edge and period of the fleet), and ``truths`` when plants measure with noise.
+    ``distances`` (one per edge and period of the fleet), ``links`` (one per decision of a fault rule) when
+    there was one, and ``truths`` when plants measure with noise.
 
     Raises:
         ExportError: unknown format, no pyarrow, or not writable; one line. It is a `RecordingError`.
@@ -87,6 +95,8 @@ def tabulate(recording: Recording) -> dict[str, Columns]:
         "statuses": _statuses([(robot.id, robot.status) for robot in robots]),
     }
     tables["multipliers"]["neighbour"] = np.asarray(tables["multipliers"]["neighbour"]).astype(np.int64)
+    if len(recording.links):
+        tables["links"] = _links(recording.links)
     if any(len(robot.truth) for robot in robots):
         tables["truths"] = _stack([(robot.id, robot.truth) for robot in robots], _PLANT)
     return tables
@@ -114,6 +124,22 @@ def _distances(recording: Recording) -> Columns:
         "distance_m": a.distances.ravel(),
         "wanted_m": np.tile(a.wanted, times),
     }
+
+
+def _links(links: LinkTable) -> Columns:
+    """What was done to messages, one row per decision; a delay of a lost message is not known."""
+    topics = np.array(TOPICS)
+    columns: Columns = {
+        "t_s": links.t,
+        "source": links.source,
+        "destination": links.destination,
+        "topic": [str(topic) for topic in topics[links.topic]],
+        "sequence": links.sequence,
+    }
+    for name, bit in _WHAT.items():
+        columns[name] = (links.what & bit) != 0
+    columns["delay_s"] = np.where(links.delivered, links.delay_us / 1e6, np.nan)
+    return columns
 
 
 def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:

@@ -1,7 +1,6 @@
-"""The pictures of a run: by matplotlib's object interface, without global state, always the same bytes.
+"""The pictures of a run. Figures 3 and 4 of the paper are `trajectories` and `distances`.
 
-Figures 3 and 4 of the paper are `trajectories` and `distances`. Colours are Okabe and Ito's, which
-colour-blind readers tell apart; with more robots than colours, numbers and envelopes do the work.
+With more robots than colours, numbers and envelopes do the work.
 """
 
 from __future__ import annotations
@@ -12,63 +11,40 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from agent.fleet import Fleet
+from deploy import link_figures
+from deploy.drawing import (
+    DOTTED,
+    GREY,
+    INK,
+    LEGEND_MAX,
+    PALETTE,
+    RED,
+    SECOND_ROUND,
+    new_figure,
+    note,
+    nth_color,
+    write,
+)
+from deploy.fault_strip import time_axes
+from deploy.link_data import Floats
 from deploy.metrics import Analysis
-from deploy.recorder import RecordingError
-from deploy.recording import Floats, Recording
+from deploy.recording import Recording
 from deploy.stability import SETTLED
 
-PALETTE: Final = (
-    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",
-)  # fmt: skip
 NAMES: Final = ("trajectories", "distances", "forces", "timing")
-INK: Final = "#222222"
-GREY: Final = "#8A8A8A"
-RED: Final = "#C1121F"
-DPI: Final = 150
-_LEGEND_MAX: Final = 10
-"""More lines than this have no legend and are drawn thin."""
-
-_DOTTED: Final = (0, (1, 2))
-_SECOND_ROUND: Final = (0, (3, 1, 1, 1))
-"""Dashes of a line whose colour another one has already."""
-
-_STYLE: Final[dict[str, Any]] = {
-    "font.size": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.edgecolor": GREY,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.6,
-    "xtick.color": GREY,
-    "ytick.color": GREY,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "text.color": INK,
-}
+"""Pictures of every run; `deploy.link_figures.NAME` comes with links that are worth one."""
 
 
 def write_figures(
     folder: str | PathLike[str], recording: Recording, fleet: Fleet, analysis: Analysis
 ) -> dict[str, Path]:
-    """Draw all of `NAMES` into `folder` as PNG; the paths by name.
+    """Draw all of `NAMES`, and links if they are worth it, into `folder` as PNG; the paths by name.
 
     Raises:
         RecordingError: when one cannot be written.
@@ -79,38 +55,13 @@ def write_figures(
         "forces": partial(forces, recording),
         "timing": partial(timing, recording),
     }
+    if link_figures.worth_drawing(recording):
+        drawings[link_figures.NAME] = partial(link_figures.links, recording)
     out = {}
-    with mpl.rc_context():
-        mpl.rcdefaults()  # a user's own matplotlibrc must not change what a report looks like
-        settings: Any = mpl.rcParams  # its type names every key there is in one version of matplotlib
-        settings.update(_STYLE)
-        for name, draw in drawings.items():
-            path = Path(folder) / f"{name}.png"
-            figure = draw()
-            try:
-                # No software version and no date in the file: the same run gives the same bytes.
-                figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
-            except OSError as error:
-                raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
-            out[name] = path
+    for name, draw in drawings.items():
+        out[name] = Path(folder) / f"{name}.png"
+        write(out[name], draw)
     return out
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _color(index: int) -> str:
-    return PALETTE[index % len(PALETTE)]
-
-
-def _note(axes: Axes, text: str) -> None:
-    """Say why there is nothing to see."""
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
 
 
 # --- trajectories ----------------------------------------------------------------------------
@@ -118,7 +69,7 @@ def _note(axes: Axes, text: str) -> None:
 
 def trajectories(recording: Recording, a: Analysis) -> Figure:
     """The paper's Fig. 3: paths, desired ones dotted, starts as circles, the formation at several times."""
-    few = len(recording.ids) <= _LEGEND_MAX
+    few = len(recording.ids) <= LEGEND_MAX
     everything = np.concatenate([a.hands.reshape(-1, 2), a.desired.reshape(-1, 2)])
     everything = everything[np.isfinite(everything).all(axis=1)]
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -126,7 +77,7 @@ def trajectories(recording: Recording, a: Analysis) -> Figure:
     low, high = low - margin, high + margin
     span_x, span_y = high - low
     scale = min(8.0 / span_x, 7.0 / span_y)
-    figure = _figure(max(span_x * scale, 3.6) + 0.9, max(span_y * scale, 3.0) + 1.1)
+    figure = new_figure(max(span_x * scale, 3.6) + 0.9, max(span_y * scale, 3.0) + 1.1)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.set_xlim(low[0], high[0])
@@ -137,14 +88,14 @@ def trajectories(recording: Recording, a: Analysis) -> Figure:
     for shade, k in zip(np.linspace(0.25, 1.0, len(moments)), moments, strict=True):
         _draw_formation(axes, a, k, float(shade), few)
     for index in range(len(recording.ids)):
-        color = _color(index)
+        color = nth_color(index)
         width, alpha = (1.5, 1.0) if few else (0.7, 0.75)
-        axes.plot(*a.desired[:, index].T, linestyle=_DOTTED, color=GREY, linewidth=0.7 * width, zorder=2)
+        axes.plot(*a.desired[:, index].T, linestyle=DOTTED, color=GREY, linewidth=0.7 * width, zorder=2)
         axes.plot(*a.hands[:, index].T, color=color, linewidth=width, alpha=alpha, zorder=3)
     _draw_starts(axes, recording.ids, a, few)
     path_color = PALETTE[0] if few else GREY
     axes.plot([], [], color=path_color, linewidth=1.5, label="hand path")
-    axes.plot([], [], linestyle=_DOTTED, color=GREY, linewidth=1.2, label="desired path")
+    axes.plot([], [], linestyle=DOTTED, color=GREY, linewidth=1.2, label="desired path")
     axes.plot([], [], "o", markerfacecolor="white", markeredgecolor=INK, markersize=6, label="start")
     axes.plot([], [], "o-", color=INK, linewidth=1.2, markersize=4, label="formation at the time given")
     figure.legend(loc="outside upper left", ncols=4, columnspacing=1.2, handlelength=1.8)
@@ -171,7 +122,7 @@ def _moments(a: Analysis) -> list[int]:
             for i in range(between + 2)
             if i != j
         ]
-        if min(apart) >= (0.5 if a.hands.shape[1] <= _LEGEND_MAX else 0.9) * size:
+        if min(apart) >= (0.5 if a.hands.shape[1] <= LEGEND_MAX else 0.9) * size:
             return [0, *rows[1:-1].tolist(), last]
     return [0, last]
 
@@ -224,7 +175,7 @@ def _draw_starts(axes: Axes, ids: Sequence[int], a: Analysis, few: bool) -> None
             continue
         size = 11 if few else 8
         axes.plot(
-            x, y, "o", markersize=size, markerfacecolor="white", markeredgecolor=_color(index),
+            x, y, "o", markersize=size, markerfacecolor="white", markeredgecolor=nth_color(index),
             markeredgewidth=1.3 if few else 0.8, zorder=7,
         )  # fmt: skip
         number = 7 if few else 4.5
@@ -235,13 +186,12 @@ def _draw_starts(axes: Axes, ids: Sequence[int], a: Analysis, few: bool) -> None
 
 
 def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
-    """The paper's Fig. 4: the distance of every edge over time, with the safe distance."""
-    figure = _figure(7.6, 4.2)
-    axes = figure.add_subplot()
-    axes.set_xlabel("fleet time (s)")
+    """The paper's Fig. 4: the distance of every edge over time, with the safe distance; above it faults."""
+    figure = new_figure(7.6, 4.2)
+    (axes,) = time_axes(figure, recording, max(float(a.grid[-1]), 1e-3))
     axes.set_ylabel("distance between hand points (m)")
     safe = fleet.formation.safe_distance_m
-    few = len(a.edges) <= _LEGEND_MAX
+    few = len(a.edges) <= LEGEND_MAX
     end = max(float(a.grid[-1]), 1e-3)
     wanted = np.unique(np.round(a.wanted, 6))
     for value in wanted if len(wanted) <= 4 else []:
@@ -251,20 +201,19 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
         axes.plot([], [], color="#00664B", linewidth=0.8, linestyle=(0, (6, 3)), label="wanted, ±5 % shaded")
     if few:
         for index, (i, j) in enumerate(a.edges.tolist()):
-            style = "solid" if index < len(PALETTE) else _SECOND_ROUND
+            style = "solid" if index < len(PALETTE) else SECOND_ROUND
             label = f"{recording.ids[i]}–{recording.ids[j]}"
             values = a.distances[:, index]
-            axes.plot(a.grid, values, color=_color(index), linewidth=1.3, linestyle=style, label=label)
+            axes.plot(a.grid, values, color=nth_color(index), linewidth=1.3, linestyle=style, label=label)
     else:
         _draw_many(axes, a.grid, a.distances, "edge")
     axes.axhline(safe, color=RED, linewidth=1.3, linestyle=(0, (5, 3)))
     finite = a.distances[np.isfinite(a.distances)]
     greatest = [1.08 * float(values.max()) for values in (finite, 1.06 * wanted) if values.size]
     top = max([2 * safe, *greatest])
-    axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, top)
     if a.settling_s:
-        axes.axvline(a.settling_s, color=INK, linewidth=0.8, linestyle=_DOTTED)
+        axes.axvline(a.settling_s, color=INK, linewidth=0.8, linestyle=DOTTED)
         left = a.settling_s > 0.8 * end
         axes.annotate(
             f"settled after {a.settling_s:.1f} s", (a.settling_s, 1.0), xycoords=("data", "axes fraction"),
@@ -279,7 +228,7 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
         color=RED, fontsize=8,
     )  # fmt: skip
     if not len(a.edges):
-        _note(axes, "no robots share an edge")
+        note(axes, "no robots share an edge")
     elif few:
         figure.legend(loc="outside right upper")
     else:
@@ -327,7 +276,7 @@ def _draw_many(axes: Axes, t: Floats, values: Floats, what: str) -> None:
 
 def forces(recording: Recording) -> Figure:
     """Navigation and constraint forces per unit mass, and what is asked of each body, over time."""
-    figure = _figure(8.6, 5.6)
+    figure = new_figure(8.6, 5.6)
     panels = figure.subplots(2, 2, sharex=True)
     grid = recording.grid
     unit = "per unit mass (m/s²)"
@@ -337,19 +286,19 @@ def forces(recording: Recording) -> Figure:
         ("Force asked of the plant", "force (N)", lambda r: (r.wrench.t, r.wrench["force"])),
         ("Torque asked of the plant", "torque (N m)", lambda r: (r.wrench.t, r.wrench["torque"])),
     ]
-    few = len(recording.ids) <= _LEGEND_MAX
+    few = len(recording.ids) <= LEGEND_MAX
     for axes, (title, label, column) in zip(panels.flat, columns, strict=True):
         axes.set_title(title)
         axes.set_ylabel(label)
         axes.set_xlim(0.0, max(float(grid[-1]), 1e-3))
         series = [column(robot) for robot in recording.robots.values()]
         if not any(len(t) for t, _ in series):
-            _note(axes, "nothing was recorded")
+            note(axes, "nothing was recorded")
         elif few:
             for index, (t, values) in enumerate(series):
                 inside = (t >= 0) & (t <= grid[-1])
-                style = "solid" if index < len(PALETTE) else _SECOND_ROUND
-                axes.plot(t[inside], values[inside], color=_color(index), linewidth=0.9, linestyle=style)
+                style = "solid" if index < len(PALETTE) else SECOND_ROUND
+                axes.plot(t[inside], values[inside], color=nth_color(index), linewidth=0.9, linestyle=style)
         else:
             table = np.column_stack([np.interp(grid, t, values) for t, values in series if len(t)])
             _draw_many(axes, grid, table, "robot")
@@ -357,9 +306,9 @@ def forces(recording: Recording) -> Figure:
         axes.set_xlabel("fleet time (s)")
     if few:
         for index, robot in enumerate(recording.ids):
-            style = "solid" if index < len(PALETTE) else _SECOND_ROUND
+            style = "solid" if index < len(PALETTE) else SECOND_ROUND
             label = f"robot {robot}"
-            panels[0, 0].plot([], [], color=_color(index), linewidth=1.3, linestyle=style, label=label)
+            panels[0, 0].plot([], [], color=nth_color(index), linewidth=1.3, linestyle=style, label=label)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     if handles:
         rows = 1 if len(handles) <= 6 else 2
@@ -377,7 +326,7 @@ def _length(table: Any, name: str) -> Floats:
 
 def timing(recording: Recording) -> Figure:
     """How long ticks took and how old the neighbours' states were, over time and as distributions."""
-    figure = _figure(8.6, 5.6)
+    figure = new_figure(8.6, 5.6)
     panels = figure.subplots(2, 2, width_ratios=(1.6, 1.0))
     statuses = [robot.status for robot in recording.robots.values()]
     end = max(recording.end_s, 1e-3)
@@ -399,10 +348,10 @@ def timing(recording: Recording) -> Figure:
         values = np.concatenate([values for _, _, values in series]) / scale
         if recording.mode == "simulate" and unit == "µs":
             for axes in (over_time, spread):
-                _note(axes, "virtual time: ticks take none")
+                note(axes, "virtual time: ticks take none")
         elif not len(values):
             for axes in (over_time, spread):
-                _note(axes, "nothing was recorded")
+                note(axes, "nothing was recorded")
         else:
             _draw_over_time(over_time, times, values, end, color)
             _draw_spread(spread, values, color, unit)
@@ -419,7 +368,7 @@ def _draw_over_time(axes: Axes, times: Floats, values: Floats, end: float, color
         chosen = values[inside & (bins == number)]
         rows.append((min((number + 0.5) * width, end), *np.percentile(chosen, (50, 99, 100))))
     if not rows:
-        _note(axes, "nothing was recorded during the drive")
+        note(axes, "nothing was recorded during the drive")
         return
     middle, median, high, top = np.array(rows).T
     axes.fill_between(middle, median, high, color=color, alpha=0.18, linewidth=0)

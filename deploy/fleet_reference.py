@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin
 
 from agent.fleet import LAWS, TRAJECTORY_FIELDS, Fleet
-from agent.schema import UNITS, Entry, entries, example, show
+from agent.quantities import UNITS
+from agent.schema import Entry, entries, example, show
 
 PAGE: Final = Path(__file__).parent.parent / "docs" / "fleet-file.md"
 _TEMPLATE: Final = Path(__file__).parent / "template.toml"
@@ -63,15 +64,30 @@ def _tables() -> Iterator[str]:
     for entry in entries(Fleet).values():
         model = entry.table or entry.tables
         assert model is not None, f"{entry.key} is not a table: this page has no place for it"
-        title = f"[[{entry.key}]]" if entry.tables else f"[{entry.key}]"
-        shared = {e.key for e in entries(entry.setting.shared[1]).values()} if entry.setting.shared else set()
-        rows = [_row(field) for field in entries(model).values() if field.key not in shared]
-        head = "| field | value | default | meaning | example |\n|---|---|---|---|---|\n"
-        yield f"## `{title}`\n\n{entry.setting.doc}\n\n{head}" + "\n".join(rows) + "\n"
+        yield from _section(entry, entry.key)
+
+
+def _section(entry: Entry, name: str, above: type | None = None) -> Iterator[str]:
+    """One table of fields, and the arrays of tables within it. Fields that `above` has too are left out."""
+    model = entry.table or entry.tables
+    assert model is not None
+    title = f"[[{name}]]" if entry.tables else f"[{name}]"
+    known = (
+        entries(entry.setting.shared[1] if entry.setting.shared else above)
+        if (entry.setting.shared or above)
+        else {}
+    )
+    own = [field for field in entries(model).values() if field.key not in known]
+    rows = [_row(field) for field in own if not field.tables]
+    head = "| field | value | default | meaning | example |\n|---|---|---|---|---|\n"
+    yield f"## `{title}`\n\n{entry.setting.doc}\n\n{head}" + "\n".join(rows) + "\n"
+    for field in own:
+        if field.tables:
+            yield from _section(field, f"{name}.{field.key}", model)
 
 
 def _row(field: Entry) -> str:
-    kind = _type(field.hint, field.setting.unit)
+    kind = "string" if field.setting.parse else _type(field.hint, field.setting.unit)
     bounds = field.setting.range_text() or field.setting.pattern_says
     default = (
         "**required**" if field.required else "" if field.default is None else f"`{show(field.default)}`"
@@ -119,16 +135,20 @@ def _units() -> str:
         "A number of one of these units may also be a string with a unit; other units take plain numbers.\n",
         "| unit of the field | suffixes | example |\n|---|---|---|",
     ]
-    used = {
-        f.setting.unit
-        for e in entries(Fleet).values()
-        for f in entries(e.table or e.tables or Fleet).values()
-    }
+    used = set(_units_of(Fleet))
     for name, unit in UNITS.items():
         if name in used:
             suffixes = ", ".join(f"`{suffix}`" for suffix in unit.suffixes)
             lines.append(f"| {name} | {suffixes} | `{show(unit.example)}` |")
     return "\n".join(lines) + "\n"
+
+
+def _units_of(model: type) -> Iterator[str | None]:
+    for field in entries(model).values():
+        inside = field.table or field.tables
+        if inside is not None:
+            yield from _units_of(inside)
+        yield field.setting.unit
 
 
 def _laws() -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import termios
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from math import isinf
 from types import TracebackType
 from typing import Any, Final, Protocol, TextIO, TypeVar
 
@@ -19,10 +20,13 @@ from rich.text import Text
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.formation import Geometry
-from agent.messages import HandState, Message, Status
+from agent.messages import Faults, HandState, Message, Status
 from agent.supervision import State
+from deploy.fault_words import defaults, held, lasts, words
+from deploy.live_faults import Held, shown
 
 STYLES: Final = {
     State.RUNNING.value: "green",
@@ -32,6 +36,8 @@ STYLES: Final = {
 }
 ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
+FAULTS_MAX: Final = 4
+"""Faults that are named; of more only the number is said."""
 
 
 @dataclass
@@ -48,6 +54,8 @@ class Picture:
     worst: tuple[float, int, int] | None = None
     """Edge that is furthest from its wanted distance: error, and the two robots."""
     robots: Mapping[int, RobotPicture] = field(default_factory=dict)
+    faults: Sequence[str] = ()
+    """The faults that hold now, in words."""
 
     @property
     def oldest_ms(self) -> float:
@@ -58,7 +66,8 @@ class Picture:
 @dataclass
 class RobotPicture:
     """One robot: its state and why, its worst distance error (m), the age of its oldest neighbour
-    (ms), its last tick's time (us) and the ticks it missed."""
+    (ms), its last tick's time (us), the ticks it missed, and what is wrong with clocks in its eyes: of the
+    neighbour whose clock is furthest off, its id and by how much it is ahead (s)."""
 
     state: str
     reason: str
@@ -66,6 +75,7 @@ class RobotPicture:
     age_ms: float
     tick_us: int | None
     overruns: int
+    clock: tuple[int, float] | None = None
 
 
 class Watch:
@@ -75,6 +85,15 @@ class Watch:
         self._fleet, self._geometry = fleet, geometry
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
+        self._rules = [rule for rule in FaultPlan(fleet).file_rules() if lasts(rule)]
+        everywhere = defaults(fleet.faults)
+        self._always = () if everywhere is None else (words(everywhere),)
+        self._held = Held(fleet)
+        self._epoch_ns: int | None = None
+
+    def begin(self, epoch_ns: int) -> None:
+        """Told of the mission: live faults, which count in wall time, are shown from now on."""
+        self._epoch_ns = epoch_ns
 
     def feed(self, key: str, message: Message) -> None:
         """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
@@ -83,6 +102,8 @@ class Watch:
             _keep_newest(self.hands, message)
         elif type(message) is Status and key == keys.status(name, message.robot):
             _keep_newest(self.statuses, message)
+        elif type(message) is Faults:
+            self._held.feed(key, message)
 
     def states(self) -> dict[int, str]:
         """Every robot's state, "" of one that has said nothing yet."""
@@ -104,7 +125,7 @@ class Watch:
         known = np.where(np.isfinite(errors), errors, -1.0)
         np.maximum.at(by_robot, i, known)
         np.maximum.at(by_robot, j, known)
-        picture = Picture(time_s, self._fleet.fleet.duration_s)
+        picture = Picture(time_s, self._fleet.fleet.duration_s, faults=self._faults(time_s))
         if np.isfinite(distances).any():
             near, far = int(np.nanargmin(distances)), int(np.nanargmax(errors))
             picture.nearest = float(distances[near]), ids[i[near]], ids[j[near]]
@@ -115,16 +136,33 @@ class Watch:
         }
         return picture
 
+    def _faults(self, time_s: float | None) -> list[str]:
+        out = list(self._always)
+        for rule, until_s in held(self._rules, -1.0 if time_s is None else time_s):
+            out.append(rule.name if isinf(until_s) else f"{rule.name} until {until_s:.1f} s")
+        if self._epoch_ns is not None and time_s is not None:
+            now_ns = self._epoch_ns + round(time_s * NS_PER_S)
+            out += shown(self._held.sets(now_ns), now_ns)
+        return out
+
     def _robot(self, status: Status | None, error: float) -> RobotPicture:
         if status is None:
             return RobotPicture("", "nothing heard yet", None, 0.0, None, 0)
+        limit_us = self._fleet.control.clock_skew_max_s * 1e6
+        # Beyond the limit for sure: the estimate is off by its error at most.
+        off = [
+            (robot, offset_us / 1e6)
+            for robot, *_, offset_us, error_us in status.neighbours
+            if error_us >= 0 and abs(offset_us) - error_us > limit_us
+        ]
         return RobotPicture(
             status.state,
             status.reason,
             error if error >= 0.0 else None,
-            max((age for _, age in status.neighbours), default=0) / 1e3,
+            max((neighbour[1] for neighbour in status.neighbours), default=0) / 1e3,
             max(status.tick_us, default=None),
             dict(status.counters).get("overruns", 0),
+            max(off, key=lambda each: abs(each[1]), default=None),
         )
 
 
@@ -185,7 +223,8 @@ class Lines:
         if self._quiet or picture.time_s is None or picture.time_s < self._due_s:
             return
         self._due_s = (picture.time_s // self._period_s + 1.0) * self._period_s
-        self.say(f"{picture.time_s:6.1f} s  {summary(picture)}")
+        line = faults_line(picture)
+        self.say(f"{picture.time_s:6.1f} s  {summary(picture)}" + (f", {line}" if line else ""))
 
 
 class Terminal:
@@ -217,7 +256,10 @@ class Terminal:
         self._console.print(Text(text))
 
     def show(self, picture: Picture) -> None:
-        self._live.update(Group(_bar(picture), Text(summary(picture)), _table(picture)), refresh=True)
+        lines = [Text(summary(picture))]
+        if picture.faults:
+            lines.append(Text(faults_line(picture), style="yellow"))
+        self._live.update(Group(_bar(picture), *lines, _table(picture)), refresh=True)
 
 
 def summary(picture: Picture) -> str:
@@ -232,7 +274,28 @@ def summary(picture: Picture) -> str:
         states.setdefault(about.state or "silent", []).append(robot)
     for state, robots in states.items():
         parts.append(f"all {state}" if len(states) == 1 else f"{state}: {', '.join(map(str, robots))}")
+    # Both of a pair see it: the one whose clock is behind says it.
+    ahead = {robot: about for robot, about in picture.robots.items() if about.clock and about.clock[1] > 0.0}
+    if ahead:
+        robot, about = max(ahead.items(), key=lambda item: item[1].clock[1] if item[1].clock else 0.0)
+        parts.append(f"{_clock(about)} of robot {robot}'s")
     return ", ".join(parts)
+
+
+def faults_line(picture: Picture) -> str:
+    """The faults that hold now on one line, empty without any."""
+    if not picture.faults:
+        return ""
+    more = len(picture.faults) - FAULTS_MAX
+    named = "; ".join(picture.faults[:FAULTS_MAX])
+    return f"faults: {named}" + (f"; and {more} more" if more > 0 else "")
+
+
+def _clock(about: RobotPicture) -> str:
+    if about.clock is None:
+        return ""
+    robot, ahead_s = about.clock
+    return f"clock of robot {robot} {abs(ahead_s) * 1e3:.0f} ms {'ahead' if ahead_s > 0 else 'behind'}"
 
 
 def _bar(picture: Picture) -> Progress:
@@ -263,7 +326,7 @@ def _table(picture: Picture) -> Table:
             f"{about.age_ms:.0f}",
             "-" if about.tick_us is None else str(about.tick_us),
             str(about.overruns),
-            about.reason,
+            "; ".join(filter(None, (about.reason, _clock(about)))),
         )
     if len(rows) > ROWS_MAX:
         table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "")

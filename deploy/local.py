@@ -10,15 +10,19 @@ from typing import Final
 from agent import keys
 from agent.bus import Bus, Presence
 from agent.clock import NS_PER_S, RealClock
+from agent.faults import FaultPlan
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
-from agent.messages import Mission, Stop, encode
-from agent.node import next_tick_ns
+from agent.hand import Pose
+from agent.messages import Event, Message, Mission, PlantState, Stop, encode
+from agent.node import FIRST_ROUND, next_tick_ns
 from agent.supervision import State
-from deploy.children import Child, end_all
 from deploy.interrupt import Interrupt
 from deploy.live import View, Watch, fleet_time_s
 from deploy.ports import Reservation
+from deploy.process_faults import WORDS, Action, actions
+from deploy.processes import Processes
+from deploy.registry import Registration
 from deploy.runfolder import RunFolder
 
 ADDRESS: Final = "127.0.0.1"
@@ -33,9 +37,6 @@ STOP_TIMEOUT_S: Final = 2.0
 INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
 END_TIMEOUT_S: Final = 0.4
 RECORDER_INBOX: Final = 65_536
-
-MODULES: Final = {"unicycle": "plant"}
-"""Kind of plant -> module that hosts it."""
 
 
 def place(fleet: Fleet) -> tuple[Fleet, Reservation]:
@@ -58,8 +59,14 @@ class LocalRun:
         self._fleet, self._folder, self._view, self._interrupt = fleet, folder, view, interrupt
         self._clock = RealClock()
         self._watch = Watch(fleet, resolve(fleet))
-        self._children: list[Child] = []
-        self._dead: set[Child] = set()
+        self._processes = Processes(fleet, folder)
+        self._states: dict[int, PlantState] = {}
+        """The latest state of each plant that is up."""
+        self._truths: dict[int, PlantState] = {}
+        """Where each simulated body really was last, for those that measure with noise."""
+        self._todo: list[Action] = []
+        """What rules will do to processes, the next one last."""
+        self._events = 0
         self._epoch_ns: int | None = None
         self._version = 0
         self._show_due_ns = 0
@@ -79,12 +86,14 @@ class LocalRun:
         ]
         try:
             self._start()
-            with Bus(listen=[], connect=endpoints) as bus:
+            with (
+                Registration(self._fleet.fleet.name, self._folder.path, self._folder.fleet_file),
+                Bus(listen=[], connect=endpoints) as bus,
+            ):
                 self._operate(bus)
         finally:
-            for child in end_all(self._children, END_TIMEOUT_S):
-                if child not in self._dead:
-                    self._view.say(f"{child.name} did not end when asked and was killed")
+            for child in self._processes.end(END_TIMEOUT_S):
+                self._view.say(f"{child.name} did not end when asked and was killed")
 
     def _start(self) -> None:
         count = len(self._fleet.robots)
@@ -92,10 +101,7 @@ class LocalRun:
             f"starting {count} agents and {count} plants on ports {self._fleet.network.base_port} to "
             f"{self._fleet.network.base_port + 2 * count - 1}"
         )
-        for robot in self._fleet.robots:
-            for role, module in (("agent", "agent"), ("plant", MODULES[robot.plant])):
-                log = self._folder.log(f"robot-{robot.id}-{role}.log")
-                self._children.append(Child(robot.id, role, module, self._folder.fleet_file, log))
+        self._processes.start()
 
     def _operate(self, bus: Bus) -> None:
         name = self._fleet.fleet.name
@@ -113,14 +119,15 @@ class LocalRun:
 
     def _wait_until_ready(self, bus: Bus, presence: Presence) -> bool:
         expected = {
-            keys.alive(self._fleet.fleet.name, child.robot, child.role): child for child in self._children
+            keys.alive(self._fleet.fleet.name, *process): name
+            for process, name in self._processes.names.items()
         }
         begun = time.monotonic()
-        timeout_s = READY_TIMEOUT_S + READY_TIMEOUT_PER_CHILD_S * len(self._children)
+        timeout_s = READY_TIMEOUT_S + READY_TIMEOUT_PER_CHILD_S * len(expected)
         alive = False
         while self._step(bus):
             presence.update()
-            missing = [child for key, child in expected.items() if key not in presence.alive]
+            missing = [name for key, name in expected.items() if key not in presence.alive]
             if not missing and not alive:
                 alive = True
                 self._view.say(f"all {len(expected)} processes alive after {time.monotonic() - begun:.2f} s")
@@ -128,7 +135,7 @@ class LocalRun:
             if alive and all(state == State.READY.value for state in states.values()):
                 return True
             if time.monotonic() - begun > timeout_s:
-                what = [child.name for child in missing] or [
+                what = missing or [
                     f"robot {robot} ({self._watch.statuses[robot].reason if state else 'nothing heard'})"
                     for robot, state in states.items()
                     if state != State.READY.value
@@ -142,14 +149,15 @@ class LocalRun:
         duration_ns = round(self._fleet.fleet.duration_s * NS_PER_S)
         self._epoch_ns = next_tick_ns(self._clock.now_ns() + EPOCH_AHEAD_NS, period_ns, 0)
         self._version = self._epoch_ns // 1_000_000
+        self._watch.begin(self._epoch_ns)
+        rules = FaultPlan(self._fleet).file_rules()
+        self._todo = actions(rules, self._fleet.ids, self._fleet.fleet.duration_s)[::-1]
         end_ns = self._epoch_ns + duration_ns
         due_ns = 0
         while self._clock.now_ns() < end_ns:
             now_ns = self._clock.now_ns()
-            if now_ns >= due_ns and any(
-                status.mission_version != self._version for status in self._watch.statuses.values()
-            ):
-                # Said again until every agent has it: one that starts again needs it too.
+            if now_ns >= due_ns and self._mission_is_wanted():
+                # Said again until all have it: a process that starts again needs it too.
                 due_ns = now_ns + MISSION_PERIOD_NS
                 mission = Mission(self._version, now_ns, self._epoch_ns, duration_ns, digest(self._fleet))
                 bus.publish(keys.mission(self._fleet.fleet.name), encode(mission))
@@ -157,8 +165,20 @@ class LocalRun:
                 return
         self._show()  # how it ended, whenever the last look was
 
+    def _mission_is_wanted(self) -> bool:
+        """Whether a process has said that it lacks the mission, or nothing since it started again."""
+        if any(status.mission_version != self._version for status in self._watch.statuses.values()):
+            return True
+        # A plant says so by its numbers: they count from the epoch as soon as it knows it.
+        return any(
+            self._processes.up(robot, "plant")
+            and (robot not in self._states or self._states[robot].sequence < FIRST_ROUND)
+            for robot in self._fleet.ids
+        )
+
     def _stop(self, bus: Bus) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
+        self._processes.resume_all()
         hurried = self._interrupt.count > 0
         if hurried:
             self._view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
@@ -168,7 +188,9 @@ class LocalRun:
         stop = Stop(max(self._version, now_ns // 1_000_000), now_ns, why[:100])
         bus.publish(keys.stop(self._fleet.fleet.name), encode(stop))
         still = (State.STOPPED.value, State.FAULT.value)
-        waiting = {child.robot for child in self._children} - {child.robot for child in self._dead}
+        waiting = [
+            robot for robot in self._fleet.ids if all(self._processes.up(robot, role) for role in keys.ROLES)
+        ]
         while time.monotonic() < deadline and self._interrupt.count < 2:
             self._collect(bus)
             states = self._watch.states()
@@ -180,9 +202,12 @@ class LocalRun:
     # ------------------------------------------------------------------ every step
 
     def _step(self, bus: Bus) -> bool:
-        """Waits a moment, takes what came, shows it; False when the run has to end."""
-        time.sleep(POLL_S)
+        """Waits a moment, takes what came, does what rules order; False when the run has to end."""
+        time.sleep(min(POLL_S, max(0.0, self._until_next_s())))
         self._collect(bus)
+        while self._until_next_s() <= 0.0:
+            self._carry_out(self._todo.pop())
+            self._collect(bus)
         now_ns = self._clock.now_ns()
         if now_ns >= self._show_due_ns:
             self._show_due_ns = now_ns + SHOW_PERIOD_NS
@@ -198,19 +223,49 @@ class LocalRun:
             message = self._folder.record(now_ns, key, payload)
             if message is not None:
                 self._watch.feed(key, message)
+                self._locate(key, message)
+
+    def _locate(self, key: str, message: Message) -> None:
+        if type(message) is PlantState:
+            name, robot = self._fleet.fleet.name, message.robot
+            if key == keys.plant_state(name, robot):
+                self._states[robot] = message
+            elif key == keys.plant_truth(name, robot):
+                self._truths[robot] = message
 
     def _deaths(self) -> bool:
-        """Reports every child that has ended; True when there was one."""
-        for child in self._children:
-            how = child.ended() if child not in self._dead else None
-            if how is not None:
-                self._dead.add(child)
-                at = fleet_time_s(self._clock.now_ns(), self._epoch_ns)
-                when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
-                self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
-                for line in child.last_lines():
-                    self._view.say(f"    {line}")
-        return bool(self._dead)
+        """Reports every child that has ended of its own; True when there was one."""
+        deaths = self._processes.deaths()
+        for child, how in deaths:
+            at = fleet_time_s(self._clock.now_ns(), self._epoch_ns)
+            when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
+            self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
+            for line in child.last_lines():
+                self._view.say(f"    {line}")
+        return bool(deaths)
+
+    # ------------------------------------------------------------------ what rules do to processes
+
+    def _until_next_s(self) -> float:
+        """Time until the next action of a rule, s."""
+        if not self._todo or self._epoch_ns is None:
+            return float("inf")
+        return self._todo[-1].time_s - (self._clock.now_ns() - self._epoch_ns) / NS_PER_S
+
+    def _carry_out(self, action: Action) -> None:
+        robot, role = action.robot, action.role
+        seen = self._truths.get(robot) or self._states.get(robot)
+        if not self._processes.carry_out(action, None if seen is None else Pose._make(seen[3:8])):
+            return  # it has died of its own, which ends the run
+        now_ns = self._clock.now_ns()
+        if action.what == "start" and role == "plant":
+            self._states.pop(robot, None)
+        event = Event(robot, self._events, now_ns, role, action.what, action.rule)
+        self._events += 1
+        self._folder.record(now_ns, keys.events(self._fleet.fleet.name), encode(event))
+        at = fleet_time_s(now_ns, self._epoch_ns)
+        name = self._processes.names[robot, role]
+        self._view.say(f"{at:.1f} s: rule {action.rule!r} {WORDS[action.what]} {name}")
 
     def _fail(self, reason: str) -> None:
         self.reasons.append(reason)

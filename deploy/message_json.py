@@ -1,8 +1,9 @@
 """Messages of the bus as JSON, the form in which a recording keeps them, and their JSON schemas.
 
 JSON because Foxglove and every other MCAP tool reads it without our code. Python writes the
-shortest decimal that reads back to the same double, so nothing is lost. Pairs become objects
-(``{"neighbour": 2, "value": 0.5}``): Foxglove has no arrays within arrays.
+shortest decimal that reads back to the same double, so nothing is lost. Rows become objects
+(``{"neighbour": 2, "value": 0.5}``): Foxglove has no arrays within arrays, and its message
+paths find and filter by these names.
 """
 
 from __future__ import annotations
@@ -11,11 +12,25 @@ import json
 from collections.abc import Callable
 from json.encoder import encode_basestring_ascii as _quoted
 from operator import itemgetter
-from typing import Any, Final, get_type_hints
+from typing import Any, Final, NamedTuple, get_type_hints
 
-from agent.messages import HandState, Message, Mission, PlantState, Status, Stop, Wrench
+from agent.messages import (
+    TOPICS,
+    Event,
+    Faults,
+    HandState,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+)
 
-CLASSES: Final[tuple[type[Message], ...]] = (HandState, PlantState, Wrench, Mission, Stop, Status)
+CLASSES: Final[tuple[type[Message], ...]] = (
+    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event,
+)  # fmt: skip
 
 _ROBOT: Final = "Number of the robot"
 _SEQUENCE: Final = "Sequence number, counted by the sender for this topic"
@@ -36,6 +51,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "constraint_x": "Constraint force per unit mass, east, m/s2",
         "constraint_y": "Constraint force per unit mass, north, m/s2",
         "multipliers": "The sender's copy of the multiplier of each of its edges",
+        "heard": "Least apparent delay of each neighbour's hand states",
     },
     PlantState: {
         "robot": _ROBOT,
@@ -79,19 +95,84 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "state": "State of the agent's supervision",
         "reason": "Why it is in that state",
         "mission_version": "Version of the mission that the agent follows",
-        "neighbours": "Age of each neighbour's hand state now, us; -1: never heard",
+        "neighbours": "What came from each neighbour, and how its clock stands",
         "tick_us": "Duration of every tick since the last status, us; empty in virtual time",
         "ages_us": "Age of every neighbour's hand state at every tick since the last status, us",
         "counters": "Totals since the agent started",
     },
+    Faults: {
+        "version": "Replaces the lesser ones of the same author",
+        "time_ns": _TIME,
+        "author": "Whose rules these are; *: all are cleared",
+        "origin_ns": "Wall clock from which the rules' times count, ns since the Unix epoch",
+        "lease_ns": "How long the rules hold after time_ns, ns; 0: until they are cleared",
+        "rules": "The rules, TOML as in a fleet file",
+    },
+    LinkTrace: {
+        "robot": "Number of the robot that received",
+        "sequence": _SEQUENCE,
+        "time_ns": _TIME,
+        "entries": "What was done to each message under a fault rule",
+    },
+    Event: {
+        "robot": _ROBOT,
+        "sequence": _SEQUENCE,
+        "time_ns": _TIME,
+        "role": "agent or plant: which process of the robot",
+        "what": "kill, start, stop (SIGSTOP) or continue",
+        "rule": "Name of the rule that asked for it",
+    },
 }
 
-# Names and types of the two columns of a field that holds pairs.
-_PAIRS: Final[dict[str, tuple[tuple[str, str], tuple[str, str]]]] = {
-    "multipliers": (("neighbour", "integer"), ("value", "number")),
-    "neighbours": (("robot", "integer"), ("age_us", "integer")),
-    "counters": (("name", "string"), ("value", "integer")),
+
+class _Column(NamedTuple):
+    """One column of a field that holds rows: its JSON name and type.
+
+    `texts`: the message holds an index into them, the JSON the text itself. `added`: what stands for
+    it in a recording of version 1, which had no such column.
+    """
+
+    name: str
+    kind: str
+    description: str = ""
+    texts: tuple[str, ...] = ()
+    added: int | None = None
+
+
+_WHAT: Final = (
+    "Sum of 1: lost, 2: the second copy, 4: corrupted, 8: reordered, 16: held, "
+    "32: lost to the range channel, 64: lost to a full queue; 0: untouched"
+)
+_ROWS: Final[dict[str, tuple[_Column, ...]]] = {
+    "multipliers": (_Column("neighbour", "integer"), _Column("value", "number")),
+    "heard": (
+        _Column("neighbour", "integer"),
+        _Column(
+            "delay_us", "integer", "Clock at its reception minus its stamp, us; negative when clocks differ"
+        ),
+    ),
+    "neighbours": (
+        _Column("robot", "integer"),
+        _Column("age_us", "integer", "Age of its hand state now, us; -1: never heard"),
+        _Column("received", "integer", "Hand states that came", added=0),
+        _Column("lost", "integer", "Hand states that did not come", added=0),
+        _Column("offset_us", "integer", "Its clock minus the own, us", added=0),
+        _Column("error_us", "integer", "Half the offset's uncertainty, us; -1: not known", added=-1),
+    ),
+    "counters": (_Column("name", "string"), _Column("value", "integer")),
+    "entries": (
+        _Column("source", "integer", "Number of the robot that sent"),
+        _Column(
+            "topic", "string", "hand: agent to agent, state: plant to agent, wrench: agent to plant", TOPICS
+        ),
+        _Column("sequence", "integer", "Sequence number of the message"),
+        _Column("time_ns", "integer", "Stamp of the message, ns since the Unix epoch"),
+        _Column("what", "integer", _WHAT),
+        _Column("delay_us", "integer", "Injected delay after the stamp, us; -1: lost"),
+    ),
 }
+_ADDED_FIELDS: Final[dict[str, Any]] = {"heard": ()}
+"""Fields that messages of version 1 had not, and what stands for them."""
 _SCALARS: Final = {int: "integer", float: "number", bool: "boolean", str: "string"}
 
 
@@ -106,8 +187,8 @@ def schema(cls: type[Message]) -> dict[str, Any]:
     hints = get_type_hints(cls)
     for name in cls._fields:
         field: dict[str, Any] = {"description": DESCRIPTIONS[cls][name]}
-        if name in _PAIRS:
-            columns = {column: {"type": kind} for column, kind in _PAIRS[name]}
+        if name in _ROWS:
+            columns = {column.name: _column_schema(column) for column in _ROWS[name]}
             item = {"type": "object", "properties": columns, "required": list(columns)}
             field |= {"type": "array", "items": item}
         elif hints[name] in _SCALARS:
@@ -123,6 +204,12 @@ def schema(cls: type[Message]) -> dict[str, Any]:
         "properties": properties,
         "required": list(cls._fields),
     }
+
+
+def _column_schema(column: _Column) -> dict[str, Any]:
+    described = {"description": column.description} if column.description else {}
+    texts = {"enum": list(column.texts)} if column.texts else {}
+    return {"type": column.kind, **described, **texts}
 
 
 # The three classes that come at the loop's rate are written by a template, three times faster than
@@ -141,9 +228,11 @@ _TRUTH: Final = {False: "false", True: "true"}
 
 
 def _hand(m: HandState) -> str:
-    robot, sequence, time_ns, following, x, y, vx, vy, nx, ny, cx, cy, multipliers = m
-    entries = ",".join(['{"neighbour":%d,"value":%r}' % pair for pair in multipliers])  # noqa: UP031 - the fastest form
-    return _HAND % (robot, sequence, time_ns, _TRUTH[following], x, y, vx, vy, nx, ny, cx, cy, entries)
+    robot, sequence, time_ns, following, x, y, vx, vy, nx, ny, cx, cy, multipliers, heard = m
+    # % is the fastest form, and this one runs for every message of every robot.
+    values = ",".join(['{"neighbour":%d,"value":%r}' % pair for pair in multipliers])  # noqa: UP031
+    delays = ",".join(['{"neighbour":%d,"delay_us":%d}' % pair for pair in heard])  # noqa: UP031
+    return _HAND % (robot, sequence, time_ns, _TRUTH[following], x, y, vx, vy, nx, ny, cx, cy, values, delays)
 
 
 def _plant(m: PlantState) -> str:
@@ -159,15 +248,20 @@ def _wrench(m: Wrench) -> str:
 
 def _other(m: Message) -> str:
     content: dict[str, Any] = dict(zip(m._fields, m, strict=True))
-    for name, ((first, _), (second, _)) in _PAIRS.items():
-        if name in content:
-            content[name] = [{first: a, second: b} for a, b in content[name]]
+    for name in _ROWS.keys() & content.keys():
+        columns = _ROWS[name]
+        names = [column.name for column in columns]
+        content[name] = [dict(zip(names, row, strict=True)) for row in content[name]]
+        for column in columns:
+            if column.texts:
+                for row in content[name]:
+                    row[column.name] = column.texts[row[column.name]]
     return json.dumps(content, separators=(",", ":"), allow_nan=False)
 
 
 _WRITERS: Final[dict[type[Message], Callable[[Any], str]]] = {
     HandState: _hand, PlantState: _plant, Wrench: _wrench,
-    Mission: _other, Stop: _other, Status: _other,
+    Mission: _other, Stop: _other, Status: _other, Faults: _other, LinkTrace: _other, Event: _other,
 }  # fmt: skip
 
 
@@ -177,23 +271,48 @@ def to_json(message: Message) -> bytes:
 
 
 def reader(cls: type[Message]) -> Callable[[dict[str, Any]], Message]:
-    """A function from a parsed JSON object to the message.
+    """A function from a parsed JSON object to the message. Recordings of version 1 are read as well.
 
     The function raises KeyError, TypeError or ValueError for an object that is not such a message.
     """
     values = itemgetter(*cls._fields)
-    pairs = [(cls._fields.index(name), columns) for name, columns in _PAIRS.items() if name in cls._fields]
-    rows = [cls._fields.index(name) for name in ("tick_us", "ages_us") if name in cls._fields]
-    if not pairs and not rows:
+    added = {name: value for name, value in _ADDED_FIELDS.items() if name in cls._fields}
+    rows = [
+        (cls._fields.index(name), _row(columns)) for name, columns in _ROWS.items() if name in cls._fields
+    ]
+    plain = [cls._fields.index(name) for name in ("tick_us", "ages_us") if name in cls._fields]
+    if not rows and not plain:
         return lambda content: cls._make(values(content))
-    getters = [(index, itemgetter(first, second)) for index, ((first, _), (second, _)) in pairs]
 
     def read(content: dict[str, Any]) -> Message:
-        fields = list(values(content))
-        for index, both in getters:
-            fields[index] = tuple(map(both, fields[index]))
-        for index in rows:
+        try:
+            fields = list(values(content))
+        except KeyError:
+            fields = list(values(added | content))
+        for index, row in rows:
+            fields[index] = tuple(map(row, fields[index]))
+        for index in plain:
             fields[index] = tuple(fields[index])
         return cls._make(fields)
+
+    return read
+
+
+def _row(columns: tuple[_Column, ...]) -> Callable[[dict[str, Any]], tuple[Any, ...]]:
+    """A function from the JSON object of one row to the row."""
+    values: Callable[[dict[str, Any]], tuple[Any, ...]] = itemgetter(*(column.name for column in columns))
+    added = {column.name: column.added for column in columns if column.added is not None}
+    texts = [(index, column.texts) for index, column in enumerate(columns) if column.texts]
+    if not added and not texts:
+        return values
+
+    def read(content: dict[str, Any]) -> tuple[Any, ...]:
+        try:
+            row = values(content)
+        except KeyError:
+            row = values(added | content)
+        for index, known in texts:
+            row = (*row[:index], known.index(row[index]), *row[index + 1 :])
+        return row
 
     return read

@@ -21,8 +21,11 @@ from agent.fleet import Fleet, law_name
 from agent.formation import Geometry
 from agent.supervision import State
 from agent.trajectory import make_trajectory
+from deploy import link_metrics
+from deploy.link_data import Floats
 from deploy.recorder import RecordingError
-from deploy.recording import Floats, Recording
+from deploy.recording import Recording
+from deploy.rounding import largest, number, percentile
 from deploy.stability import SETTLED
 from deploy.wording import robots
 
@@ -155,6 +158,17 @@ def compute(
     warnings = [f"{warning}." for warning in recording.warnings]
     for sentence in _unsafe(without, safe_m, "share no edge"):
         warnings.append(f"{sentence} The law keeps apart only robots that share an edge.")
+    for gap in _gaps(recording):
+        if gap.rule:
+            warnings.append(
+                f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant: from {gap.start_s:.2f} s to "
+                f"{gap.end_s:.2f} s its place is not known, and taken between what came before and after."
+            )
+    about_links = link_metrics.describe_links(recording)
+    warnings += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
+    if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
+        warnings += link_metrics.idle_rules(recording)
+    warnings += link_metrics.audit_warnings(about_links["links_audit"])
     metrics: dict[str, Any] = {
         "fleet": fleet.fleet.name,
         "law": law_name(fleet.control),
@@ -162,27 +176,28 @@ def compute(
         "mode": mode,
         "robots": len(fleet.robots),
         "edges": len(a.edges),
-        "rate_hz": _number(fleet.fleet.rate_hz),
-        "duration_s": _number(recording.end_s),
+        "rate_hz": number(fleet.fleet.rate_hz),
+        "duration_s": number(recording.end_s),
         "min_distance_m": {
-            "edge": _number(with_edge.distance_m) if with_edge else None,
+            "edge": number(with_edge.distance_m) if with_edge else None,
             "any": _least(with_edge, without),
         },
-        "settling_time_s": _number(a.settling_s),
-        "final_distance_error_m": _largest(np.abs(errors[-1])),
-        "final_tracking_error_m": _largest(tracking),
+        "settling_time_s": number(a.settling_s),
+        "final_distance_error_m": largest(np.abs(errors[-1])),
+        "final_tracking_error_m": largest(tracking),
         "rms_distance_error_m": _rms(errors),
         "messages": {name: totals[name] for name in MESSAGES},
         "age_of_information_ms": {
-            "p50": _percentile(ages_ms, 50),
-            "p99": _percentile(ages_ms, 99),
-            "max": _largest(ages_ms),
+            "p50": percentile(ages_ms, 50),
+            "p99": percentile(ages_ms, 99),
+            "max": largest(ages_ms),
         },
         "tick": {
-            "p50_us": _percentile(ticks_us, 50),
-            "p99_us": _percentile(ticks_us, 99),
+            "p50_us": percentile(ticks_us, 50),
+            "p99_us": percentile(ticks_us, 99),
             "overruns": totals["overruns"],
         },
+        **about_links,
         "verdict": {"passed": not found, "reasons": found, "warnings": warnings},
     }
     if rejected:
@@ -203,30 +218,14 @@ def write(path: str | PathLike[str], metrics: dict[str, Any]) -> None:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def _number(value: float | None) -> float | None:
-    """Rounded to a micro-unit, so that the last bits of a platform's sine do not show; None for NaN."""
-    if value is None or not isfinite(value):
-        return None
-    return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
-
-
-def _largest(values: NDArray[Any]) -> float | None:
-    finite = values[np.isfinite(values)]
-    return _number(float(finite.max())) if finite.size else None
-
-
-def _percentile(values: NDArray[Any], percent: float) -> float | None:
-    return _number(float(np.percentile(values, percent))) if values.size else None
-
-
 def _rms(errors: Floats) -> float | None:
     finite = errors[np.isfinite(errors)]
-    return _number(float(np.sqrt(np.mean(finite**2)))) if finite.size else None
+    return number(float(np.sqrt(np.mean(finite**2)))) if finite.size else None
 
 
 def _least(*found: Closest | None) -> float | None:
     distances = [each.distance_m for each in found if each is not None]
-    return _number(min(distances)) if distances else None
+    return number(min(distances)) if distances else None
 
 
 def _incomplete(recording: Recording) -> list[str]:
@@ -244,17 +243,15 @@ def _incomplete(recording: Recording) -> list[str]:
     if recording.epoch_ns is None:
         return out
     end_s, planned_s = recording.end_s, recording.planned_s
-    for robot, data in recording.robots.items():
-        if not len(data.body):
-            continue
-        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
-        gaps = np.diff(times)
-        k = int(gaps.argmax())
-        if gaps[k] > GAP_S:
-            out.append(
-                f"The data are incomplete: robot {robot} sent no pose "
-                f"from {times[k]:.2f} s to {times[k + 1]:.2f} s."
-            )
+    longest: dict[int, Gap] = {}
+    for gap in _gaps(recording):
+        known = longest.get(gap.robot)
+        if not gap.rule and (known is None or gap.end_s - gap.start_s > known.end_s - known.start_s):
+            longest[gap.robot] = gap
+    out += [
+        f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s."
+        for robot, gap in longest.items()
+    ]
     if end_s < planned_s - GAP_S:
         why = ""
         if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
@@ -262,6 +259,39 @@ def _incomplete(recording: Recording) -> list[str]:
         elif recording.interrupted:
             why = ": it was interrupted"
         out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
+    return out
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time without a pose of one robot; `rule` names the rule that stopped its plant, if one did."""
+
+    robot: int
+    start_s: float
+    end_s: float
+    rule: str
+
+
+def _gaps(recording: Recording) -> list[Gap]:
+    """Gaps longer than `GAP_S`."""
+    out = []
+    end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
+    for robot, data in recording.robots.items():
+        if not len(data.body):
+            continue
+        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
+        for k in np.flatnonzero(np.diff(times) > GAP_S).tolist():
+            start_s, stop_s = float(times[k]), float(times[k + 1])
+            asked = [
+                event.rule
+                for event in recording.events
+                if event.robot == robot
+                and event.role == "plant"
+                and event.what in ("kill", "stop")
+                and start_s - GAP_S <= (event.time_ns - epoch_ns) / 1e9 <= stop_s
+            ]
+            # A plant that never came back leaves a formation of which nothing is known.
+            out.append(Gap(robot, start_s, stop_s, asked[0] if asked and stop_s < end_s else ""))
     return out
 
 

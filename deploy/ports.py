@@ -19,6 +19,13 @@ class NoPortsError(RuntimeError):
     """No run of free ports is left."""
 
 
+def private_folder() -> Path:
+    """Where this user's runs on this machine find each other; nobody else may write there."""
+    folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder
+
+
 def _free(address: str, port: int) -> bool:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -55,8 +62,7 @@ class Reservation:
         )
 
     def _lock(self, base: int, count: int) -> bool:
-        folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
+        folder = private_folder()
         for block in range(base // BLOCK, (base + count - 1) // BLOCK + 1):
             handle = os.open(folder / f"ports-{block}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             self._locks.append(handle)

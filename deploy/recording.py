@@ -6,89 +6,50 @@ Times are fleet time (s): wall clock minus the mission's epoch.
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent import keys
+from agent.faults import FaultPlan
 from agent.fleet import Fleet
-from agent.messages import HandState, Message, Mission, PlantState, Status, Stop, Wrench
+from agent.messages import (
+    Event,
+    Faults,
+    HandState,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+)
+from deploy.link_data import Floats, LinkRows, LinkTable
 from deploy.recorder import RecordingError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from deploy.run_tables import (
+    PLANT_COLUMNS,
+    WRENCH_COLUMNS,
+    HandRows,
+    Rows,
+    StatusRows,
+    StatusTable,
+    Table,
+)
 
 MCAP_NAME: Final = "run.mcap"
 FLEET_NAME: Final = "fleet.toml"
 # A message whose time is further than this from its reception is nobody's measurement (garbage, or
 # a host whose clock was never set): it would stretch the run by hours.
 CLOCK_TOLERANCE_NS: Final = 60_000_000_000
-_AGE_MAX: Final = 2**62
-
-PLANT_COLUMNS: Final = ("x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy")
-HAND_COLUMNS: Final = (
-    "following", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x", "constraint_y",
-)  # fmt: skip
-WRENCH_COLUMNS: Final = ("force", "torque", "brake")
-MULTIPLIER_COLUMNS: Final = ("neighbour", "value")
-
-
-class Table:
-    """Columns over time: `t` (n,) s ascending, `values` (n, k), and ``table["x"]`` (n,)."""
-
-    def __init__(self, names: tuple[str, ...], t: Floats, values: Floats) -> None:
-        self.names, self.t, self.values = names, t, values
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    def __getitem__(self, name: str) -> Floats:
-        return self.values[:, self.names.index(name)]
-
-
-@dataclass(frozen=True)
-class StatusTable:
-    """The statuses of one agent: n of them, with all ticks and ages that they hold, in order.
-
-    t (n,) s; states, reasons: n texts; counters: n dictionaries of totals; tick_us, ages_us: all
-    values of all statuses, microseconds, of which status k holds ``tick_counts[k]`` and
-    ``age_counts[k]``. Ages of neighbours that were never heard are left out.
-    """
-
-    t: Floats
-    states: Sequence[str]
-    reasons: Sequence[str]
-    counters: Sequence[Mapping[str, int]]
-    tick_us: Ints
-    tick_counts: Ints
-    ages_us: Ints
-    age_counts: Ints
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    def ages_between(self, start: float, end: float) -> Ints:
-        """Ages (us) in the statuses of fleet time (start, end]."""
-        return self.ages_us[np.repeat((self.t > start) & (self.t <= end), self.age_counts)]
-
-    def totals(self) -> Mapping[str, int]:
-        """Counters of the last status, empty without one."""
-        return self.counters[-1] if self.counters else {}
-
-    def at(self, t: float) -> tuple[str, str] | None:
-        """State and reason at fleet time `t`: those of the last status until then, else of the first."""
-        if not self.states:
-            return None
-        index = max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
-        return self.states[index], self.reasons[index]
+_RUN_NS_MAX: Final = 12 * 3600 * 10**9
+"""For so long after the start a clock that drifts on purpose is told from garbage."""
+_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace)
 
 
 @dataclass(frozen=True)
@@ -107,6 +68,19 @@ class RobotData:
     def body(self) -> Table:
         """Where the body was, as well as that is known: the truth when recorded, else the measurement."""
         return self.truth if len(self.truth) else self.plant
+
+
+class LiveFaults(NamedTuple):
+    """One message about live fault rules, and when it was received (ns, wall clock).
+
+    `robot` and `role` are those of the process that says that it holds the rules, 0 and "" where an
+    operator sends them. A process says that it holds a set no more by one without rules.
+    """
+
+    received_ns: int
+    robot: int
+    role: str
+    message: Faults
 
 
 @dataclass(frozen=True)
@@ -128,6 +102,12 @@ class Recording:
     """Valid messages that belong to no robot of the fleet or carry an absurd time; they are left out."""
     warnings: Sequence[str] = ()
     fleet_toml: str | None = None
+    links: LinkTable = field(default_factory=lambda: LinkRows().table({}, 0))
+    """What links did to messages on purpose."""
+    live_faults: Sequence[LiveFaults] = ()
+    """Live fault rules as operators sent them, and as processes said that they held them; as they came."""
+    events: Sequence[Event] = ()
+    """What was done to processes on purpose."""
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -217,84 +197,7 @@ class Recording:
         return read_mcap(Path(path), None if fleet_path is None else Path(fleet_path))
 
 
-class _Rows:
-    """One growing table: times and a flat row of numbers for every message."""
-
-    def __init__(self, kind: type[Message], robot: int, names: tuple[str, ...]) -> None:
-        self.kind, self.robot, self.names = kind, robot, names
-        self.times, self.values = array("q"), array("d")
-        first = kind._fields.index(names[0])
-        self._columns = slice(first, first + len(names))
-
-    def append(self, message: Any) -> None:
-        self.times.append(message[2])
-        self.values.extend(message[self._columns])
-
-    def table(self, epoch_ns: int) -> Table:
-        times = np.array(self.times, dtype=np.int64)
-        values = np.array(self.values, dtype=np.float64).reshape(len(times), len(self.names))
-        if len(times) > 1 and not (times[1:] > times[:-1]).all():
-            times, order = np.unique(times, return_index=True)
-            values = values[order]
-        return Table(self.names, (times - epoch_ns) / 1e9, values)
-
-
-class _HandRows(_Rows):
-    def __init__(self, robot: int) -> None:
-        super().__init__(HandState, robot, HAND_COLUMNS)
-        self._multiplier_times, self._multipliers = array("q"), array("d")
-
-    def append(self, message: HandState) -> None:
-        super().append(message)
-        for pair in message.multipliers:
-            self._multiplier_times.append(message.time_ns)
-            self._multipliers.extend(pair)
-
-    def multipliers(self, epoch_ns: int) -> Table:
-        times = np.array(self._multiplier_times, dtype=np.int64)
-        values = np.array(self._multipliers, dtype=np.float64).reshape(len(times), 2)
-        order = np.argsort(times, kind="stable")
-        return Table(MULTIPLIER_COLUMNS, (times[order] - epoch_ns) / 1e9, values[order])
-
-
-class _StatusRows:
-    kind: type[Message] = Status
-
-    def __init__(self, robot: int) -> None:
-        self.robot = robot
-        self.times = array("q")
-        self._texts: list[tuple[str, str]] = []
-        self._counters: list[Mapping[str, int]] = []
-        self._ticks, self._tick_counts = array("q"), array("q")
-        self._ages, self._age_counts = array("q"), array("q")
-        self._known: dict[str, str] = {}
-
-    def append(self, message: Any) -> None:
-        known = self._known.setdefault  # the same few texts come thousands of times: keep one of each
-        ticks = [value for value in message.tick_us if 0 <= value < _AGE_MAX]
-        ages = [value for value in message.ages_us if 0 <= value < _AGE_MAX]
-        self.times.append(message.time_ns)
-        self._texts.append((known(message.state, message.state), known(message.reason, message.reason)))
-        self._counters.append({known(name, name): value for name, value in message.counters})
-        self._ticks.extend(ticks)
-        self._tick_counts.append(len(ticks))
-        self._ages.extend(ages)
-        self._age_counts.append(len(ages))
-
-    def table(self, epoch_ns: int) -> StatusTable:
-        times = np.array(self.times, dtype=np.int64)
-        assert len(times) == len(self._texts)
-        states, reasons = zip(*self._texts, strict=True) if self._texts else ((), ())
-        columns = (self._ticks, self._tick_counts, self._ages, self._age_counts)
-        ticks, tick_counts, ages, age_counts = (np.array(column, dtype=np.int64) for column in columns)
-        if any(later < earlier for earlier, later in pairwise(self.times)):
-            times = np.maximum.accumulate(times)  # a clock that went back: keep the order of arrival
-        return StatusTable(
-            (times - epoch_ns) / 1e9, states, reasons, self._counters, ticks, tick_counts, ages, age_counts
-        )
-
-
-_Sink = _Rows | _StatusRows
+_Sink = Rows | StatusRows
 
 
 class RunData:
@@ -306,11 +209,17 @@ class RunData:
         self.foreign = 0
         self.missions: list[Mission] = []
         self.stops: list[Stop] = []
-        self._plant = {robot.id: _Rows(PlantState, robot.id, PLANT_COLUMNS) for robot in fleet.robots}
-        self._truth = {robot.id: _Rows(PlantState, robot.id, PLANT_COLUMNS) for robot in fleet.robots}
-        self._hand = {robot.id: _HandRows(robot.id) for robot in fleet.robots}
-        self._wrench = {robot.id: _Rows(Wrench, robot.id, WRENCH_COLUMNS) for robot in fleet.robots}
-        self._status = {robot.id: _StatusRows(robot.id) for robot in fleet.robots}
+        self.events: list[Event] = []
+        self.live_faults: list[LiveFaults] = []
+        self._links = LinkRows()
+        plan = FaultPlan(fleet)
+        self._clocks = {robot.id: plan.clock(robot.id) for robot in fleet.robots}
+        self._texts: dict[str, str] = {}
+        self._plant = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS) for robot in fleet.robots}
+        self._truth = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS) for robot in fleet.robots}
+        self._hand = {robot.id: HandRows(robot.id) for robot in fleet.robots}
+        self._wrench = {robot.id: Rows(Wrench, robot.id, WRENCH_COLUMNS) for robot in fleet.robots}
+        self._status = {robot.id: StatusRows(robot.id) for robot in fleet.robots}
         self._sinks: dict[str, _Sink] = {}
         prefix = fleet.fleet.name
         for robot in self._plant:
@@ -322,11 +231,24 @@ class RunData:
                 keys.status(prefix, robot): self._status[robot],
             }
         self._mission_key, self._stop_key = keys.mission(prefix), keys.stop(prefix)
+        self._events_key = keys.events(prefix)
+        self._traced = {
+            key: robot
+            for robot in self._plant
+            for key in (keys.links(prefix, robot), keys.plant_links(prefix, robot))
+        }
+        self._faults_from: dict[str, tuple[int, str]] = {keys.faults(prefix): (0, "")} | {
+            keys.faults_held(prefix, robot, role): (robot, role)
+            for robot in self._plant
+            for role in keys.ROLES
+        }
 
     def feed(self, received_ns: int, key: str, message: Message) -> None:
         """Take one message that was received on `key` at `received_ns` (wall clock or virtual time)."""
         sink = self._sinks.get(key)
-        if abs(message.time_ns - received_ns) > CLOCK_TOLERANCE_NS:
+        if abs(message.time_ns - received_ns) > CLOCK_TOLERANCE_NS and not self._is_meant(
+            received_ns, key, message
+        ):
             self.foreign += 1
         elif sink is not None and type(message) is sink.kind and message[0] == sink.robot:
             sink.append(message)
@@ -334,8 +256,27 @@ class RunData:
             self.missions.append(message)
         elif type(message) is Stop and key == self._stop_key:
             self.stops.append(message)
+        elif type(message) is LinkTrace and self._traced.get(key) == message.robot:
+            self._links.append(message)
+        elif type(message) is Faults and key in self._faults_from:
+            rules = self._texts.setdefault(message.rules, message.rules)  # said once a second: keep one
+            self.live_faults.append(
+                LiveFaults(received_ns, *self._faults_from[key], message._replace(rules=rules))
+            )
+        elif type(message) is Event and key == self._events_key:
+            self.events.append(message)
         else:
             self.foreign += 1
+
+    def _is_meant(self, received_ns: int, key: str, message: Message) -> bool:
+        """Whether a time that is far from its reception is what the faults on purpose make of it."""
+        robot = message.robot if isinstance(message, _OF_ROBOTS) else 0
+        if type(message) is Faults and key in self._faults_from:
+            # Rules that stay are said again for hours, always with the time at which they were sent.
+            return message.time_ns < received_ns
+        skew_ns, drift = self._clocks.get(robot, (0, 0.0))
+        off_ns = abs(message.time_ns - skew_ns - received_ns)
+        return bool(skew_ns or drift) and off_ns <= CLOCK_TOLERANCE_NS + abs(drift) * _RUN_NS_MAX
 
     def recording(
         self,
@@ -351,14 +292,14 @@ class RunData:
         robots = {
             robot: RobotData(
                 robot,
-                self._plant[robot].table(epoch_ns),
-                self._truth[robot].table(epoch_ns),
-                self._hand[robot].table(epoch_ns),
-                self._hand[robot].multipliers(epoch_ns),
-                self._wrench[robot].table(epoch_ns),
-                self._status[robot].table(epoch_ns),
+                self._plant[robot].table(epoch_ns, clock),
+                self._truth[robot].table(epoch_ns, clock),
+                self._hand[robot].table(epoch_ns, clock),
+                self._hand[robot].multipliers(epoch_ns, clock),
+                self._wrench[robot].table(epoch_ns, clock),
+                self._status[robot].table(epoch_ns, clock),
             )
-            for robot in self._plant
+            for robot, clock in self._clocks.items()
         }
         return Recording(
             self.fleet,
@@ -373,6 +314,9 @@ class RunData:
             self.foreign,
             tuple(warnings),
             fleet_toml,
+            self._links.table(self._clocks, epoch_ns),
+            tuple(self.live_faults),
+            tuple(self.events),
         )
 
     def _first_ns(self) -> int:

@@ -5,8 +5,6 @@ Import this module only where a report is wanted: it loads matplotlib.
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from html import escape
 from os import PathLike
@@ -18,8 +16,9 @@ import numpy as np
 from agent.fleet import Fleet
 from agent.formation import Geometry, resolve
 from agent.supervision import State
-from deploy import figures, metrics
+from deploy import fault_strip, figures, link_figures, link_report, metrics
 from deploy.metrics import Analysis, analyse
+from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recorder import RecordingError
 from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
 from deploy.version import handfast_version
@@ -100,7 +99,7 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
     """What to try after a run that failed or has warnings: sentences (HTML, escaped)."""
     out = []
     if found["verdict"]["passed"]:
-        return _advice_apart(fleet, found)
+        return [*_advice_apart(fleet, found), *link_report.advice(recording, found)]
     safe = fleet.formation.safe_distance_m
     least = found["min_distance_m"]
     ends = [robot.status.at(recording.end_s) for robot in recording.robots.values()]
@@ -134,6 +133,7 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
                 "distance (<code>handfast check</code>) and that the plants can follow (limits, lag)."
             )
     out += _advice_apart(fleet, found)
+    out += link_report.advice(recording, found)
     if found["settling_time_s"] is None and found["final_distance_error_m"] is not None:
         out.append(
             "If distances were still changing at the end, drive for longer (<code>--duration</code>). If "
@@ -200,6 +200,7 @@ _ROWS: Final = (
      "Malformed, out of order or from the future: dropped, without effect."),
 )  # fmt: skip
 
+_FAULTS_ABOVE: Final = " Above it, what was made to fail on purpose, and when."
 _CAPTIONS: Final = {
     "trajectories": "Paths of the hand points (solid) and the desired ones (dotted). Circles are the starts; "
     "the formation is drawn with its edges at the times written beside it. After the paper's Fig. 3.",
@@ -213,59 +214,6 @@ _CAPTIONS: Final = {
 
 # --- page ------------------------------------------------------------------------------------
 
-_CSS: Final = """
-:root {
-  color-scheme: light dark;
-  --ink: #1d1d1f; --soft: #62666d; --page: #fbfbfa; --card: #fff; --line: #dfe1e5;
-  --good: #00664b; --bad: #b3121d; --good-bg: #e6f4ef; --bad-bg: #fcebec;
-}
-@media (prefers-color-scheme: dark) {
-  :root {
-    --ink: #e8e8ea; --soft: #a2a6ae; --page: #16171a; --card: #1f2125; --line: #383b42;
-    --good: #5fd3a9; --bad: #ff8a8f; --good-bg: #12312a; --bad-bg: #3a1a1d;
-  }
-}
-* { box-sizing: border-box; }
-body {
-  margin: 0 auto; padding: 1.5rem; max-width: 62rem; background: var(--page); color: var(--ink);
-  font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
-}
-h1 { font-size: 1.6rem; margin: 0 0 .2rem; }
-h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
-p { margin: .4rem 0; }
-.soft { color: var(--soft); }
-.verdict { border-left: .4rem solid; border-radius: .3rem; padding: .8rem 1.1rem; margin: 1.2rem 0; }
-.verdict h2 { margin: 0 0 .2rem; }
-.verdict ul { margin: .4rem 0; padding-left: 1.3rem; }
-.passed { border-color: var(--good); background: var(--good-bg); }
-.passed h2 { color: var(--good); }
-.failed { border-color: var(--bad); background: var(--bad-bg); }
-.failed h2 { color: var(--bad); }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; background: var(--card); font-size: .88rem; }
-th, td { border-bottom: 1px solid var(--line); padding: .3rem .6rem; text-align: left; vertical-align: top; }
-th { font-weight: 600; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
-td.n { white-space: nowrap; }
-figure { margin: 0 0 1.6rem; }
-figcaption { font-size: .9rem; color: var(--soft); margin-top: .4rem; }
-img {
-  display: block; max-width: 100%; max-height: 52rem; height: auto; margin: 0 auto; padding: .5rem;
-  background: #fff; border: 1px solid var(--line); border-radius: .3rem;
-}
-pre {
-  background: var(--card); border: 1px solid var(--line); border-radius: .3rem; padding: .7rem;
-  overflow-x: auto; font: .8rem/1.45 ui-monospace, "DejaVu Sans Mono", monospace;
-}
-code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .92em; }
-@media print {
-  body { max-width: none; padding: 0; font-size: 11pt; }
-  figure, tr, .verdict { break-inside: avoid; }
-  h2 { break-after: avoid; }
-  pre { white-space: pre-wrap; }
-}
-"""
-
 
 def _page(
     recording: Recording,
@@ -278,27 +226,30 @@ def _page(
     name = escape(fleet.fleet.name)
     passed = found["verdict"]["passed"]
     verdict = "passed" if passed else "failed"
-    reasons = _list([escape(reason) for reason in found["verdict"]["reasons"]])
-    cautions = _list([f"Warning: {escape(warning)}" for warning in found["verdict"]["warnings"]])
+    reasons = bullets([escape(reason) for reason in found["verdict"]["reasons"]])
+    cautions = bullets([f"Warning: {escape(warning)}" for warning in found["verdict"]["warnings"]])
     tips = advice(recording, fleet, found)
+    failing = _FAULTS_ABOVE if fault_strip.lanes(recording, recording.end_s) else ""
     parts = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f"<title>{name}: {verdict}</title>\n"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>{_CSS}</style>\n</head>\n<body>\n<h1>{name}</h1>",
+        f"<style>{CSS}</style>\n</head>\n<body>\n<h1>{name}</h1>",
         f'<p class="soft">{escape(fleet.fleet.description)}</p>' if fleet.fleet.description else "",
         f"<p>{_what(recording, found)}</p>",
         f'<section class="verdict {verdict}">\n<h2>{verdict.capitalize()}</h2>\n'
         f"<p>{_summary(recording, fleet, found)}</p>\n{reasons}{cautions}"
-        + (f"<p><strong>What to try</strong></p>{_list(tips)}" if tips else "")
+        + (f"<p><strong>What to try</strong></p>{bullets(tips)}" if tips else "")
         + "</section>",
-        *(_figure(name, pictures[name]) for name in ("trajectories", "distances")),
+        figure("trajectories", pictures["trajectories"], _CAPTIONS["trajectories"]),
+        figure("distances", pictures["distances"], _CAPTIONS["distances"] + failing),
         "<h2>In numbers</h2>",
         _metrics_table(found),
         "<h2>Robots</h2>",
         _robots_table(recording, a),
+        link_report.section(recording, found, pictures.get(link_figures.NAME)),
         "<h2>Forces and timing</h2>",
-        *(_figure(name, pictures[name]) for name in ("forces", "timing")),
+        *(figure(name, pictures[name], _CAPTIONS[name]) for name in ("forces", "timing")),
         "<h2>Do it again</h2>",
         _again(recording, found),
         "<h2>Fleet file</h2>",
@@ -324,40 +275,17 @@ def _what(recording: Recording, found: dict[str, Any]) -> str:
     )
 
 
-def _list(items: Sequence[str]) -> str:
-    return "<ul>\n" + "\n".join(f"<li>{item}</li>" for item in items) + "\n</ul>\n" if items else ""
-
-
-def _figure(name: str, picture: bytes) -> str:
-    data = base64.b64encode(picture).decode()
-    caption = escape(_CAPTIONS[name])
-    return (
-        f'<figure>\n<img alt="{escape(name.capitalize())}: {caption}" src="data:image/png;base64,{data}">\n'
-        f"<figcaption>{caption}</figcaption>\n</figure>"
-    )
-
-
-def _shown(value: Any, unit: str = "") -> str:
-    if value is None:
-        return "–"
-    whole = isinstance(value, int) or abs(value) >= 1000
-    text = f"{value:,.0f}" if whole else f"{value:.4g}"
-    return f"{text} {unit}".strip()
-
-
 def _metrics_table(found: dict[str, Any]) -> str:
     rows = []
     for place, title, unit, meaning in _ROWS:
         value: Any = found
         for key in place.split("."):
             value = value[key]
-        rows.append(f'<tr><td>{title}</td><td class="n">{_shown(value, unit)}</td><td>{meaning}</td></tr>')
+        rows.append(f'<tr><td>{title}</td><td class="n">{shown(value, unit)}</td><td>{meaning}</td></tr>')
     for reason, count in found.get("messages_rejected_by_reason", {}).items():
-        rows.append(
-            f'<tr><td>Rejected: {escape(reason)}</td><td class="n">{_shown(count)}</td><td></td></tr>'
-        )
+        rows.append(f'<tr><td>Rejected: {escape(reason)}</td><td class="n">{shown(count)}</td><td></td></tr>')
     head = '<tr><th>Metric</th><th class="n">Value</th><th>Meaning</th></tr>'
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _robots_table(recording: Recording, a: Analysis) -> str:
@@ -373,22 +301,17 @@ def _robots_table(recording: Recording, a: Analysis) -> str:
         state = data.status.at(recording.end_s)
         words = "nothing heard" if state is None else f"{state[0]}: {state[1]}" if state[1] else state[0]
         cells = [
-            _shown(_closest(a, index)),
-            _shown(_worst_edge(a, index)),
-            _shown(_finite(np.hypot(*(a.hands[-1, index] - a.desired[-1, index])))),
-            _shown(_percentile(data.status.tick_us) if recording.mode != "simulate" else None),
-            _shown(totals.get("overruns")),
-            _shown(_percentile(data.status.ages_us / 1e3)),
-            *(_shown(totals.get(name)) for name in ("sent", "received", "lost", "rejected")),
+            shown(_closest(a, index)),
+            shown(_worst_edge(a, index)),
+            shown(_finite(np.hypot(*(a.hands[-1, index] - a.desired[-1, index])))),
+            shown(_percentile(data.status.tick_us) if recording.mode != "simulate" else None),
+            shown(totals.get("overruns")),
+            shown(_percentile(data.status.ages_us / 1e3)),
+            *(shown(totals.get(name)) for name in ("sent", "received", "lost", "rejected")),
         ]
         numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
         rows.append(f'<tr><td class="n">{robot}</td><td>{escape(words)}</td>{numbers}</tr>')
-    return _table(f"<tr>{head}</tr>", rows)
-
-
-def _table(head: str, rows: Sequence[str]) -> str:
-    body = "\n".join(rows)
-    return f'<div class="scroll"><table>\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody></table></div>'
+    return table(f"<tr>{head}</tr>", rows)
 
 
 def _finite(value: Any) -> float | None:

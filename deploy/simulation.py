@@ -1,8 +1,11 @@
 """A fleet in virtual time: the same agents and plants, the same bytes, one process, no waiting.
 
-What `agent.process.loop` does in real time happens here in the order of the ticks' deadlines. A
-message is there `LATENCY_NS` after it was published, about what a loopback link takes; the same
-fleet file and seed give the same bytes.
+What `agent.process.loop` does in real time happens here in the order of the ticks' times, and so does what
+rules do to processes, clocks and ticks. A message is there `LATENCY_NS` after it was published, about what a
+loopback link takes; the same fleet file and seed give the same bytes.
+
+Times are true time, the operator's. A robot's clock may be wrong on purpose (`agent.clock.LocalTime`): its
+nodes are told what it shows.
 """
 
 from __future__ import annotations
@@ -10,44 +13,94 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.clock import NS_PER_S, LocalTime
 from agent.core import Agent
+from agent.faults import FaultPlan
 from agent.fleet import Fleet, digest
-from agent.messages import Mission, encode
-from agent.node import INBOX_SIZE, Node, Outgoing, next_tick_ns
+from agent.messages import Event, Mission, encode
+from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.supervision import State
+from deploy.process_faults import Action, Process, actions
 from plant.node import PlantNode
-from plant.unicycle import from_fleet
+from plant.unicycle import Unicycle, from_fleet
 
 LATENCY_NS: Final = 100_000
 WARM_UP_PERIODS: Final = 10
-"""Periods from the start to the epoch: every robot has heard its plant and its neighbours by then."""
+"""Periods from the start to the epoch, for a fleet that is ready after half of them."""
+EPOCH_AHEAD_NS: Final = NS_PER_S // 2
+"""One that needs longer drives so long after it is ready, as in a run."""
+READY_TIMEOUT_NS: Final = 60 * NS_PER_S
+MISSION_PERIOD_NS: Final = NS_PER_S // 2
+"""A node that starts again is told of the mission so long after, as in a run."""
 STOP_TIMEOUT_NS: Final = 3 * NS_PER_S
+PROGRESS_PERIOD_NS: Final = NS_PER_S // 4
 
 Sink = Callable[[int, str, bytes], None]
+Progress = Callable[[float], bool]
 
 
 class _Host:
-    """One node and its inbox, as a process has them."""
+    """One node with what a process gives it: an inbox, a clock, and the times of its ticks.
 
-    def __init__(self, node: Node) -> None:
+    Attributes:
+        due_ns: true time of its next tick.
+        life: counts up when ticks that were planned do not come: it was killed or paused.
+    """
+
+    def __init__(self, node: Node, local: LocalTime, now_ns: int) -> None:
+        self.inbox: dict[str, deque[tuple[int, bytes]]] = {
+            key: deque(maxlen=INBOX_SIZE) for key in node.subscriptions
+        }
+        self.life = 0
+        self.up = self.paused = False
+        self._wrong = local
+        self.start(node, now_ns)
+
+    def start(self, node: Node, now_ns: int) -> None:
+        """A new process: it knows nothing, not even how long its clock has drifted."""
         self.node = node
-        self.inbox: deque[tuple[int, str, bytes]] = deque()
-        self.capacity = INBOX_SIZE * max(1, len(node.subscriptions))
+        self.up = True
+        self._local = self._wrong
+        self._ticks = Ticks(node, self._local.local_ns(now_ns) - 1)
+        self._plan(now_ns)
 
-    def deliver(self, time_ns: int, key: str, payload: bytes) -> None:
-        if len(self.inbox) == self.capacity:
-            self.inbox.popleft()
-        self.inbox.append((time_ns, key, payload))
+    def kill(self) -> None:
+        self.up = self.paused = False
+        self.life += 1
+        for ring in self.inbox.values():
+            ring.clear()
 
-    def tick(self, now_ns: int) -> list[Outgoing]:
-        while self.inbox and self.inbox[0][0] <= now_ns:
-            _, key, payload = self.inbox.popleft()
-            self.node.receive(now_ns, key, payload)
-        return self.node.tick(now_ns)
+    def pause(self) -> None:
+        self.paused = True
+        self.life += 1
+
+    def resume(self, now_ns: int) -> None:
+        """It wakes at once if it has slept through a tick."""
+        self.paused = False
+        self._plan(now_ns)
+
+    def tick(self, true_ns: int) -> list[Outgoing]:
+        """One round of `agent.process.loop`."""
+        node, ticks = self.node, self._ticks
+        now_ns, missed = ticks.take(self._local.local_ns(true_ns))
+        for key, ring in self.inbox.items():
+            while ring and ring[0][0] <= true_ns:
+                node.receive(now_ns, key, ring.popleft()[1])
+        outgoing = node.tick(now_ns)
+        if missed:
+            node.timed(0, missed)
+        if self._local.epoch_ns is None and ticks.epoch_ns is not None:
+            self._local = self._local._replace(epoch_ns=ticks.epoch_ns)
+        ticks.plan(now_ns)
+        self._plan(true_ns)
+        return outgoing
+
+    def _plan(self, now_ns: int) -> None:
+        self.due_ns = max(now_ns, self._local.true_ns(self._ticks.due_ns))
 
 
 class Simulation:
@@ -57,70 +110,191 @@ class Simulation:
         fleet: resolved (`agent.formation.resolved`); every plant simulated.
         sink: told of every message, (time of arrival ns, key, payload).
 
+    Attributes:
+        now_ns: true time.
+        epoch_ns: the mission's epoch; before the mission is sent, the earliest that it can have.
+        reasons: what went wrong in the operator's eyes, as sentences for the verdict.
+
     Raises:
         agent.fleet.FleetError: the formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, sink: Sink | None = None) -> None:
         self.fleet = fleet
-        self.agents = [Agent(fleet, robot) for robot in fleet.ids]
-        self.plants = [PlantNode(fleet, robot, from_fleet(fleet, robot)) for robot in fleet.ids]
+        self.reasons: list[str] = []
         self._sink = sink
-        nodes: list[Node] = [*self.plants, *self.agents]
-        self._hosts = [_Host(node) for node in nodes]
-        self._subscribers: dict[str, list[_Host]] = {}
+        plan = FaultPlan(fleet)
+        self._rules = plan.file_rules()
+        clocks = {robot: LocalTime(*plan.clock(robot)) for robot in fleet.ids}
+        # No clock may show a time before 0.
+        behind_ns = max(0, *(-clock.skew_ns for clock in clocks.values()))
+        self.now_ns = next_tick_ns(behind_ns - 1, fleet.period_ns, 0)
+        self.epoch_ns = self.now_ns + WARM_UP_PERIODS * fleet.period_ns
+        self._duration_ns = 0
+        self._bodies: dict[int, Unicycle] = {}
+        self.agents = [Agent(fleet, robot) for robot in fleet.ids]
+        self.plants = [self._plant(robot, None) for robot in fleet.ids]
+        nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
+        nodes += [("agent", node.robot, node) for node in self.agents]
+        self._hosts = [_Host(node, clocks[robot], self.now_ns) for _, robot, node in nodes]
+        self._order: dict[Process, int] = {(r, role): order for order, (role, r, _) in enumerate(nodes)}
+        self._subscribers: dict[str, list[tuple[_Host, deque[tuple[int, bytes]]]]] = {}
         for host in self._hosts:
-            for key in host.node.subscriptions:
-                self._subscribers.setdefault(key, []).append(host)
-        self.now_ns = 0
-        self._due = [
-            (next_tick_ns(-1, host.node.period_ns, host.node.phase_ns), order)
-            for order, host in enumerate(self._hosts)
-        ]
+            for key, ring in host.inbox.items():
+                self._subscribers.setdefault(key, []).append((host, ring))
+        self._due = [(host.due_ns, order, host.life) for order, host in enumerate(self._hosts)]
         heapq.heapify(self._due)
-        self.epoch_ns = WARM_UP_PERIODS * fleet.period_ns
+        self._todo: list[tuple[int, int, Callable[[], None]]] = []
+        self._planned = self._events = 0
+
+    def _plant(self, robot: int, at: tuple[float, float, float] | None) -> PlantNode:
+        self._bodies[robot] = from_fleet(self.fleet, robot, at)
+        return PlantNode(self.fleet, robot, self._bodies[robot])
+
+    # ------------------------------------------------------------------ the bus and the ticks
 
     def publish(self, key: str, payload: bytes) -> None:
         """Puts a message on the bus now, as an operator or a node does."""
         arrival_ns = self.now_ns + LATENCY_NS
-        for host in self._subscribers.get(key, ()):
-            host.deliver(arrival_ns, key, payload)
+        for host, ring in self._subscribers.get(key, ()):
+            if host.up:
+                ring.append((arrival_ns, payload))
         if self._sink is not None:
             self._sink(arrival_ns, key, payload)
 
     def run_until(self, time_ns: int) -> None:
-        """Does every tick that is due up to `time_ns`, in the order of their deadlines."""
-        due, hosts = self._due, self._hosts
-        while due[0][0] <= time_ns:
-            self.now_ns, order = due[0]
-            host = hosts[order]
-            for key, payload in host.tick(self.now_ns):
-                self.publish(key, payload)
-            heapq.heapreplace(due, (self.now_ns + host.node.period_ns, order))
+        """Does every tick that is due up to `time_ns`, in the order of their times, and what rules order.
+
+        What is ordered for the time of a tick comes before it.
+        """
+        while self._todo and self._todo[0][0] <= time_ns:
+            at_ns, _, do = heapq.heappop(self._todo)
+            self._tick_until(at_ns - 1)
+            self.now_ns = at_ns
+            do()
+        self._tick_until(time_ns)
         self.now_ns = time_ns
 
-    def start(self, duration_ns: int) -> None:
-        """Sends the mission: the fleet drives from `epoch_ns` on, for `duration_ns`."""
-        mission = Mission(1, self.now_ns, self.epoch_ns, duration_ns, digest(self.fleet))
+    def _tick_until(self, time_ns: int) -> None:
+        due, hosts = self._due, self._hosts
+        while due and due[0][0] <= time_ns:
+            now_ns, order, life = due[0]
+            host = hosts[order]
+            if life != host.life:
+                heapq.heappop(due)
+                continue
+            self.now_ns = now_ns
+            for key, payload in host.tick(now_ns):
+                self.publish(key, payload)
+            heapq.heapreplace(due, (host.due_ns, order, life))
+
+    # ------------------------------------------------------------------ what rules do to processes
+
+    def _at(self, time_ns: int, do: Callable[[], None]) -> None:
+        """Does `do` at a time; of one time, what was asked for first comes first."""
+        heapq.heappush(self._todo, (time_ns, self._planned, do))
+        self._planned += 1
+
+    def _carry_out(self, action: Action) -> None:
+        order = self._order[action.robot, action.role]
+        host = self._hosts[order]
+        if action.what == "kill":
+            host.kill()
+        elif action.what == "stop":
+            host.pause()
+        else:
+            if action.what == "start":
+                host.start(self._again(action.robot, action.role), self.now_ns)
+                self._at(self.now_ns + MISSION_PERIOD_NS, self._say_mission)
+            else:
+                host.resume(self.now_ns)
+            heapq.heappush(self._due, (host.due_ns, order, host.life))
+        event = Event(action.robot, self._events, self.now_ns, action.role, action.what, action.rule)
+        self._events += 1
+        if self._sink is not None:
+            self._sink(self.now_ns, keys.events(self.fleet.fleet.name), encode(event))
+
+    def _again(self, robot: int, role: str) -> Node:
+        """A new node in the place of one that is gone; a body stands where it was, at rest."""
+        index = self.fleet.ids.index(robot)
+        if role == "agent":
+            self.agents[index] = Agent(self.fleet, robot)
+            return self.agents[index]
+        x, y, heading, _, _ = self._bodies[robot].pose
+        self.plants[index] = self._plant(robot, (x, y, heading))
+        return self.plants[index]
+
+    # ------------------------------------------------------------------ the mission
+
+    def start(self, duration_ns: int, progress: Progress | None = None) -> bool:
+        """Waits until every agent is ready, then sends the mission: the fleet drives from `epoch_ns` on.
+
+        Args:
+            duration_ns: how long it drives.
+            progress: see `run`.
+
+        Returns False when the fleet does not become ready, which `reasons` tells, or `progress` says no.
+        """
+        period_ns = self.fleet.period_ns
+        begun_ns, epoch_ns = self.now_ns, self.epoch_ns
+        while not all(agent.state is State.READY for agent in self.agents):
+            if self.now_ns >= begun_ns + READY_TIMEOUT_NS:
+                waiting = [
+                    f"robot {agent.robot} ({agent.reason or 'nothing heard'})"
+                    for agent in self.agents
+                    if agent.state is not State.READY
+                ]
+                self.reasons.append(
+                    f"Not ready within {READY_TIMEOUT_NS // NS_PER_S} s: {', '.join(waiting)}."
+                )
+                return False
+            self.run_until(self.now_ns + period_ns)
+            if 2 * (self.now_ns - begun_ns) > epoch_ns - begun_ns:
+                self.epoch_ns = max(epoch_ns, next_tick_ns(self.now_ns + EPOCH_AHEAD_NS - 1, period_ns, 0))
+            quarter_over = self.now_ns % PROGRESS_PERIOD_NS < period_ns
+            if quarter_over and progress is not None and not progress(self._fleet_time_s):
+                return False
+        self._duration_ns = duration_ns
+        for action in actions(self._rules, self.fleet.ids, duration_ns / NS_PER_S):
+            at_ns = self.epoch_ns + round(action.time_s * NS_PER_S)
+            self._at(at_ns, partial(self._carry_out, action))
+        self._say_mission()
+        return True
+
+    def _say_mission(self) -> None:
+        mission = Mission(1, self.now_ns, self.epoch_ns, self._duration_ns, digest(self.fleet))
         self.publish(keys.mission(self.fleet.fleet.name), encode(mission))
 
-    def run(self, progress: Callable[[float], bool] | None = None) -> None:
+    def run(self, progress: Progress | None = None) -> None:
         """The whole mission: warm-up, drive, stop.
 
-        `progress` is told the fleet time (s) four times a second of it; when it returns False the
-        run ends there.
+        `progress` is told the fleet time (s, below 0 before the epoch) four times a second; when it
+        returns False the run ends there.
         """
         duration_ns = round(self.fleet.fleet.duration_s * NS_PER_S)
-        self.start(duration_ns)
+        if not self.start(duration_ns, progress):
+            return
         end_ns = self.epoch_ns + duration_ns
         while self.now_ns < end_ns:
-            self.run_until(min(end_ns, self.now_ns + NS_PER_S // 4))
-            if progress is not None and not progress((self.now_ns - self.epoch_ns) / NS_PER_S):
+            self.run_until(min(end_ns, (self.now_ns // PROGRESS_PERIOD_NS + 1) * PROGRESS_PERIOD_NS))
+            if progress is not None and not progress(self._fleet_time_s):
                 return
+        for order, host in enumerate(self._hosts):
+            if host.paused:
+                host.resume(self.now_ns)
+                heapq.heappush(self._due, (host.due_ns, order, host.life))
         while self.now_ns < end_ns + STOP_TIMEOUT_NS and not self.stopped:
             self.run_until(self.now_ns + self.fleet.period_ns)
 
     @property
+    def _fleet_time_s(self) -> float:
+        return (self.now_ns - self.epoch_ns) / NS_PER_S
+
+    @property
     def stopped(self) -> bool:
         """True when every robot stands, or can do no more."""
-        return all(agent.state in (State.STOPPED, State.FAULT) for agent in self.agents)
+        return all(
+            agent.state in (State.STOPPED, State.FAULT)
+            for agent in self.agents
+            if self._hosts[self._order[agent.robot, "agent"]].up
+        )

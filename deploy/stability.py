@@ -154,7 +154,7 @@ class Start(NamedTuple):
 
 def at_start(fleet: Fleet, geometry: Geometry) -> Start:
     control = fleet.control
-    gains = law.Gains(control.kd, control.k2, control.kp)
+    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)
     error = (formation.start_hands(fleet) - geometry.offsets - (x, y)).T
     rate = np.broadcast_to(np.array([[-vx], [-vy]]), error.shape)  # the robots start at rest
@@ -186,13 +186,18 @@ def at_start(fleet: Fleet, geometry: Geometry) -> Start:
 def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:
     """Least distance (m) that any edge will ever have, by the energy at the start (docs/theory.md).
 
-    |phi| <= sqrt(2 E(0) / kp) for all time, and phi = (rho - d) / (rho - r_s). It holds for the joint
-    law with k_p > 0 while nothing is clipped; None where it says nothing.
+    |phi| <= sqrt(2 E(0) / kp) for all time, and phi = (rho - d) / (rho - r_s) or its tangent (B1). It
+    holds for the joint law with k_p > 0 while nothing is clipped; None where it says nothing.
     """
     control, safe = fleet.control, fleet.formation.safe_distance_m
     lengths = formation.edge_lengths(formation.start_hands(fleet), geometry.edges)
     if control.coupling != "joint" or control.kp <= 0.0 or float(lengths.min(initial=inf)) <= safe:
         return None
-    shortest = float(geometry.distances.min())
-    least = safe + (shortest - safe) / (1.0 + sqrt(2.0 * at_start(fleet, geometry).energy / control.kp))
-    return least if isfinite(least) else None
+    span = float(geometry.distances.min()) - safe
+    phi = sqrt(2.0 * at_start(fleet, geometry).energy / control.kp)
+    beyond = phi - (1.0 / control.relaxation - 1.0)  # of what phi is where its tangent begins
+    if beyond <= 0.0:
+        least = safe + span / (1.0 + phi)
+    else:
+        least = safe + span * (control.relaxation - control.relaxation**2 * beyond)
+    return least if isfinite(least) and least > safe else None

@@ -1,9 +1,53 @@
-"""``python -m plant --fleet FILE --robot ID``: the simulated body of one robot as a process."""
+"""``python -m plant --fleet FILE --robot ID [--pose=X,Y,HEADING]``: a simulated body as a process.
 
+With ``--pose`` (m, m, W; rad, counter-clockwise from x) it stands there, instead of where the fleet file
+has it start: so a process that starts again finds its body where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
 import sys
+from collections.abc import Sequence
+from math import isfinite
 
-from plant.server import main
-from plant.unicycle import from_fleet
+from agent.fleet import Fleet
+from agent.messages import FLOAT_MAX
+from plant.server import main as serve
+from plant.unicycle import Unicycle, from_fleet
+
+Place = tuple[float, float, float]
+"""x, y (m, W), heading (rad)."""
+
+
+def place(text: str) -> Place:
+    """What ``--pose`` says.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not three finite numbers.
+    """
+    try:
+        x, y, heading = map(float, text.split(","))
+    except ValueError:
+        x = y = heading = float("nan")
+    if not all(isfinite(value) and abs(value) <= FLOAT_MAX for value in (x, y, heading)):
+        raise argparse.ArgumentTypeError(
+            f"must be X,Y,HEADING in m, m and rad, such as --pose=1.5,-0.2,1.57, got {text!r}"
+        )
+    return x, y, heading
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the process; returns its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m plant", add_help=False, allow_abbrev=False)
+    parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
+    options, rest = parser.parse_known_args(argv)
+
+    def make(fleet: Fleet, robot: int) -> Unicycle:
+        return from_fleet(fleet, robot, options.pose)
+
+    return serve(rest, "python -m plant", make)
+
 
 if __name__ == "__main__":
-    sys.exit(main(None, "python -m plant", from_fleet))
+    sys.exit(main())

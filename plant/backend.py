@@ -19,8 +19,8 @@ class Reading(NamedTuple):
 
     `time_ns` (wall clock) is when `pose` was true, not when it was read. `force` (N) and `torque`
     (N m) act on the body from then on. `healthy` is False when the pose must not be used and
-    `note` then says why. `truth` is the exact pose of a simulated body whose measurement is
-    noisy, None otherwise.
+    `note` then says why. The pose of a simulated body is exact: `plant.measurement` adds what
+    its sensors get wrong.
     """
 
     time_ns: int
@@ -29,7 +29,6 @@ class Reading(NamedTuple):
     torque: float
     healthy: bool = True
     note: str = ""
-    truth: Pose | None = None
 
 
 class PlantBackend(Protocol):

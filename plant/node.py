@@ -10,15 +10,18 @@ from typing import Final
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet import Fleet, digest
 from agent.hand import Pose
-from agent.messages import Malformed, PlantState, Wrench, decode, encode
+from agent.messages import TOPICS, Faults, Malformed, Mission, PlantState, Wrench, decode, encode
 from agent.neighbours import FUTURE_NS_MAX
-from agent.node import Outgoing
+from agent.node import Numbers, Outgoing
+from agent.reception import Reception
 from plant.backend import Command, PlantBackend, Reading
+from plant.measurement import Measurement
 
 REST_SPEED: Final = 0.02
 REST_YAW_RATE: Final = 0.05
+_WRENCH: Final = TOPICS.index("wrench")
 
 
 class PlantNode:
@@ -35,14 +38,20 @@ class PlantNode:
         self._key_truth = keys.plant_truth(name, robot)
         self._key_wrench = keys.wrench(name, robot)
         self.alive_key: Final = keys.alive(name, robot, "plant")
-        self.subscriptions: Final = (self._key_wrench,)
-        self.publications: Final = (self._key_state, self._key_truth)
+        self._key_mission = keys.mission(name)
+        self._digest = digest(fleet)
+        self._mission_version = -1
+        self._reception = Reception(fleet, robot, "plant", {"wrench": (robot,)})
+        self.plan: Final = self._reception.plan
+        self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
+        self.subscriptions: Final = (self._key_wrench, self._key_mission, *self._reception.subscriptions)
+        self.publications: Final = (self._key_state, self._key_truth, *self._reception.publications)
         self.rejected: Counter[str] = Counter()
         self.overruns = 0
         self._wrench: Wrench | None = None
         self._leaving = False
         self._at_rest = True
-        self._sequence = 0
+        self._numbers = Numbers(self.period_ns)
         self._condition = ("braking", "no wrench yet")
 
     @property
@@ -61,20 +70,59 @@ class PlantNode:
         self.overruns += missed
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
-        """Takes a wrench; anything else, and one that is older than the last, is counted and ignored."""
+        """Takes a wrench; anything else, and one that is older than the last, is counted and ignored.
+
+        The mission and live faults are taken too: they say which faults hold on the way from the agent.
+        """
         try:
             message = decode(payload)
         except Malformed as error:
             self.rejected[error.reason] += 1
             return
-        if type(message) is not Wrench or key != self._key_wrench or message.robot != self.robot:
-            self.rejected["wrong_key"] += 1
-        elif message.time_ns > now_ns + FUTURE_NS_MAX:
-            self.rejected["future"] += 1
-        elif self._wrench is not None and message.time_ns <= self._wrench.time_ns:
-            self.rejected["out_of_order"] += 1
-        else:
-            self._wrench = message
+        reason: str | None = "wrong_key"
+        if type(message) is Wrench:
+            if key == self._key_wrench and message.robot == self.robot:
+                if self._reception.idle or self._reception.take(key, payload, _WRENCH, message):
+                    reason = self._accept(message, now_ns)
+                else:
+                    reason = None
+        elif type(message) is Mission:
+            if key == self._key_mission:
+                reason = self._accept_mission(message)
+        elif type(message) is Faults and key == self._reception.key_faults:
+            reason = self._reception.accept(message, now_ns)
+        if reason is not None:
+            self.rejected[reason] += 1
+
+    def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
+        if wrench.time_ns > now_ns + FUTURE_NS_MAX:
+            return "future"
+        if self._wrench is not None and wrench.time_ns <= self._wrench.time_ns:
+            return "out_of_order"
+        self._wrench = wrench
+        return None
+
+    def _accept_mission(self, mission: Mission) -> str | None:
+        if mission.digest != self._digest:
+            return "digest"
+        if mission.version > self._mission_version:
+            self._mission_version = mission.version
+            self._numbers.begin(mission.epoch_ns)
+            self._reception.begin(mission.epoch_ns)
+        return None
+
+    def _arrive(self, now_ns: int) -> None:
+        """Takes the wrenches that a failing link lets through at this tick."""
+        for _, payload, whole in self._reception.arrivals(now_ns):
+            try:
+                message = whole or decode(payload)  # damaged bytes are what the codec must find
+            except Malformed as error:
+                self.rejected[error.reason] += 1
+                continue
+            if type(message) is Wrench:
+                reason = self._accept(message, now_ns)
+                if reason is not None:
+                    self.rejected[reason] += 1
 
     def _command(self, now_ns: int) -> Command | None:
         wrench = self._wrench
@@ -92,20 +140,26 @@ class PlantNode:
         return None
 
     def tick(self, now_ns: int) -> list[Outgoing]:
+        if not self._reception.idle:
+            self._arrive(now_ns)
         command = self._command(now_ns)
         reading = self._backend.step(now_ns, command)
-        pose = reading.truth or reading.pose
+        pose = reading.pose
         self._at_rest = abs(pose.speed) < REST_SPEED and abs(pose.yaw_rate) < REST_YAW_RATE
-        out = [(self._key_state, encode(self._state(reading, reading.pose, command)))]
-        if reading.truth is not None:
-            out.append((self._key_truth, encode(self._state(reading, reading.truth, command))))
-        self._sequence += 1
+        sequence = self._numbers.next(reading.time_ns)
+        measured = self._measurement.measured(pose, reading.time_ns, sequence)
+        out = []
+        if measured is not None:
+            out.append((self._key_state, encode(self._state(sequence, reading, measured, command))))
+        if not self._measurement.exact:
+            out.append((self._key_truth, encode(self._state(sequence, reading, pose, command))))
+        out += self._reception.outgoing(now_ns, flush=command is None)
         return out
 
-    def _state(self, reading: Reading, pose: Pose, command: Command | None) -> PlantState:
+    def _state(self, sequence: int, reading: Reading, pose: Pose, command: Command | None) -> PlantState:
         return PlantState(
             self.robot,
-            self._sequence,
+            sequence,
             reading.time_ns,
             *pose,
             reading.force,

@@ -1,14 +1,14 @@
-"""A simulated unicycle, eq. (1): exact between ticks, with limits, actuator lag and measurement noise.
+"""A simulated unicycle, eq. (1): exact between ticks, with limits and actuator lag.
 
 Pure. Poses are in W (world ENU).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
-from agent import draws
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, Robot
 from agent.hand import Pose
@@ -103,13 +103,12 @@ class Unicycle:
     """The simulated body of one robot, a `plant.backend.PlantBackend`.
 
     Args:
-        body: its mass, inertia, limits, lag, noise and start.
+        body: its mass, inertia, limits, lag and start.
         period_s: time between two steps, s; a brake takes at least one.
-        seed: of the measurement noise; each robot's and each step's draw is its own.
         timeout_s: a command acts for so long at most when no step follows, s.
     """
 
-    def __init__(self, body: Robot, period_s: float, seed: int, timeout_s: float = inf) -> None:
+    def __init__(self, body: Robot, period_s: float, timeout_s: float = inf) -> None:
         self._body = body
         self._pose = Pose(body.x_m, body.y_m, body.heading_rad, 0.0, 0.0)
         self._force = self._torque = Actuator(0.0, 0.0, 0.0)
@@ -118,19 +117,6 @@ class Unicycle:
         self._brake_time_s = max(BRAKE_TIME_S, period_s)
         self._driving = False
         self._broken = ""
-        self._noise = (
-            body.position_noise_m,
-            body.position_noise_m,
-            body.heading_noise_rad,
-            body.speed_noise_mps,
-            body.yaw_rate_noise_radps,
-        )
-        self._noisy = any(self._noise)
-        self._streams = [
-            draws.stream(seed, "plant", body.id, quantity)
-            for quantity in ("x", "y", "heading", "speed", "yaw rate")
-        ]
-        self._steps = 0
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
         """See `PlantBackend.step`."""
@@ -142,10 +128,13 @@ class Unicycle:
             self._actuate(command, self._body.actuator_lag_s)
         else:
             self._actuate(self._brake(), 0.0)  # a brake is not the motor: it has no lag
-        pose, truth = self._measured()
-        self._steps += 1
         force, torque = self._force.value(0.0), self._torque.value(0.0)
-        return Reading(now_ns, pose, force, torque, not self._broken, self._broken, truth)
+        return Reading(now_ns, self._pose, force, torque, not self._broken, self._broken)
+
+    @property
+    def pose(self) -> Pose:
+        """Where it was at the last step."""
+        return self._pose
 
     def _actuate(self, command: Command, lag: float) -> None:
         """From now on the actuators go from what they give to `command`, within their limits."""
@@ -193,20 +182,14 @@ class Unicycle:
         spin = _limited(-pose.yaw_rate / self._brake_time_s, BRAKE_SPIN_MAX)
         return Command(body.mass_kg * deceleration, body.inertia_kgm2 * spin)
 
-    def _measured(self) -> tuple[Pose, Pose | None]:
-        if not self._noisy:
-            return self._pose, None
-        noisy = [
-            value + deviation * draws.normal(stream, self._steps)
-            for value, deviation, stream in zip(self._pose, self._noise, self._streams, strict=True)
-        ]
-        return Pose._make(noisy), self._pose
-
     def close(self) -> None:
         """Nothing to let go of: the body is this object."""
 
 
-def from_fleet(fleet: Fleet, robot: int) -> Unicycle:
-    """The simulated body of robot `robot`, as the fleet file has it."""
-    period_s, timeout_s = fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s
-    return Unicycle(fleet.robot(robot), period_s, fleet.fleet.seed, timeout_s)
+def from_fleet(fleet: Fleet, robot: int, at: tuple[float, float, float] | None = None) -> Unicycle:
+    """The simulated body of robot `robot`, where the fleet file has it or at `at` (x m, y m, heading rad)."""
+    body = fleet.robot(robot)
+    if at is not None:
+        x, y, heading = at
+        body = replace(body, x_m=x, y_m=y, heading_rad=heading)
+    return Unicycle(body, fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s)

@@ -18,7 +18,17 @@ from typing import Any, Final
 
 from tests.benchmarks.figures import Figure, Options, Result, figure_table, load
 
-NAMES: Final = ("cpu", "scaling", "tick", "startup", "virtual_time", "load", "random_starts")
+NAMES: Final = (
+    "cpu",
+    "scaling",
+    "tick",
+    "startup",
+    "virtual_time",
+    "load",
+    "links",
+    "robustness",
+    "random_starts",
+)
 LOAD_QUIET: Final = 0.5
 
 
@@ -26,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; all without any")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds")
-    parser.add_argument("--count", type=int, metavar="N", help="random starts (default 1000, quick 60)")
+    parser.add_argument("--count", type=int, metavar="N", help="random starts (default: as each has it)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     return parser
 

@@ -22,7 +22,7 @@ from agent.core import STATUS_PERIOD_NS, Agent
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.node import Node
-from deploy.cli import fleet_path
+from deploy.arguments import fleet_path
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 from tests.benchmarks.figures import Figure, Options, Result, spread, table

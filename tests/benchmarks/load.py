@@ -8,7 +8,7 @@ from statistics import median
 
 from agent.fleet import load_fleet
 from agent.formation import resolved
-from deploy.cli import fleet_path
+from deploy.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result
 from tests.benchmarks.processes import ROLES, measure, start_handfast
 

@@ -23,11 +23,11 @@ from agent.fleet import Fleet, load_fleet
 from agent.formation import resolve
 from agent.messages import PlantState, decode
 from agent.supervision import State
-from deploy.cli import fleet_path
+from deploy.arguments import fleet_path
+from deploy.random_starts import random_fleet
 from deploy.simulation import Simulation
 from deploy.stability import SETTLED
 from tests.benchmarks.figures import Figure, Options, Result, number, table
-from tests.random_starts import random_fleet
 
 LAWS: Final = ("joint", "edge", "paper", "penalty")
 REPAIRED: Final = ("joint", "edge")

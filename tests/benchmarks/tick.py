@@ -27,7 +27,7 @@ from agent.neighbours import Neighbours
 from agent.node import Node, Outgoing
 from agent.supervision import State
 from deploy import simulation
-from deploy.cli import fleet_path
+from deploy.arguments import fleet_path
 from deploy.recording import Recording
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.processes import BenchmarkError, end, environment, handfast

@@ -11,7 +11,7 @@ from typing import Final
 
 from agent.fleet import load_fleet
 from agent.formation import resolved
-from deploy.cli import fleet_path
+from deploy.arguments import fleet_path
 from deploy.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError, environment, handfast

@@ -29,7 +29,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest, load_fleet, to_dict
 from agent.formation import resolved
 from agent.messages import Malformed, Message, Mission, PlantState, Status, Wrench, decode, encode
-from deploy.cli import FLEETS
+from deploy.arguments import FLEETS
 from deploy.ports import Reservation
 from deploy.recording import Recording
 
@@ -233,7 +233,7 @@ class Command:
 
     def wait_until_driving(self) -> None:
         """Waits until the fleet has driven for 2 s: its robots are fast then."""
-        self.wait_for_line(r"(?m)^ +2\.\d s .* all running$")
+        self.wait_for_line(r"(?m)^ +2\.\d s .* all running(, faults: .*)?$")
         self.children()
 
     def wait_until_gone(self, pids: Sequence[int], timeout_s: float) -> float:

@@ -29,6 +29,7 @@ from agent import keys
 from agent.bus import Bus
 from agent.fleet import Fleet, load_fleet, to_dict
 from agent.messages import (
+    VERSION,
     HandState,
     Malformed,
     Mission,
@@ -51,6 +52,7 @@ from tests.process.harness import (
     placed,
     robots,
 )
+from tests.wire import sealed
 
 AGREE_M = 0.02
 SECONDS = 8.0
@@ -156,7 +158,7 @@ def test_neighbour_whose_clock_is_a_little_ahead(tmp_path: Path) -> None:
             if time.time_ns() >= due_ns:
                 stamp_ns = due_ns + period_ns // 2
                 due_ns += period_ns
-                state = HandState(2, next(sequence), stamp_ns, False, 0.5, 0.0, *[0.0] * 6, ())
+                state = HandState(2, next(sequence), stamp_ns, False, 0.5, 0.0, *[0.0] * 6, (), ())
                 all_robots.bus.publish(key, encode(state))
             return all_robots.counters(1).get("received", 0) >= 50
 
@@ -293,20 +295,22 @@ class Hostile:
         return [
             b"",
             draw.randbytes(draw.randrange(1, 200)),
-            draw.randbytes(5000),
+            draw.randbytes(20_000),
             bytes(70_000),  # dropped at the link
-            b"\xdd\xff\xff\xff\xff",  # an array of 2**32 - 1 entries, it says
-            b"\x91" * 4000,  # nested as deep as it goes
-            msgpack.packb([1, 0]),
-            msgpack.packb([2, 0, robot, 1, now_ns]),
-            msgpack.packb([1, 99, robot, 1, now_ns]),
-            msgpack.packb({"robot": robot}),
-            msgpack.packb([1, 0, str(robot), 1, now_ns, True, *eight, []]),
-            encode(HandState(robot, 1, now_ns, True, nan, *[0.0] * 7, ())),
-            encode(HandState(robot, 1, now_ns, True, *[0.0] * 8, ((1, inf),))),
-            encode(HandState(stranger, 1, now_ns, True, *[0.0] * 8, ())),
-            encode(HandState(robot, 1, far_ns, True, *[0.0] * 8, ())),
-            encode(HandState(robot, 1, -now_ns, True, *[0.0] * 8, ())),
+            sealed(draw.randbytes(draw.randrange(1, 200))),
+            sealed(b"\xdd\xff\xff\xff\xff"),  # an array of 2**32 - 1 entries, it says
+            sealed(b"\x91" * 4000),  # nested as deep as it goes
+            sealed(msgpack.packb([VERSION, 0])),
+            sealed(msgpack.packb([VERSION + 1, 0, robot, 1, now_ns])),
+            msgpack.packb([1, 0, robot, 1, now_ns]),  # of version 1, which had no checksum
+            sealed(msgpack.packb([VERSION, 99, robot, 1, now_ns])),
+            sealed(msgpack.packb({"robot": robot})),
+            sealed(msgpack.packb([VERSION, 0, str(robot), 1, now_ns, True, *eight, [], []])),
+            encode(HandState(robot, 1, now_ns, True, nan, *[0.0] * 7, (), ())),
+            encode(HandState(robot, 1, now_ns, True, *[0.0] * 8, ((1, inf),), ())),
+            encode(HandState(stranger, 1, now_ns, True, *[0.0] * 8, (), ())),
+            encode(HandState(robot, 1, far_ns, True, *[0.0] * 8, (), ())),
+            encode(HandState(robot, 1, -now_ns, True, *[0.0] * 8, (), ())),
             encode(PlantState(robot, 1, now_ns, *[nan] * 7, True, True, "")),
             encode(PlantState(stranger, 1, now_ns, *[0.0] * 7, True, False, "x" * 199)),
             encode(PlantState(robot, 1, 0, *[0.0] * 7, False, False, "from 1970")),
@@ -365,8 +369,8 @@ def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
     metrics = json.loads((folder / "metrics.json").read_text())
     reasons = metrics["messages_rejected_by_reason"]
     for reason in (
-        "duplicate", "future", "malformed", "not_finite", "out_of_order", "oversized", "range", "type",
-        "version", "wrong_key", "digest",
+        "checksum", "duplicate", "future", "malformed", "not_finite", "out_of_order", "oversized", "range",
+        "type", "version", "wrong_key", "digest",
     ):  # fmt: skip
         assert reasons.get(reason, 0) > 0, f"no message was counted as {reason}: {reasons}"
     assert metrics["messages"]["rejected"] == sum(reasons.values())

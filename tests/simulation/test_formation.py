@@ -18,10 +18,10 @@ from agent.messages import Mission, encode
 from agent.node import Node, Outgoing
 from agent.supervision import State
 from agent.trajectory import make_trajectory
+from deploy.random_starts import random_fleet
 from deploy.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace, drive
-from tests.random_starts import random_fleet
 
 FLEETS = Path(__file__).parents[2] / "deploy" / "fleets"
 STARTS = 30
@@ -173,7 +173,7 @@ def joint_solution(fleet: Fleet, times: Floats) -> Floats:
     """Hands under the exact joint law in continuous time, which no agent could compute, (k, n, 2), m."""
     geometry, control = resolve(fleet), fleet.control
     n, (i, j) = len(geometry.ids), geometry.edges.T
-    gains = law.Gains(control.kd, control.k2, control.kp)
+    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     trajectory = make_trajectory(fleet.trajectory)
 
     def rate(t: float, y: Floats) -> Floats:

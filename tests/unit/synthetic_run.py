@@ -77,7 +77,9 @@ def messages(
             hand_x, hand_y = x + offset * cos(heading), y + offset * sin(heading)
             force = exp(-max(t, 0.0) / 4)
             multipliers = tuple((j, 0.1 * j) for j in neighbours)
-            hand = (hand_x, hand_y, 0.1, 0.0, 0.3 * force, 0.0, 0.0, (0.2 + 0.1 * i) * force, multipliers)
+            heard = tuple((j, 500 + 100 * j) for j in neighbours)
+            forces = (0.3 * force, 0.0, 0.0, (0.2 + 0.1 * i) * force)
+            hand = (hand_x, hand_y, 0.1, 0.0, *forces, multipliers, heard)
             yield received, keys.hand(prefix, i), HandState(i, sequence, time_ns, True, *hand)
             wrench = Wrench(i, sequence, time_ns, 10 * force * cos(i + t), force * sin(i + t), False)
             yield received, keys.wrench(prefix, i), wrench
@@ -93,7 +95,7 @@ def messages(
                     state,
                     "",
                     1,
-                    tuple((j, 2000) for j in neighbours),
+                    tuple((j, 2000, n, i, 10 * j, 250) for j in neighbours),
                     ticks,
                     ages * per_status,
                     counters,

@@ -256,7 +256,7 @@ def test_modes_are_those_of_the_law_itself(coupling: str):
 
 def commanded(geometry, control, error, rate, multipliers=None):
     """u of all robots by `agent.law`, (2, n); with `multipliers`, by one sweep, and those after it."""
-    gains = law.Gains(control.kd, control.k2, control.kp)
+    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     i, j = geometry.edges.T
     n = len(geometry.ids)
     position = error + geometry.offsets.T

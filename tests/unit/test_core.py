@@ -33,6 +33,7 @@ from agent.supervision import State
 from agent.trajectory import make_trajectory
 from plant.backend import Command
 from plant.unicycle import from_fleet
+from tests.wire import sealed
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]
@@ -111,7 +112,7 @@ class Bench:
         if self.other is not None:
             stamp = self.now - PERIOD
             copies = ((1, 0.0),)
-            self.give(OTHER, HandState(2, self.ticks, stamp, True, *self.other, 0.0, 0.0, 0.0, 0.0, copies))
+            self.give(OTHER, HandState(2, self.ticks, stamp, True, *self.other, *[0.0] * 4, copies, ()))
         for key, payload in extra:
             self.give(key, payload)
         raw = self.agent.tick(self.now)
@@ -155,8 +156,10 @@ def brakes(out: Out) -> bool:
 
 def test_keys_are_those_of_its_neighbours_and_its_own_plant():
     agent = Bench().agent
-    assert set(agent.subscriptions) == {PLANT, OTHER, MISSION, STOP}
-    assert set(agent.publications) == {HAND, WRENCH, STATUS}
+    assert set(agent.subscriptions) == {PLANT, OTHER, MISSION, STOP, "two/faults"}
+    assert set(agent.publications) == {
+        HAND, WRENCH, STATUS, "two/robot/1/links", "two/robot/1/faults",
+    }  # fmt: skip
     assert agent.alive_key == keys.alive("two", 1, "agent")
     assert (agent.period_ns, agent.phase_ns) == (PERIOD, PERIOD // 2)
 
@@ -606,10 +609,11 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
 def garbage(bench: Bench) -> list[tuple[str, bytes]]:
     """What may come in one tick and must change nothing, with the reason it is counted under."""
     now, mine = bench.now, digest(bench.fleet)
-    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, *[3.0] * 8, ((1, 9.0),))
+    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, *[3.0] * 8, ((1, 9.0),), ())
     plant = PlantState(1, 10**6, now - PERIOD // 4, *[3.0] * 7, True, True, "")
     every = (PLANT, OTHER, MISSION, STOP, HAND, WRENCH, STATUS, "two/robot/9/hand", "", "two/**")
-    out = [(key, junk) for key in every for junk in (b"", b"\x00", b"\xff" * 5000, b"\x91\x01", b"junk" * 20)]
+    junk = (b"", b"\x00", b"\xff" * 20_000, b"\x91\x01", b"junk" * 20, sealed(b"junk"))
+    out = [(key, each) for key in every for each in junk]
     out += [
         (PLANT, encode(hand_state)),
         (OTHER, encode(plant)),
@@ -662,7 +666,8 @@ def test_garbage_on_every_key_changes_nothing_and_is_counted():
     reasons = {name: count for name, count in after.items() if name.startswith("rejected.")}
     assert sum(reasons.values()) == counted
     assert {name.partition(".")[2] for name in reasons} == {
-        "malformed", "oversized", "not_finite", "wrong_key", "future", "out_of_order", "digest"
+        "checksum", "malformed", "oversized", "not_finite", "wrong_key", "future", "out_of_order", "digest",
+        "version",
     }  # fmt: skip
     assert after["corrupted"] > 0
     assert after["received"] == before["received"]
@@ -679,7 +684,7 @@ def test_garbage_before_the_start_keeps_nobody_from_starting():
 def test_deeply_nested_garbage_does_not_kill_the_agent(depth: int):
     bench = Bench()
     bench.drive()
-    bench.tick((OTHER, b"\x9f" + b"\x91" * depth + b"\x90" + b"\xc0" * 14))
+    bench.tick((OTHER, sealed(b"\x9f" + b"\x91" * depth + b"\x90" + b"\xc0" * 14)))
     assert bench.state is State.RUNNING
     assert bench.counters()["rejected"] == 1
 
@@ -720,7 +725,7 @@ def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, val
     with np.errstate(all="ignore"):
         for tick in range(6):
             stamp = bench.now - PERIOD // 2
-            absurd = HandState(2, 10**6 + tick, stamp, True, *[0.0] * 8, ((1, 0.0),))._replace(
+            absurd = HandState(2, 10**6 + tick, stamp, True, *[0.0] * 8, ((1, 0.0),), ())._replace(
                 **{name: value}
             )
             out = bench.tick((OTHER, encode(absurd)))
@@ -782,7 +787,7 @@ def test_status_tells_times_ages_and_counters():
     assert status.robot == 1
     assert set(status.tick_us) == {123}
     assert set(status.ages_us) == {PERIOD // 1000}
-    assert status.neighbours == ((2, PERIOD // 1000),)
+    assert [neighbour[:2] for neighbour in status.neighbours] == [(2, PERIOD // 1000)]
     counters = dict(status.counters)
     assert counters["overruns"] == 60
     assert (
@@ -801,7 +806,7 @@ def test_status_tells_times_ages_and_counters():
 def test_neighbour_never_heard_has_no_age():
     bench = Bench()
     bench.other = None
-    assert bench.tick().status.neighbours == ((2, -1),)
+    assert bench.tick().status.neighbours == ((2, -1, 0, 0, 0, -1),)
 
 
 def test_status_fits_however_long_the_reasons_are():

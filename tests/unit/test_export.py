@@ -15,6 +15,7 @@ from agent.messages import encode
 from deploy.export import ExportError, export, tabulate
 from deploy.recorder import Recorder, RecordingError
 from deploy.recording import Recording
+from tests.unit.simulated_run import driven, leave_run, trio
 from tests.unit.synthetic_run import in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=0.4)
@@ -122,3 +123,20 @@ def test_what_cannot_be_exported_is_one_clear_line(run: Path, monkeypatch: pytes
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ExportError, match="Parquet needs pyarrow, which is not installed"):
         export(run, "parquet")
+
+
+def test_what_was_done_to_messages(tmp_path: Path) -> None:
+    fleet = trio('[[faults.rule]]\nlink = "1->2"\nloss = "50%"\ndelay = "30ms"\nat = 0.5\n', duration=1.0)
+    folder = leave_run(tmp_path / "run", fleet, driven(fleet))
+    export(folder, "csv")
+    rows = read_csv(folder / "export" / "links.csv")
+    assert list(rows[0]) == [
+        "t_s", "source", "destination", "topic", "sequence", "lost", "duplicated", "corrupted", "reordered",
+        "held", "range", "overflow", "delay_s",
+    ]  # fmt: skip
+    assert {(row["source"], row["destination"], row["topic"]) for row in rows} == {("1", "2", "hand")}
+    assert {(row["lost"], row["delay_s"]) for row in rows} == {("true", ""), ("false", "0.03")}
+    assert 15 < len(rows) < 50
+    assert float(rows[0]["t_s"]) == pytest.approx(0.51)
+    export(folder, "parquet", tmp_path / "p")
+    assert pq.read_table(tmp_path / "p" / "links.parquet")["delay_s"].null_count > 0

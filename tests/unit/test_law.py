@@ -395,13 +395,36 @@ def test_closing_pairs_are_braked_by_the_papers_law_too(rho: float):
     assert law.forces(e, law.multipliers_edge(e, PAPER))[0, 0] > 0.0
 
 
-def test_clearance_is_held_at_a_thousandth():
-    """Below it every derivative is that of the held clearance: the law does not jump there."""
-    limit = RS + law.CLEARANCE_MIN * (1.0 - RS)
-    above, below = two(limit * (1 + 1e-9)), two(limit * (1 - 1e-9))
+@pytest.mark.parametrize("relaxation", [0.0, law.RELAXATION_MIN, 0.2, 0.5])
+def test_near_the_safe_distance_phi_goes_on_along_its_tangent(relaxation: float):
+    """(B1): phi and its slope do not jump there, and from there down the slope is the same."""
+    gains = GAINS._replace(relaxation=relaxation)
+    limit = RS + max(relaxation, law.RELAXATION_MIN) * (1.0 - RS)
+    above, below = two(limit * (1 + 1e-9), 0.0, gains), two(limit * (1 - 1e-9), 0.0, gains)
     assert above.phi == pytest.approx(below.phi, rel=1e-5)
     assert above.slope == pytest.approx(below.slope, rel=1e-5)
-    assert two(0.1).slope == pytest.approx(two(limit).slope)
+    for rho in (0.1, RS, 0.5 * (RS + limit)):
+        e = two(rho, 0.0, gains)
+        assert e.slope == pytest.approx(below.slope, rel=1e-6)
+        assert e.phi == pytest.approx(below.phi + below.slope * (rho - limit), rel=1e-5)
+
+
+@pytest.mark.parametrize("rho", [0.1, RS, 0.3, 0.4, 0.9, 2.0])
+def test_the_demand_is_what_makes_phis_second_derivative_right(rho: float):
+    """phiddot of a pair driven by F_n + F_c is -kd phidot - kp phi - k2 lambda, on the tangent too."""
+    gains = GAINS._replace(relaxation=0.2)
+    x, v, f = np.array([[rho], [0.0]]), np.array([[-0.4], [0.3]]), np.array([[0.2], [-0.1]])
+
+    def edge(t: float, u: Floats) -> law.Edges:
+        return law.edges(x + v * t + 0.5 * u * t * t, v + u * t, f, np.array([1.0]), RS, gains)
+
+    e = edge(0.0, f)
+    lam = law.multipliers_edge(e, gains)
+    u = f + 2.0 * law.forces(e, lam)  # of one robot against the other
+    step = 1e-6
+    second = (edge(step, u).rate - edge(-step, u).rate) / (2.0 * step)
+    wanted = -gains.kd * e.rate - gains.kp * e.phi - gains.k2 * lam
+    assert second == pytest.approx(wanted, rel=1e-4, abs=1e-6)
 
 
 def test_push_grows_as_the_pair_closes():

@@ -54,7 +54,8 @@ def test_a_perfect_run() -> None:
     assert list(found) == [
         "fleet", "law", "seed", "mode", "robots", "edges", "rate_hz", "duration_s", "min_distance_m",
         "settling_time_s", "final_distance_error_m", "final_tracking_error_m", "rms_distance_error_m",
-        "messages", "age_of_information_ms", "tick", "verdict", "messages_rejected_by_reason",
+        "messages", "age_of_information_ms", "tick", "links", "injected", "links_audit", "clock_offsets",
+        "verdict", "messages_rejected_by_reason",
     ]  # fmt: skip
     assert {name: found[name] for name in ("fleet", "law", "seed", "mode", "robots", "edges")} == {
         "fleet": "made-up", "law": "joint", "seed": 3, "mode": "run", "robots": 2, "edges": 1,
@@ -65,6 +66,8 @@ def test_a_perfect_run() -> None:
     assert found["final_distance_error_m"] == found["final_tracking_error_m"] == 0.0
     assert found["rms_distance_error_m"] == 0.0
     assert found["verdict"] == {"passed": True, "reasons": [], "warnings": []}
+    assert found["links"] == []
+    assert found["injected"]["decided"] == found["links_audit"]["decided"] == 0
 
 
 def test_settling_time_is_the_last_time_that_an_edge_was_off() -> None:
@@ -152,6 +155,18 @@ def test_counters_are_the_last_ones_of_every_robot() -> None:
     }  # fmt: skip
     assert found["messages_rejected_by_reason"] == {"stale": 4}
     assert found["tick"]["overruns"] == 2
+
+
+def test_counters_of_an_agent_that_started_again_are_added() -> None:
+    sent = with_statuses(
+        status(1, 0.5, counters=(("sent", 30), ("received", 10))),
+        status(1, 1.0, counters=(("sent", 50), ("received", 40))),
+        status(1, 1.5, counters=(("sent", 8), ("received", 7), ("lost", 1))),
+        status(1, 1.9, counters=(("sent", 9), ("received", 9), ("lost", 1))),
+        status(2, 1.9, counters=(("sent", 100),)),
+    )
+    messages_of_all = judged(PAIR, sent)["messages"]
+    assert (messages_of_all["sent"], messages_of_all["received"], messages_of_all["lost"]) == (159, 49, 1)
 
 
 def with_statuses(*statuses: Status) -> list[Sent]:

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from agent.messages import HandState
-from agent.neighbours import BRAKING_TIME_S, FUTURE_NS_MAX, Neighbours, transition
+from agent.neighbours import BRAKING_TIME_S, FUTURE_NS_MAX, Neighbours, constraint_decay, transition
 
 PERIOD = 20_000_000
 S = 1_000_000_000
@@ -28,9 +28,11 @@ def message(
     velocity: tuple[float, float] = (0.0, 0.0),
     constraint: tuple[float, float] = (0.0, 0.0),
     multipliers: tuple[tuple[int, float], ...] = (),
+    navigation: tuple[float, float] = (0.0, 0.0),
+    heard: tuple[tuple[int, int], ...] = (),
 ) -> HandState:
-    forces = (0.0, 0.0, *constraint)
-    return HandState(robot, sequence, time_ns, following, *position, *velocity, *forces, multipliers)
+    forces = (*navigation, *constraint)
+    return HandState(robot, sequence, time_ns, following, *position, *velocity, *forces, multipliers, heard)
 
 
 def neighbours() -> Neighbours:
@@ -58,13 +60,33 @@ def heard(known: Neighbours, *messages: HandState, now_ns: int = T0 + PERIOD) ->
 
 @pytest.mark.parametrize("c1", [0.01, 0.4, 1.0, 25.0])
 @pytest.mark.parametrize("c2", [0.01, 0.6, 2.0, 3.0, 40.0])  # c2^2 < 4 c1, = and >
+@pytest.mark.parametrize("decay", [0.0, 0.05, 0.9, 7.0])
 @pytest.mark.parametrize("age", [0.0, 0.001, 0.02, 0.5, 2.0, 5.0])
-def test_transition_is_the_matrix_exponential(c1: float, c2: float, age: float):
-    a = np.array([[0.0, 1.0, 0.0], [-c1, -c2, 1.0], [0.0, 0.0, 0.0]])  # with F_c as a third state
+def test_transition_is_the_matrix_exponential(c1: float, c2: float, decay: float, age: float):
+    a = np.array([[0.0, 1.0, 0.0], [-c1, -c2, 1.0], [0.0, 0.0, -decay]])  # with F_c as a third state
     expected = expm(a * age)
-    a11, a12, a21, a22, b1, b2 = transition(c1, c2, age)
-    got = np.array([[a11, a12, b1], [a21, a22, b2]])
-    assert got == pytest.approx(expected[:2], rel=1e-9, abs=1e-12)
+    a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
+    got = np.array([[a11, a12, b1], [a21, a22, b2], [0.0, 0.0, remains]])
+    assert got == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("c1", "c2", "decay"), [(0.4, 1.3, 0.5), (0.4, 1.3, 0.8), (1.0, 2.0, 1.0)])
+@pytest.mark.parametrize("off", [0.0, 1e-12, -1e-9, 1e-6])
+def test_a_decay_like_the_loops_own_is_no_exception(c1: float, c2: float, decay: float, off: float):
+    """There c1 - c2 decay + decay^2 = 0, and the particular solution has another form."""
+    decay *= 1.0 + off
+    expected = expm(np.array([[0.0, 1.0, 0.0], [-c1, -c2, 1.0], [0.0, 0.0, -decay]]) * 1.5)
+    got = transition(c1, c2, decay, 1.5)
+    assert [got[4], got[5]] == pytest.approx(expected[:2, 2], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kd", "kp", "expected"), [(1.8, 1.0, 0.9), (3.0, 2.0, 1.0), (1.8, 0.0, 0.0), (0.0, 1.0, 0.0)]
+)
+def test_constraint_forces_die_away_as_the_edges_errors_do(kd: float, kp: float, expected: float):
+    assert constraint_decay(kd, kp) == pytest.approx(expected)
+    if kd > 0.0:
+        assert -expected == pytest.approx(max(np.roots([1.0, kd, kp]).real))
 
 
 @pytest.mark.parametrize(
@@ -72,19 +94,19 @@ def test_transition_is_the_matrix_exponential(c1: float, c2: float, age: float):
 )
 def test_transition_near_critical_damping(c2: float):
     expected = expm(np.array([[0.0, 1.0, 0.0], [-1.0, -c2, 1.0], [0.0, 0.0, 0.0]]) * 0.7)
-    a11, a12, a21, a22, b1, b2 = transition(1.0, c2, 0.7)
+    a11, a12, a21, a22, b1, b2, _ = transition(1.0, c2, 0.0, 0.7)
     assert np.array([[a11, a12, b1], [a21, a22, b2]]) == pytest.approx(expected[:2], rel=1e-7)
 
 
 def test_transition_backwards_undoes_it():
-    forth, back = (np.array(transition(C1, C2, age)[:4]).reshape(2, 2) for age in (0.3, -0.3))
+    forth, back = (np.array(transition(C1, C2, 0.0, age)[:4]).reshape(2, 2) for age in (0.3, -0.3))
     assert forth @ back == pytest.approx(np.eye(2))
 
 
 @pytest.mark.parametrize(("c1", "c2", "age"), [(0.4, 1000.0, 2.0), (1.0, 30.0, 60.0), (1e4, 1e4, 60.0)])
 def test_strong_damping_does_not_overflow(c1: float, c2: float, age: float):
     """Gains and horizons that the fleet file allows: cosh(omega T) alone would leave the floats."""
-    step = transition(c1, c2, age)
+    step = transition(c1, c2, 0.0, age)
     assert np.isfinite(step).all()
     slow = c1 / (0.5 * c2 + np.sqrt(0.25 * c2 * c2 - c1))  # the slow pole
     assert step[0] == pytest.approx(exp(-slow * age), rel=0.05)
@@ -141,7 +163,7 @@ def test_before_the_epoch_a_neighbour_stands():
     column = known.ids.index(9)
     offset = np.array(OFFSETS[9])
     error = np.array((3.0, 4.5)) - (3.0, 4.0) - offset
-    a11, _, a21, *_ = transition(C1, C2, 1.0)
+    a11, _, a21, *_ = transition(C1, C2, 0.0, 1.0)
     assert later[column].position == pytest.approx(a11 * error + (3.0, 4.0) + offset)
     assert later[column].velocity == pytest.approx(a21 * error)
 
@@ -176,14 +198,14 @@ def test_a_neighbour_that_brakes_before_the_epoch_coasts_from_its_message():
 def test_reasons_of_refusal():
     known = heard(neighbours(), message(2, 4, T0))
     now = T0 + PERIOD
-    before = (known.received, known.lost, known.delayed, known.ages_ns(now))
+    before = (known.received, known.lost, known.delayed, known.ages_ns(now), known.heard())
     assert known.accept(message(3, 0, T0), now) == "stranger"
     assert known.accept(message(1, 0, T0), now) == "stranger"  # not even itself
     assert known.accept(message(2, 5, now + FUTURE_NS_MAX + 1), now) == "future"
     assert known.accept(message(2, 4, T0), now) == "duplicate"
     assert known.accept(message(2, 3, T0 - 1), now) == "out_of_order"
     assert known.accept(message(2, 9, T0 - PERIOD), now) == "out_of_order"  # the time decides
-    assert (known.received, known.lost, known.delayed, known.ages_ns(now)) == before
+    assert (known.received, known.lost, known.delayed, known.ages_ns(now), known.heard()) == before
     assert known.duplicated == 1
 
 
@@ -251,6 +273,38 @@ def test_no_neighbours():
     alone.begin(T0)
 
 
+def test_numbers_that_jump_lose_nothing():
+    """A mission sets them from a count to its rounds: no more is lost than there was time for."""
+    known = heard(neighbours(), message(2, 7, T0))
+    heard(known, message(2, 2**20, T0 + PERIOD), now_ns=T0 + 2 * PERIOD)
+    assert known.lost == 0
+    heard(known, message(2, 2**21, T0 + 3 * PERIOD), now_ns=T0 + 4 * PERIOD)
+    assert known.lost == 1
+
+
+@pytest.mark.parametrize("jitter_ns", [-PERIOD // 4, PERIOD // 4])
+def test_losses_are_counted_by_stamps_that_jitter(jitter_ns: int):
+    known = heard(neighbours(), message(2, 0, T0))
+    heard(known, message(2, 1, T0 + PERIOD + jitter_ns), now_ns=T0 + 3 * PERIOD)
+    heard(known, message(2, 4, T0 + 4 * PERIOD), now_ns=T0 + 5 * PERIOD)
+    assert known.lost == 2
+
+
+def test_counts_of_each_neighbour():
+    known = heard(neighbours(), message(2, 0, T0), message(5, 0, T0), message(9, 0, T0))
+    now = T0 + 8 * PERIOD
+    heard(known, message(9, 4, T0 + 4 * PERIOD), message(5, 6, T0 + 6 * PERIOD), now_ns=now)
+    assert known.accept(message(9, 4, T0 + 4 * PERIOD), now) == "duplicate"
+    assert known.accept(message(2, 8, now), now) is None  # waits
+    assert known.accept(message(2, 8, now), now) == "duplicate"
+    assert known.ids == (2, 5, 9)
+    assert known.received_by == [1, 2, 2]
+    assert known.lost_by == [0, 5, 3]
+    assert known.delayed_by == [0, 0, 1]
+    assert known.duplicated_by == [1, 0, 1]
+    assert (known.received, known.lost, known.delayed, known.duplicated) == (5, 8, 1, 2)
+
+
 # ---------------------------------------------------------------------- messages of this tick
 
 
@@ -313,6 +367,16 @@ def test_a_message_from_a_clock_ahead_is_taken_at_once():
     heard(known, message(5, 0, T0 + FUTURE_NS_MAX), now_ns=T0)
 
 
+def test_a_message_that_waits_is_dropped_for_a_newer_one():
+    """A clock that jumps ahead: what waits is of before."""
+    known = heard(neighbours(), message(2, 0, T0))
+    now = T0 + PERIOD
+    heard(known, message(2, 1, now), message(2, 2, now + 3 * PERIOD), now_ns=now)
+    known.begin(now + PERIOD)
+    assert known.ages_ns(now + PERIOD)[0] == -2 * PERIOD
+    assert known.received == 2
+
+
 # ---------------------------------------------------------------------- multipliers
 
 
@@ -332,6 +396,170 @@ def test_multipliers_are_averaged_with_the_neighbours_copies_once():
     heard(known, message(2, 1, T0 + PERIOD, multipliers=((1, -2.0),)), now_ns=T0 + 2 * PERIOD)
     known.average(multipliers)
     assert multipliers.tolist() == [0.0, 2.0, 3.0]
+
+
+# ---------------------------------------------------------------------- clocks that differ
+
+
+def echo(offset_ns: int) -> tuple[tuple[int, int], ...]:
+    """What a neighbour whose clock is so far ahead hears of robot 1's messages, each a period old."""
+    return (7, 1), (1, (PERIOD + offset_ns) // 1000), (8, 2)
+
+
+def ahead(offset_ns: int, *robots: int) -> Neighbours:
+    """Knows these neighbours' clocks to be ahead by a multiple of the period; last heard at T0."""
+    known = neighbours()
+    for tick in range(-4, 1):
+        now = T0 + tick * PERIOD
+        stamp = now - PERIOD + offset_ns
+        heard(known, *(message(r, tick + 4, stamp, heard=echo(offset_ns)) for r in robots), now_ns=now)
+    for robot in robots:
+        assert known.clocks[known.ids.index(robot)].used_ns == offset_ns
+    return known
+
+
+@pytest.mark.parametrize("offset_ns", [5 * PERIOD, -7 * PERIOD])
+def test_a_clock_that_is_off_makes_no_age(offset_ns: int):
+    known = ahead(offset_ns, 2)
+    assert known.ages_ns(T0 + 3 * PERIOD) == [4 * PERIOD, None, None]
+    before = known.delayed  # what came before the offset was known
+    for tick, age in ((1, PERIOD), (2, 2 * PERIOD), (3, 3 * PERIOD)):
+        stamp = T0 + tick * PERIOD + offset_ns
+        one = message(2, 4 + tick, stamp, heard=echo(offset_ns))
+        heard(known, one, now_ns=stamp - offset_ns + age)
+    assert known.delayed == before + 1
+
+
+def test_the_messages_of_this_tick_wait_by_the_neighbours_clock():
+    known = ahead(5 * PERIOD, 2, 5)
+    now = T0 + PERIOD
+    said = echo(5 * PERIOD)
+    assert known.accept(message(2, 5, now + 5 * PERIOD - 1, heard=said), now) is None  # of the last tick
+    assert known.accept(message(5, 5, now + 5 * PERIOD, heard=said), now) is None
+    assert known.ages_ns(now) == [1, 2 * PERIOD, None]
+    known.begin(now + PERIOD)
+    assert known.ages_ns(now + PERIOD) == [PERIOD + 1, PERIOD, None]
+
+
+def test_the_future_begins_by_the_neighbours_clock():
+    known = ahead(5 * PERIOD, 2)
+    now = T0 + PERIOD
+    limit = now + 5 * PERIOD + FUTURE_NS_MAX
+    assert known.accept(message(2, 5, limit + 1), now) == "future"
+    assert known.accept(message(5, 5, now + FUTURE_NS_MAX + 1), now) == "future"
+    assert known.accept(message(2, 5, limit), now) is None
+
+
+def test_a_clock_that_was_behind_and_is_set_is_not_refused():
+    """Its messages would be of the future for what it was, and nothing could unlearn that."""
+    known = ahead(-40 * PERIOD, 2)
+    now = T0 + PERIOD
+    for tick in range(3):
+        now = T0 + (1 + tick) * PERIOD
+        assert known.accept(message(2, tick, now - PERIOD, heard=echo(0)), now) is None
+    assert known.ages_ns(now)[0] == PERIOD
+    assert known.clocks[0].used_ns == 0
+
+
+def test_how_far_ahead_a_refused_clock_is():
+    known = heard(neighbours(), message(2, 0, T0))
+    now = T0 + PERIOD
+    assert known.ahead_ns == [0, 0, 0]
+    assert known.accept(message(5, 0, now + 800_000_000), now) == "future"
+    assert known.accept(message(5, 1, now + 790_000_000), now) == "future"
+    assert known.ahead_ns == [0, 790_000_000, 0]
+    assert known.accept(message(5, 2, now - 1), now) is None  # it was set right
+    assert known.ahead_ns == [0, 0, 0]
+
+
+def test_what_is_echoed():
+    known = heard(neighbours(), message(2, 0, T0), message(9, 0, T0))
+    assert known.heard() == ()  # one message alone proves nothing
+    now = T0 + 2 * PERIOD
+    heard(known, message(2, 1, T0 + PERIOD), message(9, 1, now + 4 * PERIOD), now_ns=now)
+    heard(known, message(9, 2, now + 5 * PERIOD), now_ns=now + PERIOD)
+    said = known.heard()
+    assert said == ((2, 20_000), (9, -80_000))
+    heard(known, message(2, 2, T0 + 2 * PERIOD), now_ns=T0 + 3 * PERIOD)
+    assert known.heard() is said  # not made anew for every message
+
+
+def test_a_message_that_waits_is_echoed_by_when_it_came():
+    known = neighbours()
+    for tick in range(3):
+        now = T0 + tick * PERIOD
+        heard(known, message(2, tick, now), now_ns=now)
+    assert known.heard() == ((2, 0),)
+
+
+def test_a_refused_message_says_nothing_of_clocks():
+    known = ahead(5 * PERIOD, 2)
+    clock, now = known.clocks[0], T0 + PERIOD
+    said = clock.used_ns, clock.offset_us, clock.error_us, known.heard()
+    lie = ((1, 9_000_000),)
+    for refused in (
+        message(2, 9, now + S, heard=lie),
+        message(2, 4, T0 + 4 * PERIOD, heard=lie),
+        message(2, 3, T0 + 4 * PERIOD - 1, heard=lie),
+    ):
+        for _ in range(3):
+            assert known.accept(refused, now) is not None
+    assert (clock.used_ns, clock.offset_us, clock.error_us, known.heard()) == said
+
+
+@pytest.mark.parametrize("following", [True, False])
+@pytest.mark.parametrize("ticks", [5, -7])
+def test_a_neighbour_is_carried_forward_in_its_own_clock(following: bool, ticks: int):
+    """It is where one with the right clock would be that much later (or earlier) on its way."""
+    offset_ns = ticks * PERIOD
+    known, plain = ahead(offset_ns, 2, 5, 9), neighbours()
+    vectors = (0.1, 1.0), (0.3, -0.2), (0.1, 0.2)
+    for robot in OFFSETS:
+        state = message(robot, 5, T0 + offset_ns, following, *vectors)
+        heard(known, state._replace(heard=echo(offset_ns)), now_ns=T0 + PERIOD)
+        heard(plain, state, now_ns=T0 + offset_ns + PERIOD)
+    for age_ns in (PERIOD // 2, 3 * PERIOD, S):
+        for epoch_ns in (T0 - S, T0 + offset_ns + 2 * PERIOD):
+            shown = known.predict(T0 + age_ns, circling, epoch_ns)
+            assert shown == plain.predict(T0 + offset_ns + age_ns, circling, epoch_ns)
+
+
+def test_equal_clocks_change_no_bit_and_no_lookup():
+    """What is known of them is no reason to reckon otherwise: runs are compared with simulations."""
+    known, plain = ahead(0, 2, 5, 9), neighbours()
+    assert all(clock.error_us == PERIOD // 1000 for clock in known.clocks)
+    state = {"position": (0.1, 1.0), "velocity": (0.3, -0.2), "constraint": (0.1, 0.2)}
+    for robot in OFFSETS:
+        for one in (known, plain):
+            heard(one, message(robot, 5, T0, heard=echo(0), **state), now_ns=T0 + PERIOD)
+    lookups: list[list[int]] = []
+
+    def watched(time_ns: int) -> tuple[float, float, float, float, float, float]:
+        lookups[-1].append(time_ns)
+        return circling(time_ns)
+
+    results = []
+    for one in (known, plain):
+        lookups.append([])
+        results.append(one.predict(T0 + 3 * PERIOD, watched, T0 - S))
+    assert results[0] == results[1]
+    assert lookups == [[T0 + 3 * PERIOD, T0, T0, T0]] * 2
+
+
+# ---------------------------------------------------------------------- prediction switched off
+
+
+@pytest.mark.parametrize("age_ns", [0, PERIOD, 2 * S])
+def test_without_prediction_a_state_is_taken_as_it_came(age_ns: int):
+    known = Neighbours(1, OFFSETS, C1, C2, PERIOD, predict=False)
+    state = {"position": (1.0, 2.0), "velocity": (0.5, -0.3), "constraint": (0.1, 0.2)}
+    heard(known, message(2, 0, T0, navigation=(0.7, 0.8), **state))
+    heard(known, message(5, 0, T0, False, navigation=(0.7, 0.8), **state))
+    heard(known, message(9, 0, T0, **state))
+    assert known.ages_ns(T0 + age_ns) == [age_ns] * 3
+    following, braking, _ = known.predict(T0 + age_ns, circling, T0)
+    assert following == ((1.0, 2.0), (0.5, -0.3), (0.7, 0.8), (0.1, 0.2))
+    assert braking == ((1.0, 2.0), (0.5, -0.3), (0.0, 0.0), (0.0, 0.0))
 
 
 def test_sequence_numbers_far_apart_keep_the_counters_small():

@@ -8,19 +8,21 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
-from agent.messages import HandState, PlantState, Wrench, decode, encode
+from agent.messages import Faults, HandState, Mission, PlantState, Wrench, decode, encode
 from agent.neighbours import FUTURE_NS_MAX
 from plant.backend import Command, Reading
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
+from tests.wire import opened, sealed
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0%s }, { id = 2, x_m = 2, y_m = 0 }]
 fleet = { name = "two", rate_hz = 50 }
 formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
 control = { wrench_timeout_s = 0.1 }
+faults = { rule = [%s] }
 """
 T0 = 1000 * NS_PER_S
 PERIOD = 20_000_000
@@ -28,11 +30,12 @@ TIMEOUT = 100_000_000
 WRENCH_KEY = "two/robot/1/plant/wrench"
 STATE_KEY = "two/robot/1/plant/state"
 TRUTH_KEY = "two/robot/1/plant/truth"
+MISSION_KEY = "two/mission"
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def fleet(robot: str = "") -> Fleet:
-    return parse_fleet(FLEET % robot, source="here")
+def fleet(robot: str = "", faults: str = "") -> Fleet:
+    return parse_fleet(FLEET % (robot, faults), source="here")
 
 
 class Call(NamedTuple):
@@ -46,13 +49,12 @@ class Backend:
     def __init__(self) -> None:
         self.calls: list[Call] = []
         self.pose = REST
-        self.truth: Pose | None = None
         self.healthy, self.note = True, ""
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
         self.calls.append(Call(now_ns, command))
         force, torque = command or (0.0, 0.0)
-        return Reading(now_ns - 7, self.pose, force, torque, self.healthy, self.note, self.truth)
+        return Reading(now_ns - 7, self.pose, force, torque, self.healthy, self.note)
 
     def close(self) -> None: ...
 
@@ -82,8 +84,9 @@ def state(node: PlantNode, now_ns: int) -> PlantState:
 
 
 def test_keys_and_ticks(node: PlantNode):
-    assert node.subscriptions == (WRENCH_KEY,)
-    assert node.publications == (STATE_KEY, TRUTH_KEY)
+    assert node.subscriptions == (WRENCH_KEY, MISSION_KEY, "two/faults")
+    links = "two/robot/1/plant/links"
+    assert node.publications == (STATE_KEY, TRUTH_KEY, links, "two/robot/1/plant/faults")
     assert node.alive_key == keys.alive("two", 1, "plant") == "two/alive/robot/1/plant"
     assert (node.period_ns, node.phase_ns) == (PERIOD, 0)
 
@@ -148,14 +151,15 @@ def test_obeys_a_wrench_that_brakes(node: PlantNode, backend: Backend):
         (WRENCH_KEY, wrench(T0 + 2, robot=2), "wrong_key"),
         ("two/robot/2/plant/wrench", wrench(T0 + 2), "wrong_key"),
         (STATE_KEY, wrench(T0 + 2), "wrong_key"),
-        (WRENCH_KEY, encode(HandState(1, 0, T0 + 2, True, *[0.0] * 8, ())), "wrong_key"),
-        (WRENCH_KEY, b"", "malformed"),
-        (WRENCH_KEY, b"\xff" * 5000, "oversized"),
-        (WRENCH_KEY, wrench(T0 + 2)[:-1], "malformed"),
+        (WRENCH_KEY, encode(HandState(1, 0, T0 + 2, True, *[0.0] * 8, (), ())), "wrong_key"),
+        (WRENCH_KEY, b"", "checksum"),
+        (WRENCH_KEY, b"\xff" * 20_000, "oversized"),
+        (WRENCH_KEY, wrench(T0 + 2)[:-1], "checksum"),
+        (WRENCH_KEY, sealed(opened(wrench(T0 + 2))[:-1]), "malformed"),
         (WRENCH_KEY, wrench(T0 + 2, force=float("nan")), "not_finite"),
         (WRENCH_KEY, wrench(T0 + 2, torque=float("inf")), "not_finite"),
         (WRENCH_KEY, wrench(T0 + 2, robot=0), "range"),
-        (WRENCH_KEY, b"\x98\x02" + wrench(T0 + 2)[2:], "version"),
+        (WRENCH_KEY, sealed(b"\x98\x03" + opened(wrench(T0 + 2))[2:]), "version"),
     ],
 )
 def test_anything_else_is_counted_and_changes_nothing(
@@ -178,18 +182,71 @@ def test_of_several_wrenches_the_newest_counts(node: PlantNode, backend: Backend
     assert dict(node.rejected) == {"out_of_order": 1}
 
 
-def test_truth_is_told_only_when_the_measurement_is_noisy(node: PlantNode, backend: Backend):
+# ---------------------------------------------------------------------- measurements
+
+
+@pytest.mark.parametrize(
+    ("robot", "faults", "told"),
+    [
+        ("", "", [STATE_KEY]),
+        (", heading_noise_rad = 0.01", "", [STATE_KEY, TRUTH_KEY]),
+        # A rule may begin to hold at any time: its truth is told from the start on.
+        ("", "{ robot = 1, at = 5, speed_bias_mps = 0.1 }", [STATE_KEY, TRUTH_KEY]),
+        ("", "{ robot = 2, speed_bias_mps = 0.1 }", [STATE_KEY]),
+        ("", "{ speed_bias_mps = 0.1 }", [STATE_KEY, TRUTH_KEY]),
+        ("", "{ robot = 1, tick_jitter = 0.001 }", [STATE_KEY]),
+        ("", "{ robot = 1, dropout = 1 }", [TRUTH_KEY]),
+    ],
+)
+def test_truth_is_told_only_while_a_measurement_may_differ(robot: str, faults: str, told: list[str]):
+    made = fleet(robot, faults)
+    assert [key for key, _ in PlantNode(made, 1, from_fleet(made, 1)).tick(T0)] == told
+
+
+def test_measured_state_and_truth_differ_in_the_pose_alone(backend: Backend):
+    backend.pose = Pose(1.0, 2.0, 3.0, 0.0, 0.0)
+    node = PlantNode(fleet(faults="{ position_bias_m = [0.5, -0.25], heading_bias_rad = 0.125 }"), 1, backend)
+    (_, measured), (_, truth) = node.tick(T0)
+    told = decode(truth)
+    assert isinstance(told, PlantState)
+    assert told[3:8] == backend.pose
+    assert decode(measured) == told._replace(x=1.5, y=1.75, heading=3.125)
+
+
+def test_faults_of_measurements_hold_by_the_stamp_of_the_state(backend: Backend):
+    made = fleet(faults="{ robot = 1, at = 1, for = 1, speed_bias_mps = 0.5 }")
+    node = PlantNode(made, 1, backend)
+    node.receive(T0, MISSION_KEY, encode(Mission(1, T0, T0, 60 * NS_PER_S, digest(made))))
+    assert state(node, T0).speed == 0.0
+    assert state(node, T0 + NS_PER_S).speed == 0.0  # the reading is 7 ns older
+    assert state(node, T0 + NS_PER_S + PERIOD).speed == 0.5
+    assert state(node, T0 + 2 * NS_PER_S).speed == 0.5
+    assert state(node, T0 + 2 * NS_PER_S + PERIOD).speed == 0.0
+
+
+def test_live_faults_of_measurements_come_and_go(node: PlantNode):
     assert [key for key, _ in node.tick(T0)] == [STATE_KEY]
-    backend.truth = Pose(1.0, 2.0, 3.0, 0.0, 0.0)
-    (key, measured), (truth_key, truth) = node.tick(T0 + PERIOD)
-    assert (key, truth_key) == (STATE_KEY, TRUTH_KEY)
-    assert decode(truth) == decode(measured)._replace(x=1.0, y=2.0, heading=3.0)
+    rules = "[[faults.rule]]\nrobot = 1\ndropout = 1"
+    live = Faults(1, T0, "ana@lab:1", T0, NS_PER_S, rules)
+    node.receive(T0, keys.faults("two"), encode(live))
+    assert TRUTH_KEY in [key for key, _ in node.tick(T0 + PERIOD)]
+    assert STATE_KEY not in [key for key, _ in node.tick(T0 + 2 * PERIOD)]
+    node.tick(T0 + NS_PER_S)  # finds that the lease is over
+    assert [key for key, _ in node.tick(T0 + NS_PER_S + PERIOD)] == [STATE_KEY]
 
 
-@pytest.mark.parametrize(("robot", "count"), [("", 1), (", heading_noise_rad = 0.01", 2)])
-def test_a_simulated_plant_tells_the_truth_when_it_is_noisy(robot: str, count: int):
-    made = fleet(robot)
-    assert len(PlantNode(made, 1, from_fleet(made, 1)).tick(T0)) == count
+def test_a_measurement_that_is_not_taken_leaves_a_gap_in_the_numbers(backend: Backend):
+    node = PlantNode(fleet(faults="{ robot = 1, dropout = 0.5 }"), 1, backend)
+    numbers = []
+    for tick in range(40):
+        for key, payload in node.tick(T0 + tick * PERIOD):
+            if key == STATE_KEY:
+                message = decode(payload)
+                assert isinstance(message, PlantState)
+                assert message.time_ns == T0 + tick * PERIOD - 7
+                numbers.append((tick, message.sequence))
+    assert all(tick == sequence for tick, sequence in numbers)
+    assert 10 < len(numbers) < 30
 
 
 def test_leaving_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantNode, backend: Backend):
@@ -205,8 +262,15 @@ def test_leaving_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantN
     backend.pose = REST._replace(yaw_rate=0.3)
     state(node, T0 + 2 * PERIOD)
     assert not node.done
-    backend.pose, backend.truth = REST._replace(speed=0.5), REST  # its noise does not count
+    backend.pose = REST
     state(node, T0 + 3 * PERIOD)
+    assert node.done
+
+
+def test_noise_does_not_keep_a_body_from_standing(backend: Backend):
+    node = PlantNode(fleet(", speed_noise_mps = 5"), 1, backend)
+    node.leave()
+    assert abs(state(node, T0).speed) > 0.1
     assert node.done
 
 

@@ -17,7 +17,23 @@ from mcap.reader import make_reader
 
 from agent import keys
 from agent.fleet import parse_fleet
-from agent.messages import HandState, Message, Mission, PlantState, Status, Stop, Wrench, encode
+from agent.messages import (
+    CORRUPTED,
+    HELD,
+    TOPICS,
+    WHAT_MAX,
+    Event,
+    Faults,
+    HandState,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+    encode,
+)
 from deploy.mcap_file import MAGIC
 from deploy.message_json import CLASSES, DESCRIPTIONS, reader, schema, to_json
 from deploy.recorder import (
@@ -43,19 +59,28 @@ FLEET = make_fleet(*triangle(2), duration_s=1.0)
 floats = st.floats(allow_nan=False, allow_infinity=False)
 counts = st.integers(0, 2**62 - 1)
 texts = st.text(max_size=20)
-pairs = st.lists(st.tuples(st.integers(1, 9999), floats), max_size=5).map(tuple)
-ages = st.lists(st.tuples(st.integers(1, 9999), st.integers(-1, 2**40)), max_size=5).map(tuple)
+robots = st.integers(1, 9999)
+pairs = st.lists(st.tuples(robots, floats), max_size=5).map(tuple)
+microseconds = st.integers(-(2**40), 2**40)
+delays = st.lists(st.tuples(robots, microseconds), max_size=5).map(tuple)
+neighbours = st.lists(
+    st.tuples(robots, microseconds, counts, counts, microseconds, microseconds), max_size=5
+).map(tuple)
+entries = st.tuples(robots, st.integers(0, 2), counts, counts, st.integers(0, WHAT_MAX), microseconds)
 rows = st.lists(counts, max_size=5).map(tuple)
 any_message = st.one_of(
-    st.builds(HandState, counts, counts, counts, st.booleans(), *(floats,) * 8, pairs),
+    st.builds(HandState, counts, counts, counts, st.booleans(), *(floats,) * 8, pairs, delays),
     st.builds(PlantState, counts, counts, counts, *(floats,) * 7, st.booleans(), st.booleans(), texts),
     st.builds(Wrench, counts, counts, counts, floats, floats, st.booleans()),
     st.builds(Mission, counts, counts, counts, counts, texts),
     st.builds(Stop, counts, counts, texts),
     st.builds(
-        Status, counts, counts, counts, texts, texts, counts, ages, rows, rows,
+        Status, counts, counts, counts, texts, texts, counts, neighbours, rows, rows,
         st.lists(st.tuples(texts, counts), max_size=5).map(tuple),
     ),
+    st.builds(Faults, counts, counts, texts, counts, counts, texts),
+    st.builds(LinkTrace, counts, counts, counts, st.lists(entries, max_size=5).map(tuple)),
+    st.builds(Event, counts, counts, counts, texts, texts, texts),
 )  # fmt: skip
 
 
@@ -89,6 +114,56 @@ def test_json_holds_all_of_a_message_and_is_what_its_schema_says(message: Messag
     assert list(content) == list(message._fields)
     assert conforms(content, schema(type(message)))
     assert reader(type(message))(content) == message
+
+
+def test_a_link_trace_reads_like_text() -> None:
+    entries = tuple((2, topic, 7, EPOCH_NS, CORRUPTED | HELD, 80_000) for topic in range(len(TOPICS)))
+    content = json.loads(to_json(LinkTrace(1, 5, EPOCH_NS, entries)))
+    assert [entry["topic"] for entry in content["entries"]] == ["hand", "state", "wrench"]
+    assert content["entries"][1] == {
+        "source": 2, "topic": "state", "sequence": 7, "time_ns": EPOCH_NS, "what": 20, "delay_us": 80_000
+    }  # fmt: skip
+    content["entries"][0]["topic"] = "hands"
+    with pytest.raises(ValueError, match="not in tuple"):
+        reader(LinkTrace)(content)
+
+
+OF_VERSION_1 = {
+    HandState: (
+        {"robot": 1, "sequence": 5, "time_ns": 9, "following": True, "x": 1.0, "y": 2.0, "vx": 0.0, "vy": 0.0,
+         "navigation_x": 0.0, "navigation_y": 0.0, "constraint_x": 0.0, "constraint_y": 0.5,
+         "multipliers": [{"neighbour": 2, "value": 1.5}]},
+        HandState(1, 5, 9, True, 1.0, 2.0, *[0.0] * 5, 0.5, ((2, 1.5),), ()),
+    ),
+    Status: (
+        {"robot": 1, "sequence": 5, "time_ns": 9, "state": "running", "reason": "", "mission_version": 1,
+         "neighbours": [{"robot": 2, "age_us": 20000}, {"robot": 3, "age_us": -1}], "tick_us": [90],
+         "ages_us": [], "counters": [{"name": "sent", "value": 3}]},
+        Status(1, 5, 9, "running", "", 1, ((2, 20_000, 0, 0, 0, -1), (3, -1, 0, 0, 0, -1)), (90,), (),
+               (("sent", 3),)),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cls", OF_VERSION_1)
+def test_a_recording_of_version_1_is_read_as_well(cls: type[Message]) -> None:
+    content, message = OF_VERSION_1[cls]
+    read = reader(cls)
+    before = json.dumps(content)
+    assert read(content) == message
+    assert json.dumps(content) == before
+    for name in content:  # only what was added later may be missing
+        with pytest.raises(KeyError):
+            read({field: value for field, value in content.items() if field != name})
+    again = json.loads(to_json(message))
+    assert read(again) == message
+
+
+def test_a_row_of_a_message_lacks_only_what_was_added_later() -> None:
+    content, _ = OF_VERSION_1[Status]
+    for broken in ({"robot": 2}, {"age_us": 2}, {}):
+        with pytest.raises(KeyError):
+            reader(Status)(content | {"neighbours": [broken]})
 
 
 @pytest.mark.parametrize("cls", CLASSES)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from io import BytesIO
 from math import cos, pi, sin
@@ -17,11 +18,26 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from agent import keys
+from agent.clock import LocalTime
+from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet, FleetError, to_dict
-from agent.messages import HandState, Message, Mission, PlantState, Status, Stop, Wrench, encode
+from agent.messages import (
+    Event,
+    Faults,
+    HandState,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Status,
+    Stop,
+    Wrench,
+    encode,
+)
 from deploy.mcap_file import MAGIC
 from deploy.recorder import Recorder, RecordingError
-from deploy.recording import Recording, RunData, Table
+from deploy.recording import Recording, RunData
+from deploy.run_tables import Table
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=1.6)
@@ -53,7 +69,9 @@ def assert_same(a: Recording, b: Recording) -> None:
             assert mine.names == theirs.names
             assert np.array_equal(mine.t, theirs.t)
             assert np.array_equal(mine.values, theirs.values)
-        for name in ("t", "tick_us", "tick_counts", "ages_us", "age_counts"):
+            assert np.array_equal(mine.stamps_ns, theirs.stamps_ns)
+            assert np.array_equal(mine.sequences, theirs.sequences)
+        for name in ("t", "tick_us", "tick_counts", "ages_us", "age_counts", "neighbour_counts"):
             assert np.array_equal(getattr(one.status, name), getattr(other.status, name))
         for name in ("states", "reasons", "counters"):
             assert list(getattr(one.status, name)) == list(getattr(other.status, name))
@@ -72,6 +90,7 @@ def test_fed_live_and_read_back_are_the_same(tmp_path: Path) -> None:
     live = fed(FLEET, sent)
     back = Recording.from_folder(write_run(tmp_path / "run", FLEET, sent))
     assert_same(live, back)
+    assert np.array_equal(live.robots[1].status.neighbours, back.robots[1].status.neighbours)
     assert not back.warnings
     assert back.fleet == FLEET
     assert len(live.robots[1].plant) == 100
@@ -80,10 +99,11 @@ def test_fed_live_and_read_back_are_the_same(tmp_path: Path) -> None:
 def test_every_column_holds_what_was_sent() -> None:
     plant = PlantState(1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, "dizzy")
     force = (0.1, 0.2, 0.3, 0.4)
-    hand = HandState(1, 5, EPOCH_NS + 2 * 10**9, True, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)))
+    hand = HandState(1, 5, EPOCH_NS + 2 * 10**9, True, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)), ())
     wrench = Wrench(1, 6, EPOCH_NS + 3 * 10**9, 10.0, 11.0, True)
+    neighbours = ((2, -1, 0, 0, 0, -1),)
     status = Status(
-        1, 7, EPOCH_NS + 4 * 10**9, "running", "well", 1, ((2, -1),), (90, 95), (5, -1, 6), (("sent", 3),)
+        1, 7, EPOCH_NS + 4 * 10**9, "running", "well", 1, neighbours, (90, 95), (5, -1, 6), (("sent", 3),)
     )
     sent: list[Sent] = [
         (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, "")),
@@ -114,6 +134,82 @@ def test_every_column_holds_what_was_sent() -> None:
     assert robot.status.ages_us.tolist() == [5, 6]  # a neighbour that was never heard has no age
     assert robot.status.age_counts.tolist() == [2]
     assert robot.status.totals() == {"sent": 3}
+    assert robot.status.neighbours.tolist() == [[2, -1, 0, 0, 0, -1]]
+    assert robot.status.neighbour_counts.tolist() == [1]
+    assert (robot.plant.sequences.tolist(), robot.hand.sequences.tolist()) == ([4], [5])
+    assert robot.wrench.stamps_ns.tolist() == [EPOCH_NS + 3 * 10**9]
+
+
+# --- faults -----------------------------------------------------------------------------------
+
+MISSION: Sent = (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, ""))
+
+
+def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
+    t = EPOCH_NS + 10**9
+    agent = LinkTrace(
+        2, 0, t, ((3, 0, 8, t, 0, 40), (1, 0, 7, t, 2, 90), (1, 0, 7, t, 0, 80), (1, 0, 6, t - 9, 1, -1))
+    )
+    plant = LinkTrace(2, 0, t, ((2, 2, 5, t, 1, -1),))
+    sent: list[Sent] = [
+        MISSION,
+        (t, keys.links(NAME, 2), agent),
+        (t, keys.plant_links(NAME, 2), plant),
+        (t, keys.links(NAME, 1), agent),  # of another robot
+    ]
+    for recording in (fed(FLEET, sent), Recording.from_folder(write_run(tmp_path, FLEET, sent))):
+        assert recording.foreign == 1
+        links = dict(recording.links.by_link())
+        assert list(map(str, links)) == ["1→2", "3→2", "2→2 wrench"]
+        first = links[next(iter(links))]
+        assert first.sequence.tolist() == [6, 7, 7]
+        assert first.what.tolist() == [1, 0, 2]
+        assert first.delay_us.tolist() == [-1, 80, 90]
+        assert first.first_copies.tolist() == [True, True, False]
+        assert first.delivered.tolist() == [False, True, True]
+        assert first.t.tolist() == pytest.approx([1.0 - 9e-9, 1.0, 1.0])
+
+
+def test_live_rules_and_events_are_kept() -> None:
+    t = EPOCH_NS + 10**9
+    rules = Faults(7, t, "ana", t, 0, "[faults]")
+    event = Event(2, 0, t, "agent", "kill", "crash")
+    late = t + 3600 * 10**9
+    sent: list[Sent] = [
+        MISSION,
+        (t, keys.faults(NAME), rules),
+        (late, keys.faults_held(NAME, 2, "plant"), rules),  # said again for hours, with its old stamp
+        (t, keys.events(NAME), event),
+        (t, keys.stop(NAME), event),
+        (t, keys.faults_held("another", 2, "plant"), rules),
+    ]
+    recording = fed(FLEET, sent)
+    assert [(each.received_ns, each.robot, each.role) for each in recording.live_faults] == [
+        (t, 0, ""), (late, 2, "plant"),
+    ]  # fmt: skip
+    assert recording.events == (event,)
+    assert recording.foreign == 2
+
+
+@pytest.mark.parametrize(("skew", "drift"), [(0.3, 0.0), (-900.0, 0.0), (0.1, 0.002), (0.0, -0.001)])
+def test_stamps_of_a_clock_that_is_wrong_on_purpose_are_set_right(skew: float, drift: float) -> None:
+    wrong = replace(
+        FLEET, faults=FaultsSection(rules=(Rule(robot=2, clock_skew=skew, clock_drift=drift or None),))
+    )
+    clock = LocalTime(round(skew * 1e9), drift, EPOCH_NS)
+    right = list(messages(FLEET, in_formation(FLEET, 0.5)))
+    sent = [
+        (t, key, message._replace(time_ns=clock.local_ns(message.time_ns)) if "robot/2/" in key else message)
+        for t, key, message in right
+    ]
+    found, wanted = fed(wrong, sent), fed(FLEET, right)
+    assert found.foreign == 0
+    for name in ("plant", "hand", "multipliers", "wrench", "status"):
+        mine, theirs = getattr(found.robots[2], name), getattr(wanted.robots[2], name)
+        assert np.abs(mine.t - theirs.t).max() < 1e-8
+    assert np.abs(found.hand_positions() - wanted.hand_positions()).max() < 1e-8
+    stamps = found.robots[2].hand.stamps_ns  # but what the messages said is kept as it was
+    assert stamps.tolist() == [m.time_ns for _, key, m in sent if key == keys.hand(NAME, 2)]
 
 
 def test_hand_points_are_ahead_of_the_pose_and_interpolated() -> None:
@@ -224,7 +320,7 @@ def test_a_lone_recording_is_enough(tmp_path: Path, whole: bytes) -> None:
     assert Recording.from_folder(tmp_path).fleet == FLEET
 
 
-def rewritten(whole: bytes, **options: Any) -> bytes:
+def rewritten(whole: bytes, change: Callable[[bytes], bytes] = lambda data: data, **options: Any) -> bytes:
     """The same messages written by another program: no chunks, or another compression."""
     out = BytesIO()
     writer = Writer(out, **options)
@@ -242,7 +338,7 @@ def rewritten(whole: bytes, **options: Any) -> bytes:
             )
             ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
         writer.add_message(
-            ids[channel.id], stored.log_time, stored.data, stored.publish_time, stored.sequence
+            ids[channel.id], stored.log_time, change(stored.data), stored.publish_time, stored.sequence
         )
     writer.finish()
     return out.getvalue()
@@ -258,6 +354,31 @@ def test_other_programs_ways_of_writing_are_read(
     (tmp_path / "a.mcap").write_bytes(whole)
     (tmp_path / "b.mcap").write_bytes(rewritten(whole, **options))
     assert_same(Recording.from_mcap(tmp_path / "a.mcap"), Recording.from_mcap(tmp_path / "b.mcap"))
+
+
+def as_version_1(data: bytes) -> bytes:
+    """A message's JSON without what version 1 of the messages had not."""
+    content = json.loads(data)
+    content.pop("heard", None)
+    for neighbour in content.get("neighbours", ()):
+        for name in ("received", "lost", "offset_us", "error_us"):
+            del neighbour[name]
+    return json.dumps(content).encode()
+
+
+def test_a_recording_of_version_1_is_read_as_well(tmp_path: Path, whole: bytes) -> None:
+    old = rewritten(whole, as_version_1)
+    (tmp_path / "new.mcap").write_bytes(whole)
+    (tmp_path / "old.mcap").write_bytes(old)
+    found = {
+        name
+        for described, _, stored in make_reader(BytesIO(old)).iter_messages()
+        if described is not None and described.name in ("handfast.HandState", "handfast.Status")
+        for name in json.loads(stored.data)
+    }
+    assert {"multipliers", "neighbours"} <= found
+    assert "heard" not in found
+    assert_same(Recording.from_mcap(tmp_path / "old.mcap"), Recording.from_mcap(tmp_path / "new.mcap"))
 
 
 # --- files that are cut, damaged or foreign --------------------------------------------------

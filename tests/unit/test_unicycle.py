@@ -1,4 +1,4 @@
-"""The simulated unicycle: against scipy, its limits, its brake, its noise."""
+"""The simulated unicycle: against scipy, its limits, its brake."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from math import cos, exp, hypot, isfinite, sin
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.integrate import solve_ivp
 
 from agent.clock import NS_PER_S
-from agent.fleet import Robot, parse_fleet
+from agent.fleet import Fleet, Robot, parse_fleet
 from agent.hand import Pose
 from plant import unicycle
 from plant.backend import Command, Reading
@@ -85,7 +84,7 @@ def test_a_circle_closes():
 @pytest.mark.parametrize("lag", [0.0, 0.05])
 def test_many_steps_are_one(lag: float):
     """A body that is stepped through the bus's ticks is where one long integration puts it."""
-    body = Unicycle(replace(BODY, actuator_lag_s=lag), PERIOD_S, 0)
+    body = Unicycle(replace(BODY, actuator_lag_s=lag), PERIOD_S)
     now, reading = 0, body.step(0, Command(12.0, 0.3))
     for _ in range(25):
         now += round(PERIOD_S * NS_PER_S)
@@ -110,13 +109,13 @@ def test_an_actuators_integral_is_its_integral():
 
 
 def test_first_step_tells_where_it_starts():
-    body = Unicycle(BODY, PERIOD_S, 0)
+    body = Unicycle(BODY, PERIOD_S)
     assert body.step(12345, None) == Reading(12345, Pose(1.0, -2.0, 0.5, 0.0, 0.0), 0.0, 0.0)
     assert body.step(12345, None).pose == Pose(1.0, -2.0, 0.5, 0.0, 0.0)  # no time, no motion
 
 
 def test_a_command_acts_from_its_step_on():
-    body = Unicycle(BODY, PERIOD_S, 0)
+    body = Unicycle(BODY, PERIOD_S)
     first = body.step(0, Command(10.0, 0.0))
     assert (first.force, first.pose.speed) == (10.0, 0.0)
     second = body.step(NS_PER_S, Command(0.0, 0.0))
@@ -126,7 +125,7 @@ def test_a_command_acts_from_its_step_on():
 
 
 def test_time_never_runs_backwards_for_it():
-    body = Unicycle(BODY, PERIOD_S, 0)
+    body = Unicycle(BODY, PERIOD_S)
     body.step(NS_PER_S, Command(10.0, 0.0))
     before = body.step(2 * NS_PER_S, Command(10.0, 0.0)).pose
     assert body.step(NS_PER_S, Command(10.0, 0.0)).pose == before
@@ -134,7 +133,7 @@ def test_time_never_runs_backwards_for_it():
 
 @pytest.mark.parametrize(("asked", "given"), [(50.0, 8.0), (-50.0, -8.0), (3.0, 3.0)])
 def test_force_and_torque_are_limited(asked: float, given: float):
-    body = Unicycle(replace(BODY, max_force_n=8.0, max_torque_nm=0.8), PERIOD_S, 0)
+    body = Unicycle(replace(BODY, max_force_n=8.0, max_torque_nm=0.8), PERIOD_S)
     reading = body.step(0, Command(asked, asked / 10.0))
     assert (reading.force, reading.torque) == pytest.approx((given, given / 10.0))
     after = body.step(NS_PER_S // 10, Command(0.0, 0.0)).pose
@@ -143,12 +142,12 @@ def test_force_and_torque_are_limited(asked: float, given: float):
 
 
 def test_without_limits_it_takes_everything():
-    reading = Unicycle(BODY, PERIOD_S, 0).step(0, Command(1e4, -1e3))
+    reading = Unicycle(BODY, PERIOD_S).step(0, Command(1e4, -1e3))
     assert (reading.force, reading.torque) == (1e4, -1e3)
 
 
 def test_lag_is_told_as_it_acts():
-    body = Unicycle(replace(BODY, actuator_lag_s=0.1), PERIOD_S, 0)
+    body = Unicycle(replace(BODY, actuator_lag_s=0.1), PERIOD_S)
     assert body.step(0, Command(10.0, 1.0)).force == 0.0
     reading = body.step(NS_PER_S // 10, Command(10.0, 1.0))
     assert (reading.force, reading.torque) == pytest.approx((10.0 * (1 - exp(-1)), 1 - exp(-1)))
@@ -156,7 +155,7 @@ def test_lag_is_told_as_it_acts():
 
 def moving(body: Robot, period_s: float = PERIOD_S) -> tuple[Unicycle, int]:
     """A body that drives at 1 m/s and turns at 1 rad/s, and the time."""
-    plant = Unicycle(body, period_s, 0)
+    plant = Unicycle(body, period_s)
     plant.step(0, Command(MASS * 10.0, INERTIA * 10.0))
     reading = plant.step(NS_PER_S // 10, Command(0.0, 0.0))
     assert (reading.pose.speed, reading.pose.yaw_rate) == pytest.approx((1.0, 1.0))
@@ -188,7 +187,7 @@ def test_a_brake_brings_it_to_rest_and_holds_it(period_s: float):
 def test_a_brake_knows_no_lag_and_keeps_the_limits():
     plant, now = moving(replace(BODY, actuator_lag_s=5.0 * 1e-9, max_force_n=1000.0))
     assert plant.step(now, None).force == pytest.approx(-MASS * unicycle.BRAKE_DECELERATION_MAX)
-    slow = Unicycle(replace(BODY, actuator_lag_s=2.0), PERIOD_S, 0)
+    slow = Unicycle(replace(BODY, actuator_lag_s=2.0), PERIOD_S)
     slow.step(0, Command(50.0, 0.0))
     slow.step(2 * NS_PER_S, Command(50.0, 0.0))
     assert slow.step(2 * NS_PER_S, None).force == pytest.approx(-MASS * unicycle.BRAKE_DECELERATION_MAX)
@@ -229,7 +228,7 @@ def test_an_absurd_command_neither_stalls_it_nor_raises(
         return cos(angle)
 
     monkeypatch.setattr(unicycle, "cos", counted)
-    body = Unicycle(BODY, PERIOD_S, 0)
+    body = Unicycle(BODY, PERIOD_S)
     for tick in range(3):
         reading = body.step(round(tick * PERIOD_S * NS_PER_S), Command(force, torque))
         if not all(map(isfinite, (*reading.pose, reading.force, reading.torque))):
@@ -237,68 +236,8 @@ def test_an_absurd_command_neither_stalls_it_nor_raises(
             assert reading.note
 
 
-# ---------------------------------------------------------------------- measurement noise
-
-
-NOISY = replace(
-    BODY, position_noise_m=0.01, heading_noise_rad=0.02, speed_noise_mps=0.03, yaw_rate_noise_radps=0.04
-)
-
-
-def noise(body: Robot, seed: int, steps: int = 5000) -> np.ndarray:
-    """Measured minus true pose, (steps, 5)."""
-    plant = Unicycle(body, PERIOD_S, seed)
-    rows = []
-    for k in range(steps):
-        reading = plant.step(round(k * PERIOD_S * NS_PER_S), None)
-        assert reading.truth is not None
-        rows.append(np.subtract(reading.pose, reading.truth))
-    return np.array(rows)
-
-
-def test_noise_has_its_deviations_and_no_bias():
-    errors = noise(NOISY, 1)
-    wanted = np.array([0.01, 0.01, 0.02, 0.03, 0.04])
-    assert errors.std(axis=0) == pytest.approx(wanted, rel=0.04)
-    assert np.all(np.abs(errors.mean(axis=0)) < 4.0 * wanted / np.sqrt(len(errors)))
-    for column, deviation in zip(errors.T, wanted, strict=True):
-        assert stats.kstest(column / deviation, "norm").pvalue > 1e-3
-
-
-def test_noise_of_quantities_steps_and_robots_is_independent():
-    one, two = noise(NOISY, 1), noise(replace(NOISY, id=2), 1)
-    table = np.corrcoef(np.hstack([one, two]).T)
-    assert np.abs(table - np.eye(10)).max() < 4.5 / np.sqrt(len(one))
-    for column in one.T:
-        assert abs(np.corrcoef(column[:-1], column[1:])[0, 1]) < 4.5 / np.sqrt(len(one))
-
-
-def test_noise_is_the_same_again_with_the_same_seed():
-    assert np.array_equal(noise(NOISY, 1, 50), noise(NOISY, 1, 50))
-    assert not np.array_equal(noise(NOISY, 1, 50), noise(NOISY, 2, 50))
-
-
-def test_noise_does_not_act_on_the_body():
-    quiet, noisy = Unicycle(BODY, PERIOD_S, 3), Unicycle(NOISY, PERIOD_S, 3)
-    for k in range(20):
-        now, command = round(k * PERIOD_S * NS_PER_S), Command(5.0 * k, 0.1)
-        truth, reading = quiet.step(now, command), noisy.step(now, command)
-        assert truth.truth is None
-        assert reading.truth == truth.pose
-        assert reading.pose != truth.pose
-        assert (reading.force, reading.torque) == (truth.force, truth.torque)
-
-
-def test_one_noisy_quantity_leaves_the_others_exact():
-    body = Unicycle(replace(BODY, heading_noise_rad=0.1), PERIOD_S, 0)
-    reading = body.step(0, None)
-    assert reading.truth is not None
-    assert reading.pose == reading.truth._replace(heading=reading.pose.heading)
-    assert reading.pose.heading != reading.truth.heading
-
-
-def test_body_of_a_fleet_file():
-    fleet = parse_fleet(
+def fleet_file() -> Fleet:
+    return parse_fleet(
         """
         robot = [{ id = 4, x_m = 1, y_m = 2, heading_rad = "90deg", position_noise_m = 0.1 },
                  { id = 7, x_m = 3, y_m = 4 }]
@@ -307,7 +246,22 @@ def test_body_of_a_fleet_file():
         """,
         source="here",
     )
-    first = from_fleet(fleet, 4).step(0, None)
-    assert first.truth == pytest.approx((1.0, 2.0, np.pi / 2, 0.0, 0.0))
-    assert first.pose == Unicycle(fleet.robot(4), 0.05, 5).step(0, None).pose
+
+
+def test_body_of_a_fleet_file():
+    fleet = fleet_file()
+    assert from_fleet(fleet, 4).step(0, None).pose == pytest.approx((1.0, 2.0, np.pi / 2, 0.0, 0.0))
     assert from_fleet(fleet, 7).step(0, None).pose == Pose(3.0, 4.0, 0.0, 0.0, 0.0)
+
+
+def test_body_may_stand_elsewhere_than_in_the_fleet_file():
+    body = from_fleet(fleet_file(), 7, (5.0, -6.0, 0.7))
+    assert body.pose == body.step(0, None).pose == Pose(5.0, -6.0, 0.7, 0.0, 0.0)
+
+
+def test_pose_is_that_of_the_last_step():
+    body = Unicycle(BODY, PERIOD_S)
+    for tick in range(3):
+        reading = body.step(tick * NS_PER_S, Command(10.0, 0.1))
+        assert body.pose == reading.pose
+    assert body.pose.speed == pytest.approx(2.0)

@@ -1,4 +1,4 @@
-"""Random starts of a fleet, the same for the same seed: what tests and benchmarks sample a law with."""
+"""Random starts of a fleet, the same for the same seed: what a law is sampled with."""
 
 from __future__ import annotations
 

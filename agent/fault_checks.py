@@ -1,0 +1,151 @@
+"""What is wrong with faults whose fields are valid each, but do not go together (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from agent.fault_settings import (
+    ACTION_FIELDS,
+    CLOCK_FIELDS,
+    EFFECTS,
+    LINK_FIELDS,
+    PROCESS_FIELDS,
+    SENSOR_FIELDS,
+    Effect,
+)
+from agent.schema import Reader, show
+
+
+def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) -> None:
+    """Adds what is wrong with valid values that do not go together; `ids` are the fleet's robots."""
+    traces = {row.get("name") for row in faults.get("traces", ()) if row}
+    _check_delay(faults, "faults", traces, reader)
+    _check_replays(faults.get("replays", ()), ids, reader)
+    names: dict[str, int] = {}
+    for number, row in enumerate(faults.get("rules", ()), 1):
+        if not row:
+            continue
+        place = f"faults.rule[{number}]"
+        name = row.get("name")
+        if name and names.setdefault(name, number) != number:
+            reader.add(f"{place}.name", f"faults.rule[{names[name]}] has the name {show(name)} already")
+        _check_delay(row, place, traces, reader)
+        _check_where(row, place, ids, reader)
+        _check_when(row, place, reader)
+        _check_what(row, place, reader)
+
+
+def _check_replays(replays: Sequence[Mapping[str, Any]], ids: Sequence[int], reader: Reader) -> None:
+    for number, row in enumerate(replays, 1):
+        link = row.get("link") if row else None
+        if link is None:
+            continue
+        place = f"faults.replay[{number}].link"
+        if link.ends is None:
+            reader.add(place, f'must be one link one way, such as "1->2", got {show(str(link))}')
+        elif not link.named() <= set(ids) and ids:
+            missing = sorted(link.named() - set(ids))
+            reader.add(place, f"there is no robot {missing[0]}; ids are {show(sorted(ids), 80)[1:-1]}")
+
+
+def _check_delay(row: Mapping[str, Any], place: str, traces: set[Any], reader: Reader) -> None:
+    delay, jitter, distribution = (row.get(name) for name in ("delay", "jitter", "distribution"))
+    if delay is None:
+        for name, value in (("jitter", jitter), ("distribution", distribution)):
+            if value is not None and f"{place}.delay" not in {p.place for p in reader.problems}:
+                reader.add(f"{place}.{name}", 'needs a delay beside it, such as delay = "80ms"')
+        return
+    for value in (delay.start, delay.end):
+        if value is None:
+            continue
+        if value.trace and value.trace not in traces:
+            known = ", ".join(sorted(map(str, traces))) or "none"
+            reader.add(
+                f"{place}.delay",
+                f"there is no [[faults.trace]] of the name {show(value.trace)}; names are: {known}",
+            )
+        if (jitter is not None or distribution is not None) and value.distribution != "constant":
+            reader.add(
+                f"{place}.delay",
+                f"{show(str(delay))} gives its jitter itself: leave jitter and distribution out",
+            )
+            return
+
+
+def _check_where(row: Mapping[str, Any], place: str, ids: Sequence[int], reader: Reader) -> None:
+    robots = row.get("robot")
+    named = {
+        "link": row["link"].named() if row.get("link") else set(),
+        "partition": row["partition"].named() if row.get("partition") else set(),
+        "robot": {robots} if isinstance(robots, int) else {r for r in robots or () if r is not None},
+    }
+    known = set(ids)
+    for name, wanted in named.items():
+        missing = sorted(wanted - known)
+        if missing and known:
+            shown = show(str(row[name])) if name != "robot" else show(robots)
+            there_are = show(sorted(known), 80)[1:-1]
+            reader.add(
+                f"{place}.{name}",
+                f"{shown}: there is no robot {' and no robot '.join(map(str, missing))}; ids are {there_are}",
+            )
+    given = [name for name in ("link", "robot", "partition") if row.get(name) is not None]
+    if len(given) > 1:
+        reader.add(place, f"gives {' and '.join(given)}: one of them says where")
+    beyond = [name for name in (*SENSOR_FIELDS, *PROCESS_FIELDS) if row.get(name) is not None]
+    if beyond and given and given[0] != "robot":
+        reader.add(f"{place}.{given[0]}", f"{beyond[0]} is of robots: write robot = ... instead")
+    if row.get("partition") is not None and row.get("topic", "hand") != "hand":
+        reader.add(f"{place}.topic", 'a partition is between agents: leave topic out, or write "hand"')
+
+
+def _check_when(row: Mapping[str, Any], place: str, reader: Reader) -> None:
+    at, duration, every, until = (row.get(name) for name in ("at", "duration", "every", "until"))
+    if every is not None:
+        if duration is None:
+            reader.add(f"{place}.every", 'needs a for, such as for = "500ms"')
+        elif duration >= every:
+            reader.add(f"{place}.for", f"{show(duration)} s is not shorter than every = {show(every)} s")
+    elif until is not None:
+        reader.add(f"{place}.until", "is the end of an every: write for = ... instead")
+    if until is not None and until <= (at or 0.0):
+        reader.add(f"{place}.until", f"{show(until)} s is not after the start at {show(at or 0.0)} s")
+    ramps = [name for name in EFFECTS if isinstance(row.get(name), Effect) and row[name].end is not None]
+    if ramps and duration is None:
+        reader.add(
+            f"{place}.{ramps[0]}", f'the ramp {show(str(row[ramps[0]]))} needs a for, such as for = "10s"'
+        )
+    timed = [name for name in CLOCK_FIELDS if row.get(name) is not None]
+    if timed and any(value is not None for value in (at, duration, every, until)):
+        reader.add(
+            f"{place}.{timed[0]}",
+            "holds for the whole run (a process reads the wall clock once): leave at, for and every out",
+        )
+    for name in ACTION_FIELDS:
+        if row.get(name) is None:
+            continue
+        if at is None:
+            reader.add(f"{place}.{name}", 'needs an at, such as at = "5s"')
+        if name == "pause" and duration is None:
+            reader.add(f"{place}.{name}", 'needs a for, such as for = "2s"')
+        if name == "restart" and duration is not None:
+            reader.add(
+                f"{place}.for", "a restart is at once: to keep the process down for a while write kill"
+            )
+
+
+def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
+    link = [name for name in LINK_FIELDS if row.get(name) is not None]
+    own = [name for name in (*SENSOR_FIELDS, *PROCESS_FIELDS) if row.get(name) is not None]
+    bad = {problem.place for problem in reader.problems}
+    if not link and not own and row.get("partition") is None and not any(p.startswith(place) for p in bad):
+        reader.add(place, 'does nothing: give an effect, such as loss = "30%"')
+    if own and row.get("link") is None and row.get("topic", "hand") != "hand" and not link:
+        reader.add(f"{place}.topic", f"{own[0]} is not of messages: leave topic out")
+    if own and row.get("robot") is None and any(name in ACTION_FIELDS for name in own):
+        reader.add(f"{place}.{own[0]}", "needs a robot, such as robot = 3")
+    if row.get("range") is not None and row.get("topic", "hand") in ("state", "wrench"):
+        reader.add(f"{place}.range", "is between robots: a robot has no distance from its own plant")
+    if row.get("jump_probability") is not None and row.get("jump_m") is None:
+        reader.add(f"{place}.jump_probability", "needs a jump_m, such as jump_m = 0.5")

@@ -1,0 +1,314 @@
+"""What a link may do to a message: delay, loss, duplicate, reorder, corrupt, rate, slots, range (PURE).
+
+Names, order of parameters and meanings are those of tc-netem(8) where it has them; each class says where it
+differs. Times are in seconds where no unit is written (netem: us).
+
+Every class reads text or a number with `parse` (ValueError says what is right), and writes itself with `str`,
+which `parse` reads to the same value. Draws are pure functions of a stream and a sequence number: give each
+purpose of each link a stream of its own, `draws.stream(seed, source, destination, topic, "loss")`, and no
+draw depends on another or on the order of messages.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final, Self, TypeAlias, TypeVar
+
+from agent import distributions
+from agent.chains import Chain, correlated, happens
+from agent.draws import normal, uniform
+from agent.loss import Loss
+from agent.quantities import (
+    bits_per_second,
+    correlation,
+    named,
+    ratio,
+    seconds,
+    shown,
+    split,
+    take_kind,
+    text,
+    whole,
+    within,
+)
+from agent.range_channel import Range
+
+__all__ = [
+    "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder", "Slot", "from_trace",
+    "interpolate", "parse_ramp",
+]  # fmt: skip
+
+_DELAY_KINDS: Final = ("constant", *distributions.SHAPES, "trace")
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
+_delay = within(seconds, 0.0, 3600.0, "s")
+_bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """How late a message comes: "200ms", "80ms 20ms 25%", "normal 80ms 20ms", "trace NAME".
+
+    Mean and jitter, s, and the correlation of successive delays. With a jitter and no distribution uniform,
+    mean +- jitter; the others are those of `distributions.SHAPES`, and netem's order "80ms 20ms distribution
+    normal" is read as well. Correlation leaves the distribution as it is, and is that of delays before they
+    are cut at 0.
+    """
+
+    distribution: str = "constant"  # or a name of distributions.SHAPES, or trace
+    mean: float = 0.0
+    jitter: float = 0.0
+    correlation: float = 0.0
+    trace: str = ""  # its name
+    _score_correlation: float = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        of_scores = 0.0
+        if self.correlation > 0.0:
+            of_scores = distributions.score_correlation(self.distribution, self.correlation)
+        object.__setattr__(self, "_score_correlation", of_scores)
+
+    @classmethod
+    def parse(cls, raw: object) -> Self:
+        """From text or a number of seconds. ValueError."""
+        words = split(raw, '"200ms", "80ms 20ms" or "normal 80ms 20ms 25%"')
+        kind = take_kind(words, _DELAY_KINDS)
+        if len(words) >= 2 and words[-2] == "distribution":
+            if kind is not None or words[-1] not in distributions.SHAPES:
+                known = ", ".join(distributions.SHAPES)
+                raise ValueError(f"must name one distribution, of {known}, got {shown(raw)}")
+            kind = words[-1]
+            del words[-2:]
+        if kind == "trace":
+            if len(words) != 1 or not _NAME.fullmatch(words[0]):
+                raise ValueError(f'must be written "trace NAME", got {shown(raw)}')
+            return cls(kind, trace=words[0])
+        kind = kind or ("constant" if len(words) == 1 else "uniform")
+        if kind == "constant":
+            if len(words) != 1:
+                raise ValueError(f'must be written "constant 80ms", got {shown(raw)}')
+            return cls(kind, _delay(words[0]))
+        if not 2 <= len(words) <= 3:
+            form = f'"{kind} 80ms 20ms" (mean, jitter) or "{kind} 80ms 20ms 25%" (correlation)'
+            raise ValueError(f"must be written {form}, got {shown(raw)}")
+        jitter = named("jitter", _delay, words[1])
+        return cls(kind, named("mean", _delay, words[0]), jitter, correlation(words[2:]))
+
+    def __str__(self) -> str:
+        if self.trace:
+            return f"trace {self.trace}"
+        words = [text(self.mean, "s")]
+        if self.distribution != "constant":
+            words.append(text(self.jitter, "s"))
+            if self.distribution != "uniform":
+                words.insert(0, self.distribution)
+            if self.correlation:
+                words.append(text(self.correlation, "ratio"))
+        return " ".join(words)
+
+    def sample(self, stream: int, sequence: int) -> float:
+        """The delay of one message, s; less than 0 is cut to 0, as in netem. Not of a trace: `from_trace`."""
+        if self.distribution == "constant":
+            return self.mean
+        shape = distributions.SHAPES[self.distribution]
+        if self._score_correlation:
+            z = distributions.score(stream, sequence, self._score_correlation)
+        else:
+            z = normal(stream, sequence)
+        delay = self.mean + self.jitter * shape(z)
+        return delay if delay > 0.0 else 0.0
+
+
+def from_trace(delays: Sequence[float], sequence: int) -> float | None:
+    """The delay, s, of a message by a table that is used over and over.
+
+    None, the message is lost, where the table has a negative number or none (nan). The table is not empty.
+    """
+    delay = delays[sequence % len(delays)]
+    return delay if delay >= 0.0 else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Chance:
+    """An event with a probability and a correlation of successive ones."""
+
+    probability: float
+    correlation: float = 0.0
+    _chain: Chain | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_chain", correlated(self.probability, self.correlation))
+
+    @classmethod
+    def parse(cls, raw: object) -> Self:
+        """From text or a ratio. ValueError."""
+        words = split(raw, '"1%" or with a correlation "1% 25%"')
+        if len(words) > 2:
+            raise ValueError(f'must be written "1%" or with a correlation "1% 25%", got {shown(raw)}')
+        return cls(ratio(words[0]), correlation(words[1:]))
+
+    def __str__(self) -> str:
+        chance = text(self.probability, "ratio")
+        return f"{chance} {text(self.correlation, 'ratio')}" if self.correlation else chance
+
+    def happens(self, stream: int, sequence: int) -> bool:
+        """Whether it happens to a message."""
+        return happens(stream, sequence, self.probability, self._chain)
+
+
+@dataclass(frozen=True, slots=True)
+class Duplicate(_Chance):
+    """Which messages come twice: "1%", or with the correlation of successive ones "1% 25%"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Corrupt(_Chance):
+    """Which messages have one bit flipped: "0.1%", or with the correlation of successive ones "0.1% 25%"."""
+
+    def bit(self, stream: int, sequence: int, size_bytes: int) -> int:
+        """The bit that is flipped, 0 .. 8 size_bytes - 1 counted from the first byte; -1 for none."""
+        if size_bytes > 0 and self.happens(stream, sequence):
+            return int(uniform(stream, 4 * sequence + 3) * (8 * size_bytes))
+        return -1
+
+
+@dataclass(frozen=True, slots=True)
+class Reorder(_Chance):
+    """Which messages go at once while the others wait their delay: "25%", "25% 50%", "25% gap 5", "gap 5".
+
+    A probability, the correlation of successive candidates, and a gap: only every gap-th message is a
+    candidate, by its sequence number (netem counts from the last one that went at once). "gap 5" alone takes
+    all of them.
+    """
+
+    gap: int = 1
+
+    @classmethod
+    def parse(cls, raw: object) -> Self:
+        """From text or a ratio. ValueError."""
+        form = '"25%", "25% 50%" (correlation), "25% 50% gap 5" or "gap 5"'
+        words = split(raw, form)
+        gap = 1
+        if len(words) >= 2 and words[-2] == "gap":
+            gap = whole("gap", words[-1], 1, 10**6)
+            words = words[:-2] or ["100%"]
+        if len(words) > 2:
+            raise ValueError(f"must be written {form}, got {shown(raw)}")
+        return cls(ratio(words[0]), correlation(words[1:]), gap)
+
+    def __str__(self) -> str:
+        chance = _Chance.__str__(self)
+        return chance if self.gap == 1 else f"{chance} gap {self.gap}"
+
+    def happens(self, stream: int, sequence: int) -> bool:
+        """Whether a message goes at once."""
+        candidate, rest = divmod(sequence + 1, self.gap)
+        return rest == 0 and happens(stream, candidate, self.probability, self._chain)
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """How fast the link carries bytes, one message after another: "100kbit", "10kbps" (tc's units)."""
+
+    bits_per_second: float
+
+    @classmethod
+    def parse(cls, raw: object) -> Self:
+        """From text or a number of bit/s. ValueError."""
+        words = split(raw, '"100kbit"')
+        if len(words) != 1:
+            raise ValueError(f'must be written "100kbit", got {shown(raw)}')
+        return cls(_bitrate(words[0]))
+
+    def __str__(self) -> str:
+        return text(self.bits_per_second, "bit/s")
+
+    def transmission_s(self, size_bytes: int) -> float:
+        """How long the link is busy with a message, s."""
+        return 8.0 * size_bytes / self.bits_per_second
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """Messages wait for the next of moments that are "100ms" apart, or "50ms 150ms", at least and at most.
+
+    The moments are fixed on the time axis, whatever is sent: number k lies at k times the mean gap, moved by
+    a draw. Gaps so are distributed triangularly (netem draws them one after the other, uniformly).
+    """
+
+    least_s: float
+    most_s: float
+
+    @classmethod
+    def parse(cls, raw: object) -> Self:
+        """From text or a number of seconds. ValueError."""
+        form = '"100ms" or "50ms 150ms" (least and most)'
+        words = split(raw, form)
+        if len(words) > 2:
+            raise ValueError(f"must be written {form}, got {shown(raw)}")
+        least, most = _delay(words[0]), _delay(words[-1])
+        if least > most:
+            raise ValueError(f"the least comes first: write {shown(f'{words[1]} {words[0]}')}")
+        if most < 1e-3:
+            raise ValueError(f"must be at least 1ms, got {shown(raw)}")
+        return cls(least, most)
+
+    def __str__(self) -> str:
+        least, most = text(self.least_s, "s"), text(self.most_s, "s")
+        return most if self.least_s == self.most_s else f"{least} {most}"
+
+    def next_ns(self, stream: int, due_ns: int, origin_ns: int) -> int:
+        """The first moment at or after `due_ns`; moments are counted from `origin_ns`."""
+        mean_ns = round(0.5e9 * (self.least_s + self.most_s))
+        spread_ns = 0.25e9 * (self.most_s - self.least_s)  # at most half the mean: moments keep their order
+        number = (due_ns - origin_ns) // mean_ns - 1
+        while True:
+            moment_ns = origin_ns + number * mean_ns
+            if spread_ns:
+                moment_ns += round((2.0 * uniform(stream, number) - 1.0) * spread_ns)
+            if moment_ns >= due_ns:
+                return moment_ns
+            number += 1
+
+
+# --- ramps ------------------------------------------------------------------------------------
+
+Impairment: TypeAlias = Delay | Loss | Duplicate | Corrupt | Reorder | Rate | Slot | Range
+T = TypeVar("T", Delay, Loss, Duplicate, Corrupt, Reorder, Rate, Slot, Range)
+
+
+def interpolate(a: T, b: T, fraction: float) -> T:
+    """Between `a` (fraction 0) and `b` (1), every number linearly; ValueError when they differ in more.
+
+    Kinds, names and whole numbers (every, gap, retries) must agree.
+    """
+    changes: dict[str, Any] = {}
+    for item in fields(a):
+        one, other = getattr(a, item.name), getattr(b, item.name)
+        if not item.init or one == other:
+            continue
+        if isinstance(one, float) and isinstance(other, float):
+            changes[item.name] = _between(one, other, fraction)
+        elif isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
+            changes[item.name] = tuple(_between(x, y, fraction) for x, y in zip(one, other, strict=True))
+        else:
+            raise ValueError(
+                "must have ends of one kind that differ in numbers alone, such as "
+                f'"normal 0ms 0ms .. normal 80ms 20ms", got {shown(str(a))} and {shown(str(b))}'
+            )
+    return replace(a, **changes) if changes else a
+
+
+def _between(a: float, b: float, fraction: float) -> float:
+    return (1.0 - fraction) * a + fraction * b
+
+
+def parse_ramp(cls: type[T], raw: object) -> tuple[T, T] | T:
+    """A value of a class, or both ends of a ramp written "0%..50%". ValueError."""
+    if not isinstance(raw, str) or ".." not in raw:
+        return cls.parse(raw)
+    first, _, last = raw.partition("..")
+    start, end = cls.parse(first), cls.parse(last)
+    interpolate(start, end, 0.5)
+    return start, end

@@ -1,0 +1,306 @@
+"""The incoming links of one node, which fail on purpose: late, lost, twice, damaged, out of order (PURE).
+
+A link is (source robot, destination robot, topic). Faults are applied by the receiver: a publication fans
+out, and only who receives it knows the link. What befalls a message is a function of the seed, the link and
+the message's sequence number, whatever came before or beside it; a delay counts from the message's stamp
+(an injected error of either clock is allowed for).
+So the same scenario gives the same fate in a run and in its simulation. Only the queue of a rate limit
+remembers what came before on its link. Every decision is kept for the recording (`LinkTrace`).
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Mapping, Sequence
+from math import dist
+from typing import Final, NamedTuple
+
+from agent import draws, replay
+from agent.clock import NS_PER_S, LocalTime
+from agent.faults import NONE, FaultPlan, LinkEffects, LinkRules
+from agent.impairments import Delay, from_trace
+from agent.messages import (
+    CORRUPTED,
+    DUPLICATED,
+    HELD,
+    LOST,
+    OVERFLOW,
+    RANGE,
+    REORDERED,
+    TOPICS,
+    HandState,
+    LinkTrace,
+    PlantState,
+    Wrench,
+)
+from agent.node import FIRST_ROUND
+
+TRACE_PERIOD_NS: Final = NS_PER_S // 5
+TRACE_MAX: Final = 128
+_LOST_US: Final = -1
+_PURPOSES: Final = ("delay", "loss", "duplicate", "reorder", "corrupt", "slot", "range", "second delay")
+
+Sample = HandState | PlantState | Wrench
+"""What links carry; all three begin with robot, sequence and time_ns."""
+Decision = tuple[int, int, int, int, int, int]
+"""(source, topic, sequence, time_ns, what, delay_us): an entry of `LinkTrace`."""
+
+
+class Arrival(NamedTuple):
+    """A message whose time has come: its key and bytes; `message` is None when the bytes were damaged."""
+
+    key: str
+    payload: bytes
+    message: Sample | None
+
+
+class _Link:
+    """One incoming link: its rules, its streams of draws, and what waits on it."""
+
+    def __init__(self, plan: FaultPlan, source: int, destination: int, topic: int) -> None:
+        self.source, self.destination, self.topic = source, destination, topic
+        self._plan = plan
+        self.rules: LinkRules
+        self._theirs: LocalTime | None
+        self._ours: LocalTime | None
+        self.refresh()
+        self.waiting = 0
+        self.held: list[tuple[int, int, Arrival, Decision]] = []
+        self._streams = {
+            purpose: draws.stream(plan.seed, "link", source, destination, TOPICS[topic], purpose)
+            for purpose in _PURPOSES
+        }
+        self._free_ns = 0
+        self._departures: deque[int] = deque()
+
+    def refresh(self) -> None:
+        self.rules = self._plan.rules_of_link(self.source, self.destination, TOPICS[self.topic])
+        own = self.source == self.destination  # a plant's clock is its agent's
+        self._theirs = None if own else self._plan.local_time(self.source)
+        self._ours = None if own else self._plan.local_time(self.destination)
+
+    def sent_ns(self, stamp_ns: int) -> int:
+        """When a message was sent, by the receiver's clock as far as its error is an injected one."""
+        if self._theirs is not None:
+            stamp_ns = self._theirs.true_ns(stamp_ns)
+        return stamp_ns if self._ours is None else self._ours.local_ns(stamp_ns)
+
+    def delay_ns(self, delay: Delay | None, sequence: int, purpose: str) -> int | None:
+        """The drawn delay of one message, None when the trace says that it is lost."""
+        if delay is None:
+            return 0
+        if delay.trace:
+            seconds = from_trace(self._plan.traces[delay.trace], sequence - FIRST_ROUND)
+            return None if seconds is None else round(seconds * NS_PER_S)
+        return round(delay.sample(self._streams[purpose], sequence) * NS_PER_S)
+
+    def decide(
+        self, effects: LinkEffects, sequence: int, sent_ns: int, size: int, distance: float | None
+    ) -> list[tuple[int, int, int]]:
+        """What becomes of one message: for each copy (what, ns after it was sent, flipped bit or -1)."""
+        streams = self._streams
+        what, extra_ns = 0, 0
+        lost = effects.loss is not None and effects.loss.lost(streams["loss"], sequence)
+        if not lost and effects.range is not None and distance is not None:
+            tried = effects.range.attempt(streams["range"], sequence, distance)
+            if tried is None:
+                lost, what = True, RANGE
+            else:
+                extra_ns = round(tried * NS_PER_S)
+        twice = effects.duplicate is not None and effects.duplicate.happens(streams["duplicate"], sequence)
+        if lost and not twice:
+            return [(what | LOST, _LOST_US, -1)]
+        # As in netem, a message that is both lost and doubled comes once.
+        copies = [("delay", what if not lost else DUPLICATED)]
+        if twice and not lost:
+            copies.append(("second delay", DUPLICATED))
+        bit = -1
+        if effects.corrupt is not None:
+            bit = effects.corrupt.bit(streams["corrupt"], sequence, size)
+        out: list[tuple[int, int, int]] = []
+        for purpose, marks in copies:
+            if bit >= 0:
+                marks |= CORRUPTED
+            queued_ns = self._queue_ns(effects, sent_ns, size)
+            if queued_ns is None or self.waiting + len(self.held) + len(out) >= effects.limit:
+                out.append((marks | LOST | OVERFLOW, _LOST_US, -1))
+                continue
+            delay_ns = self.delay_ns(effects.delay, sequence, purpose)
+            if delay_ns is None:
+                out.append((marks | LOST, _LOST_US, -1))
+                continue
+            if (
+                delay_ns
+                and effects.reorder is not None
+                and effects.reorder.happens(streams["reorder"], sequence)
+            ):
+                delay_ns = 0
+                marks |= REORDERED
+            due_ns = sent_ns + queued_ns + delay_ns + extra_ns
+            if effects.slot is not None:
+                due_ns = effects.slot.next_ns(streams["slot"], due_ns, self._plan.epoch_ns or 0)
+            out.append((marks, due_ns - sent_ns, bit))
+        return out
+
+    def _queue_ns(self, effects: LinkEffects, sent_ns: int, size: int) -> int | None:
+        """How long a message waits for, and takes on, a link of limited rate; None when the queue is full."""
+        if effects.rate is None:
+            return 0
+        departures = self._departures
+        while departures and departures[0] <= sent_ns:
+            departures.popleft()
+        if len(departures) >= effects.limit:
+            return None
+        self._free_ns = max(self._free_ns, sent_ns) + round(effects.rate.transmission_s(size) * NS_PER_S)
+        departures.append(self._free_ns)
+        return self._free_ns - sent_ns
+
+
+class Links:
+    """All incoming links of one node of robot `robot`.
+
+    Give every message of a link to `take`; at every tick deliver what is `due` and publish what is `traced`.
+    While `idle` is True nothing befalls any message, and none need come here.
+    """
+
+    def __init__(self, plan: FaultPlan, robot: int, sources: Mapping[str, Sequence[int]]) -> None:
+        """`sources`: by topic, the robots whose messages come here."""
+        self.plan: Final = plan
+        self.robot: Final = robot
+        self._links = {
+            (TOPICS.index(topic), source): _Link(plan, source, robot, TOPICS.index(topic))
+            for topic, robots in sources.items()
+            for source in robots
+        }
+        self._order = 0
+        self._pending: list[tuple[int, int, _Link, Arrival]] = []
+        self._holding = 0
+        self._trace: list[Decision] = []
+        self._trace_due_ns: int | None = None
+        self._trace_sequence = 0
+        self._changes = plan.changes
+        self._ruled = any(not link.rules.idle for link in self._links.values())
+        self.idle = not self._ruled
+
+    def refresh(self) -> None:
+        """To be called when the plan has changed: looks again at what it says."""
+        if self._changes != self.plan.changes:
+            self._changes = self.plan.changes
+            for link in self._links.values():
+                link.refresh()
+            self._ruled = any(not link.rules.idle for link in self._links.values())
+        self.idle = not (self._ruled or self._pending or self._holding or self._trace)
+
+    def take(
+        self,
+        key: str,
+        payload: bytes,
+        topic: int,
+        message: Sample,
+        own_position: tuple[float, float] | None = None,
+    ) -> bool:
+        """Decides on one message that has come; True when it is to be delivered at once, as it is.
+
+        Args:
+            topic: index into `TOPICS`.
+            own_position: (x, y), m, W, for a range channel; None while not known: it then does nothing.
+        """
+        link = self._links[topic, message[0]]
+        if link.rules.idle:
+            return True
+        _, sequence, stamp_ns, *_ = message
+        recorded = link.rules.replayed(sequence)
+        if recorded is not None:
+            return self._replay(link, recorded, Arrival(key, payload, message))
+        effects = link.rules.effects(stamp_ns)
+        if effects is NONE:
+            return True
+        distance = None
+        if effects.range is not None and own_position is not None and type(message) is HandState:
+            distance = dist((message.x, message.y), own_position)
+        sent_ns = link.sent_ns(stamp_ns)
+        for what, delay_ns, bit in link.decide(effects, sequence, sent_ns, len(payload), distance):
+            delay_us = delay_ns // 1000 if not what & LOST else _LOST_US
+            entry: Decision = (message[0], topic, sequence, stamp_ns, what, delay_us)
+            if what & LOST:
+                self._trace.append(entry)
+                continue
+            arrival = Arrival(key, payload, message)
+            if bit >= 0:
+                arrival = Arrival(key, _flipped(payload, bit), None)
+            if effects.hold:
+                link.held.append((sent_ns, delay_ns, arrival, entry))
+                self._holding += 1
+                continue
+            self._trace.append(entry)
+            self._wait(link, sent_ns + delay_ns, arrival)
+        return False
+
+    def _replay(self, link: _Link, delays_us: tuple[int, int], arrival: Arrival) -> bool:
+        """Gives a message the fate that it had in another run."""
+        if delays_us[0] == replay.UNTOUCHED:
+            return True
+        assert arrival.message is not None
+        source, sequence, stamp_ns, *_ = arrival.message
+        for delay_us, what in zip(delays_us, (0, DUPLICATED), strict=True):
+            if delay_us == replay.LOST:
+                what |= LOST
+            elif delay_us == replay.UNTOUCHED:
+                continue
+            self._trace.append((source, link.topic, sequence, stamp_ns, what, delay_us))
+            if not what & LOST:
+                self._wait(link, link.sent_ns(stamp_ns) + delay_us * 1000, arrival)
+        return False
+
+    def _wait(self, link: _Link, due_ns: int, arrival: Arrival) -> None:
+        link.waiting += 1
+        self._order += 1
+        heapq.heappush(self._pending, (due_ns, self._order, link, arrival))
+
+    def due(self, now_ns: int) -> list[Arrival]:
+        """Messages whose time has come, those due first first."""
+        if self._holding:
+            self._release(now_ns)
+        out = []
+        while self._pending and self._pending[0][0] <= now_ns:
+            _, _, link, arrival = heapq.heappop(self._pending)
+            link.waiting -= 1
+            out.append(arrival)
+        return out
+
+    def _release(self, now_ns: int) -> None:
+        """Lets go of what was held on links that hold no more."""
+        for link in self._links.values():
+            if link.held and not link.rules.effects(now_ns).hold:
+                for sent_ns, delay_ns, arrival, entry in link.held:
+                    delay_ns = max(now_ns - sent_ns, delay_ns)
+                    self._trace.append((*entry[:4], entry[4] | HELD, delay_ns // 1000))
+                    self._wait(link, sent_ns + delay_ns, arrival)
+                self._holding -= len(link.held)
+                link.held.clear()
+
+    def traced(self, now_ns: int, *, flush: bool = False) -> list[LinkTrace]:
+        """The decisions since the last call, to publish: when there are enough, it is time, or to `flush`."""
+        if not self._trace:
+            self.refresh()
+            return []
+        if self._trace_due_ns is None:
+            self._trace_due_ns = now_ns + TRACE_PERIOD_NS
+        if not flush and len(self._trace) < TRACE_MAX // 2 and now_ns < self._trace_due_ns:
+            return []
+        self._trace_due_ns = None
+        out = []
+        for first in range(0, len(self._trace), TRACE_MAX):
+            entries = tuple(self._trace[first : first + TRACE_MAX])
+            out.append(LinkTrace(self.robot, self._trace_sequence, now_ns, entries))
+            self._trace_sequence += 1
+        self._trace.clear()
+        self.refresh()
+        return out
+
+
+def _flipped(payload: bytes, bit: int) -> bytes:
+    damaged = bytearray(payload)
+    damaged[bit // 8] ^= 1 << bit % 8
+    return bytes(damaged)

@@ -1,0 +1,119 @@
+"""What commands have in common: which fleet is meant, with which changes, and how bad input is said."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from agent.fleet import LAWS, Fleet, add_scenario, fleet_tables, load_fleet, read_text
+from agent.formation import resolved
+
+FLEETS: Final = Path(__file__).parent / "fleets"
+SCENARIOS: Final = Path(__file__).parent / "scenarios"
+
+
+class InputError(Exception):
+    """Bad input; the text is one clear message."""
+
+
+def bundled(folder: Path = FLEETS) -> list[str]:
+    """Names of the fleets, or the scenarios, that come with the program."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def fleet_path(name: str) -> Path:
+    """The file that FLEET means: a path, or the name of a bundled fleet.
+
+    Raises:
+        InputError: it is neither.
+    """
+    return _path(name, FLEETS, "fleet")
+
+
+def scenario_path(name: str) -> Path:
+    """The file that SCENARIO means: a path, or the name of a bundled scenario.
+
+    Raises:
+        InputError: it is neither.
+    """
+    return _path(name, SCENARIOS, "scenario")
+
+
+def _path(name: str, folder: Path, what: str) -> Path:
+    path = Path(name)
+    if path.exists() or path.suffix == ".toml" or len(path.parts) > 1:
+        return path
+    known = bundled(folder)
+    if name in known:
+        return folder / f"{name}.toml"
+    raise InputError(
+        f"{name}: no such file, and no bundled {what} of that name; there are: {', '.join(known)}"
+    )
+
+
+def fleet_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds FLEET and the options that change it."""
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
+    change_arguments(parser)
+
+
+def change_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that change a fleet."""
+    parser.add_argument("--law", metavar="LAW", help=f"preset of the control law: {', '.join(LAWS)}")
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="A.B=V",
+        help="override any field, repeatedly",
+    )
+    parser.add_argument(
+        "--faults",
+        metavar="SCENARIO",
+        help=f"add the faults of a file, or of a bundled scenario: {', '.join(bundled(SCENARIOS))}",
+    )
+    parser.add_argument("--duration", metavar="TIME", help="short for --set fleet.duration_s=TIME")
+    parser.add_argument("--seed", metavar="N", help="short for --set fleet.seed=N")
+
+
+def overrides(options: argparse.Namespace) -> list[str]:
+    """All ``table.field=value`` that the options give."""
+    given = list(options.overrides)
+    if options.duration is not None:
+        given.append(f"fleet.duration_s={options.duration}")
+    if options.seed is not None:
+        given.append(f"fleet.seed={options.seed}")
+    return given
+
+
+def load(options: argparse.Namespace) -> Fleet:
+    """The fleet as the options have it, resolved: offsets, edges and distances written out.
+
+    Raises:
+        InputError, agent.fleet.FleetError: it cannot be.
+    """
+    return resolved(load_unresolved(options))
+
+
+def load_unresolved(options: argparse.Namespace) -> Fleet:
+    """The fleet as the options have it; raises as `load`."""
+    scenario = scenario_path(options.faults) if options.faults is not None else None
+    return load_fleet(fleet_path(options.fleet), overrides(options), options.law, scenario)
+
+
+def fleet_text(path: Path, scenario: Path | None = None) -> str:
+    """The text of a fleet file, with the faults of a scenario in it if one is given.
+
+    Raises:
+        agent.fleet.FleetError: one of them cannot be read, or is not valid.
+    """
+    text = read_text(path, "fleet file")
+    if scenario is None:
+        return text
+    import tomli_w  # here: only this needs it
+
+    tables = fleet_tables(text, str(path))
+    add_scenario(tables, read_text(scenario, "scenario"), str(scenario))
+    return tomli_w.dumps(tables)

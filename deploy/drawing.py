@@ -1,0 +1,92 @@
+"""What all pictures share: colours, style, and how a figure is made and written.
+
+By matplotlib's object interface, without global state, always the same bytes. Colours are Okabe and Ito's,
+which colour-blind readers tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from deploy.recorder import RecordingError
+
+PALETTE: Final = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",
+)  # fmt: skip
+INK: Final = "#222222"
+GREY: Final = "#8A8A8A"
+RED: Final = "#C1121F"
+DPI: Final = 150
+LEGEND_MAX: Final = 10
+"""More lines than this have no legend and are drawn thin."""
+
+DOTTED: Final = (0, (1, 2))
+SECOND_ROUND: Final = (0, (3, 1, 1, 1))
+"""Dashes of a line whose colour another one has already."""
+
+STYLE: Final[dict[str, Any]] = {
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.6,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "text.color": INK,
+}
+
+
+def write(path: Path, draw: Callable[[], Figure]) -> None:
+    """Draw and write one picture (PNG).
+
+    Raises:
+        RecordingError: when it cannot be written.
+    """
+    with mpl.rc_context():
+        mpl.rcdefaults()  # a user's own matplotlibrc must not change what a report looks like
+        settings: Any = mpl.rcParams  # its type names every key there is in one version of matplotlib
+        settings.update(STYLE)
+        figure = draw()
+        try:
+            # No software version and no date in the file: the same run gives the same bytes.
+            figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
+        except OSError as error:
+            raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches."""
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def nth_color(index: int) -> str:
+    return PALETTE[index % len(PALETTE)]
+
+
+def note(axes: Axes, text: str) -> None:
+    """Say why there is nothing to see."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)

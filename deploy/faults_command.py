@@ -1,0 +1,275 @@
+"""The command ``handfast faults``: faults on the links of a fleet that is running."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from math import isinf
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args, get_origin
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, FleetError, load_fleet, read_text
+from deploy.arguments import InputError, scenario_path
+
+if TYPE_CHECKING:
+    from agent.fault_settings import Rule
+    from agent.schema import Entry
+    from deploy.faults_session import Session
+    from deploy.interrupt import Interrupt
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+CONNECT_S: Final = 3.0
+"""Receivers that are not there by then are named and left out."""
+
+
+class NoAnswerError(Exception):
+    """The fleet cannot be reached; the text is one clear message."""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    from deploy.live_rules import NOT_LIVE, live_entries, option
+
+    text = "let links of a running fleet fail on purpose, and heal them"
+    parser = commands.add_parser(
+        "faults",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}. FLEET is the name of a fleet that runs on this machine, "
+        "the folder of its run, or a fleet file. Exit status: 0 all agents and plants did as told; 1 some "
+        "did not; 2 bad input; 130 after Ctrl-C before the end.",
+    )
+    actions = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def add(name: str, command: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = actions.add_parser(
+            name, help=text, description=f"{text[0].upper()}{text[1:]}."
+        )
+        sub.set_defaults(command=_handled(command))
+        sub.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
+        return sub
+
+    sub = add("set", _set, "set one rule, until it ends, Ctrl-C, or the end of this command")
+    _add_stay(sub)
+    group = sub.add_argument_group(
+        "the rule", "Fields of [[faults.rule]] in a fleet file (docs/faults.md); times count from now."
+    )
+    for entry in live_entries():
+        about = entry.setting.doc.replace("`", "'").replace("%", "%%")
+        if entry.hint is bool:
+            group.add_argument(
+                option(entry.key), dest=_dest(entry.key), action="store_const", const="true", help=about
+            )
+        else:
+            group.add_argument(option(entry.key), dest=_dest(entry.key), metavar=_metavar(entry), help=about)
+    for key in NOT_LIVE:
+        sub.add_argument(option(key), dest=_dest(key), help=argparse.SUPPRESS)
+    sub = add("apply", _apply, "set the rules of a scenario file, until they end, Ctrl-C, or the end of this")
+    sub.add_argument("file", metavar="FILE", help="a file of faults, or a bundled scenario")
+    _add_stay(sub)
+    add("show", _show, "say which faults hold now")
+    sub = add("clear", _clear, "heal: end the live rules of all operators")
+    sub.add_argument("--author", metavar="WHO", help="only theirs, as `show` names them")
+    text = "write the fates of a run's messages as a scenario, which gives them the same fates again"
+    replay = actions.add_parser("replay", help=text, description=f"{text[0].upper()}{text[1:]}.")
+    replay.set_defaults(command=_handled(_replay))
+    replay.add_argument("folder", metavar="RUN", help="the run's folder; the scenario goes to the output")
+
+
+def _add_stay(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--stay", action="store_true", help="end at once and leave the rules in force until `faults clear`"
+    )
+
+
+def _metavar(entry: Entry) -> str:
+    if get_origin(entry.hint) is Literal:
+        return "|".join(get_args(entry.hint))
+    return (entry.setting.example or entry.setting.unit or entry.key.upper()).strip('"')
+
+
+def _dest(key: str) -> str:
+    return f"rule.{key}"
+
+
+def _handled(command: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+    def handled(options: argparse.Namespace) -> int:
+        from agent.bus import BusError
+        from deploy.live_rules import LiveRulesError
+        from deploy.registry import NotRunningError
+
+        try:
+            return command(options)
+        except (FleetError, NotRunningError, LiveRulesError, InputError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return BAD_INPUT
+        except (BusError, NoAnswerError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return FAILED
+
+    return handled
+
+
+def _fleet(options: argparse.Namespace) -> Fleet:
+    from deploy.registry import find
+
+    return load_fleet(find(options.fleet))
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from deploy.recorder import RecordingError
+    from deploy.replay import write_scenario
+
+    try:
+        print(write_scenario(options.folder), end="")
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+    return DONE
+
+
+# ---------------------------------------------------------------------- set and apply
+
+
+def _set(options: argparse.Namespace) -> int:
+    from deploy.live_rules import rule_of_options
+
+    fleet = _fleet(options)
+    given = {
+        name.removeprefix("rule."): value
+        for name, value in vars(options).items()
+        if name.startswith("rule.") and value is not None
+    }
+    return _put(fleet, [rule_of_options(given, fleet.ids)], stay=options.stay)
+
+
+def _apply(options: argparse.Namespace) -> int:
+    from deploy.live_rules import rules_of_scenario
+
+    fleet = _fleet(options)
+    path = scenario_path(options.file)
+    rules = rules_of_scenario(read_text(path, "scenario"), path.name, fleet.ids)
+    return _put(fleet, rules, stay=options.stay)
+
+
+def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
+    """Sends the rules, and keeps them in force until they end."""
+    from deploy.faults_putting import Putting, names
+    from deploy.interrupt import Interrupt
+    from deploy.live_rules import text_of
+
+    text = text_of(rules)
+    interrupt = Interrupt()
+    with interrupt.caught(), _connected(fleet, interrupt) as session:
+        putting = Putting(session, rules, text, lambda: interrupt.count > 0, sys.stderr, stay=stay)
+        putting.run()
+    total = len(session.receivers)
+    print(f"{len(putting.took)} of {total} agents and plants of {fleet.fleet.name} took it")
+    if putting.missing:
+        print(f"  not: {names(putting.missing)}")
+    if putting.cleared:
+        print("  ended by another operator before its time")
+    if putting.early:
+        return INTERRUPTED
+    return FAILED if putting.cleared or putting.missing else DONE
+
+
+def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> Session:
+    """A session in which all receivers are there, or as many as came.
+
+    Raises:
+        NoAnswerError: there is none.
+        agent.bus.BusError: the bus cannot be opened.
+    """
+    from deploy.faults_session import Session
+
+    session = Session(fleet)
+    try:
+        everybody = session.wait(
+            lambda: (
+                len(session.alive) == len(session.receivers)
+                or (interrupt is not None and interrupt.count > 0)
+            ),
+            CONNECT_S,
+        )
+        if not everybody and not session.alive:
+            raise NoAnswerError(
+                f"fleet {fleet.fleet.name} does not answer: none of its {len(session.receivers)} agents and "
+                f"plants is there ({fleet.agent_endpoint(fleet.ids[0])} and so on); is it running?"
+            )
+    except BaseException:
+        session.close()
+        raise
+    return session
+
+
+# ---------------------------------------------------------------------- show and clear
+
+
+def _show(options: argparse.Namespace) -> int:
+    from agent.faults import FaultPlan
+    from deploy.fault_words import defaults
+    from deploy.faults_putting import ECHO_S, names
+
+    fleet = _fleet(options)
+    with _connected(fleet) as session:
+        session.wait(lambda: False, ECHO_S)
+        now_ns = session.now_ns()
+        at = "" if session.epoch_ns is None else f" at {(now_ns - session.epoch_ns) / NS_PER_S:.1f} s"
+        total = len(session.receivers)
+        print(f"{fleet.fleet.name}{at}: {len(session.alive)} of {total} agents and plants answer")
+        absent = [each for each in session.receivers if each not in session.alive]
+        if absent:
+            print(f"  not: {names(absent)}")
+        everywhere = defaults(fleet.faults)
+        time_s = None if session.epoch_ns is None else (now_ns - session.epoch_ns) / NS_PER_S
+        rules = [*FaultPlan(fleet).file_rules(), *([] if everywhere is None else [everywhere])]
+        print("in its fleet file:" if rules else "in its fleet file: none")
+        for rule in rules:
+            print(f"  {rule.name}: {_line_of(rule, time_s)}")
+        sets = session.held.sets(now_ns)
+        print("live:" if sets else "live: none")
+        for each in sets:
+            stays = "until cleared" if not each.message.lease_ns else "as long as that command lives"
+            print(
+                f"  {each.message.author}, {stays}, held by {len(each.holders)} of {len(session.receivers)}:"
+            )
+            lacking = [r for r in session.receivers if r in session.alive and r not in each.holders]
+            if lacking:
+                print(f"    not by {names(lacking)}")
+            for rule in each.rules:
+                name = f"{rule.name}: " if rule.name else ""
+                print(f"    {name}{_line_of(rule, each.time_s(now_ns))}")
+    return DONE
+
+
+def _line_of(rule: Rule, time_s: float | None) -> str:
+    """A rule and how it stands at the time that its `at` counts in; None before that is known."""
+    from deploy.fault_words import next_begin, window, words
+
+    if time_s is None:
+        always = rule.at is None and rule.duration is None
+        return f"{words(rule)} ({'holds' if always else 'not yet: no mission'})"
+    found = window(rule, time_s)
+    if found is not None:
+        left = "" if isinf(found[1]) else f", {found[1] - time_s:.1f} s left"
+        return f"{words(rule)} (holds{left})"
+    begin_s = next_begin(rule, time_s)
+    return f"{words(rule)} ({'over' if begin_s is None else f'begins in {begin_s - time_s:.1f} s'})"
+
+
+def _clear(options: argparse.Namespace) -> int:
+    from deploy.faults_putting import NothingToClearError, clear, names
+
+    fleet = _fleet(options)
+    with _connected(fleet) as session:
+        try:
+            authors, left = clear(session, options.author)
+        except NothingToClearError as error:
+            raise InputError(str(error)) from None
+    for author in authors:
+        print(f"cleared the live faults of {author}")
+    if not authors:
+        print(f"{fleet.fleet.name} has no live faults")
+    if left:
+        print(f"  not heard to be healed: {names(left)}")
+    return FAILED if left else DONE

@@ -1,0 +1,284 @@
+"""Is what was done to messages what the rules and the seed say: every decision of a recording, made again.
+
+Decisions are functions of the seed, the link and the message's number and stamp (`agent.links`). So a
+recording proves itself: its fleet file, the live rules that each process said it held, and the messages
+as they were sent give every decision again, by the code that made them. What depends on more is not checked:
+queues of a rate limit (sizes of messages) and range channels (where the receiver thought it was).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from agent.clock import NS_PER_S
+from agent.faults import FaultPlan
+from agent.fleet import Fleet
+from agent.links import TRACE_PERIOD_NS, Links
+from agent.messages import HELD, OVERFLOW, TOPICS, Faults, Wrench
+from deploy.link_data import Link, LinkTable
+from deploy.recording import LiveFaults, Recording
+
+DIFFERENCES_MAX: Final = 20
+"""So many differences are kept one by one."""
+_CHANGE_NS: Final = 3 * NS_PER_S // 10
+"""So near a change of the live rules it is not known which of them a process had when a message came."""
+_AWAY_NS: Final = 2 * NS_PER_S
+"""So long after it was started a process may not know the mission and the live rules yet."""
+_FAR_NS: Final = 2**62
+
+_Copies = tuple[tuple[int, int], ...]
+"""(what, delay_us) of each copy of one message."""
+
+
+class Difference(NamedTuple):
+    """One message whose recorded fate is not the one that its rules give; copies are (what, delay_us)."""
+
+    link: Link
+    sequence: int
+    stamp_ns: int
+    recorded: _Copies
+    expected: _Copies
+
+
+class _Change(NamedTuple):
+    """A change of the live rules of a process: it happened between these times (true wall time, ns)."""
+
+    since_ns: int
+    said_ns: int
+
+
+@dataclass
+class AuditResult:
+    """Counts of messages.
+
+    decided: with a recorded decision; of these `agreeing` and `differing` were made again, `unchecked` depend
+    on more than the recording holds, and of `unrecorded`, sent during the drive, the message itself is not in
+    it.
+    unheard: sent during the drive under a rule, but without a decision: they never reached the
+    receiver (the network lost them, or it was not there).
+    """
+
+    decided: int = 0
+    agreeing: int = 0
+    differing: int = 0
+    unchecked: int = 0
+    unrecorded: int = 0
+    unheard: int = 0
+    differences: list[Difference] = field(default_factory=list)
+
+
+def audit(recording: Recording) -> AuditResult:
+    """Makes every recorded decision again and compares."""
+    result = AuditResult()
+    if not len(recording.links) and not _has_rules(recording):
+        return result
+    by_receiver: dict[tuple[int, str], dict[Link, LinkTable]] = {}
+    for link, rows in recording.links.by_link():
+        by_receiver.setdefault(_receiver(link), {})[link] = rows
+    plain = _plan(recording, ())
+    for (robot, role), links in _incoming(recording.fleet).items():
+        # What a trace names that is no link of the fleet is nobody's message.
+        recorded = by_receiver.pop((robot, role), {})
+        node = _Node(recording, robot, role, plain)
+        for link in links:
+            node.check(link, recorded.pop(link, None), result)
+        for rows in recorded.values():
+            result.decided += len(rows)
+            result.unrecorded += len(rows)
+    return result
+
+
+def _has_rules(recording: Recording) -> bool:
+    section = recording.fleet.faults
+    return bool(recording.live_faults or section.rules or section.replays) or any(
+        not _plan(recording, ()).rules_of_link(i, j, "hand").idle for i, j in recording.fleet.formation.edges
+    )
+
+
+def _receiver(link: Link) -> tuple[int, str]:
+    return link.destination, "plant" if link.topic == "wrench" else "agent"
+
+
+def _incoming(fleet: Fleet) -> Mapping[tuple[int, str], list[Link]]:
+    """The links that end at each process."""
+    links: dict[tuple[int, str], list[Link]] = {}
+    for link in links_of(fleet):
+        links.setdefault(_receiver(link), []).append(link)
+    return links
+
+
+def links_of(fleet: Fleet) -> Iterator[Link]:
+    """Every link of a fleet: both ways along each edge, and between each agent and its plant."""
+    for i, j in fleet.formation.edges:
+        yield Link(i, j, "hand")
+        yield Link(j, i, "hand")
+    for robot in fleet.ids:
+        yield Link(robot, robot, "state")
+        yield Link(robot, robot, "wrench")
+
+
+def _plan(recording: Recording, live: Sequence[Faults]) -> FaultPlan:
+    plan = FaultPlan(recording.fleet)
+    if recording.epoch_ns is not None:
+        plan.begin(recording.epoch_ns)
+    for message in live:
+        # How long a lease held is known from when the process dropped it.
+        plan.take(message._replace(lease_ns=0), message.time_ns)
+    return plan
+
+
+class _Node:
+    """One process that receives: which rules it held when, and when it was not there."""
+
+    def __init__(self, recording: Recording, robot: int, role: str, plain: FaultPlan) -> None:
+        self._recording, self._robot, self._role = recording, robot, role
+        self._epoch_ns = recording.epoch_ns or 0
+        held = [each for each in recording.live_faults if (each.robot, each.role) == (robot, role)]
+        self._changes, self._plans = _timeline(recording, held, plain)
+        self._away_ns = list(_away(recording, robot, role))
+        data = recording.robots[robot]
+        said = data.plant.t if role == "plant" else data.status.t
+        # A decision is told a little later than it is made: what came after the last word is unknown.
+        last_ns = round(float(said[-1]) * NS_PER_S) + self._epoch_ns if len(said) else 0
+        self._known_ns = last_ns - TRACE_PERIOD_NS - 2 * recording.fleet.period_ns
+
+    def check(self, link: Link, rows: LinkTable | None, result: AuditResult) -> None:
+        """Adds what became of the messages of one link."""
+        recorded: dict[int, _Copies] = {}
+        if rows is not None:
+            for stamp, what, delay_us in zip(
+                rows.stamp_ns.tolist(), rows.what.tolist(), rows.delay_us.tolist(), strict=True
+            ):
+                recorded[stamp] = (*recorded.get(stamp, ()), (what, delay_us))
+        if not recorded and all(
+            plan.rules_of_link(link.source, link.destination, link.topic).idle for plan in self._plans
+        ):
+            return
+        data = self._recording.robots[link.source]
+        table = {"hand": data.hand, "state": data.plant, "wrench": data.wrench}[link.topic]
+        stamps, sequences = table.stamps_ns.tolist(), table.sequences.tolist()
+        times = np.rint(table.t * NS_PER_S).astype(np.int64) + self._epoch_ns
+        expected, beyond = self._decide(link, stamps, sequences, times.tolist())
+        drive_ns = self._epoch_ns + round(self._recording.end_s * NS_PER_S)
+        result.decided += len(recorded)
+        for stamp, sequence, time_ns in zip(stamps, sequences, times.tolist(), strict=True):
+            found, wanted = recorded.pop(stamp, None), expected.get(stamp)
+            if found is None:
+                known = self._epoch_ns <= time_ns <= min(drive_ns, self._known_ns)
+                result.unheard += wanted is not None and known and not self._unclear(time_ns)
+            elif stamp in beyond:
+                result.unchecked += 1
+            elif wanted is not None and _same(found, wanted):
+                result.agreeing += 1
+            elif self._unclear(time_ns) or _of_more(found, wanted or ()):
+                result.unchecked += 1
+            else:
+                result.differing += 1
+                if len(result.differences) < DIFFERENCES_MAX:
+                    result.differences.append(Difference(link, sequence, stamp, found, wanted or ()))
+        if rows is not None and recorded:
+            left = np.isin(rows.stamp_ns, list(recorded)) & rows.first_copies
+            driven = left & (rows.t >= 0.0) & (rows.t <= self._recording.end_s)
+            result.unrecorded += int(driven.sum())
+            # Before the drive the operator may not have listened yet, after it no more.
+            result.unchecked += int(left.sum() - driven.sum())
+
+    def _decide(
+        self, link: Link, stamps: Sequence[int], sequences: Sequence[int], times: Sequence[int]
+    ) -> tuple[dict[int, _Copies], set[int]]:
+        """What the rules do to every message of a link, by stamp, and the stamps where that takes more."""
+        topic = TOPICS.index(link.topic)
+        expected: dict[int, _Copies] = {}
+        beyond: set[int] = set()
+        first = 0
+        for plan, until_ns in zip(
+            self._plans, (*(change.said_ns for change in self._changes), _FAR_NS), strict=True
+        ):
+            last = bisect_right(times, until_ns - 1, first)
+            part = range(first, last)
+            first = last
+            rules = plan.rules_of_link(link.source, link.destination, link.topic)
+            if rules.idle:
+                continue
+            more = any({"rate", "range"} & effects.keys() for _, effects in rules.asked())
+            links = Links(plan, self._robot, {link.topic: (link.source,)})
+            for k in part:
+                stamp = stamps[k]
+                if more and rules.replayed(sequences[k]) is None:
+                    effects = rules.effects(stamp)
+                    if effects.rate is not None or effects.range is not None:
+                        beyond.add(stamp)
+                links.due(stamp)
+                links.take("", b"\0", topic, Wrench(link.source, sequences[k], stamp, 0.0, 0.0, False))
+            links.due(_FAR_NS)
+            for trace in (*links.traced(_FAR_NS), *links.traced(_FAR_NS + TRACE_PERIOD_NS)):
+                for _, _, _, stamp, what, delay_us in trace.entries:
+                    expected[stamp] = (*expected.get(stamp, ()), (what, delay_us))
+        return expected, beyond
+
+    def _unclear(self, time_ns: int) -> bool:
+        """Whether the process changed its rules, or was not all there, when this message came."""
+        return any(
+            since - _CHANGE_NS <= time_ns <= said + _CHANGE_NS for since, said in self._changes
+        ) or any(first <= time_ns <= last for first, last in self._away_ns)
+
+
+def _same(found: _Copies, wanted: _Copies) -> bool:
+    if len(found) != len(wanted):
+        return False
+    # What is held is let go at a tick of the receiver, which is not recorded.
+    return all(
+        one == other or (one[0] == other[0] and one[0] & HELD)
+        for one, other in zip(sorted(found), sorted(wanted), strict=True)
+    )
+
+
+def _of_more(found: _Copies, wanted: _Copies) -> bool:
+    """Whether a full queue, or the end of a live hold, may have made the difference."""
+    return any(what & (OVERFLOW | HELD) for what, _ in (*found, *wanted))
+
+
+def _timeline(
+    recording: Recording, held: Sequence[LiveFaults], plain: FaultPlan
+) -> tuple[list[_Change], list[FaultPlan]]:
+    """When the live rules of a process changed, in order; its plan before, between and after."""
+    changes: list[_Change] = []
+    plans = [plain]
+    live: dict[str, Faults] = {}
+    said_ns = 0
+    for received_ns, _, _, message in held:
+        before_ns, said_ns = said_ns, received_ns
+        known = live.get(message.author)
+        if (known is None and not message.rules) or (
+            known is not None and message.rules and known.version == message.version
+        ):
+            continue
+        if message.rules:
+            live[message.author] = message
+        else:
+            del live[message.author]
+        # It may have changed at any time since it last said what it holds, but not before it was sent.
+        since_ns = max(before_ns, message.time_ns) if message.rules else before_ns
+        changes.append(_Change(min(since_ns, received_ns), received_ns))
+        plans.append(_plan(recording, tuple(live.values())))
+    return changes, plans
+
+
+def _away(recording: Recording, robot: int, role: str) -> Iterator[tuple[int, int]]:
+    """Times (ns) at which a process was killed, paused, or had only just come back."""
+    since: int | None = None
+    for event in recording.events:
+        if (event.robot, event.role) != (robot, role):
+            continue
+        if event.what in ("kill", "stop"):
+            since = event.time_ns if since is None else since
+        elif since is not None:
+            yield since - _CHANGE_NS, event.time_ns + _AWAY_NS
+            since = None
+    if since is not None:
+        yield since - _CHANGE_NS, _FAR_NS

@@ -1,0 +1,125 @@
+"""The picture of a run's links: how old what came over them was, and what was done to their messages."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.messages import LOST
+from deploy.drawing import GREY, PALETTE, RED, new_figure, note
+from deploy.fault_strip import time_axes
+from deploy.link_data import Floats
+from deploy.link_metrics import Ages, ages
+from deploy.recording import Recording
+
+NAME: Final = "links"
+PERIODS_OLD: Final = 2.0
+"""Older information than this many periods, in more than one of a hundred cases, is worth a picture."""
+WORST: Final = 4
+"""Links that are drawn one by one."""
+_BINS: Final = 150
+
+
+def worth_drawing(recording: Recording) -> bool:
+    """Whether something was done to messages, or they were old without."""
+    if len(recording.links):
+        return True
+    found = [robot.status.ages_between(0.0, recording.end_s) for robot in recording.robots.values()]
+    values = np.concatenate(found) / 1e6
+    return (
+        bool(values.size) and float(np.percentile(values, 99)) > PERIODS_OLD / recording.fleet.fleet.rate_hz
+    )
+
+
+def links(recording: Recording) -> Figure:
+    """Age of information over time, of all links and of the worst; below it the share of messages lost."""
+    end = max(recording.end_s, 1e-3)
+    lost = _lost(recording, end)
+    figure = new_figure(7.6, 4.2 if lost is None else 5.4)
+    age_axes, *below = time_axes(figure, recording, end, (1.0,) if lost is None else (3.0, 1.0))
+    if lost is not None:
+        _draw_lost(below[0], *lost)
+    age = ages(recording)
+    age_axes.set_ylabel("age of information (s)")
+    if not age:
+        note(age_axes, "no ages were recorded")
+        return figure
+    top = _draw_ages(age_axes, age, end)
+    horizon = recording.fleet.control.prediction_horizon_s
+    if top > 0.45 * horizon:
+        age_axes.axhline(horizon, color=RED, linewidth=1.2, linestyle=(0, (5, 3)))
+        age_axes.annotate(
+            "prediction horizon: beyond it robots hold", (1.0, horizon), xycoords=("axes fraction", "data"),
+            xytext=(-2, -3), textcoords="offset points", color=RED, fontsize=8, ha="right", va="top",
+        )  # fmt: skip
+        top = max(top, horizon)
+    age_axes.set_ylim(0.0, 1.1 * top)
+    return figure
+
+
+def _draw_ages(axes: Axes, age: Ages, end: float) -> float:
+    """Bands of all links, lines of the worst; the greatest age, s."""
+    bins = np.linspace(0.0, end, _BINS + 1)
+    middle = 0.5 * (bins[1:] + bins[:-1])
+    table = np.full((len(age), _BINS), np.nan)
+    for row, (t, values_ms) in enumerate(age.values()):
+        inside = (t >= 0.0) & (t < end)
+        which = np.clip(np.searchsorted(bins, t[inside], side="right") - 1, 0, _BINS - 1)
+        greatest = np.full(_BINS, -np.inf)
+        np.maximum.at(greatest, which, values_ms[inside] / 1e3)
+        table[row] = np.where(np.isfinite(greatest), greatest, np.nan)
+    known = np.isfinite(table).any(axis=0)
+    middle, table = middle[known], table[:, known]
+    if not len(middle):
+        note(axes, "no ages were recorded during the drive")
+        return 0.0
+    few = len(age) <= WORST
+    if not few:
+        low, half, high = np.nanpercentile(table, (5, 50, 95), axis=0)
+        color = PALETTE[2]
+        axes.fill_between(
+            middle, low, high, color=color, alpha=0.25, linewidth=0, label=f"90 % of {len(age)} links"
+        )
+        axes.plot(middle, half, color=color, linewidth=1.5, label="median link")
+    names = list(age)
+    worst = np.argsort([-float(values_ms.mean()) for _, values_ms in age.values()], kind="stable")[:WORST]
+    # The best of them first: the worst lies on top, and its colour is the strongest.
+    for place, row in reversed(list(enumerate(worst.tolist()))):
+        source, destination = names[row]
+        t, values_ms = age[source, destination]
+        inside = (t >= 0.0) & (t <= end)
+        axes.plot(
+            t[inside], values_ms[inside] / 1e3, color=_LINES[place], linewidth=0.8, alpha=0.9,
+            label=f"{source}→{destination}",
+        )  # fmt: skip
+    handles, labels = axes.get_legend_handles_labels()
+    order = [*range(len(handles) - len(worst)), *range(len(handles) - 1, len(handles) - len(worst) - 1, -1)]
+    axes.legend(
+        [handles[k] for k in order], [labels[k] for k in order], loc="upper left", bbox_to_anchor=(1.0, 1.0)
+    )
+    return float(np.nanmax(table))
+
+
+_LINES: Final = (PALETTE[1], PALETTE[0], PALETTE[3], PALETTE[7])
+
+
+def _lost(recording: Recording, end: float) -> tuple[Floats, Floats] | None:
+    """Edges of bins (s) and the share of messages between agents that was lost on purpose in each, %."""
+    rows = recording.links
+    rows = rows[(rows.topic == 0) & rows.first_copies & (rows.t >= 0.0) & (rows.t <= end)]
+    if not rows.share(LOST):
+        return None
+    bins = np.linspace(0.0, end, max(int(min(end / 0.5, _BINS)), 1) + 1)
+    links = len(recording.fleet.formation.edges) * 2
+    gone, _ = np.histogram(rows.t[(rows.what & LOST) != 0], bins)
+    sent = recording.fleet.fleet.rate_hz * np.diff(bins) * links
+    return bins, np.minimum(100.0 * gone / sent, 100.0)
+
+
+def _draw_lost(axes: Axes, bins: Floats, share: Floats) -> None:
+    axes.stairs(share, bins, fill=True, color=GREY, alpha=0.55)
+    axes.set_ylabel("lost on\npurpose (%)")
+    axes.set_ylim(0.0, max(1.15 * float(share.max()), 1.0))

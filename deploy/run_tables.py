@@ -1,0 +1,196 @@
+"""What each robot of a run sent, as columns of numbers over time, collected message by message."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from agent.messages import HandState, Message, Status
+from deploy.link_data import Clock, Floats, Ints, true_ns
+
+PLANT_COLUMNS: Final = ("x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy")
+HAND_COLUMNS: Final = (
+    "following", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x", "constraint_y",
+)  # fmt: skip
+WRENCH_COLUMNS: Final = ("force", "torque", "brake")
+MULTIPLIER_COLUMNS: Final = ("neighbour", "value")
+NEIGHBOUR_COLUMNS: Final = len(("robot", "age_us", "received", "lost", "offset_us", "error_us"))
+NO_INTS: Final[Ints] = np.zeros(0, dtype=np.int64)
+_AGE_MAX: Final = 2**62
+
+
+class Table:
+    """Columns over time: `t` (n,) s ascending, `values` (n, k), and ``table["x"]`` (n,).
+
+    `stamps_ns`, `sequences` (n,): as they stood in the messages; empty where a row is no message of its own.
+    `t` is true time where a clock was made to go wrong on purpose, the stamps are not.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        t: Floats,
+        values: Floats,
+        stamps_ns: Ints = NO_INTS,
+        sequences: Ints = NO_INTS,
+    ) -> None:
+        self.names, self.t, self.values = names, t, values
+        self.stamps_ns, self.sequences = stamps_ns, sequences
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.values[:, self.names.index(name)]
+
+
+@dataclass(frozen=True)
+class StatusTable:
+    """The statuses of one agent: n of them, with all ticks and ages that they hold, in order.
+
+    t (n,) s; states, reasons: n texts; counters: n dictionaries of totals; tick_us, ages_us: all
+    values of all statuses, microseconds, of which status k holds ``tick_counts[k]`` and
+    ``age_counts[k]``. Ages of neighbours that were never heard are left out.
+
+    The ages of a tick come in the order of the neighbours' numbers, those of a status tick by tick.
+    """
+
+    t: Floats
+    states: Sequence[str]
+    reasons: Sequence[str]
+    counters: Sequence[Mapping[str, int]]
+    tick_us: Ints
+    tick_counts: Ints
+    ages_us: Ints
+    age_counts: Ints
+    neighbours: Ints = field(default_factory=lambda: np.zeros((0, NEIGHBOUR_COLUMNS), dtype=np.int64))
+    """(rows, 6): the entries of `agent.messages.Status.neighbours`, of all statuses one after the other."""
+    neighbour_counts: Ints = field(default_factory=lambda: NO_INTS)
+    """(n,): how many of these rows each status has."""
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def ages_between(self, start: float, end: float) -> Ints:
+        """Ages (us) in the statuses of fleet time (start, end]."""
+        return self.ages_us[np.repeat((self.t > start) & (self.t <= end), self.age_counts)]
+
+    def totals(self) -> Mapping[str, int]:
+        """What was counted by the last status, empty without one.
+
+        An agent that was started again counts from 0: what it had counted before is added.
+        """
+        totals: Counter[str] = Counter()
+        for before, counters in pairwise(self.counters):
+            if any(counters.get(name, 0) < value for name, value in before.items()):
+                totals.update(before)
+        if self.counters:
+            totals.update(self.counters[-1])
+        return dict(totals)
+
+    def at(self, t: float) -> tuple[str, str] | None:
+        """State and reason at fleet time `t`: those of the last status until then, else of the first."""
+        if not self.states:
+            return None
+        index = max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
+        return self.states[index], self.reasons[index]
+
+
+class Rows:
+    """One growing table: times and a flat row of numbers for every message."""
+
+    def __init__(self, kind: type[Message], robot: int, names: tuple[str, ...]) -> None:
+        self.kind, self.robot, self.names = kind, robot, names
+        self.times, self.values = array("q"), array("d")
+        self._sequences = array("q")
+        first = kind._fields.index(names[0])
+        self._columns = slice(first, first + len(names))
+
+    def append(self, message: Any) -> None:
+        self._sequences.append(message[1])
+        self.times.append(message[2])
+        self.values.extend(message[self._columns])
+
+    def table(self, epoch_ns: int, clock: Clock) -> Table:
+        times = np.array(self.times, dtype=np.int64)
+        values = np.array(self.values, dtype=np.float64).reshape(len(times), len(self.names))
+        sequences = np.array(self._sequences, dtype=np.int64)
+        if len(times) > 1 and not (times[1:] > times[:-1]).all():
+            times, order = np.unique(times, return_index=True)
+            values, sequences = values[order], sequences[order]
+        return Table(self.names, (true_ns(times, clock, epoch_ns) - epoch_ns) / 1e9, values, times, sequences)
+
+
+class HandRows(Rows):
+    def __init__(self, robot: int) -> None:
+        super().__init__(HandState, robot, HAND_COLUMNS)
+        self._multiplier_times, self._multipliers = array("q"), array("d")
+
+    def append(self, message: HandState) -> None:
+        super().append(message)
+        for pair in message.multipliers:
+            self._multiplier_times.append(message.time_ns)
+            self._multipliers.extend(pair)
+
+    def multipliers(self, epoch_ns: int, clock: Clock) -> Table:
+        times = true_ns(np.array(self._multiplier_times, dtype=np.int64), clock, epoch_ns)
+        values = np.array(self._multipliers, dtype=np.float64).reshape(len(times), 2)
+        order = np.argsort(times, kind="stable")
+        return Table(MULTIPLIER_COLUMNS, (times[order] - epoch_ns) / 1e9, values[order])
+
+
+class StatusRows:
+    kind: type[Message] = Status
+
+    def __init__(self, robot: int) -> None:
+        self.robot = robot
+        self.times = array("q")
+        self._texts: list[tuple[str, str]] = []
+        self._counters: list[Mapping[str, int]] = []
+        self._ticks, self._tick_counts = array("q"), array("q")
+        self._ages, self._age_counts = array("q"), array("q")
+        self._neighbours, self._neighbour_counts = array("q"), array("q")
+        self._known: dict[str, str] = {}
+
+    def append(self, message: Any) -> None:
+        known = self._known.setdefault  # the same few texts come thousands of times: keep one of each
+        ticks = [value for value in message.tick_us if 0 <= value < _AGE_MAX]
+        ages = [value for value in message.ages_us if 0 <= value < _AGE_MAX]
+        self.times.append(message.time_ns)
+        self._texts.append((known(message.state, message.state), known(message.reason, message.reason)))
+        self._counters.append({known(name, name): value for name, value in message.counters})
+        self._ticks.extend(ticks)
+        self._tick_counts.append(len(ticks))
+        self._ages.extend(ages)
+        self._age_counts.append(len(ages))
+        for entry in message.neighbours:
+            # Its numbers are only known to be integers; no clock is off by as much as one of these allows.
+            self._neighbours.extend([max(-_AGE_MAX, min(value, _AGE_MAX)) for value in entry])
+        self._neighbour_counts.append(len(message.neighbours))
+
+    def table(self, epoch_ns: int, clock: Clock) -> StatusTable:
+        times = true_ns(np.array(self.times, dtype=np.int64), clock, epoch_ns)
+        assert len(times) == len(self._texts)
+        states, reasons = zip(*self._texts, strict=True) if self._texts else ((), ())
+        columns = (self._ticks, self._tick_counts, self._ages, self._age_counts)
+        ticks, tick_counts, ages, age_counts = (np.array(column, dtype=np.int64) for column in columns)
+        if any(later < earlier for earlier, later in pairwise(self.times)):
+            times = np.maximum.accumulate(times)  # a clock that went back: keep the order of arrival
+        return StatusTable(
+            (times - epoch_ns) / 1e9,
+            states,
+            reasons,
+            self._counters,
+            ticks,
+            tick_counts,
+            ages,
+            age_counts,
+            np.array(self._neighbours, dtype=np.int64).reshape(-1, NEIGHBOUR_COLUMNS),
+            np.array(self._neighbour_counts, dtype=np.int64),
+        )

@@ -1,0 +1,372 @@
+"""The command ``handfast sweep``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TextIO
+
+from agent.fleet import FleetError
+from deploy.arguments import InputError, change_arguments, fleet_path, fleet_text, overrides, scenario_path
+
+if TYPE_CHECKING:
+    from deploy.sweep import Plan, Question
+    from deploy.sweep_folder import SweepFolder
+    from deploy.sweep_run import Row
+
+DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+TIMEOUT: Final = "10min"
+LINE_PERIOD_S: Final = 10.0
+ROWS_MAX: Final = 40
+"""Cells that are printed; of a larger grid, only what its files hold."""
+FINDINGS_MAX: Final = 20
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "drive the fleet many times over a grid of its fields, in virtual time, on all cores"
+    sub = commands.add_parser(
+        "sweep",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}. Ctrl-C keeps what is done; the same command, or `handfast "
+        "sweep DIR`, goes on. Exit status: 0 all runs were driven, whatever came of them; 2 bad input; "
+        "130 after Ctrl-C.",
+    )
+    sub.set_defaults(command=sweep)
+    sub.add_argument(
+        "fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet; or a sweep's folder, to go on"
+    )
+    sub.add_argument(
+        "--over",
+        action="append",
+        default=[],
+        metavar="A.B=V,V,...",
+        help="vary a field over these values, repeatedly: all combinations are driven",
+    )
+    sub.add_argument("--repeat", type=int, metavar="N", help="runs of each cell (default: 1)")
+    change_arguments(sub)
+    sub.add_argument(
+        "--random-starts",
+        nargs="?",
+        const="",
+        metavar="SIDE",
+        help="every repeat starts somewhere else, in a square of this side (default: 4m for six robots)",
+    )
+    sub.add_argument("--margin", metavar="A.B", help="field whose margin is found (default: faults.delay)")
+    sub.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: the number of cores)")
+    sub.add_argument(
+        "--timeout",
+        default=TIMEOUT,
+        metavar="TIME",
+        help=f"real time that a run may take (default: {TIMEOUT})",
+    )
+    sub.add_argument("--out", metavar="DIR", help="the sweep's folder (default: sweeps/FLEET-TIME)")
+    sub.add_argument(
+        "--write", type=int, metavar="RUN", help="only write the fleet file of one run, to drive it by itself"
+    )
+    sub.add_argument(
+        "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
+    )
+    sub.add_argument("--quiet", action="store_true", help="say only what went wrong and what was found")
+
+
+def sweep(options: argparse.Namespace) -> int:
+    """Runs the command; returns the exit status."""
+    from deploy.recorder import RecordingError
+    from deploy.sweep import SweepError
+    from deploy.sweep_pool import PoolError
+
+    try:
+        return _sweep(options)
+    except (FleetError, InputError, SweepError, RecordingError, PoolError) as error:
+        print(f"handfast: {error}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from deploy.interrupt import Interrupt
+    from deploy.sweep import SweepError, make_plan
+    from deploy.sweep_folder import SweepFolder
+    from deploy.sweep_pool import cores
+    from deploy.sweep_summary import margin_axis
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        jobs = cores() if options.jobs is None else options.jobs
+        if jobs < 1:
+            raise SweepError(f"--jobs must be at least 1, got {jobs}")
+        timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
+        again, question = _question(options)
+        plan = make_plan(question)
+        margin = margin_axis(plan, options.margin)
+        _refuse_errors(options, plan)
+        if again is not None:
+            path = again
+        elif options.out:
+            path = Path(options.out)
+        else:
+            path = Path("sweeps") / f"{plan.cells[0].fleet.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        with SweepFolder(path, question, plan) as folder:
+            if options.write is not None:
+                return _write(folder, options.write)
+            _drive(folder, jobs, timeout_s, interrupt, quiet=options.quiet)
+            if folder.missing:
+                done = plan.runs - len(folder.missing)
+                print(
+                    f"{done} of {plan.runs} runs are done and kept; go on with: handfast sweep {path}",
+                    file=sys.stderr,
+                )
+                return INTERRUPTED
+            folder.complete()
+            _conclude(folder, margin)
+    return DONE
+
+
+def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
+    """What is asked, and the folder of the sweep that asks it when one is gone on with."""
+    from deploy.sweep import Question, SweepError, parse_axis
+    from deploy.sweep_folder import SWEEP_FILE, read_question
+
+    folder = Path(options.fleet)
+    if folder.is_dir():
+        if not (folder / SWEEP_FILE).exists():
+            raise SweepError(f"{folder} is a folder and holds no sweep: give a fleet, or a sweep's folder")
+        names = ("over", "repeat", "law", "overrides", "faults", "duration", "seed", "random_starts", "out")
+        given = [name for name in names if getattr(options, name) not in (None, [])]
+        if given:
+            option = {"overrides": "set", "random_starts": "random-starts"}.get(given[0], given[0])
+            raise SweepError(f"{folder} is a sweep that goes on as it was asked: leave --{option} out")
+        return folder, read_question(folder)
+    path = fleet_path(options.fleet)
+    starts = options.random_starts
+    if starts:
+        starts = _quantity(starts, "m", "--random-starts", '"4m"')
+    return None, Question(
+        str(path),
+        fleet_text(path, scenario_path(options.faults) if options.faults is not None else None),
+        options.law,
+        tuple(overrides(options)),
+        tuple(parse_axis(text) for text in options.over),
+        1 if options.repeat is None else options.repeat,
+        0.0 if starts == "" else starts,
+    )
+
+
+def _quantity(text: str, unit: str, option: str, example: str) -> float:
+    from deploy.sweep import SweepError, number
+
+    value = number(text, unit)
+    if value is None or value <= 0.0:
+        raise SweepError(f"{option} must be more than 0 {unit}, such as {example}, got {text!r}")
+    return value
+
+
+def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
+    """Says what `check` finds wrong in any cell; errors end the command unless told otherwise."""
+    from deploy.check import check
+    from deploy.sweep import SweepError
+
+    found: dict[tuple[str, str], tuple[str, list[int]]] = {}
+    for cell in range(len(plan.cells)):
+        try:
+            fleet = plan.fleet(cell * plan.repeat)
+        except ValueError as error:
+            raise SweepError(f"--random-starts: {error}") from None
+        for finding in check(fleet):
+            if finding.level == "error" or (finding.level == "warning" and not options.quiet):
+                # The same thing in many cells, with other numbers in it, is said once.
+                found.setdefault((finding.level, finding.place), (str(finding), []))[1].append(cell)
+    for text, cells in list(found.values())[:FINDINGS_MAX]:
+        more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
+        everywhere = len(cells) == len(plan.cells)
+        print(text if everywhere else f"{text} ({plan.name(cells[0])}{more})", file=sys.stderr)
+    if len(found) > FINDINGS_MAX:
+        print(f"... and {len(found) - FINDINGS_MAX} more", file=sys.stderr)
+    if options.check and any(level == "error" for level, _ in found):
+        raise SweepError(
+            f"{options.fleet}: not started because of the errors above (--no-check drives all the same)"
+        )
+
+
+def _write(folder: SweepFolder, run: int) -> int:
+    """Writes the fleet file of one run beside the results."""
+    import tomli_w
+
+    from agent.fleet import to_dict
+    from deploy.sweep import SweepError
+
+    plan = folder.plan
+    if not 0 <= run < plan.runs:
+        raise SweepError(f"--write {run}: the runs of this sweep are 0 to {plan.runs - 1}")
+    path = folder.path / f"run-{run}.toml"
+    try:
+        path.write_text(tomli_w.dumps(to_dict(plan.fleet(run))), encoding="utf-8")
+    except OSError as error:
+        raise SweepError(f"cannot write {path}: {error.strerror or error}") from None
+    print(f"wrote {path} ({plan.name(run // plan.repeat)}); next: handfast simulate {path}")
+    return DONE
+
+
+# ---------------------------------------------------------------------- driving
+
+
+def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
+    """Drives what is missing, until all is done or somebody says stop."""
+    from deploy.sweep_pool import Pool
+
+    missing = folder.missing
+    if not missing:
+        return
+    plan, done = folder.plan, folder.plan.runs - len(missing)
+    if not quiet:
+        kept = f", {done} of them done already" if done else ""
+        print(
+            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {jobs} at a time, "
+            f"into {folder.path}",
+            file=sys.stderr,
+        )
+    progress = make_progress(sys.stderr, plan.runs, done, quiet=quiet)
+    with progress, Pool(plan, jobs, timeout_s) as pool:
+        for row in pool.rows(missing, lambda: interrupt.count == 0):
+            folder.add(row)
+            progress.add(row)
+
+
+def make_progress(stream: TextIO, total: int, done: int, *, quiet: bool) -> Lines | Bar:
+    """A bar with rate and time left on a terminal, else a plain line from time to time."""
+    return Bar(stream, total, done) if stream.isatty() and not quiet else Lines(stream, total, done, quiet)
+
+
+class Lines:
+    """Plain lines, for logs and pipes: at every tenth of the runs, and every `LINE_PERIOD_S`."""
+
+    def __init__(self, stream: TextIO, total: int, done: int, quiet: bool) -> None:
+        self._stream, self._total, self._done, self._quiet = stream, total, done, quiet
+        self._before = done
+        self._begun_s = self._told_s = time.monotonic()
+
+    def __enter__(self) -> Lines:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def add(self, row: Row) -> None:
+        self._done += 1
+        now_s = time.monotonic()
+        tenth = self._done * 10 // self._total > (self._done - 1) * 10 // self._total
+        if self._quiet or not (tenth or now_s - self._told_s > LINE_PERIOD_S):
+            return
+        self._told_s = now_s
+        rate = (self._done - self._before) / max(now_s - self._begun_s, 1e-3)
+        left_s = (self._total - self._done) / rate
+        print(
+            f"{self._done} of {self._total} runs, {rate:.2f} a second, {_clock(left_s)} left",
+            file=self._stream,
+            flush=True,
+        )
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}"
+
+
+class Bar:
+    """A bar that is redrawn in place."""
+
+    def __init__(self, stream: TextIO, total: int, done: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._progress = Progress(
+            TextColumn("[bold]driving"),
+            BarColumn(bar_width=None),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+            TextColumn("{task.fields[trouble]}"),
+            console=Console(file=stream),
+            speed_estimate_period=120.0,
+        )
+        self._before, self._done, self._trouble = done, done, 0
+        self._task = self._progress.add_task("", total=total, completed=done, rate="", trouble="")
+
+    def __enter__(self) -> Bar:
+        self._begun_s = time.monotonic()
+        self._progress.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._progress.__exit__(*error)
+
+    def add(self, row: Row) -> None:
+        self._done += 1
+        self._trouble += not row.good
+        rate = (self._done - self._before) / max(time.monotonic() - self._begun_s, 1e-3)
+        trouble = f"{self._trouble} unsafe or not settled" if self._trouble else ""
+        self._progress.update(self._task, completed=self._done, rate=f"{rate:.2f}/s", trouble=trouble)
+
+
+# ---------------------------------------------------------------------- what was found
+
+
+def _conclude(folder: SweepFolder, margin: int | None) -> None:
+    """Writes summary and pictures, and says what was found."""
+    from deploy.sweep import SweepError
+    from deploy.sweep_figures import write_sweep_figures
+    from deploy.sweep_folder import csv_bytes, replace_file
+    from deploy.sweep_summary import margins, summarise, summary_json, summary_table
+
+    plan = folder.plan
+    cells = summarise(plan, folder.rows)
+    found = margins(plan, cells, margin) if margin is not None else []
+    try:
+        replace_file(folder.path / "summary.csv", csv_bytes(summary_table(plan, cells)))
+        text = json.dumps(summary_json(plan, cells, found), indent=2, allow_nan=False) + "\n"
+        replace_file(folder.path / "summary.json", text.encode())
+    except OSError as error:
+        raise SweepError(f"cannot write the summary into {folder.path}: {error.strerror or error}") from None
+    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found)
+    if len(cells) <= ROWS_MAX:
+        heading = [axis.field for axis in plan.axes]
+        rows = [[*heading, "safe", "settled", "settling s", "closest m", "RMS mm"]]
+        for cell in cells:
+            middle, rms = (
+                cell.quantiles[name]["median"] for name in ("settling_time_s", "rms_distance_error_m")
+            )
+            rows.append(
+                [
+                    *cell.values,
+                    f"{cell.safe.count}/{cell.safe.of}",
+                    f"{cell.settled.count}/{cell.settled.of}",
+                    "-" if middle is None else f"{middle:.1f}",
+                    "-" if cell.least_m is None else f"{cell.least_m:.3f}",
+                    "-" if rms is None else f"{1e3 * rms:.0f}",
+                ]
+            )
+        print(_aligned(rows))
+    unfinished = sum(cell.unfinished for cell in cells)
+    if unfinished:
+        first = next(row for row in map(folder.rows.__getitem__, range(plan.runs)) if row.settled is None)
+        print(f"{unfinished} of {plan.runs} runs were not finished; run {first.run}: {first.reason}")
+    for each in found[:ROWS_MAX]:
+        print(f"margin of {each}")
+    if len(found) > ROWS_MAX:
+        print(f"... and {len(found) - ROWS_MAX} more margins in summary.json")
+    if left_out:
+        print(left_out)
+    print(folder.path)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  " + "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)) for row in rows
+    )

@@ -1,0 +1,288 @@
+"""A sweep's folder: what was asked, and a row for every run that is done, kept from the moment it is.
+
+``sweep.toml`` and ``fleet.toml`` (the fleet file's text as it was given) are the question, ``results.csv``
+the answers so far. A second sweep with the same question goes on where the first one ended, however it
+ended; one with another question is refused.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import os
+import tomllib
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+import tomli_w
+
+from deploy.sweep import Plan, Question, SweepError, parse_axis
+from deploy.sweep_run import NUMBERS, Row
+from deploy.version import handfast_version
+
+FORMAT: Final = 1
+SWEEP_FILE: Final = "sweep.toml"
+FLEET_FILE: Final = "fleet.toml"
+RESULTS_FILE: Final = "results.csv"
+_WORDS: Final = {"true": True, "false": False, "": None}
+
+
+class SweepFolder:
+    """The folder of one sweep, held by one process at a time. A context manager.
+
+    Args:
+        path: made if need be; empty, or with a sweep that asks the same.
+
+    Raises:
+        SweepError: the folder holds something else, is in use, or cannot be written.
+    """
+
+    def __init__(self, path: Path, question: Question, plan: Plan) -> None:
+        self.path, self.plan = path, plan
+        self.rows: dict[int, Row] = {}
+        self._results = path / RESULTS_FILE
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(path, os.O_RDONLY)
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._claim(question)
+                self._read()
+                self._stream = open(self._results, "ab", buffering=0)  # noqa: SIM115 (until __exit__)
+            except BaseException:
+                os.close(self._lock)
+                raise
+        except BlockingIOError:
+            raise SweepError(f"{path}: another sweep is at work in this folder") from None
+        except OSError as error:
+            raise SweepError(f"cannot write the sweep's folder {path}: {error.strerror or error}") from None
+
+    def __enter__(self) -> SweepFolder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
+        os.close(self._lock)
+
+    @property
+    def missing(self) -> list[int]:
+        """Runs that are still to be driven, in the order in which they are."""
+        return [run for run in self.plan.order() if run not in self.rows]
+
+    def add(self, row: Row) -> None:
+        """Keeps one run's row: once this returns it outlives the process.
+
+        Raises:
+            SweepError: it cannot be written.
+        """
+        self.rows[row.run] = row
+        line = _line(self._cells(row))
+        try:
+            while line:  # a full disk takes a part
+                line = line[os.write(self._stream.fileno(), line) :]
+        except OSError as error:
+            raise SweepError(f"cannot write {self._results}: {error.strerror or error}") from None
+
+    def complete(self) -> None:
+        """Puts the rows in the order of the runs, now that all are there.
+
+        Raises:
+            SweepError: the file cannot be written.
+        """
+        table = [self._header(), *(self._cells(self.rows[run]) for run in sorted(self.rows))]
+        try:
+            replace_file(self._results, csv_bytes(table))
+        except OSError as error:
+            raise SweepError(f"cannot write {self._results}: {error.strerror or error}") from None
+
+    def _claim(self, question: Question) -> None:
+        """Makes the folder this sweep's, unless it is that already."""
+        asked, known = _asked(question, self.plan), self.path / SWEEP_FILE
+        if known.exists():
+            _compare(self.path, _read_toml(known), asked)
+            return
+        if any(self.path.iterdir()):
+            raise SweepError(
+                f"{self.path} is not empty and holds no sweep: name another folder with --out, or remove it"
+            )
+        (self.path / FLEET_FILE).write_text(question.text, encoding="utf-8")
+        # Last: a folder with this file is a sweep that can go on.
+        replace_file(known, tomli_w.dumps({"sweep": asked}).encode())
+
+    def _header(self) -> list[str]:
+        fields = [axis.field for axis in self.plan.axes]
+        return ["run", *fields, "repeat", "seed", "settled", "safe", *NUMBERS, "verdict", "reason", "wall_s"]
+
+    def _cells(self, row: Row) -> list[str]:
+        cell, repeat = divmod(row.run, self.plan.repeat)
+        return [
+            str(row.run),
+            *self.plan.values(cell),
+            str(repeat),
+            str(row.seed),
+            _word(row.settled),
+            _word(row.safe),
+            *(repr(row.numbers[name]) if name in row.numbers else "" for name in NUMBERS),
+            row.verdict,
+            row.reason,
+            f"{row.wall_s:.3f}",
+        ]
+
+    def _read(self) -> None:
+        """Takes the rows that are there; a last one that was cut off by a crash is forgotten."""
+        header = self._header()
+        content = self._results.read_bytes() if self._results.exists() else b""
+        whole = content.rfind(b"\n") + 1
+        if whole == 0:
+            replace_file(self._results, _line(header))
+            return
+        if whole != len(content):
+            os.truncate(self._results, whole)
+        text = content[:whole].decode("utf-8", errors="replace")
+        for number, cells in enumerate(csv.reader(io.StringIO(text, newline="")), 1):
+            if number == 1 and cells == header:
+                continue
+            row = None
+            if number > 1 and len(cells) == len(header):
+                with suppress(ValueError, KeyError):
+                    row = self._row(dict(zip(header, cells, strict=True)))
+            if row is None or self._cells(row) != cells:
+                raise SweepError(
+                    f"{self._results}, line {number}: not a row of this sweep; remove the line"
+                    if number > 1
+                    else f"{self._results}: the first line is not this sweep's heading"
+                )
+            self.rows[row.run] = row
+
+    def _row(self, cells: dict[str, str]) -> Row:
+        run = int(cells["run"])
+        if not 0 <= run < self.plan.runs:
+            raise ValueError(run)
+        return Row(
+            run,
+            self.plan.run_seed(run),
+            cells["verdict"],
+            cells["reason"],
+            _WORDS[cells["safe"]],
+            _WORDS[cells["settled"]],
+            {name: float(cells[name]) for name in NUMBERS if cells[name]},
+            float(cells["wall_s"]),
+        )
+
+
+def read_question(folder: Path) -> Question:
+    """The question of the sweep in `folder`.
+
+    Raises:
+        SweepError: there is none, or it cannot be read.
+    """
+    table = _read_toml(folder / SWEEP_FILE)
+    try:
+        text = (folder / FLEET_FILE).read_text(encoding="utf-8")
+        return Question(
+            str(folder / FLEET_FILE),
+            text,
+            table.get("law"),
+            tuple(table["set"]),
+            tuple(parse_axis(axis) for axis in table["over"]),
+            table["repeat"],
+            table.get("random_starts_m"),
+        )
+    except OSError as error:
+        raise SweepError(f"cannot read {folder / FLEET_FILE}: {error.strerror or error}") from None
+    except (KeyError, TypeError):
+        raise SweepError(f"{folder / SWEEP_FILE} is not what a sweep has written") from None
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Writes a file all at once: whoever reads it sees the old or the new one, never a part."""
+    new = path.with_name(path.name + ".new")
+    new.write_bytes(content)
+    new.replace(path)
+
+
+def csv_bytes(rows: Iterable[Sequence[str]]) -> bytes:
+    """Rows of cells as a CSV file."""
+    return b"".join(_line(row) for row in rows)
+
+
+def _line(cells: Sequence[str]) -> bytes:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow(cells)
+    return out.getvalue().encode("utf-8", errors="replace")
+
+
+def _word(value: bool | None) -> str:
+    return "" if value is None else "true" if value else "false"
+
+
+def _asked(question: Question, plan: Plan) -> dict[str, Any]:
+    law = {} if question.law is None else {"law": question.law}
+    return {
+        "format": FORMAT,
+        "handfast": handfast_version(),
+        "fleet": question.source,
+        **law,
+        "set": list(question.overrides),
+        **plan.identity(),
+        "runs": plan.runs,
+    }
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))["sweep"]
+    except OSError as error:
+        raise SweepError(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, KeyError):
+        table = None
+    if not isinstance(table, dict):
+        raise SweepError(f"{path} is not what a sweep has written")
+    return table
+
+
+_WORDED: Final = {
+    "format": "the folder's format",
+    "handfast": "the version of handfast",
+    "over": "--over",
+    "repeat": "--repeat",
+    "seed": "the seed",
+    "random_starts_m": "--random-starts",
+    "law": "--law",
+    "set": "--set",
+}
+
+
+def _compare(path: Path, there: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Refuses a folder whose runs would be others."""
+    differs = [
+        name
+        for name in ("format", "handfast", "over", "repeat", "seed", "random_starts_m")
+        if there.get(name) != asked.get(name)
+    ]
+    if there.get("fleet_digest") != asked["fleet_digest"]:
+        differs += [name for name in ("law", "set") if there.get(name) != asked.get(name)]
+    if differs:
+        said = [
+            f"{_WORDED[name]} is {_show(asked.get(name))}, was {_show(there.get(name))}" for name in differs
+        ]
+    elif there.get("fleet_digest") != asked["fleet_digest"]:
+        said = ["the fleet file is another one, or has been changed"]
+    else:
+        return
+    raise SweepError(
+        f"{path} holds another sweep: {'; '.join(said)}. Name another folder with --out, or go on with "
+        f"that one: handfast sweep {path}"
+    )
+
+
+def _show(value: object) -> str:
+    if value is None or value == []:
+        return "not given"
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)

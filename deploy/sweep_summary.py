@@ -1,0 +1,254 @@
+"""What a sweep has found: every cell in numbers, and how far a field can go. Pure functions of the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, floor, inf, isfinite, sqrt
+from typing import Any, Final
+
+from deploy.sweep import Axis, Plan, SweepError
+from deploy.sweep_run import CRASHED, TIMED_OUT, Row
+
+Z_95: Final = 1.959963984540054
+DEFAULT_MARGIN: Final = "faults.delay"
+QUANTILES: Final[Mapping[str, float]] = {"q25": 0.25, "median": 0.5, "q75": 0.75}
+SUMMARISED: Final = (
+    "settling_time_s",
+    "min_distance_m.edge",
+    "rms_distance_error_m",
+    "final_distance_error_m",
+    "final_tracking_error_m",
+    "age_p99_ms",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """So many of so many, with the 95 % interval of the share behind it (Wilson 1927)."""
+
+    count: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        return self.count / self.of
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper bound, 0..1."""
+        z2 = Z_95**2 / self.of
+        middle = (self.share + z2 / 2.0) / (1.0 + z2)
+        half = sqrt(z2 * (self.share * (1.0 - self.share) + z2 / 4.0)) / (1.0 + z2)
+        return max(0.0, middle - half), min(1.0, middle + half)
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of the grid.
+
+    `quantiles` has those of `SUMMARISED`, by name and then by `QUANTILES`; a quantile that falls among
+    runs without that number (a settling time of a run that never settled) is None. `least_m` is the
+    closest that any two robots of an edge came in any run, None when not known.
+    """
+
+    number: int
+    values: tuple[str, ...]
+    safe_distance_m: float
+    runs: int
+    unfinished: int
+    safe: Share
+    settled: Share
+    good: int
+    least_m: float | None
+    quantiles: Mapping[str, Mapping[str, float | None]]
+
+    @property
+    def trouble(self) -> str:
+        """Why it is not all safe and settled, in words; empty when it is."""
+        counts = {
+            "unsafe": self.safe.of - self.safe.count - self.unfinished,
+            "not settled": self.settled.of - self.settled.count - self.unfinished,
+            "not finished": self.unfinished,
+        }
+        return ", ".join(f"{count} of {self.runs} {what}" for what, count in counts.items() if count)
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """How far a field goes with the others as they are.
+
+    `good` counts the values, from the least on, with which every run was safe and settled; `trouble` says
+    what the next one brought, empty when there is none.
+    """
+
+    axis: Axis
+    others: tuple[tuple[str, str], ...]
+    good: int
+    trouble: str
+
+    @property
+    def largest(self) -> str | None:
+        """The last value that was good, None when not even the first one was."""
+        return self.axis.values[self.good - 1] if self.good else None
+
+    @property
+    def failed(self) -> str | None:
+        """The next value, None when there is none."""
+        return self.axis.values[self.good] if self.good < len(self.axis.values) else None
+
+    def __str__(self) -> str:
+        others = ", ".join(f"{field}={value}" for field, value in self.others)
+        name = f"{self.axis.field} with {others}" if others else self.axis.field
+        if self.largest is None:
+            return f"{name}: none, not even {self.failed} is safe and settled ({self.trouble})"
+        if self.failed is None:
+            return f"{name}: safe and settled up to {self.largest}, the largest value"
+        return f"{name}: safe and settled up to {self.largest} ({self.failed}: {self.trouble})"
+
+
+def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
+    """Every cell, in the order of the grid. `rows` has all runs of the plan."""
+    cells = []
+    for number, fleet in enumerate(plan.cells):
+        first = number * plan.repeat
+        own = [rows[run] for run in range(first, first + plan.repeat)]
+        nearest = [row.numbers.get("min_distance_m.edge") for row in own]
+        cells.append(
+            Cell(
+                number,
+                plan.values(number),
+                fleet.formation.safe_distance_m,
+                len(own),
+                sum(row.verdict in (CRASHED, TIMED_OUT) for row in own),
+                Share(sum(row.safe is True for row in own), len(own)),
+                Share(sum(row.settled is True for row in own), len(own)),
+                sum(row.good for row in own),
+                min((value for value in nearest if value is not None), default=None),
+                {name: _quantiles(name, own) for name in SUMMARISED},
+            )
+        )
+    return cells
+
+
+def _quantiles(name: str, rows: Sequence[Row]) -> dict[str, float | None]:
+    # A run that never settled settles later than any other; one that was not finished is no better.
+    # The least distance is the only number of which less is worse.
+    missing = -inf if name == "min_distance_m.edge" else inf
+    values = sorted(row.numbers.get(name, missing) for row in rows)
+    return {label: _quantile(values, share) for label, share in QUANTILES.items()}
+
+
+def _quantile(values: Sequence[float], share: float) -> float | None:
+    """Linear between the two values at ``share (n - 1)``, as numpy's; `values` ascending."""
+    place = share * (len(values) - 1)
+    low, high = values[floor(place)], values[ceil(place)]
+    if not isfinite(low) or not isfinite(high):
+        return None
+    return low + (place - floor(place)) * (high - low)
+
+
+def margin_axis(plan: Plan, wanted: str | None) -> int | None:
+    """Which axis the margin is of: `wanted`, else `DEFAULT_MARGIN`, else the first that has numbers.
+
+    Raises:
+        SweepError: `wanted` is not varied, or its values have no order.
+    """
+    names = [axis.field for axis in plan.axes]
+    numeric = [axis.field for axis in plan.axes if axis.numbers is not None]
+    if wanted is None:
+        if DEFAULT_MARGIN in numeric:
+            return names.index(DEFAULT_MARGIN)
+        return names.index(numeric[0]) if numeric else None
+    if wanted not in names:
+        raise SweepError(f"--margin {wanted} is not varied: varied are {', '.join(names) or 'no fields'}")
+    if wanted not in numeric:
+        raise SweepError(f"--margin {wanted}: its values are no numbers, so none of them is the largest")
+    return names.index(wanted)
+
+
+def margins(plan: Plan, cells: Sequence[Cell], axis: int) -> list[Margin]:
+    """The margin of an axis for each combination of the others, in the order of the grid."""
+    lines: dict[tuple[str, ...], list[Cell]] = {}
+    for cell in cells:
+        lines.setdefault(cell.values[:axis] + cell.values[axis + 1 :], []).append(cell)
+    names = [other.field for number, other in enumerate(plan.axes) if number != axis]
+    out = []
+    for values, line in lines.items():
+        good = next((k for k, cell in enumerate(line) if cell.good < cell.runs), len(line))
+        trouble = line[good].trouble if good < len(line) else ""
+        out.append(Margin(plan.axes[axis], tuple(zip(names, values, strict=True)), good, trouble))
+    return out
+
+
+# ---------------------------------------------------------------------- as tables
+
+
+def summary_table(plan: Plan, cells: Sequence[Cell]) -> list[list[str]]:
+    """The content of ``summary.csv``: a heading and a row for each cell."""
+    heading = [axis.field for axis in plan.axes] + ["runs", "unfinished"]
+    for name in ("safe", "settled"):
+        heading += [name, f"{name}_share", f"{name}_low", f"{name}_high"]
+    heading += ["min_distance_m.edge_least"]
+    heading += [f"{name}_{label}" for name in SUMMARISED for label in QUANTILES]
+    table = [heading]
+    for cell in cells:
+        row = [*cell.values, str(cell.runs), str(cell.unfinished)]
+        for share in (cell.safe, cell.settled):
+            row += [str(share.count), *(_text(value) for value in (share.share, *share.interval))]
+        row += [_text(cell.least_m)]
+        row += [_text(cell.quantiles[name][label]) for name in SUMMARISED for label in QUANTILES]
+        table.append(row)
+    return table
+
+
+def summary_json(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> dict[str, Any]:
+    """The content of ``summary.json``."""
+    fields = [axis.field for axis in plan.axes]
+    return {
+        **plan.identity(),
+        "runs": plan.runs,
+        "margins": [
+            {
+                "field": margin.axis.field,
+                "with": dict(margin.others),
+                "largest": margin.largest,
+                "failed": margin.failed,
+                "trouble": margin.trouble,
+            }
+            for margin in found
+        ],
+        "cells": [
+            {
+                "fields": dict(zip(fields, cell.values, strict=True)),
+                "runs": cell.runs,
+                "unfinished": cell.unfinished,
+                "safe": _share(cell.safe),
+                "settled": _share(cell.settled),
+                "least_distance_m": _rounded(cell.least_m),
+                **{
+                    name: {label: _rounded(value) for label, value in cell.quantiles[name].items()}
+                    for name in SUMMARISED
+                },
+            }
+            for cell in cells
+        ],
+    }
+
+
+def _share(share: Share) -> dict[str, Any]:
+    low, high = share.interval
+    return {
+        "count": share.count,
+        "share": _rounded(share.share),
+        "low": _rounded(low),
+        "high": _rounded(high),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)
+
+
+def _text(value: float | None) -> str:
+    return "" if value is None else repr(_rounded(value))

@@ -1,0 +1,87 @@
+"""What a plant's sensors tell of its body: noise, and the sensor faults of the rules (PURE)."""
+
+from __future__ import annotations
+
+from math import cos, hypot, pi, sin
+from typing import Final
+
+from agent import draws
+from agent.fault_settings import SENSOR_FIELDS
+from agent.faults import FaultPlan, SensorFaults
+from agent.fleet import Robot
+from agent.hand import Pose
+
+_NONE: Final = SensorFaults()
+
+
+class Measurement:
+    """The sensors of one robot.
+
+    Errors are added to whatever its backend says. Noise of the body and of a fault are independent: their
+    variances add. Each quantity's draw is a function of the seed, the robot and the sequence number of the
+    plant's state.
+
+    Args:
+        seed: of every draw.
+        body: with its own noise.
+        plan: the rules; they may change.
+    """
+
+    def __init__(self, seed: int, body: Robot, plan: FaultPlan) -> None:
+        self._robot = body.id
+        self._plan = plan
+        self._changes = -1
+        self._noise = (
+            body.position_noise_m, body.position_noise_m, body.heading_noise_rad, body.speed_noise_mps,
+            body.yaw_rate_noise_radps,
+        )  # fmt: skip
+        self._streams = [
+            draws.stream(seed, "plant", body.id, quantity)
+            for quantity in ("x", "y", "heading", "speed", "yaw rate")
+        ]
+        self._dropout, self._jump, self._direction = (
+            draws.stream(seed, "plant", body.id, purpose) for purpose in ("dropout", "jump", "direction")
+        )
+        self._ruled = False
+
+    @property
+    def exact(self) -> bool:
+        """True while nothing can make a measurement differ from the pose; no rule, at whatever time."""
+        if self._changes != self._plan.changes:
+            self._changes = self._plan.changes
+            rules = (*self._plan.file_rules(), *(rule for held in self._plan.live for rule in held.rules))
+            self._ruled = any(
+                rule.given(SENSOR_FIELDS) and (rule.robots is None or self._robot in rule.robots)
+                for rule in rules
+            )
+        return not (self._ruled or any(self._noise))
+
+    def measured(self, pose: Pose, time_ns: int, sequence: int) -> Pose | None:
+        """The pose (W) that is told, None for a dropout.
+
+        Args:
+            pose: at `time_ns`, as the backend has it.
+            sequence: number of the plant's state that will tell it.
+        """
+        if self.exact:
+            return pose
+        faults = (self._plan.sensor(self._robot, time_ns) if self._ruled else None) or _NONE
+        if faults.dropout and draws.uniform(self._dropout, sequence) < faults.dropout:
+            return None
+        bias_x, bias_y = faults.position_bias_m
+        if faults.jump_m and draws.uniform(self._jump, sequence) < faults.jump_probability:
+            angle = 2.0 * pi * draws.uniform(self._direction, sequence)
+            bias_x, bias_y = bias_x + faults.jump_m * cos(angle), bias_y + faults.jump_m * sin(angle)
+        biases = bias_x, bias_y, faults.heading_bias_rad, faults.speed_bias_mps, faults.yaw_rate_bias_radps
+        noises = (
+            faults.position_noise_m, faults.position_noise_m, faults.heading_noise_rad,
+            faults.speed_noise_mps, faults.yaw_rate_noise_radps,
+        )  # fmt: skip
+        told = []
+        for value, bias, own, added, stream in zip(
+            pose, biases, self._noise, noises, self._streams, strict=True
+        ):
+            deviation = hypot(own, added)
+            error = deviation * draws.normal(stream, sequence) if deviation else 0.0
+            told.append(value + bias + error)
+        return Pose._make(told)

@@ -1,0 +1,244 @@
+"""Faults on real processes: live ones from the command line, and what rules do to agents and plants."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from agent.clock import NS_PER_S
+from agent.messages import LOST
+from agent.node import FIRST_ROUND
+from deploy.link_data import Link, LinkTable
+from deploy.recording import Recording
+from tests.process.harness import (
+    Command,
+    assert_same_way,
+    measured,
+    no_trouble_in_logs,
+    running,
+)
+
+NETWORK = ("--set", "network.base_port=21120")
+LINE = ("--set", 'trajectory.kind="line"', "--set", "trajectory.velocity_mps=[0.2,0.1]")
+LEASE_S = 2.0
+AGREE_M = 0.02
+ROUNDS = 275
+"""The first 5.5 s of a drive."""
+
+
+@contextmanager
+def running_pair(folder: Path, duration_s: float, *more: str) -> Iterator[tuple[str, Command]]:
+    """`handfast run pair` under a name of its own, driving; its folder is `folder` / out."""
+    name = f"t-{secrets.token_hex(4)}"
+    arguments = ("run", "pair", "--set", f"fleet.name={name}", "--duration", f"{duration_s:g}")
+    with Command(folder, *arguments, "--out", str(folder / "out"), "--no-report", *NETWORK, *more) as command:
+        command.wait_for_line("all running")
+        command.children()
+        yield name, command
+
+
+def told(folder: Path, *arguments: str) -> tuple[int, str]:
+    """A `handfast` command to its end: exit status and standard output."""
+    with Command(folder / secrets.token_hex(4), *arguments) as command:
+        return command.wait(), command.out
+
+
+def decided(recording: Recording) -> dict[Link, LinkTable]:
+    return dict(recording.links.by_link())
+
+
+def rule(folder: Path, text: str) -> tuple[str, str]:
+    """Options that add a scenario of rules."""
+    path = folder / "rules.toml"
+    path.write_text(text)
+    return "--faults", str(path)
+
+
+def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
+    """Set and cleared by one operator; those of another who is killed end with their lease."""
+    cut = ("--link", "1->2", "--loss", "100%")
+    with running_pair(tmp_path / "run", 11) as (name, run):
+        status, out = told(tmp_path, "faults", "set", name, *cut, "--name", "first", "--stay")
+        assert (status, out) == (0, f"4 of 4 agents and plants of {name} took it\n")
+        run.wait_for_line(r"faults: live loss 100% on 1->2 \(")
+        status, out = told(tmp_path, "faults", "show", str(tmp_path / "run" / "out"))
+        assert status == 0
+        assert ", until cleared, held by 4 of 4:\n    first: loss 100% on 1->2 (holds)\n" in out
+        status, out = told(tmp_path, "faults", "clear", name)
+        cleared_ns = time.time_ns()
+        assert status == 0, out
+        assert out.startswith("cleared the live faults of ")
+
+        with Command(tmp_path / "second", "faults", "set", name, *cut, "--for", "60s") as second:
+            second.wait_for_line(r"held by 4 of 4; \d+\.\d s left")
+            second.process.kill()
+            killed_ns = time.time_ns()
+        assert run.wait(30.0) == 0, run.told()
+    recording = Recording.from_folder(tmp_path / "run" / "out")
+    links = decided(recording)
+    assert list(links) == [Link(1, 2, "hand")]
+    rows = links[Link(1, 2, "hand")]
+    assert (rows.what & LOST == LOST).all()
+    first, second_rows = rows[rows.stamp_ns < cleared_ns], rows[rows.stamp_ns > cleared_ns]
+    assert len(first) > 50
+    assert len(second_rows) > 50
+    healed_s = (int(second_rows.stamp_ns[-1]) - killed_ns) / NS_PER_S
+    measured("healed after the author was killed, s", healed_s)
+    assert 0.5 < healed_s <= LEASE_S
+    assert recording.robots[2].status.at(11.0) == ("running", "")
+
+
+def test_ctrl_c_heals(tmp_path: Path) -> None:
+    with running_pair(tmp_path / "run", 6) as (name, run):
+        with Command(tmp_path / "set", "faults", "set", name, "--robot", "1", "--delay", "40ms") as command:
+            command.wait_for_line(r"held by 4 of 4; until Ctrl-C")
+            command.process.send_signal(signal.SIGINT)
+            asked = time.monotonic()
+            assert command.wait(10.0) == 0, command.told()
+            measured("healed after Ctrl-C, s", time.monotonic() - asked)
+            assert "not heard" not in command.err
+        status, out = told(tmp_path, "faults", "show", name)
+        assert status == 0
+        assert out.endswith("live: none\n")
+        assert run.wait(30.0) == 0, run.told()
+
+
+def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
+    with running_pair(tmp_path / "run", 60) as (name, run):
+        for arguments, says in (
+            (
+                ("set", name, "--link", "1->9", "--loss", "1%"),
+                '--link: "1->9": there is no robot 9; ids are 1, 2',
+            ),
+            (("set", "nobody", "--loss", "1%"), 'no fleet of the name "nobody" runs here; running here: '),
+            (("apply", name, "no-such.toml"), "no-such.toml: cannot read the scenario: no such file"),
+        ):
+            with Command(tmp_path / arguments[1] / arguments[0], "faults", *arguments) as command:
+                assert command.wait() == 2
+                assert command.err.startswith(f"handfast: {says}"), command.err
+                assert name in command.err or arguments[1] == name
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait(10.0) == 130, run.told()
+
+
+def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
+    """Not a failure of the run: the agent drives on, a new plant has its body where it was."""
+    rules = rule(
+        tmp_path,
+        '[[faults.rule]]\nname = "crash"\nrobot = 2\nkill = "agent"\nat = 1.5\nfor = 1\n'
+        '[[faults.rule]]\nname = "again"\nrobot = 1\nrestart = "plant"\nat = 3\n',
+    )
+    with running_pair(tmp_path / "run", 12, *LINE, *rules) as (_, run):
+        run.wait_for_line(r"(?m)^1\.5 s: rule 'crash' killed robot 2's agent$")
+        assert "-m plant " in run.children()[run.child(1, "plant")]
+        run.wait_for_line(r"(?m)^2\.5 s: rule 'crash' started robot 2's agent$")
+        run.wait_for_line(r"(?m)^3\.0 s: rule 'again' started robot 1's plant$")
+        assert "--pose=" in run.children()[run.child(1, "plant")]
+        assert run.wait(30.0) == 0, run.told()
+    folder = tmp_path / "run" / "out"
+    no_trouble_in_logs(folder)
+    recording = Recording.from_folder(folder)
+    done = [(each.robot, each.role, each.what, each.rule) for each in recording.events]
+    assert done == [
+        (2, "agent", "kill", "crash"),
+        (2, "agent", "start", "crash"),
+        (1, "plant", "kill", "again"),
+        (1, "plant", "start", "again"),
+    ]
+    assert recording.epoch_ns is not None
+    late_s = [(each.time_ns - recording.epoch_ns) / NS_PER_S for each in recording.events]
+    assert np.allclose(late_s, (1.5, 2.5, 3.0, 3.0), atol=0.1)
+    agent = recording.robots[2].status
+    assert "running" in {state for t, state in zip(agent.t, agent.states, strict=True) if t > late_s[1]}
+    body = recording.robots[1].plant
+    before = int(np.searchsorted(body.t, late_s[2], side="right")) - 1
+    assert abs(body["speed"][before]) > 0.1
+    x, y, heading, speed = (
+        np.diff(body[name][before : before + 2])[0] for name in ("x", "y", "heading", "speed")
+    )
+    assert measured("the body moved while it was away, m", float(np.hypot(x, y))) < 0.01
+    assert abs(heading) < 0.01
+    assert abs(speed) > 0.1, "it stood when it came back"
+
+
+def test_a_paused_plant_brakes_nobody_else_and_drives_on(tmp_path: Path) -> None:
+    """Also one that is paused at the end: it is let go so that it can end."""
+    rules = rule(
+        tmp_path,
+        '[[faults.rule]]\nname = "ice"\nrobot = 2\npause = "plant"\nat = 1\nfor = 1\n'
+        '[[faults.rule]]\nname = "end"\nrobot = 1\npause = "agent"\nat = 4\nfor = 100\n',
+    )
+    with running_pair(tmp_path / "run", 5, *rules) as (_, run):
+        run.wait_for_line(r"(?m)^2\.0 s: rule 'ice' continued robot 2's plant$")
+        run.wait_for_line(r"(?m)^4\.0 s: rule 'end' paused robot 1's agent$")
+        run.wait(30.0)
+        assert "ended" not in run.err
+        assert "was killed" not in run.err
+        assert "ended at" not in run.out
+    recording = Recording.from_folder(tmp_path / "run" / "out")
+    assert [(each.role, each.what) for each in recording.events] == [
+        ("plant", "stop"),
+        ("plant", "continue"),
+        ("agent", "stop"),
+    ]
+    plant = recording.robots[2].plant
+    away = (plant.t > 1.1) & (plant.t < 1.9)
+    assert not away.any()
+    agent = recording.robots[2].status
+    states = [state for t, state in zip(agent.t, agent.states, strict=True) if 1.0 < t < 3.5]
+    assert "fault" in states
+    assert states[-1] == "running"
+    # The one that was let go at the end has ended in order, as its log says.
+    assert "ending (SIGTERM)" in (tmp_path / "run" / "out" / "logs" / "robot-1-agent.log").read_text()
+
+
+def test_a_killed_run_leaves_no_frozen_process(tmp_path: Path) -> None:
+    rules = rule(tmp_path, '[[faults.rule]]\nname = "ice"\nrobot = 2\npause = "both"\nat = 0.5\nfor = 100\n')
+    with running_pair(tmp_path / "run", 60, *rules) as (_, run):
+        run.wait_for_line(r"rule 'ice' paused robot 2's plant")
+        pids = list(run.children())
+        assert len(pids) == 4
+        run.process.kill()
+        measured("seconds", run.wait_until_gone(pids, 5.0))
+    assert not any(map(running, pids))
+
+
+def test_run_and_simulate_give_every_message_the_same_fate(tmp_path: Path) -> None:
+    faults = (
+        *("--set", "faults.loss=20%", "--set", "faults.delay=normal 60ms 30ms"),
+        *("--duration", "6", "--seed", "7", "--no-report"),
+    )
+    folders = [tmp_path / mode for mode in ("run", "simulate")]
+    for mode, folder in zip(("run", "simulate"), folders, strict=True):
+        with Command(folder, mode, "pair", "--out", str(folder / "out"), *faults, *NETWORK) as command:
+            command.wait(60.0)
+    run, simulation = (Recording.from_folder(folder / "out") for folder in folders)
+    fates = [
+        {
+            (link, int(number)): (int(what), int(delay_us))
+            for link, rows in decided(recording).items()
+            for number, what, delay_us in zip(rows.sequence, rows.what, rows.delay_us, strict=True)
+            if FIRST_ROUND <= number < FIRST_ROUND + ROUNDS
+        }
+        for recording in (run, simulation)
+    ]
+    assert len(fates[1]) == 2 * ROUNDS
+    # A busy machine may skip a tick: what was not sent has no fate.
+    sent = {
+        (robot, FIRST_ROUND + int(time_s * 50 + 1e-3))
+        for robot, data in run.robots.items()
+        for time_s in data.hand.t
+    }
+    assert fates[0] == {
+        (link, number): fate for (link, number), fate in fates[1].items() if (link.source, number) in sent
+    }
+    assert len(fates[0]) > 0.9 * len(fates[1])
+    assert 0.1 < sum(what & LOST for what, _ in fates[0].values()) / len(fates[0]) < 0.3
+    grid = np.arange(0.0, 5.9, 0.02)
+    assert_same_way(run.hand_positions(grid), simulation.hand_positions(grid), grid, AGREE_M)

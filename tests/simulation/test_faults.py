@@ -1,0 +1,388 @@
+"""What rules do to clocks, ticks, sensors and processes of whole fleets in virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent import keys
+from agent.clock import NS_PER_S, LocalTime
+from agent.core import Agent
+from agent.faults import FaultPlan
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolve, resolved
+from agent.messages import Event, Mission, PlantState, Status, decode
+from agent.node import INBOX_SIZE
+from agent.supervision import State
+from deploy.simulation import Simulation
+from plant.node import PlantNode
+from tests.hand_trace import Floats, HandTrace
+
+DELTA = (Path(__file__).parents[2] / "deploy" / "fleets" / "delta.toml").read_text(encoding="utf-8")
+PERIOD_NS = NS_PER_S // 50
+STEP_S = 0.02
+
+
+class Run:
+    """One mission of the delta with rules, and everything that was said in it."""
+
+    def __init__(self, *rules: str, duration_s: float = 20.0, overrides: tuple[str, ...] = ()) -> None:
+        text = DELTA + "".join(f"\n[[faults.rule]]\n{rule}\n" for rule in rules)
+        settings = [f"fleet.duration_s={duration_s}", *overrides]
+        self.fleet: Fleet = resolved(parse_fleet(text, source="here", overrides=settings))
+        self.log: list[tuple[int, str, bytes]] = []
+        self._kept = HandTrace(self.fleet)
+        self._started = False
+        self.simulation = Simulation(self.fleet, self._sink)
+
+    def _sink(self, time_ns: int, key: str, payload: bytes) -> None:
+        self.log.append((time_ns, key, payload))
+        self._kept(time_ns, key, payload)
+
+    def drive(self) -> Run:
+        self.simulation.run()
+        return self
+
+    def until(self, time_s: float) -> Run:
+        """Drives up to this fleet time."""
+        if not self._started:
+            self._started = self.simulation.start(round(self.fleet.fleet.duration_s * NS_PER_S))
+            assert self._started
+        self.simulation.run_until(self.simulation.epoch_ns + round(time_s * NS_PER_S))
+        return self
+
+    def agent(self, robot: int) -> Agent:
+        return self.simulation.agents[robot - 1]
+
+    def plant(self, robot: int) -> PlantNode:
+        return self.simulation.plants[robot - 1]
+
+    def states(self, robot: int, *, truth: bool = False) -> list[PlantState]:
+        wanted = (keys.plant_truth if truth else keys.plant_state)("delta", robot)
+        messages = [decode(payload) for _, key, payload in self.log if key == wanted]
+        return [message for message in messages if isinstance(message, PlantState)]
+
+    def events(self) -> list[tuple[float, int, str, str, str]]:
+        """(fleet time, robot, role, what, rule)"""
+        found = []
+        for time_ns, key, payload in self.log:
+            if key == keys.events("delta"):
+                event = decode(payload)
+                assert isinstance(event, Event)
+                assert event.time_ns == time_ns
+                assert event.sequence == len(found)
+                at_s = (time_ns - self.simulation.epoch_ns) / NS_PER_S
+                found.append((at_s, event.robot, event.role, event.what, event.rule))
+        return found
+
+    def distances(self) -> Floats:
+        """Length of every edge over true time, every `STEP_S` from the epoch on, (k, m), m."""
+        epoch_ns, plan = self.simulation.epoch_ns, FaultPlan(self.fleet)
+        times = np.arange(0.0, self.fleet.fleet.duration_s, STEP_S)
+        hands = []
+        for robot in self.fleet.ids:
+            clock = LocalTime(*plan.clock(robot), epoch_ns)
+            rows = self._kept.rows.get(keys.plant_truth("delta", robot))
+            rows = rows or self._kept.rows[keys.plant_state("delta", robot)]
+            stamps = [(clock.true_ns(stamp) - epoch_ns) / NS_PER_S for stamp in rows]
+            hands.append([np.interp(times, stamps, axis) for axis in np.array(list(rows.values())).T])
+        i, j = resolve(self.fleet).edges.T
+        between = np.array(hands)[i] - np.array(hands)[j]
+        return np.hypot(between[:, 0], between[:, 1]).T
+
+    def expect_safe(self, final_error_m: float) -> None:
+        """No edge ever too short, and every edge right at the end."""
+        distances = self.distances()
+        assert distances.min() > self.fleet.formation.safe_distance_m
+        assert np.abs(distances[-1] - resolve(self.fleet).distances).max() < final_error_m
+
+    def agent_states(self) -> set[State]:
+        return {agent.state for agent in self.simulation.agents}
+
+
+EVERYTHING = (
+    "tick_jitter = 0.005",
+    "robot = 2\nclock_skew = 0.05\nclock_drift = 1e-4",
+    "robot = 3\nclock_skew = -0.03",
+    "position_noise_m = 0.01\njump_m = 0.1\ndropout = 0.1",
+    "delay = '80ms 20ms'\nloss = '10%'",
+    "robot = 4\nat = 2\nrestart = 'both'",
+    "robot = 5\nat = 3\nfor = 0.5\npause = 'agent'",
+    "robot = 6\nat = 4\nfor = 0.5\nkill = 'plant'",
+)
+
+
+def test_all_kinds_of_faults_at_once_give_the_same_bytes_again():
+    one, two = (Run(*EVERYTHING, duration_s=6.0).drive() for _ in range(2))
+    assert one.log == two.log
+    assert len(one.events()) == 8
+    assert one.agent_states() == {State.STOPPED}
+
+
+# ---------------------------------------------------------------------- the start
+
+
+def missions(run: Run) -> list[int]:
+    """When the mission was said, s of fleet time."""
+    key = keys.mission("delta")
+    return [round((time_ns - run.simulation.epoch_ns) / 1e6) for time_ns, k, _ in run.log if k == key]
+
+
+def test_a_fleet_that_is_ready_at_once_drives_after_ten_periods():
+    run = Run().until(1.0)
+    assert run.simulation.epoch_ns == 10 * PERIOD_NS
+    assert len(missions(run)) == 1
+    assert run.agent_states() == {State.RUNNING}
+
+
+def test_a_fleet_whose_messages_are_late_drives_half_a_second_after_it_is_ready():
+    run = Run("delay = '1s'").until(0.0)
+    epoch_ns = run.simulation.epoch_ns
+    assert epoch_ns % PERIOD_NS == 0
+    assert 1.5 < epoch_ns / NS_PER_S < 1.6
+    (said_ms,) = missions(run)
+    assert -500 <= said_ms < -480
+    run.until(0.5)
+    assert run.agent_states() == {State.RUNNING}
+
+
+def test_a_fleet_that_is_never_ready_is_told_of_with_the_robots_and_why():
+    run = Run("link = '2->1'\nloss = '100%'").drive()
+    assert run.simulation.reasons == ["Not ready within 60 s: robot 1 (silent neighbours: 2)."]
+    assert missions(run) == []
+    assert run.simulation.now_ns == 60 * NS_PER_S
+
+
+def test_progress_is_told_that_the_fleet_has_not_begun_and_can_end_the_wait():
+    told: list[float] = []
+
+    def progress(time_s: float) -> bool:
+        told.append(time_s)
+        return len(told) < 4
+
+    run = Run("link = '2->1'\nloss = '100%'")
+    run.simulation.run(progress)
+    assert told == [-0.5] * 4
+    assert run.simulation.now_ns == NS_PER_S
+    assert run.simulation.reasons == []
+
+
+def test_progress_of_a_late_start_counts_up_to_the_end():
+    told: list[float] = []
+
+    def progress(time_s: float) -> bool:
+        told.append(time_s)
+        return True
+
+    run = Run("delay = '600ms'", duration_s=1.3)
+    run.simulation.run(progress)
+    assert np.all(np.diff(told) >= 0.0)
+    assert np.diff(told).max() <= 0.25 + 1e-9
+    assert (told[0], told[-1]) == (-0.5, 1.3)
+
+
+# ---------------------------------------------------------------------- clocks
+
+
+@pytest.mark.parametrize("skew_s", [0.1, -0.1])
+def test_a_clock_that_is_100_ms_off_costs_little(skew_s: float):
+    run = Run(f"robot = 3\nclock_skew = {skew_s}").drive()
+    run.expect_safe(0.02)
+    # Its messages say what its clock shows, on its own grid.
+    start_ns = min(state.time_ns for state in run.states(1))
+    first = run.states(3)[0]
+    assert (first.time_ns - start_ns - round(skew_s * NS_PER_S)) % PERIOD_NS == 0
+    assert min(decode(payload)[2] for _, key, payload in run.log if key.endswith("/hand")) >= 0
+
+
+def test_a_robot_starts_by_its_own_clock():
+    run = Run("robot = 3\nclock_skew = 0.1").until(0.5)
+    began = {
+        robot: min(s.time_ns for s in run.states(robot) if s.driving) - run.simulation.epoch_ns
+        for robot in (1, 3)
+    }
+    assert began == {1: 0, 3: 0}
+    arrivals = {
+        robot: next(
+            time_ns - run.simulation.epoch_ns
+            for time_ns, key, payload in run.log
+            if key == keys.plant_state("delta", robot) and decode(payload)[10]
+        )
+        for robot in (1, 3)
+    }
+    assert arrivals == {1: 100_000, 3: 100_000 - NS_PER_S // 10}  # in true time 0.1 s before the others
+
+
+@pytest.mark.parametrize(("skew_s", "waiting"), [(0.3, {1, 2, 5, 6}), (-0.3, {3})])
+def test_a_clock_that_is_300_ms_off_keeps_the_fleet_from_starting(skew_s: float, waiting: set[int]):
+    run = Run(f"robot = 3\nclock_skew = {skew_s}").drive()
+    (reason,) = run.simulation.reasons
+    assert {robot for robot in run.fleet.ids if f"robot {robot} (" in reason} == waiting
+    assert "its clock is 0.28 s ahead" in reason
+    assert all(not state.driving for robot in run.fleet.ids for state in run.states(robot))
+
+
+def test_a_clock_that_drifts_parts_from_the_epoch_on():
+    run = Run("robot = 3\nclock_drift = 0.001", duration_s=10.0).drive()
+    run.expect_safe(0.05)
+    epoch_ns = run.simulation.epoch_ns
+    ahead_us = {}
+    for time_ns, key, payload in run.log:
+        if key == keys.plant_state("delta", 3):
+            true_ns = time_ns - 100_000
+            ahead_us[(true_ns - epoch_ns) / NS_PER_S] = (decode(payload)[2] - true_ns) / 1e3
+    times, ahead = np.array(sorted(ahead_us.items())).T
+    assert ahead == pytest.approx(1e3 * np.maximum(times, 0.0), abs=0.002)
+    assert times[-1] > 9.9
+    # Its plant and its agent share a clock: no wrench is ever late.
+    end_ns = epoch_ns + 10 * NS_PER_S
+    assert all(state.driving for state in run.states(3) if epoch_ns <= state.time_ns < end_ns)
+
+
+# ---------------------------------------------------------------------- ticks and sensors
+
+
+def test_five_ms_of_jitter_change_nothing_that_matters():
+    run = Run("tick_jitter = 0.005").drive()
+    run.expect_safe(1e-3)
+    for times in ([s.time_ns for s in run.states(1)], hand_stamps(run)):
+        late = np.array(times) % (PERIOD_NS // 2)
+        assert late.min() >= 0
+        assert 4_500_000 < late.max() < 5_000_000
+        assert np.all(np.diff(times) > 0)
+
+
+def hand_stamps(run: Run) -> list[int]:
+    return [decode(payload)[2] for _, key, payload in run.log if key == keys.hand("delta", 1)]
+
+
+def test_numbers_count_rounds_although_ticks_are_late():
+    run = Run("tick_jitter = 0.015").until(2.0)
+    for key in (keys.hand("delta", 1), keys.wrench("delta", 1), keys.plant_state("delta", 1)):
+        numbers = [decode(payload)[1] for _, k, payload in run.log if k == key]
+        steps = np.diff(numbers)
+        assert (np.delete(steps, np.argmax(steps)) == 1).all()  # one leap, when the mission comes
+
+
+def test_jitter_beyond_the_period_skips_ticks_and_they_are_counted():
+    run = Run("robot = 2\ntick_jitter = 0.1").drive()
+    run.expect_safe(0.01)
+    assert run.plant(2).overruns > 400
+    assert run.plant(1).overruns == 0
+
+
+def test_measurements_that_drop_out_are_bridged():
+    clean, holed = Run().drive(), Run("dropout = '30%'").drive()
+    assert len(holed.states(1)) == pytest.approx(0.7 * len(clean.states(1)), rel=0.05)
+    assert len(holed.states(1, truth=True)) == len(clean.states(1))
+    # What the plant was told is known: a state that is missing is worked out, but for rounding.
+    assert np.abs(holed.distances() - clean.distances()).max() < 1e-6
+
+
+def test_sensors_that_fail_for_long_are_a_fault_that_ends():
+    run = Run("robot = 2\nat = 5\nfor = 1\ndropout = 1").until(5.5)
+    assert run.agent(2).state is State.FAULT
+    assert "plant silent" in run.agent(2).reason
+    run.until(6.5)
+    assert run.agent_states() == {State.RUNNING}
+
+
+# ---------------------------------------------------------------------- processes
+
+
+def test_an_agent_that_starts_again_drives_again():
+    run = Run("name = 'crash'\nrobot = 3\nat = 5\nrestart = 'agent'").until(4.99)
+    before = run.agent(3)
+    run.until(5.0)
+    assert run.agent(3) is not before
+    run.until(5.45)
+    assert run.agent(3).state is State.READY  # it has heard all but the mission
+    assert run.plant(3).condition[0] == "braking"
+    run.until(5.6)
+    assert run.agent_states() == {State.RUNNING}
+    run.until(20.0)
+    assert run.events() == [(5.0, 3, "agent", "kill", "crash"), (5.0, 3, "agent", "start", "crash")]
+    run.expect_safe(0.01)
+    assert missions(run)[1:] == [5500]
+
+
+def test_a_body_whose_plant_starts_again_stands_where_it_was():
+    run = Run("robot = 3\nat = 5\nrestart = 'plant'", duration_s=18.0).until(4.99)
+    moving = run.states(3)[-1]
+    assert abs(moving.speed) > 0.05
+    run.until(5.0)
+    again = run.states(3)[-1]
+    assert again.time_ns == moving.time_ns + PERIOD_NS
+    assert again[3:8] == (*moving[3:6], 0.0, 0.0)
+    run.until(18.0)
+    run.expect_safe(0.01)
+
+
+def test_what_is_killed_says_and_hears_nothing_until_it_starts_again():
+    run = Run("robot = 3\nat = 5\nfor = 1\nkill = 'both'").until(5.99)
+    epoch_ns = run.simulation.epoch_ns
+    late = [key for time_ns, key, _ in run.log if time_ns > epoch_ns + 5 * NS_PER_S + 200_000]
+    assert late
+    assert not [key for key in late if key.startswith("delta/robot/3/")]
+    run.until(6.015)
+    # At its first tick it has its plant's state; what was sent to it while it was down is gone.
+    assert run.agent(3).condition == ("waiting", "silent neighbours: 1, 2, 5, 6")
+    run.until(7.0)
+    assert run.agent(3).state is State.RUNNING
+    run.until(20.0)
+    run.expect_safe(0.01)
+
+
+def test_a_robot_that_is_killed_for_good_stops_its_neighbours_and_the_mission_ends():
+    run = Run("robot = 1\nat = 3\nkill = 'both'", duration_s=8.0).drive()
+    assert run.distances().min() > run.fleet.formation.safe_distance_m
+    assert [event[3] for event in run.events()] == ["kill", "kill"]
+    assert run.simulation.stopped
+    assert run.simulation.now_ns < run.simulation.epoch_ns + 9 * NS_PER_S
+
+
+def test_a_paused_agent_skips_its_ticks_and_goes_on_with_the_newest():
+    run = Run("robot = 3\nat = 5.003\nfor = 1\npause = 'agent'").until(6.002)
+    agent = run.agent(3)
+    ticks = len([1 for _, key, _ in run.log if key == keys.wrench("delta", 3)])
+    assert run.plant(3).condition == ("braking", "no fresh wrench for 1.01 s")
+    run.until(6.004)
+    assert len([1 for _, key, _ in run.log if key == keys.wrench("delta", 3)]) == ticks + 1
+    wrench = next(decode(payload) for _, key, payload in reversed(run.log) if key == keys.wrench("delta", 3))
+    # It woke between two deadlines: its tick is the last of those that it slept through.
+    assert wrench[2] == run.simulation.epoch_ns + round(5.99 * NS_PER_S)
+    run.until(20.0)
+    assert run.agent(3) is agent
+    run.expect_safe(0.01)
+    status = next(decode(payload) for _, key, payload in reversed(run.log) if key == keys.status("delta", 3))
+    assert isinstance(status, Status)
+    counters = dict(status.counters)
+    assert counters["overruns"] == 49
+    # Of the 51 messages of each neighbour since its last tick the newest 32 were kept.
+    assert counters["lost"] == 4 * (51 - INBOX_SIZE)
+
+
+def test_a_body_whose_plant_is_paused_brakes_by_itself():
+    run = Run("robot = 3\nat = 5\nfor = 1\npause = 'plant'").until(6.0)
+    before, after = (state for state in run.states(3)[-2:])
+    assert after.time_ns - before.time_ns == 51 * PERIOD_NS
+    assert abs(before.speed) > 0.05
+    assert abs(after.speed) < 1e-3
+    assert run.plant(3).overruns == 50
+    run.until(20.0)
+    run.expect_safe(0.01)
+
+
+def test_what_is_paused_to_the_end_is_let_go_on_to_stop():
+    run = Run("robot = 3\nat = 2\nfor = 60\npause = 'both'", duration_s=4.0).drive()
+    assert run.agent_states() == {State.STOPPED}
+    assert [event[3] for event in run.events()] == ["stop", "stop"]
+
+
+def test_the_mission_is_said_again_as_it_was():
+    run = Run("robot = 2\nat = 1\nrestart = 'agent'").until(2.0)
+    said = [decode(payload) for _, key, payload in run.log if key == keys.mission("delta")]
+    assert all(isinstance(message, Mission) for message in said)
+    assert [message._replace(time_ns=0) for message in said] == [said[0]._replace(time_ns=0)] * 2

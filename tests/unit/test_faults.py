@@ -1,0 +1,228 @@
+"""Which faults hold: live rules that come, go and run out, and what is said of them."""
+
+from __future__ import annotations
+
+from agent.clock import NS_PER_S
+from agent.faults import AUTHORS_MAX, FaultPlan
+from agent.fleet import Fleet, parse_fleet
+from agent.messages import EVERY_AUTHOR, Faults, HandState, LinkTrace, decode, encode
+from agent.reception import Reception
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }]
+fleet = { name = "two" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0]], safe_distance_m = 0.2 }
+"""
+NOW = 1000 * NS_PER_S
+PERIOD = 20_000_000
+CUT = '[[faults.rule]]\nname = "cut"\nlink = "1->2"\nloss = "100%"\n'
+
+
+def fleet(faults: str = "") -> Fleet:
+    return parse_fleet(FLEET + faults, source="here")
+
+
+def live(
+    rules: str = CUT, version: int = 1, author: str = "ana", time_ns: int = NOW, lease_s: float = 2.0
+) -> Faults:
+    return Faults(version, time_ns, author, NOW, round(lease_s * NS_PER_S), rules)
+
+
+def lost(plan: FaultPlan, time_ns: int) -> float:
+    """Share of messages of the link from 1 to 2 that are lost at a time."""
+    loss = plan.rules_of_link(1, 2, "hand").effects(time_ns).loss
+    return 0.0 if loss is None else loss.rate
+
+
+# --- the plan ---------------------------------------------------------------------------------
+
+
+def test_live_rules_hold_from_their_origin_to_the_end_of_their_lease() -> None:
+    plan = FaultPlan(fleet())
+    assert plan.take(live(), NOW) is None
+    assert [lost(plan, NOW + dt) for dt in (-1, 0, 2 * NS_PER_S - 1, 2 * NS_PER_S)] == [0, 1, 1, 0]
+
+
+def test_the_same_version_renews_the_lease() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(), NOW)
+    assert plan.take(live(time_ns=NOW + NS_PER_S), NOW + NS_PER_S) is None
+    assert not plan.expire(NOW + 3 * NS_PER_S - 1)
+    assert lost(plan, NOW + 3 * NS_PER_S - 1) == 1
+    assert plan.expire(NOW + 3 * NS_PER_S)
+    assert plan.live == []
+    assert not plan.expire(NOW + 4 * NS_PER_S)
+
+
+def test_rules_that_are_to_stay_stay_until_they_are_cleared() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(lease_s=0.0), NOW)
+    assert not plan.expire(NOW + 10**6 * NS_PER_S)
+    assert lost(plan, NOW + 10**6 * NS_PER_S) == 1
+    assert plan.take(Faults(2, NOW, EVERY_AUTHOR, NOW, 0, ""), NOW) is None
+    assert lost(plan, NOW) == 0
+    assert plan.take(live(lease_s=0.0), NOW) == "out_of_order"  # what was cleared does not come back
+    assert plan.take(live(version=3, lease_s=0.0), NOW) is None
+
+
+def test_clearing_leaves_what_came_later() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(version=5), NOW)
+    assert plan.take(Faults(2, NOW, EVERY_AUTHOR, NOW, 0, ""), NOW) is None
+    assert lost(plan, NOW) == 1
+
+
+def test_a_new_version_replaces_the_old_one_and_never_the_other_way_round() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(version=2), NOW)
+    weaker = CUT.replace("100%", "20%")
+    assert plan.take(live(weaker, version=3), NOW) is None
+    assert lost(plan, NOW) == 0.2
+    assert plan.take(live(version=2), NOW) == "out_of_order"
+    assert plan.take(live(CUT, version=3), NOW) == "duplicate"  # the same number for other rules
+    assert lost(plan, NOW) == 0.2
+
+
+def test_an_empty_set_is_an_authors_end() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(), NOW)
+    assert plan.take(live("", version=2), NOW) is None
+    assert lost(plan, NOW) == 0
+
+
+def test_newer_authors_win_and_live_rules_win_over_the_files() -> None:
+    plan = FaultPlan(fleet('[[faults.rule]]\nlink = "1->2"\nloss = "5%"\n'))
+    assert lost(plan, NOW) == 0.05
+    plan.take(live(CUT.replace("100%", "20%"), version=1, author="ana"), NOW)
+    assert lost(plan, NOW) == 0.2
+    plan.take(live(CUT.replace("100%", "50%"), version=2, author="ben"), NOW)
+    assert lost(plan, NOW) == 0.5
+
+
+def test_what_cannot_be_used_changes_nothing() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(), NOW)
+    changes = plan.changes
+    assert plan.take(live("[[faults.rule", version=2), NOW) == "scenario"
+    assert plan.take(live(CUT.replace("1->2", "1->9"), version=2), NOW) == "scenario"
+    assert plan.take(live(version=2), NOW + 2 * NS_PER_S) == "expired"
+    assert plan.changes == changes
+    assert lost(plan, NOW) == 1
+
+
+def test_authors_are_bounded() -> None:
+    plan = FaultPlan(fleet())
+    said = [plan.take(live(author=f"author {number}"), NOW) for number in range(AUTHORS_MAX + 1)]
+    assert said == [None] * AUTHORS_MAX + ["authors"]
+
+
+def test_file_times_count_from_the_epoch_and_live_times_from_their_origin() -> None:
+    plan = FaultPlan(fleet(CUT + "at = 1\nfor = 1\n"))
+    assert lost(plan, NOW) == 0
+    plan.begin(NOW)
+    assert [lost(plan, NOW + dt * NS_PER_S // 2) for dt in range(5)] == [0, 0, 1, 1, 0]
+    plan.begin(NOW + NS_PER_S)
+    assert [lost(plan, NOW + dt * NS_PER_S // 2) for dt in range(7)] == [0, 0, 0, 0, 1, 1, 0]
+
+
+def test_sensors_clocks_and_ticks() -> None:
+    plan = FaultPlan(
+        fleet(
+            "[[faults.rule]]\nrobot = 1\nposition_noise_m = 0.1\n"
+            "[[faults.rule]]\nposition_noise_m = 0.2\nheading_bias_rad = 0.3\ntick_jitter = 0.005\n"
+            '[[faults.rule]]\nrobot = 2\nclock_skew = "-100ms"\nclock_drift = "20ppm"\n'
+        )
+    )
+    one, two = plan.sensor(1, NOW), plan.sensor(2, NOW)
+    assert one is not None
+    assert (one.position_noise_m, one.heading_bias_rad) == (0.1, 0.3)
+    assert two is not None
+    assert (two.position_noise_m, two.dropout) == (0.2, 0.0)
+    assert plan.tick_jitter_ns(1, NOW) == 5_000_000
+    assert plan.clock(1) == (0, 0.0)
+    assert plan.clock(2) == (-100_000_000, 20e-6)
+    assert FaultPlan(fleet()).sensor(1, NOW) is None
+
+
+# --- a node's reception -----------------------------------------------------------------------
+
+
+def held(reception: Reception, now_ns: int) -> list[Faults]:
+    messages = [(key, decode(payload)) for key, payload in reception.outgoing(now_ns)]
+    return [message for key, message in messages if type(message) is Faults and key == "two/robot/2/faults"]
+
+
+def test_live_rules_are_echoed_while_they_hold_and_their_end_is_said() -> None:
+    reception = Reception(fleet(), 2, "agent", {"hand": (1,)})
+    assert reception.idle
+    assert held(reception, NOW) == []
+    message = live()
+    assert reception.accept(message, NOW) is None
+    assert not reception.idle
+    assert held(reception, NOW) == [message]
+    assert held(reception, NOW + PERIOD) == []
+    assert held(reception, NOW + NS_PER_S) == [message]
+    (end,) = held(reception, NOW + 2 * NS_PER_S)
+    assert (end.author, end.version, end.rules, end.time_ns) == ("ana", 1, "", NOW + 2 * NS_PER_S)
+    assert reception.idle
+    assert held(reception, NOW + 9 * NS_PER_S) == []
+
+
+def test_refused_rules_are_not_echoed() -> None:
+    reception = Reception(fleet(), 2, "agent", {"hand": (1,)})
+    assert reception.accept(live("nonsense"), NOW) == "scenario"
+    assert held(reception, NOW) == []
+
+
+def test_a_live_rule_takes_hold_of_messages_and_lets_go() -> None:
+    reception = Reception(fleet(), 2, "plant", {"hand": (1,)})
+    reception.accept(live(CUT.replace('loss = "100%"', 'delay = "50ms"')), NOW)
+
+    def take(time_ns: int) -> bool:
+        message = HandState(1, 0, time_ns, True, *(0.0,) * 8, (), ())
+        return reception.take("key", encode(message), 0, message)
+
+    assert not take(NOW)
+    assert reception.arrivals(NOW + 49_000_000) == []
+    assert len(reception.arrivals(NOW + 50_000_000)) == 1
+    after = NOW + 2 * NS_PER_S
+    out = [decode(payload) for _, payload in reception.outgoing(NOW)]
+    out += [decode(payload) for _, payload in reception.outgoing(after)]
+    assert sum(type(message) is LinkTrace for message in out) == 1
+    assert reception.idle or take(after)
+
+
+def test_a_change_is_echoed_at_once_and_a_renewal_is_not() -> None:
+    reception = Reception(fleet(), 2, "agent", {"hand": (1,)})
+    reception.accept(live(), NOW)
+    assert len(held(reception, NOW)) == 1
+    reception.accept(live(time_ns=NOW + PERIOD), NOW + PERIOD)
+    assert held(reception, NOW + PERIOD) == []
+    weaker = live(CUT.replace("100%", "20%"), version=2)
+    reception.accept(weaker, NOW + 2 * PERIOD)
+    assert held(reception, NOW + 2 * PERIOD) == [weaker]
+    reception.accept(live("", version=3), NOW + 3 * PERIOD)
+    (end,) = held(reception, NOW + 3 * PERIOD)
+    assert (end.author, end.rules) == ("ana", "")
+    assert reception.idle
+
+
+def test_an_ended_set_does_not_come_back_and_takes_no_place() -> None:
+    plan = FaultPlan(fleet())
+    for number in range(AUTHORS_MAX):
+        author = f"author {number}"
+        assert plan.take(live(version=1, author=author), NOW) is None
+        assert plan.take(live("", version=2, author=author), NOW) is None
+        assert plan.take(live(version=1, author=author), NOW) == "out_of_order"
+    assert plan.live == []
+    assert plan.take(live(version=3, author="author 0"), NOW) is None
+
+
+def test_live_faults_are_rules_and_nothing_else() -> None:
+    plan = FaultPlan(fleet())
+    trace = (
+        '[[faults.trace]]\nname = "w"\ndelays = [0.1]\n[[faults.rule]]\nlink = "1->2"\ndelay = "trace w"\n'
+    )
+    assert plan.take(live(trace), NOW) == "scenario"
+    assert plan.take(live('[faults]\nloss = "5%"\n'), NOW) == "scenario"
+    assert plan.take(live("[faults]\nseed = 5\n"), NOW) == "scenario"

@@ -1,0 +1,22 @@
+"""The keys of live faults and of what links did: as documented, and none twice."""
+
+from __future__ import annotations
+
+from agent import keys
+
+
+def test_keys_of_faults_and_links():
+    assert keys.faults("delta") == "delta/faults"
+    assert keys.faults_held("delta", 3, "agent") == "delta/robot/3/faults"
+    assert keys.faults_held("delta", 3, "plant") == "delta/robot/3/plant/faults"
+    assert keys.links("delta", 3) == "delta/robot/3/links"
+    assert keys.plant_links("delta", "*") == "delta/robot/*/plant/links"
+
+
+def test_no_key_is_used_twice():
+    by_robot = (keys.hand, keys.status, keys.plant_state, keys.plant_truth, keys.wrench, keys.links)
+    used = [key("delta", 3) for key in (*by_robot, keys.plant_links)]
+    used += [keys.faults_held("delta", 3, role) for role in keys.ROLES]
+    used += [keys.alive("delta", 3, role) for role in keys.ROLES]
+    used += [keys.mission("delta"), keys.stop("delta"), keys.faults("delta")]
+    assert len(set(used)) == len(used)

@@ -1,0 +1,211 @@
+"""A recording proves what was done to its messages: every decision is made again from what it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from agent import keys
+from agent.messages import EVERY_AUTHOR, LOST, Faults, HandState, LinkTrace
+from deploy.fault_times import live_sets, spans
+from deploy.link_audit import audit
+from tests.unit.simulated_run import Sent, driven, recorded, trio
+
+ALL = """
+[faults]
+delay = "normal 40ms 20ms 20%"
+loss = "20% 30%"
+[[faults.rule]]
+link = "1->2"
+at = 0.5
+for = 0.5
+hold = true
+[[faults.rule]]
+robot = 3
+topic = "all"
+loss = "gemodel 5% 30%"
+duplicate = "10%"
+corrupt = "5%"
+reorder = "20%"
+at = 1
+[[faults.rule]]
+topic = "state"
+robot = 1
+slot = "40ms"
+[[faults.rule]]
+topic = "wrench"
+robot = 2
+delay = "0ms..60ms"
+at = 0
+for = 2
+"""
+LOSSY = '[faults]\nloss = "30%"\n'
+SECOND = 1_000_000_000
+
+
+def changed(sent: list[Sent], change: Callable[[LinkTrace], LinkTrace]) -> list[Sent]:
+    """The run with every trace of robot 1's agent changed."""
+    key = keys.links("trio", 1)
+    return [
+        (t, k, change(message) if k == key and isinstance(message, LinkTrace) else message)
+        for t, k, message in sent
+    ]
+
+
+@pytest.fixture(scope="module")
+def lossy() -> list[Sent]:
+    return driven(trio(LOSSY))
+
+
+def test_every_decision_of_a_run_is_made_again() -> None:
+    fleet = trio(ALL)
+    result = audit(recorded(fleet, driven(fleet)))
+    assert result.agreeing == result.decided > 900
+    assert (result.differing, result.unchecked, result.unrecorded, result.unheard) == (0, 0, 0, 0)
+
+
+def test_a_queue_that_is_long_enough_does_not_fill_up_in_the_proof() -> None:
+    fleet = trio('[faults]\ndelay = "100ms"\nlimit = 12\n')
+    result = audit(recorded(fleet, driven(fleet)))
+    assert result.agreeing == result.decided > 500
+
+
+def test_a_run_without_faults_has_nothing_to_prove() -> None:
+    fleet = trio(duration=0.5)
+    result = audit(recorded(fleet, driven(fleet)))
+    assert (result.decided, result.unheard) == (0, 0)
+
+
+def test_what_depends_on_more_than_the_recording_is_said_not_to_be_checked() -> None:
+    fleet = trio(
+        '[[faults.rule]]\nlink = "1->2"\nrate = "20kbit"\nat = 0.5\n'
+        '[[faults.rule]]\nlink = "2->3"\nrange = "logdistance 1m"\n'
+    )
+    recording = recorded(fleet, driven(fleet))
+    result = audit(recording)
+    assert result.unchecked == result.decided > 100
+    assert result.agreeing == result.differing == 0
+
+
+def test_another_seed_is_found_out(lossy: list[Sent]) -> None:
+    result = audit(recorded(trio('[faults]\nseed = 1\nloss = "30%"\n'), lossy))
+    # Of two independent decisions with 30 %, 42 % differ.
+    assert 0.35 * result.decided < result.differing < 0.5 * result.decided
+    assert result.agreeing + result.differing == result.decided
+    assert len(result.differences) == 20
+    first = result.differences[0]
+    assert {first.recorded, first.expected} == {((0, 0),), ((LOST, -1),)}
+
+
+def test_a_forged_decision_is_found_out(lossy: list[Sent]) -> None:
+    def forged(trace: LinkTrace) -> LinkTrace:
+        (source, topic, sequence, time_ns, _, _), *rest = trace.entries
+        return trace._replace(entries=((source, topic, sequence, time_ns, 0, 1234), *rest))
+
+    recording = recorded(trio(LOSSY), changed(lossy, forged))
+    traces = sum(key == keys.links("trio", 1) for _, key, _ in lossy)
+    result = audit(recording)
+    assert result.differing == traces > 5
+    assert all(one.link.destination == 1 and one.recorded == ((0, 1234),) for one in result.differences)
+
+
+def test_messages_without_a_decision_never_reached_their_receiver(lossy: list[Sent]) -> None:
+    """As when the real network loses them: the sender's message is recorded, the receiver knows nothing."""
+    whole = audit(recorded(trio(LOSSY), lossy))
+    kept = changed(lossy, lambda trace: trace._replace(entries=trace.entries[1:]))
+    missing = sum(key == keys.links("trio", 1) for _, key, _ in lossy)
+    result = audit(recorded(trio(LOSSY), kept))
+    assert result.decided == whole.decided - missing
+    # Those from before the start and after the end do not count.
+    assert missing - 6 <= result.unheard <= missing
+    assert result.differing == 0
+
+
+def test_decisions_on_messages_that_were_not_recorded_are_counted(lossy: list[Sent]) -> None:
+    less = [each for each in lossy if not (isinstance(each[2], HandState) and each[2].robot == 2)]
+    recording = recorded(trio(LOSSY), less)
+    links = recording.links
+    of_2 = links.source == 2
+    driven_then = of_2 & (links.t >= 0) & (links.t <= recording.end_s)
+    result = audit(recording)
+    assert result.unrecorded == driven_then.sum() > 100
+    assert result.unchecked == of_2.sum() - driven_then.sum() > 0
+    assert result.agreeing == result.decided - of_2.sum()
+
+
+def test_a_killed_receiver_is_no_lossy_network() -> None:
+    fleet = trio(LOSSY + '[[faults.rule]]\nrobot = 3\nkill = "agent"\nat = 0.7\nfor = 0.5\n', duration=4.0)
+    recording = recorded(fleet, driven(fleet))
+    assert [event.what for event in recording.events] == ["kill", "start"]
+    result = audit(recording)
+    assert (result.differing, result.unheard, result.unrecorded) == (0, 0, 0)
+    assert result.agreeing + result.unchecked == result.decided
+
+
+def test_clocks_that_are_wrong_on_purpose_do_not_matter() -> None:
+    fleet = trio(
+        LOSSY + '[[faults.rule]]\nrobot = 2\nclock_skew = "80ms"\nclock_drift = "1000ppm"\n'
+        '[[faults.rule]]\nlink = "2->1"\nloss = "100%"\nat = 0.5\nfor = 0.3\n'
+    )
+    result = audit(recorded(fleet, driven(fleet)))
+    assert result.agreeing == result.decided > 500
+    assert result.unheard == 0
+
+
+# --- live rules -------------------------------------------------------------------------------
+
+CUT = '[[faults.rule]]\nlink = "1->2"\nloss = "100%"\nname = "cut"\n'
+
+
+def test_live_rules_are_proven_from_what_processes_said_they_held() -> None:
+    fleet = trio(LOSSY, duration=3.0)
+
+    def live(epoch_ns: int) -> list[tuple[float, Faults]]:
+        origin = epoch_ns + round(0.8 * SECOND)
+        sent = Faults(7, epoch_ns + SECOND // 2, "ana@lab:1", origin, 0, CUT)
+        gone = Faults(8, epoch_ns + 2 * SECOND, EVERY_AUTHOR, 0, 0, "")
+        return [(0.5, sent), (2.0, gone)]
+
+    recording = recorded(fleet, driven(fleet, live))
+    (held,) = live_sets(recording)
+    assert (held.message.author, held.rules[0].name) == ("ana@lab:1", "cut")
+    assert held.origin_s == pytest.approx(0.8)
+    assert held.end_s == pytest.approx(2.0, abs=0.1)
+    (span,) = spans(recording, recording.end_s)
+    assert (span.author, span.start_s) == ("ana@lab:1", pytest.approx(0.8))
+    link = next(rows for link, rows in recording.links.by_link() if str(link) == "1→2")
+    inside = (link.t > 0.81) & (link.t < 1.95)
+    assert inside.sum() > 50
+    assert (link.what[inside] & LOST).all()
+    result = audit(recording)
+    assert (result.differing, result.unheard, result.unrecorded) == (0, 0, 0)
+    assert result.agreeing > 0.98 * result.decided
+
+
+def test_live_rules_end_with_their_lease() -> None:
+    fleet = trio(duration=3.0)
+
+    def live(epoch_ns: int) -> list[tuple[float, Faults]]:
+        first = Faults(7, epoch_ns + SECOND // 2, "a", epoch_ns + SECOND, SECOND, CUT)
+        renewed = first._replace(time_ns=epoch_ns + SECOND)
+        return [(0.5, first), (1.0, renewed)]
+
+    recording = recorded(fleet, driven(fleet, live))
+    (held,) = live_sets(recording)
+    assert held.end_s == pytest.approx(2.0, abs=0.03)
+    result = audit(recording)
+    assert result.decided == pytest.approx(50, abs=2)
+    assert result.differing == 0
+    assert result.decided - 2 <= result.agreeing <= result.decided
+
+
+def test_without_what_was_held_live_decisions_are_not_explained() -> None:
+    fleet = trio(duration=3.0)
+
+    def live(epoch_ns: int) -> list[tuple[float, Faults]]:
+        return [(0.5, Faults(7, epoch_ns + SECOND // 2, "a", epoch_ns + SECOND, 0, CUT))]
+
+    sent = [each for each in driven(fleet, live) if not isinstance(each[2], Faults)]
+    result = audit(recorded(fleet, sent))
+    assert result.differing == result.decided > 90

@@ -1,0 +1,435 @@
+"""Links that fail: what becomes of each message, when it comes, and what is said about it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from agent import draws, replay
+from agent.clock import NS_PER_S
+from agent.faults import NONE, FaultPlan
+from agent.fleet import Fleet, FleetError, parse_fleet
+from agent.links import Links
+from agent.messages import (
+    CORRUPTED,
+    DUPLICATED,
+    HELD,
+    LOST,
+    OVERFLOW,
+    RANGE,
+    REORDERED,
+    TOPICS,
+    TRACE_MAX,
+    HandState,
+    LinkTrace,
+    Malformed,
+    Wrench,
+    decode,
+    encode,
+)
+from agent.node import FIRST_ROUND
+from agent.replay import encode_fates
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]
+fleet = { name = "three", seed = 11 }
+formation = { edges = [[1, 2], [2, 3]], offsets = [[0, 0], [1, 0], [2, 0]], safe_distance_m = 0.2 }
+"""
+PERIOD = 20_000_000
+EPOCH = 1000 * NS_PER_S
+HAND = TOPICS.index("hand")
+MS = 1_000_000
+
+
+def fleet(faults: str = "", *overrides: str) -> Fleet:
+    return parse_fleet(FLEET + faults, source="here", overrides=overrides)
+
+
+def links(faults: str = "", *overrides: str, begun: bool = True) -> Links:
+    """The links to robot 2."""
+    plan = FaultPlan(fleet(faults, *overrides))
+    if begun:
+        plan.begin(EPOCH)
+    return Links(plan, 2, {"hand": (1, 3), "state": (2,)})
+
+
+def message(number: int, robot: int = 1, x: float = 0.0) -> HandState:
+    return HandState(robot, number, EPOCH + number * PERIOD, True, x, *(0.0,) * 7, (), ())
+
+
+def send(to: Links, sent: HandState, own: tuple[float, float] | None = None) -> bool:
+    return to.take(f"three/robot/{sent.robot}/hand", encode(sent), HAND, sent, own)
+
+
+def entries(to: Links) -> list[tuple[int, ...]]:
+    traces = to.traced(EPOCH) + to.traced(EPOCH + 10_000 * NS_PER_S)
+    assert all(type(decode(encode(trace))) is LinkTrace for trace in traces)
+    return [entry for trace in traces for entry in trace.entries]
+
+
+def fates(
+    to: Links, numbers: range, robot: int = 1, *, arriving: bool = False
+) -> dict[int, list[tuple[int, int]]]:
+    """(what, delay in us) of each copy of each message, by its number."""
+    for number in numbers:
+        assert not send(to, message(number, robot))
+        if arriving:
+            to.due(EPOCH + number * PERIOD)
+    found: dict[int, list[tuple[int, int]]] = {}
+    for source, _, number, _, what, delay_us in entries(to):
+        if source == robot:
+            found.setdefault(number, []).append((what, delay_us))
+    return found
+
+
+# --- nothing to do ----------------------------------------------------------------------------
+
+
+def test_without_faults_nothing_befalls_a_message() -> None:
+    to = links()
+    assert to.idle
+    assert send(to, message(0))
+    assert to.due(EPOCH) == []
+    assert entries(to) == []
+
+
+def test_only_the_link_of_a_rule_is_touched() -> None:
+    to = links('[[faults.rule]]\nlink = "1->2"\nloss = "100%"\n')
+    assert not to.idle
+    assert not send(to, message(0, robot=1))
+    assert send(to, message(0, robot=3))
+    assert [entry[:5] for entry in entries(to)] == [(1, HAND, 0, EPOCH, LOST)]
+
+
+def test_defaults_are_for_links_between_agents_alone() -> None:
+    to = links("", "faults.loss=100%")
+    state = message(0, robot=2)
+    assert to.take("key", encode(state), TOPICS.index("state"), state)
+    assert not send(to, message(0, robot=3))
+
+
+# --- delay ------------------------------------------------------------------------------------
+
+
+def test_a_delayed_message_comes_when_its_time_has_come() -> None:
+    to = links("", "faults.delay=50ms")
+    sent = message(0)
+    assert not send(to, sent)
+    assert to.due(EPOCH + 50 * MS - 1) == []
+    (arrival,) = to.due(EPOCH + 50 * MS)
+    assert arrival.message is sent
+    assert arrival.key == "three/robot/1/hand"
+    assert to.due(EPOCH + 60 * MS) == []
+
+
+def test_a_delay_counts_from_the_stamp_whenever_the_message_really_came() -> None:
+    to = links("", "faults.delay=50ms")
+    send(to, message(0))
+    late = message(1)
+    to.due(EPOCH + 500 * MS)
+    send(to, late)
+    assert [arrival.message for arrival in to.due(EPOCH + 500 * MS)] == [late]
+
+
+def test_ten_thousand_waiting_messages_come_in_the_order_of_their_times_and_no_more_wait() -> None:
+    to = links("", "faults.delay=normal 100s 10s")
+    for number in range(12_000):
+        send(to, message(number))
+    found = entries(to)
+    lost = [entry for entry in found if entry[4] & OVERFLOW]
+    assert len(found) == 12_000
+    assert len(lost) == 2_000
+    assert all(entry[4] == LOST | OVERFLOW and entry[5] == -1 for entry in lost)
+    due = {entry[2]: entry[3] + entry[5] * 1000 for entry in found if not entry[4] & LOST}
+    arrivals = to.due(EPOCH + 10_000 * NS_PER_S)
+    times = [due[arrival.message.sequence] for arrival in arrivals if arrival.message is not None]
+    assert len(times) == 10_000
+    assert all(earlier <= later + 1000 for earlier, later in pairwise(times))
+    assert times != sorted(due)  # the jitter did change the order of sending
+
+
+def test_the_limit_may_be_smaller() -> None:
+    to = links("", "faults.delay=10s", "faults.limit=5")
+    found = fates(to, range(8))
+    assert [found[number][0][0] for number in range(8)] == [0] * 5 + [LOST | OVERFLOW] * 3
+
+
+def test_a_trace_gives_delays_in_turn() -> None:
+    to = links('[faults]\ndelay = "trace wifi"\n[[faults.trace]]\nname = "wifi"\ndelays = [0.01, -1, 0.03]\n')
+    found = fates(to, range(FIRST_ROUND, FIRST_ROUND + 6))
+    assert list(found.values()) == [[(0, 10_000)], [(LOST, -1)], [(0, 30_000)]] * 2
+
+
+def test_a_ramp_grows_over_its_time() -> None:
+    to = links('[[faults.rule]]\nat = 0\nfor = 2\ndelay = "0ms..500ms"\n')
+    found = fates(to, range(100))
+    delays = [found[number][0][1] for number in range(100)]
+    assert delays == [pytest.approx(5000 * number, abs=1) for number in range(100)]
+
+
+# --- loss and the rest ------------------------------------------------------------------------
+
+
+def test_what_is_lost_is_a_function_of_the_seed_the_link_and_the_number() -> None:
+    found = fates(links("", "faults.loss=30%"), range(2000))
+    lost = {number for number, copies in found.items() if copies[0][0] & LOST}
+    stream = draws.stream(11, "link", 1, 2, "hand", "loss")
+    assert lost == {number for number in range(2000) if draws.uniform(stream, 4 * number) < 0.3}
+
+
+def test_every_third_is_lost() -> None:
+    found = fates(links("", "faults.loss=every 3"), range(9))
+    assert [bool(found[number][0][0] & LOST) for number in range(9)] == [False, False, True] * 3
+
+
+def test_a_duplicate_comes_as_well_with_a_delay_of_its_own() -> None:
+    to = links("", "faults.duplicate=100%", "faults.delay=uniform 100ms 50ms")
+    found = fates(to, range(50))
+    assert all([what for what, _ in copies] == [0, DUPLICATED] for copies in found.values())
+    assert sum(first == second for (_, first), (_, second) in found.values()) < 3
+    assert len(to.due(EPOCH + 100 * NS_PER_S)) == 100
+
+
+def test_a_message_that_is_lost_and_doubled_comes_once() -> None:
+    found = fates(links("", "faults.duplicate=100%", "faults.loss=100%"), range(5))
+    assert all([what for what, _ in copies] == [DUPLICATED] for copies in found.values())
+
+
+def test_a_corrupted_message_is_found_by_the_codec() -> None:
+    to = links("", "faults.corrupt=100%")
+    found = fates(to, range(200))
+    assert all(copies == [(CORRUPTED, 0)] for copies in found.values())
+    for arrival in to.due(EPOCH + 100 * NS_PER_S):
+        assert arrival.message is None
+        with pytest.raises(Malformed):
+            decode(arrival.payload)
+
+
+def test_chosen_messages_overtake() -> None:
+    to = links("", "faults.delay=100ms", "faults.reorder=25%")
+    found = fates(to, range(400))
+    overtaking = [number for number, copies in found.items() if copies[0][0] & REORDERED]
+    assert 60 < len(overtaking) < 140
+    assert all(copies[0] in ((0, 100_000), (REORDERED, 0)) for copies in found.values())
+
+
+def test_a_limited_rate_makes_messages_queue() -> None:
+    size = len(encode(message(0)))
+    to = links("", f"faults.rate={8 * size * 25}bit", "faults.limit=10")  # half of what is sent
+    found = fates(to, range(60), arriving=True)
+    first = [found[number][0][1] for number in range(8)]
+    assert first == [pytest.approx(40_000 + 20_000 * number, rel=0.02) for number in range(8)]
+    late = [copies[0] for number, copies in found.items() if number > 30]
+    assert 0.35 < sum(what & OVERFLOW > 0 for what, _ in late) / len(late) < 0.65
+    assert max(delay for _, delay in late) < 11 * 41_000
+
+
+def test_slots_bring_messages_in_bursts() -> None:
+    to = links("", "faults.slot=100ms")
+    found = fates(to, range(50))
+    due = [number * 20_000 + found[number][0][1] for number in range(50)]
+    assert all(time % 100_000 == 0 for time in due)
+    assert all(0 <= found[number][0][1] <= 100_000 for number in range(50))
+
+
+def test_held_messages_come_together_when_the_fault_ends() -> None:
+    to = links('[[faults.rule]]\nlink = "1->2"\nat = 1\nfor = 1\nhold = true\n')
+    for number in range(100):
+        if send(to, message(number)):
+            assert number < 50 or number >= 100
+        to.due(EPOCH + number * PERIOD)
+    assert entries(to) == []  # nothing is decided before the end
+    arrivals = to.due(EPOCH + 2 * NS_PER_S)
+    assert [arrival.message.sequence for arrival in arrivals if arrival.message] == list(range(50, 100))
+    found = entries(to)
+    assert [entry[4] for entry in found] == [HELD] * 50
+    assert all(entry[3] + entry[5] * 1000 == EPOCH + 2 * NS_PER_S for entry in found)
+
+
+def test_held_messages_are_bounded() -> None:
+    to = links("", "faults.hold=true", "faults.limit=20")
+    for number in range(50):
+        send(to, message(number))
+    assert [entry[4] for entry in entries(to)] == [LOST | OVERFLOW] * 30
+
+
+def test_out_of_range_is_out_of_hearing() -> None:
+    to = links("", "faults.range=disc 5m")
+    send(to, message(0, x=4.9), (0.0, 0.0))
+    send(to, message(1, x=5.1), (0.0, 0.0))
+    send(to, message(2, x=99.0), None)
+    assert [entry[4] for entry in entries(to)] == [0, LOST | RANGE, 0]
+
+
+# --- independence -----------------------------------------------------------------------------
+
+
+def test_another_links_rule_changes_no_fate() -> None:
+    alone = fates(links("", "faults.loss=20% 30%", "faults.delay=normal 80ms 20ms 25%"), range(300))
+    rule = '[[faults.rule]]\nlink = "3->2"\nloss = "gemodel 5% 20%"\ndelay = "pareto 10ms 5ms"\n'
+    both = links(rule, "faults.loss=20% 30%", "faults.delay=normal 80ms 20ms 25%")
+    for number in range(300):
+        send(both, message(number, robot=3))
+    assert fates(both, range(300)) == alone
+
+
+def test_another_effect_changes_no_draw() -> None:
+    lossy = fates(links("", "faults.loss=20%"), range(300))
+    both = fates(links("", "faults.loss=20%", "faults.delay=normal 80ms 20ms"), range(300))
+    assert {n for n, copies in lossy.items() if copies[0][0] & LOST} == {
+        n for n, copies in both.items() if copies[0][0] & LOST
+    }
+
+
+def test_messages_in_any_order_have_the_same_fate() -> None:
+    settings = ("faults.loss=gemodel 5% 20%", "faults.delay=normal 80ms 20ms 50%", "faults.duplicate=5% 20%")
+    forward = fates(links("", *settings), range(300))
+    backward = links("", *settings)
+    for number in reversed(range(300)):
+        send(backward, message(number))
+    found: dict[int, list[tuple[int, int]]] = {}
+    for _, _, number, _, what, delay_us in entries(backward):
+        found.setdefault(number, []).append((what, delay_us))
+    assert found == forward
+
+
+def test_seed_and_link_make_a_difference() -> None:
+    def lost(robot: int = 1, *overrides: str) -> set[int]:
+        found = fates(links("", "faults.loss=30%", *overrides), range(300), robot)
+        return {number for number, copies in found.items() if copies[0][0] & LOST}
+
+    assert lost() != lost(3)
+    assert lost() != lost(1, "faults.seed=12")
+    assert lost() == lost(1, "fleet.seed=5", "faults.seed=11")
+
+
+# --- when -------------------------------------------------------------------------------------
+
+
+def when(rule: str, *, begun: bool = True) -> list[float]:
+    """Times (s) at which messages of 10 s are lost."""
+    to = links(f'[[faults.rule]]\nlink = "1->2"\nloss = "100%"\n{rule}', begun=begun)
+    return [number / 50 for number in range(500) if not send(to, message(number))]
+
+
+def test_a_rule_without_a_time_holds_always() -> None:
+    assert len(when("")) == 500
+    assert len(when("", begun=False)) == 500
+
+
+def test_a_rule_holds_from_its_start_up_to_its_end() -> None:
+    times = when("at = 2\nfor = 3\n")
+    assert times[0] == 2.0
+    assert times[-1] == 4.98
+    assert len(times) == 150
+    assert when("at = 2\nfor = 3\n", begun=False) == []
+
+
+def test_a_link_flaps() -> None:
+    times = when('at = 2\nfor = "500ms"\nevery = 1\nuntil = 5\n')
+    assert len(times) == 75
+    assert all(2 <= time < 5 and time % 1 < 0.5 for time in times)
+
+
+def test_for_each_effect_the_first_rule_wins() -> None:
+    to = links(
+        "[faults]\ndelay = 0.1\nduplicate = 1\n"
+        '[[faults.rule]]\nname = "a"\nlink = "1->2"\nat = 1\ndelay = 0.2\n'
+        '[[faults.rule]]\nname = "b"\nlink = "*->2"\ndelay = 0.3\nloss = 0\n'
+    )
+    found = fates(to, range(100))
+    assert found[10] == [(0, 300_000), (DUPLICATED, 300_000)]
+    assert found[60] == [(0, 200_000), (DUPLICATED, 200_000)]
+    assert fates(to, range(100), robot=3)[60][0] == (0, 300_000)
+
+
+def test_topics_and_robots() -> None:
+    plan = FaultPlan(
+        fleet(
+            '[[faults.rule]]\nrobot = 1\ntopic = "wrench"\nloss = 1\n[[faults.rule]]\nrobot = 2\nloss = 1\n'
+        )
+    )
+    assert plan.rules_of_link(1, 1, "wrench").effects(0) is not NONE
+    assert plan.rules_of_link(2, 2, "wrench").idle
+    assert plan.rules_of_link(1, 1, "state").idle
+    assert not plan.rules_of_link(1, 2, "hand").idle
+    assert not plan.rules_of_link(2, 3, "hand").idle
+    assert plan.rules_of_link(1, 3, "hand").idle
+
+
+def test_an_injected_clock_error_changes_no_delay() -> None:
+    clocks = (
+        '[[faults.rule]]\nrobot = 1\nclock_skew = "100ms"\n[[faults.rule]]\nrobot = 2\nclock_skew = "-1s"\n'
+    )
+    to = links(clocks, "faults.delay=50ms")
+    sent = message(0)  # stamped 0 by a clock that is 1.1 s ahead of the receiver's
+    send(to, sent)
+    assert to.due(EPOCH - 1100 * MS + 49 * MS) == []
+    assert len(to.due(EPOCH - 1100 * MS + 50 * MS)) == 1
+    assert [entry[4:] for entry in entries(to)] == [(0, 50_000)]
+
+
+def test_wrenches_are_delayed_too() -> None:
+    plan = FaultPlan(fleet('[[faults.rule]]\nrobot = 1\ntopic = "all"\ndelay = "30ms"\n'))
+    to = Links(plan, 1, {"wrench": (1,)})
+    wrench = Wrench(1, 5, EPOCH, 1.0, 0.0, False)
+    assert not to.take("key", encode(wrench), TOPICS.index("wrench"), wrench)
+    assert to.due(EPOCH + 29 * MS) == []
+    assert len(to.due(EPOCH + 30 * MS)) == 1
+
+
+# --- what is said -----------------------------------------------------------------------------
+
+
+def test_the_trace_comes_in_portions_and_in_time() -> None:
+    to = links("", "faults.loss=50%")
+    send(to, message(0))
+    assert to.traced(EPOCH) == []
+    (trace,) = to.traced(EPOCH + NS_PER_S // 5)
+    assert (trace.robot, trace.sequence, trace.time_ns) == (2, 0, EPOCH + NS_PER_S // 5)
+    for number in range(1, 301):
+        send(to, message(number))
+    portions = to.traced(EPOCH + NS_PER_S)
+    assert [len(portion.entries) for portion in portions] == [TRACE_MAX, TRACE_MAX, 300 - 2 * TRACE_MAX]
+    assert [portion.sequence for portion in portions] == [1, 2, 3]
+
+
+def test_links_are_idle_again_when_all_is_over() -> None:
+    to = links('[[faults.rule]]\nlink = "1->2"\ndelay = "1s"\n')
+    send(to, message(0))
+    to.plan._timed = ()
+    to.plan.changes += 1
+    to.refresh()
+    assert not to.idle  # a message waits still
+    assert len(to.due(EPOCH + NS_PER_S)) == 1
+    assert len(entries(to)) == 1
+    assert to.idle
+
+
+# --- replay -----------------------------------------------------------------------------------
+
+
+def test_recorded_fates_come_again() -> None:
+    fates_text = encode_fates([40_000, replay.LOST, replay.UNTOUCHED, 0, 70_000])
+    second = encode_fates([replay.UNTOUCHED, replay.UNTOUCHED, replay.UNTOUCHED, 90_000])
+    to = links(
+        f'[faults]\nloss = "100%"\n'
+        f'[[faults.replay]]\nlink = "1->2"\nfirst = 3\nfates = "{fates_text}"\nsecond = "{second}"\n'
+    )
+    at_once = [number for number in range(9) if send(to, message(number))]
+    assert at_once == [5]
+    found = [(entry[2], entry[4], entry[5]) for entry in entries(to)]
+    lost = [(number, LOST, -1) for number in (0, 1, 2, 8)]
+    assert found[:3] + found[-1:] == lost
+    assert found[3:-1] == [
+        (3, 0, 40_000), (4, LOST, -1), (6, 0, 0), (6, DUPLICATED, 90_000), (7, 0, 70_000),
+    ]  # fmt: skip
+    assert len(to.due(EPOCH + 100 * NS_PER_S)) == 4
+
+
+def test_a_replay_is_of_one_link() -> None:
+    with pytest.raises(FleetError, match=r"faults\.replay\[1\]\.link: must be one link one way"):
+        links(f'[[faults.replay]]\nlink = "1<->2"\nfirst = 0\nfates = "{encode_fates([1])}"\n')
+    with pytest.raises(FleetError, match=r"faults\.replay\[1\]\.fates: must be fates as"):
+        links('[[faults.replay]]\nlink = "1->2"\nfirst = 0\nfates = "rubbish"\n')

@@ -1,0 +1,112 @@
+"""What the live view says of a fleet, besides where its robots are."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolve
+from agent.messages import Faults, Status
+from deploy.arguments import FLEETS
+from deploy.live import Lines, Watch, faults_line, summary
+
+EPOCH_NS = 1_800_000_000 * NS_PER_S
+
+
+def fleet(more: str = "") -> Fleet:
+    return parse_fleet((FLEETS / "pair.toml").read_text() + more, source="pair")
+
+
+def watch(more: str = "") -> Watch:
+    made = fleet(more)
+    watched = Watch(made, resolve(made))
+    watched.begin(EPOCH_NS)
+    return watched
+
+
+def status(robot: int, offset_us: int, error_us: int) -> Status:
+    neighbour = (3 - robot, 20_000, 10, 0, offset_us, error_us)
+    return Status(robot, 1, EPOCH_NS, "running", "", 1, (neighbour,), (), (), ())
+
+
+def live(time_s: float, rules: str, lease_ns: int = 0) -> Faults:
+    now_ns = EPOCH_NS + round(time_s * NS_PER_S)
+    return Faults(7, now_ns, "ana@lab:3211", now_ns, lease_ns, rules)
+
+
+LOSS = '[[faults.rule]]\nlink = "1->2"\nloss = "30%"\n'
+
+
+def test_faults_that_hold_are_named_with_their_end() -> None:
+    watched = watch(
+        '[[faults.rule]]\nname = "cut"\npartition = "1 | 2"\nat = 5\nfor = 5\n'
+        '[[faults.rule]]\nname = "again"\nrobot = 2\nrestart = "agent"\nat = 5\n'
+        '[[faults.rule]]\nlink = "1->2"\ndelay = "5ms"\n'
+    )
+    assert watched.picture(None).faults == ["rule 3"]
+    assert watched.picture(4.9).faults == ["rule 3"]
+    assert watched.picture(5.0).faults == ["cut until 10.0 s", "rule 3"]
+    assert watched.picture(10.0).faults == ["rule 3"]
+
+
+def test_defaults_of_every_link_always_hold() -> None:
+    assert watch('[faults]\nloss = "10%"\n').picture(1.0).faults == ["loss 10% on every link"]
+
+
+def test_live_faults_are_named_with_their_author() -> None:
+    watched = watch()
+    watched.feed(keys.faults_held("pair", 2, "agent"), live(3.0, LOSS, 2 * NS_PER_S))
+    assert watched.picture(2.9).faults == []
+    picture = watched.picture(4.0)
+    assert faults_line(picture) == "faults: live loss 30% on 1->2 (ana@lab:3211)"
+    assert watched.picture(5.0).faults == [], "its lease has run out"
+
+
+def test_live_faults_are_gone_when_the_receivers_say_so() -> None:
+    watched = watch()
+    for robot in (1, 2):
+        watched.feed(keys.faults_held("pair", robot, "agent"), live(3.0, LOSS))
+    watched.feed(keys.faults_held("pair", 1, "agent"), live(4.0, ""))
+    assert len(watched.picture(5.0).faults) == 1
+    watched.feed(keys.faults_held("pair", 2, "agent"), live(4.0, ""))
+    assert watched.picture(5.0).faults == []
+
+
+def test_what_an_operator_only_asks_for_is_not_shown() -> None:
+    watched = watch()
+    watched.feed(keys.faults("pair"), live(3.0, LOSS))
+    assert watched.picture(4.0).faults == []
+
+
+def test_many_faults_are_counted() -> None:
+    rules = "".join(f'[[faults.rule]]\nname = "r{k}"\nlink = "1->2"\nloss = "1%"\n' for k in range(6))
+    assert faults_line(watch(rules).picture(1.0)) == "faults: r0; r1; r2; r3; and 2 more"
+
+
+@pytest.mark.parametrize(
+    ("offset_us", "error_us", "says"),
+    [
+        (60_001, 10_000, True),
+        (60_000, 10_000, False),  # may be within the limit of 50 ms
+        (120_000, -1, False),  # nothing is known yet
+    ],
+)
+def test_a_clock_that_is_off_is_marked(offset_us: int, error_us: int, says: bool) -> None:
+    watched = watch()
+    watched.feed(keys.status("pair", 1), status(1, offset_us, error_us))
+    watched.feed(keys.status("pair", 2), status(2, -offset_us, error_us))
+    picture = watched.picture(1.0)
+    assert (picture.robots[1].clock is not None) == says
+    text = f", clock of robot 2 {offset_us // 1000} ms ahead of robot 1's"
+    assert (text in summary(picture)) == says
+    assert ("behind" in summary(picture)) is False
+
+
+def test_plain_lines_end_with_the_faults() -> None:
+    stream = io.StringIO()
+    Lines(stream, quiet=False, period_s=2.0).show(watch('[faults]\nloss = "10%"\n').picture(1.0))
+    assert stream.getvalue().rstrip().endswith(", faults: loss 10% on every link")

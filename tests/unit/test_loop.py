@@ -1,0 +1,120 @@
+"""The loop of a process, by a clock that stands still until it is slept by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import cast
+
+import pytest
+
+from agent.bus import Bus
+from agent.clock import NS_PER_S
+from agent.fleet import digest, parse_fleet
+from agent.messages import Mission, PlantState, decode, encode
+from agent.process import Shutdown, loop
+from plant.node import PlantNode
+from plant.unicycle import from_fleet
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]
+fleet = { name = "two", rate_hz = 50 }
+formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
+faults = { rule = [%s] }
+"""
+T0 = 1000 * NS_PER_S
+PERIOD = 20_000_000
+STATE_KEY = "two/robot/1/plant/state"
+
+
+class Clock:
+    """Sleeps as long as it is asked to, and now and then too long; a look at it takes no time."""
+
+    def __init__(self, oversleeps: dict[int, int]) -> None:
+        self.time_ns = T0 + 1
+        self.oversleeps = oversleeps
+        self.epochs: list[int] = []
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def sleep_until(self, time_ns: int) -> None:
+        self.time_ns = max(self.time_ns, time_ns) + self.oversleeps.get(time_ns, 0)
+
+    def begin(self, epoch_ns: int) -> None:
+        self.epochs.append(epoch_ns)
+
+
+class Wire:
+    """The bus: gives each of `incoming` once its time has come, and keeps what is published."""
+
+    def __init__(self, clock: Clock, incoming: dict[int, tuple[str, bytes]]) -> None:
+        self._clock, self._incoming = clock, incoming
+        self.stamps: list[int] = []
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        for time_ns in sorted(self._incoming):
+            if time_ns <= self._clock.time_ns:
+                yield self._incoming.pop(time_ns)
+
+    def publish(self, key: str, payload: bytes) -> None:
+        message = decode(payload)
+        if key == STATE_KEY:
+            assert isinstance(message, PlantState)
+            self.stamps.append(message.time_ns)
+
+
+class Ended:
+    """Stands for `Shutdown`: asks for the end after so many ticks."""
+
+    def __init__(self, ticks: int) -> None:
+        self._left = ticks
+        self.why = "enough"
+
+    @property
+    def asked(self) -> bool:
+        self._left -= 1
+        return self._left < 0
+
+    def look_for_parent(self) -> None: ...
+
+
+def looped(
+    rules: str, oversleeps: dict[int, int], ticks: int
+) -> tuple[PlantNode, Clock, list[int], list[str]]:
+    fleet = parse_fleet(FLEET % rules, source="here")
+    node = PlantNode(fleet, 1, from_fleet(fleet, 1))
+    clock = Clock(oversleeps)
+    mission = Mission(1, T0, T0 + NS_PER_S, 60 * NS_PER_S, digest(fleet))
+    wire = Wire(clock, {T0 + 2 * PERIOD: ("two/mission", encode(mission))})
+    said: list[str] = []
+    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(ticks)), said.append)
+    return node, clock, wire.stamps, said
+
+
+def test_a_tick_is_told_its_deadline_and_those_slept_through_are_skipped():
+    late = {T0 + 2 * PERIOD: PERIOD // 2, T0 + 4 * PERIOD: 2 * PERIOD + 7}
+    node, _, stamps, said = looped("", late, 5)
+    assert [(stamp - T0) / PERIOD for stamp in stamps] == [1, 2, 3, 6, 7, 8]
+    assert node.overruns == 2
+    assert said == ["braking: no wrench yet", "ending (enough)"]
+
+
+def test_ticks_are_late_where_a_rule_wants_it():
+    _, _, stamps, _ = looped("{ robot = 1, tick_jitter = 0.005 }", {}, 20)
+    late = [stamp % PERIOD for stamp in stamps]
+    assert len(set(late)) == len(late) == 21
+    assert max(late) < 5_000_000
+    assert [stamp // PERIOD for stamp in stamps] == [T0 // PERIOD + k for k in range(1, 22)]
+
+
+def test_the_clock_is_told_of_the_epoch_as_soon_as_it_is_known():
+    _, clock, stamps, _ = looped("", {}, 5)
+    assert len(stamps) == 6
+    assert clock.epochs == [T0 + NS_PER_S] * 4  # the first tick does not know it, after the last it ends
+
+
+@pytest.mark.parametrize("early_ns", [1, 400_000])
+def test_a_tick_that_begins_early_is_told_its_deadline(early_ns: int):
+    """A sleep may end a little too soon."""
+    _, _, stamps, _ = looped("", {T0 + 2 * PERIOD: -early_ns}, 3)
+    assert [(stamp - T0) / PERIOD for stamp in stamps] == [1, 2, 3, 4]

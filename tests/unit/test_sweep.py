@@ -1,0 +1,551 @@
+"""What a sweep asks, what it keeps and what it makes of it; its processes are in tests/process."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from agent.fleet import FleetError, to_dict
+from agent.formation import resolve, start_hands
+from agent.messages import decode
+from deploy import metrics, sweep_run
+from deploy.arguments import FLEETS, fleet_text
+from deploy.recording import RunData
+from deploy.simulation import Simulation
+from deploy.sweep import Axis, Plan, Question, SweepError, make_plan, parse_axis
+from deploy.sweep_figures import PANELS_MAX, write_sweep_figures
+from deploy.sweep_folder import SweepFolder, read_question
+from deploy.sweep_run import CRASHED, FAILED, NUMBERS, PASSED, Abandoned, Row, execute, measure, unfinished
+from deploy.sweep_summary import Share, margin_axis, margins, summarise, summary_json, summary_table
+
+DELTA = FLEETS / "delta.toml"
+SHORT = "fleet.duration_s=0.5"
+
+
+def ask(*over: str, fleet: str = "delta", **rest: Any) -> Question:
+    path = FLEETS / f"{fleet}.toml"
+    return Question(str(path), fleet_text(path), axes=tuple(map(parse_axis, over)), **rest)
+
+
+def made(plan: Plan, run: int, **numbers: float) -> Row:
+    """A row of a run that was safe and settled, but for what is given."""
+    known = {
+        "settling_time_s": 5.0, "min_distance_m.edge": 0.5, "min_distance_m.any": 0.4,
+        "rms_distance_error_m": 0.25, "final_distance_error_m": 1e-3, "final_tracking_error_m": 1e-2,
+        "age_p50_ms": 20.0, "age_p99_ms": 20.0, "age_max_ms": 40.0,
+    } | numbers  # fmt: skip
+    known = {name: value for name, value in known.items() if np.isfinite(value)}
+    safe, settled = known["min_distance_m.edge"] >= 0.22, "settling_time_s" in known
+    verdict, reason = (PASSED, "") if safe and settled else (FAILED, "Something, and\nmore.")
+    return Row(run, plan.run_seed(run), verdict, reason.replace("\n", " "), safe, settled, known, 0.125)
+
+
+NEVER = float("nan")
+
+
+# ---------------------------------------------------------------------- the question
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "values", "numbers", "unit"),
+    [
+        ("control.kp=0,0.5,1", "control.kp", ("0", "0.5", "1"), (0.0, 0.5, 1.0), "1/s2"),
+        (" control.kp = 2, 1e0 ", "control.kp", ("1e0", "2"), (1.0, 2.0), "1/s2"),
+        (
+            "faults.delay=100ms,0,2s,50ms", "faults.delay", ("0", "50ms", "100ms", "2s"),
+            (0.0, 0.05, 0.1, 2.0), "s",
+        ),
+        ("faults.loss=30%,0,0.1", "faults.loss", ("0", "0.1", "30%"), (0.0, 0.1, 0.3), "ratio"),
+        ("fleet.duration_s='2min',90", "fleet.duration_s", ("90", "'2min'"), (90.0, 120.0), "s"),
+        ("robot.3.mass_kg=10kg,500g", "robot.3.mass_kg", ("500g", "10kg"), (0.5, 10.0), "kg"),
+        ("robot_defaults.hand_offset_m=10cm", "robot_defaults.hand_offset_m", ("10cm",), (0.1,), "m"),
+        ("control.coupling=joint,edge", "control.coupling", ("joint", "edge"), None, ""),
+        (
+            "trajectory.velocity_mps=[0.1, 0.2],[0,0]", "trajectory.velocity_mps", ("[0.1, 0.2]", "[0,0]"),
+            None, "",
+        ),
+        ("faults.delay=0,normal 80ms 20ms", "faults.delay", ("0", "normal 80ms 20ms"), None, ""),
+        ("a.b=\"x,y\",'[', 1", "a.b", ('"x,y"', "'['", "1"), None, ""),
+    ],
+)  # fmt: skip
+def test_values_of_an_axis(
+    text: str, field: str, values: tuple[str, ...], numbers: tuple[float, ...] | None, unit: str
+) -> None:
+    axis = parse_axis(text)
+    assert (axis.field, axis.values, axis.unit) == (field, values, unit)
+    assert axis.numbers == (None if numbers is None else pytest.approx(numbers, rel=1e-15))
+    assert parse_axis(str(axis)) == axis
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("control.kp", "--over control.kp: must be written as table.field=value,value"),
+        ("kp=1,2", "--over kp=1,2: must be written as"),
+        ("control.=1", "must be written as"),
+        ("control.kp=", "a value is missing"),
+        ("control.kp=1,,2", "--over control.kp=1,,2: a value is missing"),
+        ("control.kp=1,2,1", "--over control.kp: gives 1 twice"),
+        ("faults.delay=0.1,100ms", "gives 0.1 and 100ms, which are the same"),
+        ("fleet.seed=1,2,3", "every run has a seed of its own already, .* --repeat 3"),
+    ],
+)
+def test_bad_axis_is_refused_by_name(text: str, says: str) -> None:
+    with pytest.raises(SweepError, match=says):
+        parse_axis(text)
+
+
+@pytest.mark.parametrize(
+    ("question", "says"),
+    [
+        (ask("control.kp=1", "control.kp=2"), "--over control.kp is given twice"),
+        (
+            ask("control.kp=1", overrides=("control. kp=2",)),
+            "--over control.kp varies a field that --set fixes",
+        ),
+        (ask("control.kp=1", repeat=0), "--repeat must be at least 1, got 0"),
+        (ask("control.kp=1,2", repeat=10**6), "2,000,000 runs: at most 1,000,000"),
+    ],
+)
+def test_contradictions_are_refused(question: Question, says: str) -> None:
+    with pytest.raises(SweepError, match=says):
+        make_plan(question)
+
+
+def test_all_problems_of_all_cells_are_said_once() -> None:
+    question = ask(
+        "control.kp=1,-1,x", "control.kpp=1,2", "fleet.rate_hz=5,50", overrides=("control.c2=zero",)
+    )
+    with pytest.raises(FleetError) as raised:
+        make_plan(question)
+    problems = sorted(map(str, raised.value.problems))
+    assert [problem.partition(": ")[0] for problem in problems] == [
+        "--over control.kp=-1",
+        "--over control.kp=x",
+        "--over control.kpp",
+        "--set control.c2",
+        "control.plant_timeout_s",
+        "control.wrench_timeout_s",
+    ]
+    assert "did you mean kp?" in problems[2]
+    assert problems[4].endswith("(with --over fleet.rate_hz=5)")
+
+
+def test_a_formation_that_cannot_be_names_its_cells() -> None:
+    with pytest.raises(FleetError) as raised:
+        make_plan(ask("formation.safe_distance_m=0.2,0.9,1.1", "control.kp=1,2"))
+    (problem,) = raised.value.problems
+    assert str(problem).endswith("(with --over formation.safe_distance_m=1.1)")
+
+
+def test_a_repeat_has_the_same_seed_and_start_in_every_cell() -> None:
+    plan = make_plan(ask("control.kp=0,1", "control.c2=0.3,0.6,0.9", repeat=3, random_starts=0.0))
+    assert plan.runs == 18
+    fleets = [plan.fleet(run) for run in range(plan.runs)]
+    for run, fleet in enumerate(fleets):
+        assert fleet.fleet.seed == plan.run_seed(run) == plan.run_seed(run % 3)
+        assert fleet.robots == fleets[run % 3].robots
+        assert fleet.formation == fleets[run % 3].formation
+        kp, c2 = plan.values(run // 3)
+        assert (fleet.control.kp, fleet.control.c2) == (float(kp), float(c2))
+    assert len({fleet.fleet.seed for fleet in fleets}) == 3
+    assert len({fleet.robots for fleet in fleets}) == 3
+    assert all(fleet.fleet.seed < 2**53 for fleet in fleets)
+    again = make_plan(ask("control.kp=0,1", repeat=5, random_starts=0.0))
+    assert [again.fleet(k).robots for k in range(3)] == [fleet.robots for fleet in fleets[:3]]
+    other = make_plan(ask("control.kp=0,1", overrides=("fleet.seed=1",), repeat=3))
+    assert {other.run_seed(k) for k in range(3)}.isdisjoint(fleet.fleet.seed for fleet in fleets)
+
+
+def test_without_random_starts_only_the_seed_differs() -> None:
+    plan = make_plan(ask("control.kp=1", repeat=2))
+    first, second = plan.fleet(0), plan.fleet(1)
+    assert first.robots == second.robots == plan.cells[0].robots
+    assert first == replace(second, fleet=first.fleet)
+    assert first.fleet.seed != second.fleet.seed
+
+
+def test_random_starts_lie_in_their_square_and_keep_apart() -> None:
+    plan = make_plan(ask("formation.safe_distance_m=0.22,0.4", repeat=4, random_starts=3.0))
+    assert plan.gap_m == pytest.approx(0.5)
+    for run in range(plan.runs):
+        hands = start_hands(plan.fleet(run))
+        assert np.abs(hands - (-0.16, 0.63)).max() <= 1.5 + 1e-9
+        gaps = np.hypot(*(hands[:, None] - hands[None, :]).transpose(2, 0, 1))
+        assert gaps[~np.eye(6, dtype=bool)].min() >= 0.5 - 1e-9
+
+
+def test_random_starts_assign_places_unless_told_not_to() -> None:
+    assigned = make_plan(ask(repeat=1, random_starts=4.0)).fleet(0)
+    varied = make_plan(ask("formation.assign=true,false", repeat=1, random_starts=4.0))
+    assert varied.fleet(0) == assigned
+    assert varied.fleet(1).robots == assigned.robots
+    assert varied.fleet(1).formation.edges == make_plan(ask()).fleet(0).formation.edges
+    assert assigned.formation.edges != varied.fleet(1).formation.edges
+
+
+def test_room_for_random_starts_grows_with_the_fleet() -> None:
+    assert make_plan(ask(random_starts=0.0)).side_m == 4.0
+    large = make_plan(ask(fleet="lattice45", random_starts=0.0))
+    assert large.side_m == pytest.approx(4.0 * (45 / 6) ** 0.5, abs=0.01)
+    large.fleet(0)
+
+
+def test_order_gives_every_cell_its_first_repeat_first() -> None:
+    plan = make_plan(ask("control.kp=0,1,2", repeat=2))
+    assert list(plan.order()) == [0, 2, 4, 1, 3, 5]
+    assert plan.name(2) == "control.kp=2"
+
+
+# ---------------------------------------------------------------------- one run
+
+
+def everything(fleet: Any) -> dict[str, Any]:
+    """A run's metrics made of all its messages, as `handfast simulate` makes them."""
+    data = RunData(fleet, mode="simulate")
+    Simulation(fleet, lambda at, key, payload: data.feed(at, key, decode(payload))).run()
+    return metrics.compute(data.recording(), fleet, resolve(fleet), mode="simulate", seed=fleet.fleet.seed)
+
+
+@pytest.mark.parametrize(
+    "more", [(), ("robot_defaults.position_noise_m=1cm",), ("faults.delay=100ms", "faults.loss=20%")]
+)
+def test_a_run_is_measured_as_simulate_measures_it(more: tuple[str, ...]) -> None:
+    plan = make_plan(ask(fleet="pair", overrides=("fleet.duration_s=3", *more), repeat=2))
+    fleet = plan.fleet(1)
+    expected, found = everything(fleet), measure(fleet, lambda: True)
+    for path in NUMBERS.values():
+        assert reduce(getitem, path, found) == reduce(getitem, path, expected), path
+    assert found["verdict"]["reasons"] == expected["verdict"]["reasons"]
+    row = execute(plan, 1)
+    assert (row.run, row.seed, row.verdict) == (
+        1, fleet.fleet.seed, PASSED if expected["verdict"]["passed"] else FAILED,
+    )  # fmt: skip
+    assert row.numbers["min_distance_m.edge"] == expected["min_distance_m"]["edge"]
+    assert row.numbers["age_p99_ms"] == expected["age_of_information_ms"]["p99"]
+    assert row.numbers.get("settling_time_s") == expected["settling_time_s"]
+    assert row.settled is (expected["settling_time_s"] is not None)
+    assert replace(execute(plan, 1), wall_s=0.0) == replace(row, wall_s=0.0)
+
+
+def test_a_run_that_is_not_safe_says_so() -> None:
+    # Robots of an edge that start closer than the safe distance.
+    overrides = (SHORT, "robot.2.x_m=-1.0", "robot.2.y_m=1.3", "robot.2.heading_rad=0")
+    row = execute(make_plan(ask(overrides=overrides)), 0)
+    assert (row.safe, row.settled, row.good, row.verdict) == (False, False, False, FAILED)
+    assert row.numbers["min_distance_m.edge"] < 0.22
+    assert "came within" in row.reason
+
+
+def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("some\nthing")
+
+    monkeypatch.setattr(sweep_run, "Simulation", broken)
+    row = execute(make_plan(ask(repeat=2)), 1)
+    assert (row.run, row.verdict, row.safe, row.settled, row.numbers) == (1, CRASHED, None, None, {})
+    assert row.reason.startswith("ZeroDivisionError: some thing (test_sweep.py, line ")
+
+
+def test_a_start_without_room_is_a_row() -> None:
+    row = execute(make_plan(ask(random_starts=0.3)), 0)
+    assert row.verdict == CRASHED
+    assert "no room for 6 robots" in row.reason
+
+
+def test_a_run_is_abandoned_when_told() -> None:
+    plan = make_plan(ask(overrides=("fleet.duration_s=1e6",)))
+    asked = iter([True, True, False])
+    with pytest.raises(Abandoned):
+        execute(plan, 0, lambda: next(asked))
+
+
+# ---------------------------------------------------------------------- the folder
+
+
+def fill(folder: SweepFolder, runs: range) -> None:
+    for run in runs:
+        folder.add(made(folder.plan, run, **{"settling_time_s": NEVER} if run == 2 else {}))
+
+
+def test_rows_outlive_the_process_and_the_sweep_goes_on(tmp_path: Path) -> None:
+    question = ask("control.kp=0,1", "control.coupling='edge',joint", repeat=2)
+    plan = make_plan(question)
+    with SweepFolder(tmp_path / "new" / "sweep", question, plan) as folder:
+        assert folder.missing == list(plan.order())
+        fill(folder, range(3))
+        folder.add(unfinished(plan, 7, CRASHED, 'its "process", gone', 0.5))
+        rows = dict(folder.rows)
+    with SweepFolder(folder.path, question, plan) as again:
+        assert again.rows == rows
+        assert set(again.missing) == {3, 4, 5, 6}
+        fill(again, range(3, 7))
+        assert not again.missing
+        again.complete()
+    with SweepFolder(folder.path, read_question(folder.path), plan) as third:
+        assert list(third.rows) == list(range(8))
+    table = list(csv.DictReader((folder.path / "results.csv").read_text().splitlines()))
+    assert [row["run"] for row in table] == [str(run) for run in range(8)]
+    assert table[2] | {"seed": ""} == {
+        "run": "2", "control.kp": "0", "control.coupling": "joint", "repeat": "0", "seed": "",
+        "settled": "false", "safe": "true", "settling_time_s": "", "min_distance_m.edge": "0.5",
+        "min_distance_m.any": "0.4", "rms_distance_error_m": "0.25", "final_distance_error_m": "0.001",
+        "final_tracking_error_m": "0.01", "age_p50_ms": "20.0", "age_p99_ms": "20.0", "age_max_ms": "40.0",
+        "verdict": "failed", "reason": "Something, and more.", "wall_s": "0.125",
+    }  # fmt: skip
+    assert table[7]["reason"] == 'its "process", gone'
+
+
+@pytest.mark.parametrize("lost", [1, 30, 10_000])
+def test_a_row_that_was_cut_off_is_driven_again(tmp_path: Path, lost: int) -> None:
+    question = ask("control.kp=0,1", repeat=2)
+    plan = make_plan(question)
+    with SweepFolder(tmp_path, question, plan) as folder:
+        fill(folder, range(4))
+    results = tmp_path / "results.csv"
+    content = results.read_bytes()
+    results.write_bytes(content[: max(len(content) - lost, 5)])
+    with SweepFolder(tmp_path, question, plan) as folder:
+        assert folder.missing == ([3] if lost < 10_000 else [0, 2, 1, 3])
+        fill(folder, range(3, 4))
+    if lost < 10_000:
+        assert results.read_bytes() == content  # nothing is left of the part that was there
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        (ask("control.kp=0,2", repeat=2), r"--over is control\.kp=0,2, was control\.kp=0,1"),
+        (ask("control.kp=0,1", repeat=3), "--repeat is 3, was 2"),
+        (ask("control.kp=0,1", repeat=2, overrides=("fleet.seed=9",)), "the seed is 9, was 0"),
+        (ask("control.kp=0,1", repeat=2, random_starts=4.0), r"--random-starts is 4\.0, was not given"),
+        (ask("control.kp=0,1", repeat=2, law="edge"), "--law is edge, was not given"),
+        (
+            ask("control.kp=0,1", repeat=2, overrides=(SHORT,)),
+            r"--set is fleet\.duration_s=0\.5, was not given",
+        ),
+        (ask("control.kp=0,1", repeat=2, fleet="pair"), "the fleet file is another one"),
+    ],
+)
+def test_a_folder_of_another_sweep_is_refused(tmp_path: Path, other: Question, says: str) -> None:
+    question = ask("control.kp=0,1", repeat=2)
+    with SweepFolder(tmp_path, question, make_plan(question)) as folder:
+        fill(folder, range(1))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(SweepError, match=f"holds another sweep: .*{says}"):
+        SweepFolder(tmp_path, other, make_plan(other))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_folder_that_is_in_use_or_holds_something_else_is_refused(tmp_path: Path) -> None:
+    question = ask("control.kp=0,1")
+    plan = make_plan(question)
+    with (
+        SweepFolder(tmp_path / "a", question, plan),
+        pytest.raises(SweepError, match="another sweep is at work"),
+    ):
+        SweepFolder(tmp_path / "a", question, plan)
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "thesis.tex").touch()
+    with pytest.raises(SweepError, match="b is not empty and holds no sweep"):
+        SweepFolder(tmp_path / "b", question, plan)
+    with pytest.raises(SweepError, match="cannot write the sweep's folder"):
+        SweepFolder(tmp_path / "b" / "thesis.tex", question, plan)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("1,1,0,", "9,1,0,"),
+        ("1,1,0,", "1,0,0,"),
+        (",true,", ",yes,"),
+        (",0.5,", ",,,0.5"),
+        (",0.5,", ",half,"),
+    ],
+)
+def test_a_row_that_is_not_of_the_sweep_is_refused(tmp_path: Path, old: str, new: str) -> None:
+    question = ask("control.kp=0,1")
+    with SweepFolder(tmp_path, question, make_plan(question)) as folder:
+        fill(folder, range(1, 2))
+    results = tmp_path / "results.csv"
+    assert old in results.read_text()
+    results.write_text(results.read_text().replace(old, new))
+    with pytest.raises(SweepError, match=r"results\.csv, line 2: not a row of this sweep"):
+        SweepFolder(tmp_path, question, make_plan(question))
+
+
+# ---------------------------------------------------------------------- what it finds
+
+
+@pytest.mark.parametrize(("count", "of"), [(0, 1), (1, 1), (0, 20), (3, 20), (20, 20), (57, 100)])
+def test_interval_is_wilsons(count: int, of: int) -> None:
+    expected = binomtest(count, of).proportion_ci(0.95, "wilson")
+    assert Share(count, of).interval == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def rows_of(plan: Plan, different: Mapping[int, Row] | None = None) -> dict[int, Row]:
+    return {run: made(plan, run) for run in range(plan.runs)} | dict(different or {})
+
+
+def test_a_cell_in_numbers() -> None:
+    plan = make_plan(ask("control.kp=0,1", repeat=5))
+    times = [4.0, 9.0, 5.0, NEVER, 7.0]
+    nearest = [0.5, 0.21, 0.3, 0.4, 0.6]
+    rows = {
+        run: made(plan, run, **{"settling_time_s": times[run], "min_distance_m.edge": nearest[run]})
+        for run in range(5)
+    }
+    first, second = summarise(plan, rows_of(plan, rows))
+    assert (first.runs, first.safe, first.settled, first.good) == (5, Share(4, 5), Share(4, 5), 3)
+    assert first.least_m == 0.21
+    assert first.quantiles["settling_time_s"] == {"q25": 5.0, "median": 7.0, "q75": 9.0}
+    expected = np.percentile(nearest, [25, 50, 75]).tolist()
+    assert list(first.quantiles["min_distance_m.edge"].values()) == pytest.approx(expected)
+    assert first.trouble == "1 of 5 unsafe, 1 of 5 not settled"
+    assert (second.good, second.trouble) == (5, "")
+
+
+def test_runs_that_never_settle_count_as_later_than_all_others() -> None:
+    plan = make_plan(ask("control.kp=0", repeat=4))
+    rows = {run: made(plan, run, settling_time_s=NEVER) for run in (1, 3)}
+    rows[2] = unfinished(plan, 2, CRASHED, "gone", 1.0)
+    (cell,) = summarise(plan, rows_of(plan, rows))
+    assert cell.quantiles["settling_time_s"] == {"q25": None, "median": None, "q75": None}
+    assert cell.quantiles["rms_distance_error_m"]["median"] == 0.25
+    assert cell.quantiles["rms_distance_error_m"]["q75"] is None
+    assert cell.trouble == "2 of 4 not settled, 1 of 4 not finished"
+    assert (cell.safe, cell.unfinished, cell.good) == (Share(3, 4), 1, 1)
+
+
+def bad_from(plan: Plan, axis: int, least: Mapping[str, int]) -> dict[int, Row]:
+    """Rows where one run of each cell is unsafe from the `least[value of the other axis]`-th value on."""
+    rows = rows_of(plan)
+    for cell in range(len(plan.cells)):
+        values = plan.values(cell)
+        if plan.axes[axis].values.index(values[axis]) >= least[values[1 - axis]]:
+            rows[cell * plan.repeat] = made(plan, cell * plan.repeat, **{"min_distance_m.edge": 0.1})
+    return rows
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_margin_is_the_last_value_before_the_first_trouble(axis: int) -> None:
+    over = ["faults.delay=0,200ms,50ms,1s", "control.kp=1,2,3"]
+    plan = make_plan(ask(*(over if axis == 0 else reversed(over)), repeat=2))
+    rows = bad_from(plan, axis, {"1": 4, "2": 2, "3": 0})
+    cells = summarise(plan, rows)
+    assert margin_axis(plan, None) == axis
+    found = margins(plan, cells, axis)
+    assert [(margin.largest, margin.failed, margin.others) for margin in found] == [
+        ("1s", None, (("control.kp", "1"),)),
+        ("50ms", "200ms", (("control.kp", "2"),)),
+        (None, "0", (("control.kp", "3"),)),
+    ]
+    assert list(map(str, found)) == [
+        "faults.delay with control.kp=1: safe and settled up to 1s, the largest value",
+        "faults.delay with control.kp=2: safe and settled up to 50ms (200ms: 1 of 2 unsafe)",
+        "faults.delay with control.kp=3: none, not even 0 is safe and settled (1 of 2 unsafe)",
+    ]
+
+
+def test_margin_does_not_reach_over_a_value_that_failed() -> None:
+    plan = make_plan(ask("control.kp=0,1,2"))
+    cells = summarise(plan, rows_of(plan, {1: made(plan, 1, settling_time_s=NEVER)}))
+    (margin,) = margins(plan, cells, 0)
+    assert (margin.largest, margin.failed, margin.trouble) == ("0", "1", "1 of 1 not settled")
+
+
+def test_field_of_the_margin() -> None:
+    plan = make_plan(ask("control.coupling=edge,joint", "control.kp=0,1", "faults.delay=0,1s"))
+    assert margin_axis(plan, None) == 2
+    assert margin_axis(plan, "control.kp") == 1
+    assert margin_axis(make_plan(ask("control.coupling=edge,joint", "control.kp=0,1")), None) == 1
+    assert margin_axis(make_plan(ask("control.coupling=edge,joint")), None) is None
+    with pytest.raises(
+        SweepError, match=r"--margin control\.c1 is not varied: varied are control\.coupling,"
+    ):
+        margin_axis(plan, "control.c1")
+    with pytest.raises(SweepError, match="its values are no numbers"):
+        margin_axis(plan, "control.coupling")
+
+
+def test_summaries_hold_every_cell() -> None:
+    plan = make_plan(ask("faults.delay=0,1s", "control.kp=1,2", repeat=2))
+    cells = summarise(plan, rows_of(plan, {7: made(plan, 7, settling_time_s=NEVER)}))
+    table = summary_table(plan, cells)
+    assert {len(row) for row in table} == {len(table[0])}
+    last = dict(zip(table[0], table[4], strict=True))
+    assert (last["faults.delay"], last["control.kp"], last["runs"]) == ("1s", "2", "2")
+    assert (last["settled"], last["settled_share"], last["settled_low"]) == ("1", "0.5", "0.094531")
+    assert (last["settling_time_s_q25"], last["settling_time_s_median"]) == ("", "")
+    text = json.dumps(summary_json(plan, cells, margins(plan, cells, 0)), allow_nan=False)
+    read = json.loads(text)
+    assert read["cells"][3]["settled"] == {"count": 1, "share": 0.5, "low": 0.094531, "high": 0.905469}
+    assert read["margins"][1] == {
+        "field": "faults.delay", "with": {"control.kp": "2"}, "largest": "0", "failed": "1s",
+        "trouble": "1 of 2 not settled",
+    }  # fmt: skip
+
+
+# ---------------------------------------------------------------------- pictures
+
+
+HEAT_MAPS = {"settling_time.png", "least_distance.png", "rms_error.png", "share_safe.png"}
+
+
+@pytest.mark.parametrize(
+    ("over", "names"),
+    [
+        ((), set()),
+        (("control.kp=1",), {"curves.png"}),
+        (("faults.delay=0,1s,2s",), {"curves.png"}),
+        (("control.coupling=edge,joint",), {"curves.png"}),
+        (("faults.delay=0,1s,2s", "control.kp=0,1"), HEAT_MAPS),
+        (("control.coupling=edge,joint", "fleet.description='a long one of many words',b"), HEAT_MAPS),
+        (("control.kp=0,1", "faults.delay=0,1s,2s", "control.c2=0.3,0.6,1"), HEAT_MAPS),
+    ],
+)
+def test_pictures_are_drawn_and_the_same_again(
+    tmp_path: Path, over: tuple[str, ...], names: set[str]
+) -> None:
+    plan = make_plan(ask(*over, repeat=2))
+    rows = rows_of(plan, {0: made(plan, 0, settling_time_s=NEVER)})
+    for run in (plan.runs - 1, plan.runs - 2):  # a whole cell without numbers
+        rows[run] = unfinished(plan, run, CRASHED, "gone", 1.0)
+    cells = summarise(plan, rows)
+    axis = margin_axis(plan, None)
+    found = margins(plan, cells, axis) if axis is not None else []
+    written = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        paths, left_out = write_sweep_figures(folder, plan, cells, axis, found)
+        assert left_out == ""
+        assert {path.name for path in paths} == names
+        written.append([path.read_bytes() for path in paths])
+    assert written[0] == written[1]
+
+
+def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
+    plan = make_plan(
+        ask("control.kp=0,1", "control.c2=1,2", f"control.c1={','.join(map(str, range(1, 15)))}")
+    )
+    cells = summarise(plan, rows_of(plan))
+    _, left_out = write_sweep_figures(tmp_path, plan, cells, 0, margins(plan, cells, 0))
+    assert (
+        left_out == f"the pictures show {PANELS_MAX} of 14 combinations of control.c1; all are in summary.csv"
+    )
+
+
+def test_axis_is_a_value() -> None:
+    assert parse_axis("control.kp=1,2") == Axis("control.kp", ("1", "2"), (1.0, 2.0), "1/s2")
+    assert to_dict(make_plan(ask("control.kp=1,2")).fleet(1))["control"]["kp"] == 2.0

@@ -1,0 +1,151 @@
+"""When a node ticks, and how its messages are numbered: the grid, late ticks, skipped ticks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from agent.clock import NS_PER_S
+from agent.core import Agent
+from agent.fleet import Fleet, digest, parse_fleet
+from agent.messages import Faults, Mission, encode
+from agent.node import FIRST_ROUND, Node, Numbers, Ticks
+from plant.node import PlantNode
+from plant.unicycle import from_fleet
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]
+fleet = { name = "two", rate_hz = 50, seed = %d }
+formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
+faults = { rule = [%s] }
+"""
+T0 = 1000 * NS_PER_S
+PERIOD = 20_000_000
+MS = 1_000_000
+
+
+def fleet(rules: str = "", seed: int = 0) -> Fleet:
+    return parse_fleet(FLEET % (seed, rules), source="here")
+
+
+def plant(made: Fleet, robot: int = 1) -> PlantNode:
+    return PlantNode(made, robot, from_fleet(made, robot))
+
+
+def told(node: Node, count: int, now_ns: int = T0) -> list[int]:
+    """What successive ticks are told that all begin on time."""
+    ticks = Ticks(node, now_ns)
+    times = []
+    for _ in range(count):
+        time_ns, missed = ticks.take(ticks.due_ns)
+        assert missed == 0
+        times.append(time_ns)
+        ticks.plan(time_ns)
+    return times
+
+
+def test_ticks_lie_on_the_grid():
+    made = fleet()
+    assert told(plant(made), 3) == [T0 + k * PERIOD for k in (1, 2, 3)]
+    assert told(Agent(made, 1), 3) == [T0 + k * PERIOD + PERIOD // 2 for k in (0, 1, 2)]
+
+
+def test_a_tick_is_told_its_deadline_however_late_it_begins():
+    ticks = Ticks(plant(fleet()), T0)
+    assert ticks.take(T0 + PERIOD) == (T0 + PERIOD, 0)
+    assert ticks.take(T0 + 2 * PERIOD - 1) == (T0 + PERIOD, 0)
+
+
+def test_deadlines_that_have_passed_are_skipped_and_counted():
+    ticks = Ticks(plant(fleet()), T0)
+    time_ns, missed = ticks.take(T0 + 4 * PERIOD + 5)
+    assert (time_ns, missed) == (T0 + 4 * PERIOD, 3)
+    ticks.plan(time_ns)
+    assert ticks.due_ns == T0 + 5 * PERIOD
+
+
+# ---------------------------------------------------------------------- late on purpose
+
+JITTER = "{ robot = 1, tick_jitter = 0.005 }"
+
+
+def test_late_ticks_are_uniform_up_to_the_rules_limit():
+    for node in (plant(fleet(JITTER)), Agent(fleet(JITTER), 1)):
+        late = np.array([(time_ns - node.phase_ns) % PERIOD for time_ns in told(node, 3000)])
+        assert late.max() < 5 * MS
+        assert stats.kstest(late / (5 * MS), "uniform").pvalue > 1e-3
+
+
+def test_late_ticks_differ_by_seed_robot_and_role_and_not_by_when_one_looks():
+    both = "{ robot = [1, 2], tick_jitter = 0.005 }"
+    made = fleet(both)
+    nodes: list[Node] = [plant(made), plant(made, 2), Agent(made, 1), plant(fleet(both, seed=1))]
+    late = [[(t - node.phase_ns) % PERIOD for t in told(node, 50, T0 + node.phase_ns)] for node in nodes]
+    for column in zip(*late, strict=True):  # of one round
+        assert len(set(column)) == 4
+    assert told(plant(made), 50)[10:] == told(plant(made), 40, T0 + 10 * PERIOD)
+
+
+def test_other_robots_and_other_times_are_on_time():
+    node = plant(fleet("{ robot = 1, at = 0, for = 1, tick_jitter = 0.005 }"))
+    grid = [T0 + k * PERIOD for k in (1, 2, 3)]
+    assert told(node, 3) == grid  # the epoch is not known
+    made = fleet(JITTER)
+    assert told(plant(made, 2), 3) == grid
+
+
+def test_live_rules_make_ticks_late_from_when_they_come():
+    node = plant(fleet())
+    ticks = Ticks(node, T0)
+    rules = "[[faults.rule]]\nrobot = 1\ntick_jitter = 0.005"
+    node.receive(T0 + PERIOD, "two/faults", encode(Faults(1, T0, "ana@lab:1", T0, 0, rules)))
+    assert ticks.due_ns == T0 + PERIOD
+    ticks.plan(T0 + PERIOD)
+    assert 0 < ticks.due_ns - (T0 + 2 * PERIOD) < 5 * MS
+
+
+def test_a_run_and_its_simulation_draw_the_same_whenever_they_are():
+    late = []
+    for epoch_ns in (T0, 5 * PERIOD):
+        made = fleet("{ robot = 1, at = 0, tick_jitter = 0.005 }")
+        node = plant(made)
+        mission = Mission(1, epoch_ns, epoch_ns, 60 * NS_PER_S, digest(made))
+        node.receive(epoch_ns, "two/mission", encode(mission))
+        late.append([time_ns - epoch_ns for time_ns in told(node, 50, epoch_ns)])
+    assert late[0] == late[1]
+    assert late[0] != [(k + 1) * PERIOD for k in range(50)]
+
+
+def test_jitter_longer_than_the_period_skips_ticks_and_keeps_their_order():
+    node = plant(fleet("{ robot = 1, tick_jitter = 0.1 }"))
+    ticks = Ticks(node, T0)
+    times, skipped = [T0], 0
+    for _ in range(300):
+        time_ns, missed = ticks.take(ticks.due_ns)
+        times.append(time_ns)
+        skipped += missed
+        ticks.plan(time_ns)
+    rounds = np.array(times) // PERIOD
+    assert np.all(np.diff(rounds) >= 1)
+    assert skipped == rounds[-1] - rounds[0] - 300
+    assert skipped > 300
+
+
+def test_a_frozen_process_finds_its_late_tick_again():
+    ticks = Ticks(plant(fleet(JITTER)), T0)
+    late_ns = ticks.due_ns - (T0 + PERIOD)
+    assert late_ns > 0
+    assert ticks.take(ticks.due_ns + 3 * PERIOD + 1) == (T0 + 4 * PERIOD + late_ns, 3)
+
+
+# ---------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize("phase_ns", [0, PERIOD // 2])
+def test_a_late_tick_has_the_number_of_its_round(phase_ns: int):
+    numbers = Numbers(PERIOD, phase_ns)
+    assert [numbers.next(T0 + k) for k in range(3)] == [0, 1, 2]
+    numbers.begin(T0)
+    stamps = [T0 + phase_ns + k * PERIOD + (13 * MS if k % 2 else 0) for k in range(-3, 4)]
+    assert [numbers.next(stamp) for stamp in stamps] == [FIRST_ROUND + k for k in range(-3, 4)]
