@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 from agent.fleet import LAWS, Fleet, add_scenario, fleet_tables, load_fleet, read_text
-from agent.formation import resolved
 
 FLEETS: Final = Path(__file__).parent / "fleets"
 SCENARIOS: Final = Path(__file__).parent / "scenarios"
@@ -94,6 +93,8 @@ def load(options: argparse.Namespace) -> Fleet:
     Raises:
         InputError, agent.fleet.FleetError: it cannot be.
     """
+    from agent.formation import resolved  # here: numpy takes its time, and nothing can be said before
+
     return resolved(load_unresolved(options))
 
 

