@@ -73,11 +73,13 @@ class ClockOffset:
 
         Args:
             now_ns: the own clock.
-            echo_us: what the neighbour says of the own messages; None when it says nothing.
+            echo_us: what the neighbour says of the own messages; None when it says nothing this time.
 
         Returns whether `least_us` has changed.
         """
         apparent = now_ns - stamp_ns
+        if echo_us is None:
+            echo_us = self._echo_us
         if apparent == self._least:  # what nearly every message is on a good link
             self._leak_ns = now_ns + _LEAK_PERIOD_NS
             if echo_us != self._echo_us:

@@ -36,6 +36,8 @@ from agent.reception import Reception
 from agent.supervision import Conditions, State, step
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
+HEARD_ROUNDS: Final = 7
+"""Each robot's hand states echo once in so many what it heard of its neighbours: clocks part slowly."""
 STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
 REST_SPEED: Final = 0.06
@@ -346,6 +348,7 @@ class Agent:
         multipliers = tuple(pairs) if driven else ()
         self._position = here.x, here.y
         sequence = self._hand_numbers.next(now_ns)
+        heard = self._neighbours.heard() if (sequence + self.robot) % HEARD_ROUNDS == 0 else ()
         message = HandState(
             self.robot,
             sequence,
@@ -357,7 +360,7 @@ class Agent:
             cx,
             cy,
             multipliers,
-            self._neighbours.heard(),
+            heard,
         )
         self._sent_hands += len(self._neighbours.ids)
         return self._key_hand, encode(message)

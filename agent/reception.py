@@ -92,6 +92,8 @@ class Reception:
 
         `flush` keeps no decision back for a fuller message: there may be no other tick.
         """
+        if self._held_due_ns is None and self._links.idle:
+            return []
         out: list[Outgoing] = []
         if self._held_due_ns is not None:
             if self.plan.expire(now_ns):

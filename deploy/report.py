@@ -192,7 +192,7 @@ _ROWS: Final = (
     ("tick.overruns", "Overruns", "", "Rounds that started too late and were skipped."),
     ("messages.sent", "Messages sent", "", "Hand states, counted once for every neighbour."),
     ("messages.received", "Messages received", "", "Hand states that agents accepted."),
-    ("messages.lost", "Messages lost", "", "Hand states that did not arrive."),
+    ("messages.lost", "Messages lost", "", "Hand states that did not arrive, or after a newer one."),
     ("messages.delayed", "Messages delayed", "", "Came more than two rounds after they were sent."),
     ("messages.duplicated", "Messages duplicated", "", "Arrived more than once."),
     ("messages.corrupted", "Messages corrupted", "", "Damaged on the way."),

@@ -6,7 +6,6 @@ time, on all cores; the same starts in every arm: `handfast sweep delta --random
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from typing import Final
@@ -15,15 +14,14 @@ import numpy as np
 
 from deploy.arguments import SCENARIOS, fleet_path, fleet_text
 from deploy.sweep import Plan, Question, make_plan
-from deploy.sweep_pool import Pool, cores
 from deploy.sweep_run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table
+from tests.benchmarks.rows import drive, share
 
 COUNT: Final = 100
 COUNT_QUICK: Final = 10
 DURATION_S: Final = 40.0
 SIDE_M: Final = 4.0
-TIMEOUT_S: Final = 300.0
 
 MIDDLING: Final = ("faults.delay=500ms", "faults.loss=30%")
 BAD: Final = ("faults.delay=1s", "faults.loss=50%")
@@ -54,8 +52,8 @@ def row(arm: str, rows: Sequence[Row]) -> list[str]:
     times = [number(float(np.percentile(settled, share))) for share in (50, 95)] if settled else ["-", "-"]
     return [
         arm,
-        f"{100.0 * sum(each.safe is True for each in rows) / len(rows):.0f}",
-        f"{100.0 * len(settled) / len(rows):.0f}",
+        share(sum(each.safe is True for each in rows), len(rows)),
+        share(len(settled), len(rows)),
         *times,
         number(float(np.median(final_mm))) if final_mm else "-",
         number(final_mm[-1]) if final_mm else "-",
@@ -69,14 +67,8 @@ def run(options: Options) -> Result:
     lines = []
     begun = time.monotonic()
     for arm in ARMS:
-        plan = plan_of(arm, count)
-        with Pool(plan, cores(), TIMEOUT_S) as pool:
-            rows = list(pool.rows(range(plan.runs), lambda: True))
+        rows = drive(arm, plan_of(arm, count))
         lines.append(row(arm, rows))
-        print(f"  {arm}: {' '.join(lines[-1][1:])}", file=sys.stderr, flush=True)
-        unfinished = [each for each in rows if not each.numbers]
-        if unfinished:
-            result.details.append(f"{arm}: {len(unfinished)} not finished, such as {unfinished[0].reason}")
         if "not predicted" in arm:
             continue  # there to compare
         bad = sorted(each.run for each in rows if not each.good)
