@@ -37,6 +37,7 @@ T = TypeVar("T", bound=Impairment)
 Process = Literal["agent", "plant", "both"]
 LIMIT: Final = 10_000
 _FAR: Final = 1e6
+_TICK: Final = 1e-3  # no fleet ticks faster
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,13 +189,19 @@ class Rule(Impairments):
         example='"5s"',
     )
     duration: float | None = setting(
-        None, "How long it lasts; left out: to the end.", key="for", unit="s", gt=0, le=_FAR, example='"10s"'
+        None,
+        "How long it lasts; left out: to the end.",
+        key="for",
+        unit="s",
+        ge=_TICK,
+        le=_FAR,
+        example='"10s"',
     )
     every: float | None = setting(
         None,
         "It comes again after so long, each time for `for`.",
         unit="s",
-        gt=0,
+        ge=_TICK,
         le=_FAR,
         example='"1s"',
     )
