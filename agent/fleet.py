@@ -1,56 +1,42 @@
 """The fleet file: one TOML text that says who drives where, and how; all processes of a fleet read the same.
 
 `parse_fleet` turns the text into a `Fleet`, or raises one `FleetError` with every problem of the file, each
-with its place. Fields, units and ranges are in the models' metadata; ``docs/fleet-file.md`` is made of them.
+with its place. Fields, units and ranges are in the models of `agent.fleet_sections`, of which ``docs/fleet-file.md``
+is made.
 
 Lengths in m, times in s, angles in rad; frame W (ENU: x east, y north, heading counter-clockwise from x).
 PURE but for `load_fleet`, which reads the file.
 """
 
-# ruff: noqa: RUF009 (setting() is dataclasses.field)
 from __future__ import annotations
 
 import json
-import math
 import re
 import tomllib
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
-from agent.fault_checks import check_faults
 from agent.fault_settings import FaultsSection
-from agent.messages import NEIGHBOURS_MAX
+from agent.fleet_checks import check_fleet, kinds_by_field
+from agent.fleet_sections import (
+    LAWS,
+    TRAJECTORY_FIELDS,
+    Body,
+    ControlSection,
+    FleetSection,
+    FormationSection,
+    NetworkSection,
+    Robot,
+    TrajectorySection,
+)
 from agent.scenario import ScenarioError, parse_scenario
-from agent.schema import Problem, Reader, about, build, entries, plain, printable, setting, show
-
-Pair = tuple[float, float]
-Coupling = Literal["edge", "joint", "penalty"]
+from agent.schema import Problem, Reader, about, build, plain, printable, show
 
 FILE_BYTES_MAX: Final = 1 << 20
-PORT_MIN: Final = 1024
-PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
-_FAR_M: Final = 1e6  # further away than any robot: squares of it stay far from overflow
 _PROBLEMS_SHOWN_MAX: Final = 100
-
-LAWS: Final[Mapping[str, Mapping[str, object]]] = {
-    "paper": {"coupling": "edge", "kp": 0.0, "relaxation": 0.001},
-    "edge": {"coupling": "edge", "kp": 1.0, "relaxation": 0.2},
-    "joint": {"coupling": "joint", "kp": 1.0, "relaxation": 0.2},
-    "penalty": {"coupling": "penalty", "kp": 1.0, "relaxation": 0.2},
-}
-"""What ``--law NAME`` sets in ``[control]``."""
-
-TRAJECTORY_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
-    "hold": ((), ("start_m",)),
-    "line": (("velocity_mps",), ("start_m",)),
-    "circle": (("centre_m", "radius_m", "speed_mps"), ("phase_rad", "clockwise")),
-    "waypoints": (("waypoints_m", "speed_mps"), ("corner_acceleration",)),
-}
-"""Fields that each kind of trajectory needs, and those that it takes besides; others are errors with it."""
 
 
 class FleetError(ValueError):
@@ -71,253 +57,6 @@ class FleetError(ValueError):
         if count > _PROBLEMS_SHOWN_MAX:
             lines.append(f"  ... and {count - _PROBLEMS_SHOWN_MAX} more")
         return "\n".join(lines)
-
-
-@dataclass(frozen=True, slots=True)
-class FleetSection:
-    """``[fleet]``."""
-
-    name: str = field(
-        metadata=about(
-            "The fleet's name: the first segment of every key on the bus, and in the name of a run's folder.",
-            pattern=r"[A-Za-z0-9_-]{1,40}",
-            pattern_says="1 to 40 letters, digits, - or _",
-            example='"delta"',
-        )
-    )
-    rate_hz: float = setting(50.0, "How often every agent runs its control law.", unit="Hz", ge=1, le=1000)
-    duration_s: float = setting(30.0, "How long a run drives, from the common start.", unit="s", gt=0, le=1e6)
-    seed: int = setting(
-        0, "Seed of everything random: noise, link faults. Same seed, same run.", ge=0, le=2**63 - 1
-    )
-    description: str = setting(
-        "", "A sentence for people; nothing depends on it.", example='"Six robots in a triangle"'
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class FormationSection:
-    """``[formation]``."""
-
-    edges: tuple[tuple[int, int], ...] = field(
-        metadata=about(
-            "The formation graph: pairs of robot ids that keep their distance and talk to each other.",
-            example="[[1, 2], [2, 3]]",
-        )
-    )
-    safe_distance_m: float = field(
-        metadata=about(
-            "r_s: two robots of an edge never come this close. Below the distance of every edge.",
-            unit="m",
-            gt=0,
-            le=_FAR_M,
-            example="0.22",
-        )
-    )
-    offsets: tuple[Pair, ...] | None = setting(
-        None,
-        "Where each robot stands relative to the trajectory, one pair per `[[robot]]` in their order. "
-        "This or `distance_m` must be given.",
-        unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
-        example="[[0.0, 0.5], [0.0, -0.5]]",
-    )
-    distance_m: float | tuple[float, ...] | None = setting(
-        None,
-        "Desired distance of every edge, or an array with one per edge. Left out: taken from `offsets`.",
-        unit="m",
-        gt=0,
-        le=_FAR_M,
-        example="1.0",
-    )
-    assign: bool = setting(
-        False,
-        "Robots take the places by least total squared distance from their starts, not in their order. "
-        "Edges belong to the places: they then join the robots that took them.",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class ControlSection:
-    """``[control]``."""
-
-    coupling: Coupling = setting(
-        "joint",
-        "How multipliers are found: `edge` by edge (the paper's), `joint` with those of the edges around, "
-        "or `penalty`: a potential field, no multipliers.",
-    )
-    c1: float = setting(0.4, "Navigation: gain on the position error.", unit="1/s2", gt=0, le=1e4)
-    c2: float = setting(0.6, "Navigation: gain on the velocity error.", unit="1/s", gt=0, le=1e4)
-    kd: float = setting(1.8, "Damping of an edge's constraint.", unit="1/s", ge=0, le=1e4)
-    k2: float = setting(5.0, "Softness of an edge's constraint.", unit="1/m2", gt=0, le=1e6)
-    kp: float = setting(
-        1.0, "Stiffness of an edge's constraint; 0 is the paper's law.", unit="1/s2", ge=0, le=1e4
-    )
-    relaxation: float = setting(
-        0.2,
-        "Below this share of the way from the safe distance to the wanted one the constraint goes on along "
-        "its tangent, instead of to its pole at the safe distance.",
-        unit="ratio",
-        ge=0.001,
-        lt=1,
-    )
-    max_acceleration: float = setting(
-        5.0, "Largest commanded acceleration of the hand point.", unit="m/s2", gt=0, le=1e3
-    )
-    prediction: bool = setting(
-        True,
-        "Carries a neighbour's state forward over the age of its message; false: takes it as it came.",
-    )
-    prediction_horizon_s: float = setting(
-        2.0,
-        "A neighbour's last state is carried forward this long at most; one that is silent for longer makes "
-        "the robot hold. At least two periods.",
-        unit="s",
-        gt=0,
-        le=60,
-    )
-    plant_timeout_s: float = setting(
-        0.2, "An agent whose plant is silent for so long stops. At least two periods.", unit="s", gt=0, le=60
-    )
-    wrench_timeout_s: float = setting(
-        0.2, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
-    )
-
-    clock_skew_max_s: float = setting(
-        0.05,
-        "A neighbour whose clock is found to be further off than this is warned of. Clocks are compared by "
-        "the stamps of messages, within about one period.",
-        unit="s",
-        gt=0,
-        le=60,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class TrajectorySection:
-    """``[trajectory]``: fields that its kind does not use keep their defaults."""
-
-    kind: Literal["line", "waypoints", "circle", "hold"] = setting(
-        "hold", "What the formation's reference point does. Fields of other kinds are errors."
-    )
-    start_m: Pair = setting(
-        (0.0, 0.0),
-        "`line`: where the reference is at the start; `hold`: where it stays.",
-        unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
-    )
-    velocity_mps: Pair | None = setting(
-        None, "`line`: constant velocity.", unit="m/s", ge=-100, le=100, example="[0.2, 0.2]"
-    )
-    waypoints_m: tuple[Pair, ...] | None = setting(
-        None,
-        "`waypoints`: at least two points, driven in order; the first is the start, the last is held.",
-        unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
-        example="[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]]",
-    )
-    speed_mps: float | None = setting(
-        None, "`waypoints`, `circle`: speed of the reference.", unit="m/s", gt=0, le=100, example="0.3"
-    )
-    corner_acceleration: float = setting(
-        0.3, "`waypoints`: acceleration with which corners are rounded.", unit="m/s2", gt=0, le=100
-    )
-    centre_m: Pair | None = setting(
-        None, "`circle`: its centre.", unit="m", ge=-_FAR_M, le=_FAR_M, example="[0.0, 0.0]"
-    )
-    radius_m: float | None = setting(None, "`circle`: its radius.", unit="m", gt=0, le=_FAR_M, example="3.0")
-    phase_rad: float = setting(
-        0.0,
-        "`circle`: angle of the start, seen from the centre.",
-        unit="rad",
-        ge=-math.tau,
-        le=math.tau,
-        example='"90deg"',
-    )
-    clockwise: bool = setting(False, "`circle`: the way round.")
-
-
-@dataclass(frozen=True, slots=True)
-class Body:
-    """``[robot_defaults]``: what drives, and how it is measured."""
-
-    mass_kg: float = setting(10.0, "Mass m.", unit="kg", gt=0, le=1e5)
-    inertia_kgm2: float = setting(
-        0.13, "Moment of inertia J about the vertical axis.", unit="kg m2", gt=0, le=1e5
-    )
-    hand_offset_m: float = setting(
-        0.1,
-        "L: the hand point, which is what is controlled, lies so far ahead of the axle.",
-        unit="m",
-        gt=0,
-        le=100,
-    )
-    plant: Literal["unicycle"] = setting("unicycle", "What drives: `unicycle` is simulated.")
-    max_force_n: float | None = setting(
-        None, "Largest driving force; left out: no limit.", unit="N", gt=0, le=1e6, example="50.0"
-    )
-    max_torque_nm: float | None = setting(
-        None, "Largest turning torque; left out: no limit.", unit="N m", gt=0, le=1e6, example="5.0"
-    )
-    actuator_lag_s: float = setting(
-        0.0, "Time constant between commanded and real force and torque.", unit="s", ge=0, le=10
-    )
-    position_noise_m: float = setting(
-        0.0, "Standard deviation of measured positions.", unit="m", ge=0, le=100
-    )
-    heading_noise_rad: float = setting(
-        0.0, "Standard deviation of the measured heading.", unit="rad", ge=0, le=math.pi
-    )
-    speed_noise_mps: float = setting(
-        0.0, "Standard deviation of the measured speed.", unit="m/s", ge=0, le=100
-    )
-    yaw_rate_noise_radps: float = setting(
-        0.0, "Standard deviation of the measured yaw rate.", unit="rad/s", ge=0, le=100
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Robot(Body):
-    """One ``[[robot]]``."""
-
-    # The file must give these; the defaults here only let them follow Body's.
-    id: int = setting(0, "The robot's number, which `edges` use.", ge=1, le=9999, required=True)
-    x_m: float = setting(
-        0.0, "Where its centre starts, east.", unit="m", ge=-_FAR_M, le=_FAR_M, required=True, example="-1.0"
-    )
-    y_m: float = setting(
-        0.0, "Where its centre starts, north.", unit="m", ge=-_FAR_M, le=_FAR_M, required=True, example="1.4"
-    )
-    heading_rad: float = setting(
-        0.0,
-        "Where it looks at the start, counter-clockwise from east.",
-        unit="rad",
-        ge=-math.tau,
-        le=math.tau,
-        example='"90deg"',
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkSection:
-    """``[network]``."""
-
-    address: str = setting(
-        "127.0.0.1",
-        "Host name or address on which every process listens.",
-        pattern=r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]",
-        pattern_says="a host name, an IPv4 address or an IPv6 address in [ ]",
-    )
-    base_port: int = setting(
-        7600,
-        "First TCP port. The k-th robot of the file (from 0) listens on `base_port` + 2 k (agent) and "
-        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}.",
-        ge=PORT_MIN,
-        le=PORT_MAX - 1,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -467,7 +206,7 @@ def parse_fleet(
         reader.override(raw, override)
     _forget_old_kind(raw, kind_before, reader)
     values = reader.read(raw)
-    _check(values, raw, reader)
+    check_fleet(values, raw, reader)
     problems = (*law_problems, *_with_ids(reader.problems, raw))
     if problems:
         raise FleetError(source, problems)
@@ -543,17 +282,9 @@ def _forget_old_kind(raw: dict[str, Any], before: object, reader: Reader) -> Non
     if kind == before or not isinstance(kind, str) or kind not in TRAJECTORY_FIELDS:
         return
     needed, taken = TRAJECTORY_FIELDS[kind]
-    for key in set(_kinds_by_field()) - {*needed, *taken}:
+    for key in set(kinds_by_field()) - {*needed, *taken}:
         if not reader.overridden(f"trajectory.{key}"):
             trajectory.pop(key, None)
-
-
-def _kinds_by_field() -> dict[str, list[str]]:
-    kinds: dict[str, list[str]] = {}
-    for kind, (needed, taken) in TRAJECTORY_FIELDS.items():
-        for key in (*needed, *taken):
-            kinds.setdefault(key, []).append(kind)
-    return kinds
 
 
 def _with_ids(problems: Sequence[Problem], raw: Mapping[str, Any]) -> Iterator[Problem]:
@@ -568,160 +299,6 @@ def _with_ids(problems: Sequence[Problem], raw: Mapping[str, Any]) -> Iterator[P
                 yield Problem(problem.place, f"{problem.message} (the robot with id {show(number)})")
                 continue
         yield problem
-
-
-# --- checks across fields ---------------------------------------------------------------------
-# They see what Reader.read returned: valid values only, None for an element with a problem of its own.
-
-
-def _check(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:
-    robots = values.get("robots")
-    formation = values.get("formation", {})
-    if robots is not None:
-        _check_ids(robots, reader)
-        _check_ports(values.get("network", {}), len(robots), reader)
-    ids = [row.get("id") for row in robots] if robots is not None else []
-    if formation:
-        _check_edges(formation, ids, reader)
-        _check_shape(formation, ids, reader)
-        _check_distances(formation, ids, reader)
-    check_faults(values.get("faults", {}), [robot_id for robot_id in ids if robot_id is not None], reader)
-    _check_trajectory(values.get("trajectory", {}), _table(raw, "trajectory"), reader)
-    _check_timeouts(values, reader)
-
-
-def _check_ids(robots: Sequence[Mapping[str, Any]], reader: Reader) -> None:
-    first: dict[int, int] = {}
-    for number, row in enumerate(robots, 1):
-        robot_id = row.get("id")
-        if robot_id is not None and first.setdefault(robot_id, number) != number:
-            reader.add(
-                f"robot[{number}].id",
-                f"robot[{first[robot_id]}] has the id {robot_id} already: ids must differ",
-            )
-
-
-def _check_ports(network: Mapping[str, Any], robots: int, reader: Reader) -> None:
-    base_port = network.get("base_port")
-    if base_port is not None and base_port + 2 * robots - 1 > PORT_MAX:
-        reader.add(
-            "network.base_port",
-            f"{robots} robots take ports {base_port} to {base_port + 2 * robots - 1}, which must not pass "
-            f"{PORT_MAX} (the system uses those above): must be at most {PORT_MAX + 1 - 2 * robots}",
-        )
-
-
-def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
-    first: dict[frozenset[int], int] = {}
-    known = {robot_id for robot_id in ids if robot_id is not None}
-    for number, edge in enumerate(formation.get("edges", ()), 1):
-        if edge is None:
-            continue
-        place, shown = f"formation.edges[{number}]", show(edge)
-        if edge[0] == edge[1]:
-            reader.add(place, f"{shown} joins robot {show(edge[0])} to itself: an edge joins two robots")
-            continue
-        missing = [show(end) for end in edge if end not in known]
-        if missing and None not in ids and ids:  # a robot whose id could not be read may be the one
-            there_are = show(sorted(known), 80)[1:-1]
-            reader.add(
-                place, f"{shown}: there is no robot {' and no robot '.join(missing)}; ids are {there_are}"
-            )
-        if first.setdefault(frozenset(edge), number) != number:
-            reader.add(
-                place, f"{shown} is formation.edges[{first[frozenset(edge)]}] again: give each edge once"
-            )
-    degrees = Counter(end for edge in first for end in edge)
-    for robot_id, degree in sorted(degrees.items()):
-        if degree > NEIGHBOURS_MAX:
-            reader.add(
-                "formation.edges",
-                f"robot {robot_id} has {degree} edges: must be at most {NEIGHBOURS_MAX}, for its messages "
-                "must stay small",
-            )
-
-
-def _check_shape(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
-    if "offsets" not in formation or "distance_m" not in formation:
-        return
-    offsets, distance = formation["offsets"], formation["distance_m"]
-    if offsets is None and distance is None:
-        reader.add("formation", "gives neither offsets nor distance_m: write for example distance_m = 1.0")
-    if offsets is not None and ids and len(offsets) != len(ids):
-        reader.add(
-            "formation.offsets", f"must have one pair per [[robot]], got {len(offsets)} for {len(ids)} robots"
-        )
-    edges = formation.get("edges")
-    if isinstance(distance, tuple) and edges is not None and len(distance) != len(edges):
-        reader.add(
-            "formation.distance_m",
-            f"must be one number or one per edge, got {len(distance)} for {len(edges)} edges",
-        )
-
-
-def _check_distances(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
-    edges, safe = formation.get("edges"), formation.get("safe_distance_m")
-    offsets, distance = formation.get("offsets"), formation.get("distance_m")
-    rule = f"r_s must be below every distance, and safe_distance_m is {show(safe)}"
-    if isinstance(distance, float) and safe is not None and distance <= safe:
-        reader.add("formation.distance_m", f"{show(distance)} is too small: {rule}")
-    if isinstance(distance, tuple) and safe is not None:
-        for number, value in enumerate(distance, 1):
-            if value is not None and value <= safe:
-                reader.add(f"formation.distance_m[{number}]", f"{show(value)} is too small: {rule}")
-    if offsets is None or edges is None or len(offsets) != len(ids):
-        return
-    slot = dict(zip(ids, offsets, strict=True))
-    for number, edge in enumerate(edges, 1):
-        if edge is None or edge[0] == edge[1] or slot.get(edge[0]) is None or slot.get(edge[1]) is None:
-            continue
-        apart = math.dist(slot[edge[0]], slot[edge[1]])
-        place, shown = f"formation.edges[{number}]", show(edge)
-        if apart == 0.0:
-            reader.add(place, f"{shown} joins two robots with the same offset, {show(slot[edge[0]])}")
-        elif distance is None and "distance_m" in formation and safe is not None and apart <= safe:
-            reader.add(place, f"{shown}: the offsets are {apart:.6g} m apart, too close: {rule}")
-
-
-def _check_trajectory(trajectory: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:
-    kind = trajectory.get("kind")
-    if kind is None:
-        return
-    needed, taken = TRAJECTORY_FIELDS[kind]
-    for key in needed:
-        if key not in raw:
-            example = entries(TrajectorySection)[key].setting.example
-            reader.add(
-                f"trajectory.{key}", f'is missing: kind = "{kind}" needs it, for example {key} = {example}'
-            )
-    for key, kinds in _kinds_by_field().items():
-        if key in raw and key not in (*needed, *taken):
-            users = " and ".join(f'kind = "{name}"' for name in kinds)
-            reader.add(
-                f"trajectory.{key}", f'is used by {users} only, but here kind = "{kind}": leave it out'
-            )
-    if kind == "waypoints" and trajectory.get("waypoints_m") is not None:
-        points = trajectory["waypoints_m"]
-        if len(points) < 2:
-            reader.add("trajectory.waypoints_m", f"must have at least 2 points, got {len(points)}")
-        for number in range(1, len(points)):
-            if points[number] is not None and points[number] == points[number - 1]:
-                reader.add(
-                    f"trajectory.waypoints_m[{number + 1}]",
-                    f"{show(points[number])} is the point before it again",
-                )
-
-
-def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
-    rate = values.get("fleet", {}).get("rate_hz")
-    for key in ("plant_timeout_s", "wrench_timeout_s", "prediction_horizon_s"):
-        timeout = values.get("control", {}).get(key)
-        if rate is not None and timeout is not None and timeout < 2 / rate * (1 - 1e-9):
-            reader.add(
-                f"control.{key}",
-                f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
-                f"got {show(timeout)}",
-            )
 
 
 # --- from models back -------------------------------------------------------------------------

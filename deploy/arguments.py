@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from agent.fleet import LAWS, Fleet, add_scenario, fleet_tables, load_fleet, read_text
+from agent.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
+from agent.fleet_sections import LAWS
 
 FLEETS: Final = Path(__file__).parent / "fleets"
 SCENARIOS: Final = Path(__file__).parent / "scenarios"

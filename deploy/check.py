@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import formation, trajectory
-from agent.fleet import Fleet, Robot
+from agent.fleet import Fleet
+from agent.fleet_sections import Robot
 from agent.formation import FormationError, Geometry
 from agent.trajectory import make_trajectory
 from deploy.check_faults import check_faults

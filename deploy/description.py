@@ -10,7 +10,8 @@ import numpy as np
 
 from agent import formation, trajectory
 from agent.faults import FaultPlan
-from agent.fleet import ControlSection, Fleet
+from agent.fleet import Fleet
+from agent.fleet_sections import ControlSection
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
 from deploy.fault_words import defaults, words

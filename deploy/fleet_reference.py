@@ -11,7 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin
 
-from agent.fleet import LAWS, TRAJECTORY_FIELDS, Fleet
+from agent.fleet import Fleet
+from agent.fleet_sections import LAWS, TRAJECTORY_FIELDS
 from agent.quantities import UNITS
 from agent.schema import Entry, entries, example, show
 
@@ -21,7 +22,7 @@ _TEMPLATE: Final = Path(__file__).parent / "template.toml"
 _HEAD: Final = """\
 # The fleet file
 
-<!-- Made of agent/fleet.py: change it there, then python -m deploy.fleet_reference > docs/fleet-file.md -->
+<!-- Made of agent/fleet_sections.py and agent/fault_settings.py: change it there, then python -m deploy.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
 same file. `handfast new NAME` writes one to start from, `handfast check FLEET` says what is wrong with one

@@ -8,7 +8,7 @@ from typing import Final
 from agent import draws
 from agent.fault_settings import SENSOR_FIELDS
 from agent.faults import FaultPlan, SensorFaults
-from agent.fleet import Robot
+from agent.fleet_sections import Robot
 from agent.hand import Pose
 
 _NONE: Final = SensorFaults()

@@ -8,7 +8,7 @@ from math import hypot
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent.fleet import TrajectorySection
+from agent.fleet_sections import TrajectorySection
 from agent.trajectory import corner_distances, duration, legs, make_trajectory, maximum_speed
 
 COORDINATE = st.floats(-20.0, 20.0).map(lambda value: round(value, 3))

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from math import cos, exp, pi, sin, sqrt
 
 from agent import keys
-from agent.fleet import ControlSection, Fleet, FleetSection, FormationSection, Robot, TrajectorySection
+from agent.fleet import Fleet
+from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.messages import HandState, Message, Mission, PlantState, Status, Wrench, encode
 
 EPOCH_NS = 1_763_600_000_000_000_000

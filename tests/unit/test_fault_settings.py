@@ -225,7 +225,7 @@ def test_defaults_that_are_wrong(faults: str, said: str) -> None:
         ('loss = "5%"\nevery = "1s"\nfor = "2s"', "is not shorter than every"),
         ('loss = "5%"\nuntil = "9s"', "faults.rule[1].until: is the end of an every"),
         ('loss = "5%"\nat = "9s"\nfor = "1s"\nevery = "2s"\nuntil = "8s"', "is not after the start"),
-        ('loss = "5%"\nfor = "-1s"', "faults.rule[1].for: must be more than 0"),
+        ('loss = "5%"\nfor = "-1s"', "faults.rule[1].for: must be between 0.001 and 1000000"),
         ('loss = "0%..50%"', "faults.rule[1].loss: the ramp"),
         ('loss = "0%..gemodel 1%"\nfor = "1s"', "faults.rule[1].loss: must have ends of one kind"),
         ('robot = 3\nclock_skew = "1s"\nat = "5s"', "holds for the whole run"),

@@ -11,18 +11,8 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet import (
-    FILE_BYTES_MAX,
-    LAWS,
-    ControlSection,
-    Fleet,
-    FleetError,
-    digest,
-    law_name,
-    load_fleet,
-    parse_fleet,
-    to_dict,
-)
+from agent.fleet import FILE_BYTES_MAX, Fleet, FleetError, digest, law_name, load_fleet, parse_fleet, to_dict
+from agent.fleet_sections import LAWS, ControlSection
 from deploy import fleet_reference
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

@@ -17,7 +17,8 @@ import pytest
 import tomli_w
 
 from agent import keys
-from agent.fleet import Fleet, TrajectorySection, to_dict
+from agent.fleet import Fleet, to_dict
+from agent.fleet_sections import TrajectorySection
 from agent.formation import resolve
 from agent.messages import Status, encode
 from deploy import figures

@@ -1,0 +1,178 @@
+"""What is wrong with a fleet file whose fields are valid each, but do not go together (PURE).
+
+The checks see what `agent.schema.Reader.read` returned: valid values only, None for an element with a problem
+of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from agent.fault_checks import check_faults
+from agent.fleet_sections import PORT_MAX, TRAJECTORY_FIELDS, TrajectorySection
+from agent.messages import NEIGHBOURS_MAX
+from agent.schema import Reader, entries, show
+
+
+def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:
+    """Adds to `reader` what is wrong with the values that it has read from the tables `raw`."""
+    robots = values.get("robots")
+    formation = values.get("formation", {})
+    if robots is not None:
+        _check_ids(robots, reader)
+        _check_ports(values.get("network", {}), len(robots), reader)
+    ids = [row.get("id") for row in robots] if robots is not None else []
+    if formation:
+        _check_edges(formation, ids, reader)
+        _check_shape(formation, ids, reader)
+        _check_distances(formation, ids, reader)
+    check_faults(values.get("faults", {}), [robot_id for robot_id in ids if robot_id is not None], reader)
+    given = raw.get("trajectory")
+    _check_trajectory(values.get("trajectory", {}), given if isinstance(given, dict) else {}, reader)
+    _check_timeouts(values, reader)
+
+
+def _check_ids(robots: Sequence[Mapping[str, Any]], reader: Reader) -> None:
+    first: dict[int, int] = {}
+    for number, row in enumerate(robots, 1):
+        robot_id = row.get("id")
+        if robot_id is not None and first.setdefault(robot_id, number) != number:
+            reader.add(
+                f"robot[{number}].id",
+                f"robot[{first[robot_id]}] has the id {robot_id} already: ids must differ",
+            )
+
+
+def _check_ports(network: Mapping[str, Any], robots: int, reader: Reader) -> None:
+    base_port = network.get("base_port")
+    if base_port is not None and base_port + 2 * robots - 1 > PORT_MAX:
+        reader.add(
+            "network.base_port",
+            f"{robots} robots take ports {base_port} to {base_port + 2 * robots - 1}, which must not pass "
+            f"{PORT_MAX} (the system uses those above): must be at most {PORT_MAX + 1 - 2 * robots}",
+        )
+
+
+def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
+    first: dict[frozenset[int], int] = {}
+    known = {robot_id for robot_id in ids if robot_id is not None}
+    for number, edge in enumerate(formation.get("edges", ()), 1):
+        if edge is None:
+            continue
+        place, shown = f"formation.edges[{number}]", show(edge)
+        if edge[0] == edge[1]:
+            reader.add(place, f"{shown} joins robot {show(edge[0])} to itself: an edge joins two robots")
+            continue
+        missing = [show(end) for end in edge if end not in known]
+        if missing and None not in ids and ids:  # a robot whose id could not be read may be the one
+            there_are = show(sorted(known), 80)[1:-1]
+            reader.add(
+                place, f"{shown}: there is no robot {' and no robot '.join(missing)}; ids are {there_are}"
+            )
+        if first.setdefault(frozenset(edge), number) != number:
+            reader.add(
+                place, f"{shown} is formation.edges[{first[frozenset(edge)]}] again: give each edge once"
+            )
+    degrees = Counter(end for edge in first for end in edge)
+    for robot_id, degree in sorted(degrees.items()):
+        if degree > NEIGHBOURS_MAX:
+            reader.add(
+                "formation.edges",
+                f"robot {robot_id} has {degree} edges: must be at most {NEIGHBOURS_MAX}, for its messages "
+                "must stay small",
+            )
+
+
+def _check_shape(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
+    if "offsets" not in formation or "distance_m" not in formation:
+        return
+    offsets, distance = formation["offsets"], formation["distance_m"]
+    if offsets is None and distance is None:
+        reader.add("formation", "gives neither offsets nor distance_m: write for example distance_m = 1.0")
+    if offsets is not None and ids and len(offsets) != len(ids):
+        reader.add(
+            "formation.offsets", f"must have one pair per [[robot]], got {len(offsets)} for {len(ids)} robots"
+        )
+    edges = formation.get("edges")
+    if isinstance(distance, tuple) and edges is not None and len(distance) != len(edges):
+        reader.add(
+            "formation.distance_m",
+            f"must be one number or one per edge, got {len(distance)} for {len(edges)} edges",
+        )
+
+
+def _check_distances(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
+    edges, safe = formation.get("edges"), formation.get("safe_distance_m")
+    offsets, distance = formation.get("offsets"), formation.get("distance_m")
+    rule = f"r_s must be below every distance, and safe_distance_m is {show(safe)}"
+    if isinstance(distance, float) and safe is not None and distance <= safe:
+        reader.add("formation.distance_m", f"{show(distance)} is too small: {rule}")
+    if isinstance(distance, tuple) and safe is not None:
+        for number, value in enumerate(distance, 1):
+            if value is not None and value <= safe:
+                reader.add(f"formation.distance_m[{number}]", f"{show(value)} is too small: {rule}")
+    if offsets is None or edges is None or len(offsets) != len(ids):
+        return
+    slot = dict(zip(ids, offsets, strict=True))
+    for number, edge in enumerate(edges, 1):
+        if edge is None or edge[0] == edge[1] or slot.get(edge[0]) is None or slot.get(edge[1]) is None:
+            continue
+        apart = math.dist(slot[edge[0]], slot[edge[1]])
+        place, shown = f"formation.edges[{number}]", show(edge)
+        if apart == 0.0:
+            reader.add(place, f"{shown} joins two robots with the same offset, {show(slot[edge[0]])}")
+        elif distance is None and "distance_m" in formation and safe is not None and apart <= safe:
+            reader.add(place, f"{shown}: the offsets are {apart:.6g} m apart, too close: {rule}")
+
+
+def _check_trajectory(trajectory: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:
+    kind = trajectory.get("kind")
+    if kind is None:
+        return
+    needed, taken = TRAJECTORY_FIELDS[kind]
+    for key in needed:
+        if key not in raw:
+            example = entries(TrajectorySection)[key].setting.example
+            reader.add(
+                f"trajectory.{key}", f'is missing: kind = "{kind}" needs it, for example {key} = {example}'
+            )
+    for key, kinds in kinds_by_field().items():
+        if key in raw and key not in (*needed, *taken):
+            users = " and ".join(f'kind = "{name}"' for name in kinds)
+            reader.add(
+                f"trajectory.{key}", f'is used by {users} only, but here kind = "{kind}": leave it out'
+            )
+    if kind == "waypoints" and trajectory.get("waypoints_m") is not None:
+        points = trajectory["waypoints_m"]
+        if len(points) < 2:
+            reader.add("trajectory.waypoints_m", f"must have at least 2 points, got {len(points)}")
+        for number in range(1, len(points)):
+            if points[number] is not None and points[number] == points[number - 1]:
+                reader.add(
+                    f"trajectory.waypoints_m[{number + 1}]",
+                    f"{show(points[number])} is the point before it again",
+                )
+
+
+def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
+    rate = values.get("fleet", {}).get("rate_hz")
+    for key in ("plant_timeout_s", "wrench_timeout_s", "prediction_horizon_s"):
+        timeout = values.get("control", {}).get(key)
+        if rate is not None and timeout is not None and timeout < 2 / rate * (1 - 1e-9):
+            reader.add(
+                f"control.{key}",
+                f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
+                f"got {show(timeout)}",
+            )
+
+
+def kinds_by_field() -> dict[str, list[str]]:
+    """Kinds of trajectory that have a field, by its name."""
+    kinds: dict[str, list[str]] = {}
+    for kind, (needed, taken) in TRAJECTORY_FIELDS.items():
+        for key in (*needed, *taken):
+            kinds.setdefault(key, []).append(kind)
+    return kinds

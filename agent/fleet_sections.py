@@ -1,0 +1,284 @@
+"""The tables of a fleet file but for faults: their fields, units, ranges and what is said of them (PURE).
+
+Lengths in m, times in s, angles in rad; frame W (ENU: x east, y north, heading counter-clockwise from x).
+"""
+
+# ruff: noqa: RUF009 (setting() is dataclasses.field)
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from agent.schema import about, setting
+
+Pair = tuple[float, float]
+Coupling = Literal["edge", "joint", "penalty"]
+
+PORT_MIN: Final = 1024
+PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
+_FAR_M: Final = 1e6  # further away than any robot: squares of it stay far from overflow
+
+LAWS: Final[Mapping[str, Mapping[str, object]]] = {
+    "paper": {"coupling": "edge", "kp": 0.0, "relaxation": 0.001},
+    "edge": {"coupling": "edge", "kp": 1.0, "relaxation": 0.2},
+    "joint": {"coupling": "joint", "kp": 1.0, "relaxation": 0.2},
+    "penalty": {"coupling": "penalty", "kp": 1.0, "relaxation": 0.2},
+}
+"""What ``--law NAME`` sets in ``[control]``."""
+
+TRAJECTORY_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    "hold": ((), ("start_m",)),
+    "line": (("velocity_mps",), ("start_m",)),
+    "circle": (("centre_m", "radius_m", "speed_mps"), ("phase_rad", "clockwise")),
+    "waypoints": (("waypoints_m", "speed_mps"), ("corner_acceleration",)),
+}
+"""Fields that each kind of trajectory needs, and those that it takes besides; others are errors with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FleetSection:
+    """``[fleet]``."""
+
+    name: str = field(
+        metadata=about(
+            "The fleet's name: the first segment of every key on the bus, and in the name of a run's folder.",
+            pattern=r"[A-Za-z0-9_-]{1,40}",
+            pattern_says="1 to 40 letters, digits, - or _",
+            example='"delta"',
+        )
+    )
+    rate_hz: float = setting(50.0, "How often every agent runs its control law.", unit="Hz", ge=1, le=1000)
+    duration_s: float = setting(30.0, "How long a run drives, from the common start.", unit="s", gt=0, le=1e6)
+    seed: int = setting(
+        0, "Seed of everything random: noise, link faults. Same seed, same run.", ge=0, le=2**63 - 1
+    )
+    description: str = setting(
+        "", "A sentence for people; nothing depends on it.", example='"Six robots in a triangle"'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FormationSection:
+    """``[formation]``."""
+
+    edges: tuple[tuple[int, int], ...] = field(
+        metadata=about(
+            "The formation graph: pairs of robot ids that keep their distance and talk to each other.",
+            example="[[1, 2], [2, 3]]",
+        )
+    )
+    safe_distance_m: float = field(
+        metadata=about(
+            "r_s: two robots of an edge never come this close. Below the distance of every edge.",
+            unit="m",
+            gt=0,
+            le=_FAR_M,
+            example="0.22",
+        )
+    )
+    offsets: tuple[Pair, ...] | None = setting(
+        None,
+        "Where each robot stands relative to the trajectory, one pair per `[[robot]]` in their order. "
+        "This or `distance_m` must be given.",
+        unit="m",
+        ge=-_FAR_M,
+        le=_FAR_M,
+        example="[[0.0, 0.5], [0.0, -0.5]]",
+    )
+    distance_m: float | tuple[float, ...] | None = setting(
+        None,
+        "Desired distance of every edge, or an array with one per edge. Left out: taken from `offsets`.",
+        unit="m",
+        gt=0,
+        le=_FAR_M,
+        example="1.0",
+    )
+    assign: bool = setting(
+        False,
+        "Robots take the places by least total squared distance from their starts, not in their order. "
+        "Edges belong to the places: they then join the robots that took them.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSection:
+    """``[control]``."""
+
+    coupling: Coupling = setting(
+        "joint",
+        "How multipliers are found: `edge` by edge (the paper's), `joint` with those of the edges around, "
+        "or `penalty`: a potential field, no multipliers.",
+    )
+    c1: float = setting(0.4, "Navigation: gain on the position error.", unit="1/s2", gt=0, le=1e4)
+    c2: float = setting(0.6, "Navigation: gain on the velocity error.", unit="1/s", gt=0, le=1e4)
+    kd: float = setting(1.8, "Damping of an edge's constraint.", unit="1/s", ge=0, le=1e4)
+    k2: float = setting(5.0, "Softness of an edge's constraint.", unit="1/m2", gt=0, le=1e6)
+    kp: float = setting(
+        1.0, "Stiffness of an edge's constraint; 0 is the paper's law.", unit="1/s2", ge=0, le=1e4
+    )
+    relaxation: float = setting(
+        0.2,
+        "Below this share of the way from the safe distance to the wanted one the constraint goes on along "
+        "its tangent, instead of to its pole at the safe distance.",
+        unit="ratio",
+        ge=0.001,
+        lt=1,
+    )
+    max_acceleration: float = setting(
+        5.0, "Largest commanded acceleration of the hand point.", unit="m/s2", gt=0, le=1e3
+    )
+    prediction: bool = setting(
+        True,
+        "Carries a neighbour's state forward over the age of its message; false: takes it as it came.",
+    )
+    prediction_horizon_s: float = setting(
+        2.0,
+        "A neighbour's last state is carried forward this long at most; one that is silent for longer makes "
+        "the robot hold. At least two periods.",
+        unit="s",
+        gt=0,
+        le=60,
+    )
+    plant_timeout_s: float = setting(
+        0.2, "An agent whose plant is silent for so long stops. At least two periods.", unit="s", gt=0, le=60
+    )
+    wrench_timeout_s: float = setting(
+        0.2, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
+    )
+
+    clock_skew_max_s: float = setting(
+        0.05,
+        "A neighbour whose clock is found to be further off than this is warned of. Clocks are compared by "
+        "the stamps of messages, within about one period.",
+        unit="s",
+        gt=0,
+        le=60,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectorySection:
+    """``[trajectory]``: fields that its kind does not use keep their defaults."""
+
+    kind: Literal["line", "waypoints", "circle", "hold"] = setting(
+        "hold", "What the formation's reference point does. Fields of other kinds are errors."
+    )
+    start_m: Pair = setting(
+        (0.0, 0.0),
+        "`line`: where the reference is at the start; `hold`: where it stays.",
+        unit="m",
+        ge=-_FAR_M,
+        le=_FAR_M,
+    )
+    velocity_mps: Pair | None = setting(
+        None, "`line`: constant velocity.", unit="m/s", ge=-100, le=100, example="[0.2, 0.2]"
+    )
+    waypoints_m: tuple[Pair, ...] | None = setting(
+        None,
+        "`waypoints`: at least two points, driven in order; the first is the start, the last is held.",
+        unit="m",
+        ge=-_FAR_M,
+        le=_FAR_M,
+        example="[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]]",
+    )
+    speed_mps: float | None = setting(
+        None, "`waypoints`, `circle`: speed of the reference.", unit="m/s", gt=0, le=100, example="0.3"
+    )
+    corner_acceleration: float = setting(
+        0.3, "`waypoints`: acceleration with which corners are rounded.", unit="m/s2", gt=0, le=100
+    )
+    centre_m: Pair | None = setting(
+        None, "`circle`: its centre.", unit="m", ge=-_FAR_M, le=_FAR_M, example="[0.0, 0.0]"
+    )
+    radius_m: float | None = setting(None, "`circle`: its radius.", unit="m", gt=0, le=_FAR_M, example="3.0")
+    phase_rad: float = setting(
+        0.0,
+        "`circle`: angle of the start, seen from the centre.",
+        unit="rad",
+        ge=-math.tau,
+        le=math.tau,
+        example='"90deg"',
+    )
+    clockwise: bool = setting(False, "`circle`: the way round.")
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """``[robot_defaults]``: what drives, and how it is measured."""
+
+    mass_kg: float = setting(10.0, "Mass m.", unit="kg", gt=0, le=1e5)
+    inertia_kgm2: float = setting(
+        0.13, "Moment of inertia J about the vertical axis.", unit="kg m2", gt=0, le=1e5
+    )
+    hand_offset_m: float = setting(
+        0.1,
+        "L: the hand point, which is what is controlled, lies so far ahead of the axle.",
+        unit="m",
+        gt=0,
+        le=100,
+    )
+    plant: Literal["unicycle"] = setting("unicycle", "What drives: `unicycle` is simulated.")
+    max_force_n: float | None = setting(
+        None, "Largest driving force; left out: no limit.", unit="N", gt=0, le=1e6, example="50.0"
+    )
+    max_torque_nm: float | None = setting(
+        None, "Largest turning torque; left out: no limit.", unit="N m", gt=0, le=1e6, example="5.0"
+    )
+    actuator_lag_s: float = setting(
+        0.0, "Time constant between commanded and real force and torque.", unit="s", ge=0, le=10
+    )
+    position_noise_m: float = setting(
+        0.0, "Standard deviation of measured positions.", unit="m", ge=0, le=100
+    )
+    heading_noise_rad: float = setting(
+        0.0, "Standard deviation of the measured heading.", unit="rad", ge=0, le=math.pi
+    )
+    speed_noise_mps: float = setting(
+        0.0, "Standard deviation of the measured speed.", unit="m/s", ge=0, le=100
+    )
+    yaw_rate_noise_radps: float = setting(
+        0.0, "Standard deviation of the measured yaw rate.", unit="rad/s", ge=0, le=100
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Robot(Body):
+    """One ``[[robot]]``."""
+
+    # The file must give these; the defaults here only let them follow Body's.
+    id: int = setting(0, "The robot's number, which `edges` use.", ge=1, le=9999, required=True)
+    x_m: float = setting(
+        0.0, "Where its centre starts, east.", unit="m", ge=-_FAR_M, le=_FAR_M, required=True, example="-1.0"
+    )
+    y_m: float = setting(
+        0.0, "Where its centre starts, north.", unit="m", ge=-_FAR_M, le=_FAR_M, required=True, example="1.4"
+    )
+    heading_rad: float = setting(
+        0.0,
+        "Where it looks at the start, counter-clockwise from east.",
+        unit="rad",
+        ge=-math.tau,
+        le=math.tau,
+        example='"90deg"',
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSection:
+    """``[network]``."""
+
+    address: str = setting(
+        "127.0.0.1",
+        "Host name or address on which every process listens.",
+        pattern=r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]",
+        pattern_says="a host name, an IPv4 address or an IPv6 address in [ ]",
+    )
+    base_port: int = setting(
+        7600,
+        "First TCP port. The k-th robot of the file (from 0) listens on `base_port` + 2 k (agent) and "
+        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}.",
+        ge=PORT_MIN,
+        le=PORT_MAX - 1,
+    )
