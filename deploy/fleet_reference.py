@@ -22,7 +22,8 @@ _TEMPLATE: Final = Path(__file__).parent / "template.toml"
 _HEAD: Final = """\
 # The fleet file
 
-<!-- Made of agent/fleet_sections.py and agent/fault_settings.py: change it there, then python -m deploy.fleet_reference > docs/fleet-file.md -->
+<!-- Made of agent/fleet_sections.py and agent/fault_settings.py: change it there, then
+     python -m deploy.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
 same file. `handfast new NAME` writes one to start from, `handfast check FLEET` says what is wrong with one
