@@ -1,8 +1,8 @@
 """The fleet file: one TOML text that says who drives where, and how; all processes of a fleet read the same.
 
 `parse_fleet` turns the text into a `Fleet`, or raises one `FleetError` with every problem of the file, each
-with its place. Fields, units and ranges are in the models of `agent.fleet_sections` and `agent.fault_settings`,
-of which ``docs/fleet-file.md`` is made.
+with its place. Fields, units and ranges are in the models of `agent.fleet_sections` and
+`agent.fault_settings`, of which ``docs/fleet-file.md`` is made.
 
 Lengths in m, times in s, angles in rad; frame W (ENU: x east, y north, heading counter-clockwise from x).
 PURE but for `load_fleet`, which reads the file.
