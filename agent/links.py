@@ -29,6 +29,7 @@ from agent.messages import (
     RANGE,
     REORDERED,
     TOPICS,
+    TRACE_MAX,
     HandState,
     LinkTrace,
     PlantState,
@@ -37,7 +38,6 @@ from agent.messages import (
 from agent.node import FIRST_ROUND
 
 TRACE_PERIOD_NS: Final = NS_PER_S // 5
-TRACE_MAX: Final = 128
 _LOST_US: Final = -1
 _PURPOSES: Final = ("delay", "loss", "duplicate", "reorder", "corrupt", "slot", "range", "second delay")
 
@@ -111,9 +111,8 @@ class _Link:
         twice = effects.duplicate is not None and effects.duplicate.happens(streams["duplicate"], sequence)
         if lost and not twice:
             return [(what | LOST, _LOST_US, -1)]
-        # As in netem, a message that is both lost and doubled comes once.
-        copies = [("delay", what if not lost else DUPLICATED)]
-        if twice and not lost:
+        copies = [("delay", 0)]
+        if twice and not lost:  # as in netem, a message that is both lost and doubled comes once
             copies.append(("second delay", DUPLICATED))
         bit = -1
         if effects.corrupt is not None:
