@@ -19,11 +19,10 @@ from agent.messages import HandState, encode
 from agent.neighbours import FUTURE_NS_MAX
 from agent.node import FIRST_ROUND
 from deploy.fault_times import windows
-from deploy.fault_words import words
+from deploy.fault_words import acts_on_links, words
 from deploy.finding import Finding, Level
 from deploy.link_audit import links_of
 from deploy.link_data import Link
-from deploy.rule_text import acts_on_links
 from deploy.wording import NAMES_SHOWN, robots
 
 CONTRADICTIONS_MAX: Final = 12

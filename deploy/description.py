@@ -14,8 +14,7 @@ from agent.fleet import Fleet
 from agent.fleet_sections import ControlSection
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
-from deploy.fault_words import defaults, words
-from deploy.rule_text import described
+from deploy.fault_words import defaults, described, words
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.wording import some
 

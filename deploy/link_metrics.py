@@ -11,12 +11,11 @@ from agent.fault_settings import ACTION_FIELDS, Rule
 from agent.faults import FaultPlan, link_effects
 from agent.messages import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.fault_times import LiveSet, live_sets, windows
-from deploy.fault_words import words
+from deploy.fault_words import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.link_audit import audit, links_of
 from deploy.link_data import Floats, Ints, Link, LinkTable
 from deploy.recording import Recording
 from deploy.rounding import largest, mean, number, percentile
-from deploy.rule_text import acts_on_links, described, effects_text, gives_link_effects, when
 from deploy.run_tables import StatusTable
 from deploy.wording import robots
 

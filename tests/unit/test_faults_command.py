@@ -49,7 +49,7 @@ def rule(text: str) -> Rule:
         ({"link": "*->3", "hold": "true"}, "hold on *->3"),
         ({"topic": "all", "loss": "1%"}, "loss 1% on all topics, every link"),
         ({"robot": "1", "position_bias_m": "10cm,-0.2"}, "position_bias_m 0.1 -0.2 of robot 1"),
-        ({"tick_jitter": "5ms"}, "tick_jitter 0.005 of every robot"),
+        ({"tick_jitter": "5ms"}, "tick_jitter 5ms of every robot"),
         ({"link": "1->2", "limit": "5", "rate": "1kbit", "name": "42"}, "rate 1kbit, limit 5 on 1->2"),
     ],
 )
@@ -103,7 +103,7 @@ def test_scenario_file_with_its_defaults_last() -> None:
     rules = rules_of_scenario(text, "s.toml", IDS)
     assert [(each.name, words(each)) for each in rules] == [
         ("rule 1", "loss 1% on every link"),
-        ("[faults]", "delay 50ms, jitter 0.005 on every link"),
+        ("[faults]", "delay 50ms, jitter 5ms on every link"),
     ]
     assert parse_scenario(text_of(rules), IDS).rules == tuple(rules)
 
