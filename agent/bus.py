@@ -97,7 +97,7 @@ class Bus:
             if "os error 99" in text or "assign requested address" in text:
                 raise BusError(f"cannot listen on {where}: this machine does not have that address") from None
             raise BusError(f"cannot open the bus on {where}: {text.split(' at ')[0]}") from None
-        self._inboxes: list[tuple[str, Any]] = []
+        self._inboxes: list[tuple[str, Any, int]] = []
         self._publishers: dict[str, Any] = {}
         self._tokens: list[Any] = []
 
@@ -117,7 +117,7 @@ class Bus:
     def subscribe(self, key: str, inbox_size: int = INBOX_SIZE) -> None:
         """Listens to `key`, which may hold wildcards; messages wait for `drain`."""
         subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(inbox_size))
-        self._inboxes.append(("" if "*" in key else key, subscriber))
+        self._inboxes.append(("" if "*" in key else key, subscriber, inbox_size))
 
     def announce(self, key: str) -> None:
         """Declares the liveliness token `key`; it goes when this process does."""
@@ -141,8 +141,10 @@ class Bus:
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
-        for key, subscriber in self._inboxes:
-            while (sample := subscriber.try_recv()) is not None:
+        for key, subscriber, inbox_size in self._inboxes:
+            for _ in range(inbox_size):  # a flood that comes faster than it is taken must not keep the loop
+                if (sample := subscriber.try_recv()) is None:
+                    break
                 yield key or str(sample.key_expr), sample.payload.to_bytes()
 
 

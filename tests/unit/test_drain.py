@@ -1,0 +1,34 @@
+"""The bus's inboxes: how much of a flood one tick takes."""
+
+from __future__ import annotations
+
+from itertools import islice
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from agent.bus import Bus
+from agent.node import INBOX_SIZE
+
+SAMPLE = SimpleNamespace(key_expr="two/robot/7/hand", payload=SimpleNamespace(to_bytes=lambda: b"junk"))
+
+
+class Flooded:
+    """A session on which every message that is taken has been followed by another."""
+
+    def declare_subscriber(self, _key: str, _ring: object) -> Any:
+        return SimpleNamespace(try_recv=lambda: SAMPLE)
+
+
+@pytest.mark.parametrize(("sizes", "total"), [((), INBOX_SIZE), ((5,), 5)])
+def test_a_flood_costs_no_more_than_an_inbox_of_each_key(
+    monkeypatch: pytest.MonkeyPatch, sizes: tuple[int, ...], total: int
+):
+    monkeypatch.setattr(zenoh, "open", lambda _config: Flooded())
+    bus = Bus(listen=[], connect=[])
+    bus.subscribe("two/robot/2/hand", *sizes)
+    bus.subscribe("two/**", *sizes)
+    taken = list(islice(bus.drain(), 1000))
+    assert [key for key, _ in taken] == ["two/robot/2/hand"] * total + ["two/robot/7/hand"] * total
