@@ -9,7 +9,7 @@ forward to that instant; evaluated there, the sampled loop is of second order in
 from __future__ import annotations
 
 from collections import Counter
-from math import hypot
+from math import ceil, hypot
 from typing import Final, NamedTuple
 
 from agent import hand, law, neighbours
@@ -20,9 +20,6 @@ from agent.messages import PlantState
 from agent.neighbours import Neighbours
 from agent.node import next_tick_ns
 from agent.trajectory import make_trajectory
-
-SENT_MAX: Final = 16
-"""Wrenches that are remembered: those that a late plant state does not know of yet."""
 
 
 class Drive(NamedTuple):
@@ -83,7 +80,9 @@ class Controller:
         self._safe_distance = fleet.formation.safe_distance_m
         self._acceleration_max = control.max_acceleration
         self._mass, self._inertia, self._reach = body.mass_kg, body.inertia_kgm2, body.hand_offset_m
-        self._sent: dict[int, tuple[float, float]] = {}  # by the plant tick that takes it
+        # Wrenches by the plant tick that takes them: as many as the oldest state to drive by can lack.
+        self._sent: dict[int, tuple[float, float]] = {}
+        self._sent_max = ceil(control.plant_timeout_s * NS_PER_S / fleet.period_ns) + 2
 
     def plan(self, epoch_ns: int) -> None:
         """Sets when the trajectory begins, in wall time (ns)."""
@@ -121,9 +120,9 @@ class Controller:
 
     def sent(self, now_ns: int, force: float, torque: float) -> None:
         """Told what was asked of the plant at the tick `now_ns` (N, N m); zero when it was told to brake."""
-        if len(self._sent) >= SENT_MAX:
-            del self._sent[next(iter(self._sent))]
         self._sent[self.acts_from_ns(now_ns)] = force, torque
+        if len(self._sent) > self._sent_max:
+            del self._sent[next(iter(self._sent))]
 
     def _reference(self, time_ns: int) -> tuple[float, float, float, float, float, float]:
         """The formation's reference point at a wall time; the neighbours' stamps repeat, so it is kept."""

@@ -87,4 +87,6 @@ def robot_of_alive(key: str) -> tuple[int, str] | None:
     parts = key.rsplit("/", 4)
     if len(parts) != 5 or parts[1] != "alive" or parts[2] != "robot" or parts[4] not in ROLES:
         return None
-    return (int(parts[3]), parts[4]) if parts[3].isdigit() else None
+    # Anybody can declare a token: int() would raise for other scripts' digits and for thousands of them.
+    number = parts[3]
+    return (int(number), parts[4]) if number.isascii() and number.isdigit() and len(number) <= 9 else None

@@ -7,7 +7,8 @@ import pytest
 from agent.controller import Controller
 from agent.fleet import load_fleet
 from agent.formation import resolve
-from agent.messages import HandState
+from agent.hand import Pose, advance, hand
+from agent.messages import HandState, PlantState
 from deploy.arguments import fleet_path
 
 S = 1_000_000_000
@@ -23,3 +24,24 @@ def test_prediction_is_as_the_fleet_file_has_it(prediction: bool):
         assert controller.neighbours.accept(state, T0 + fleet.period_ns) is None
     shown = controller.neighbours.predict(T0 + S, lambda _: (0.0,) * 6, T0)
     assert all((where.position == (1.0, 2.0)) is not prediction for where in shown)
+
+
+@pytest.mark.parametrize(("rate_hz", "timeout_s"), [(50, 0.2), (50, 1.0), (1000, 0.2)])
+def test_as_many_wrenches_are_remembered_as_the_oldest_plant_state_needs(rate_hz: int, timeout_s: float):
+    """A sensor's link may be as late as `plant_timeout_s`: all that was sent since has acted on the body."""
+    fleet = load_fleet(
+        fleet_path("delta"), [f"fleet.rate_hz={rate_hz}", f"control.plant_timeout_s={timeout_s}"]
+    )
+    controller, body = Controller(fleet, resolve(fleet), 1), fleet.robot(1)
+    period_ns = fleet.period_ns
+    age_ns = round(timeout_s * S)
+    now_ns = T0 + period_ns // 2 + age_ns // period_ns * period_ns - period_ns
+    for tick_ns in range(T0 - 10 * period_ns + period_ns // 2, now_ns, period_ns):
+        controller.sent(tick_ns, 2.0 if tick_ns > T0 else 0.0, 0.0)
+    state = PlantState(1, 0, T0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.0, True, True, "")
+    pushed_s = (now_ns - T0 - period_ns) / S  # the wrench of T0's round acts from the next on
+    pose = advance(Pose(0.0, 0.0, 0.3, 0.1, 0.0), 0.0, 0.0, body.mass_kg, body.inertia_kgm2, period_ns / S)
+    pose = advance(pose, 2.0, 0.0, body.mass_kg, body.inertia_kgm2, pushed_s)
+    assert tuple(controller.hand_at(state, now_ns)) == pytest.approx(
+        tuple(hand(pose, body.hand_offset_m)), abs=1e-9
+    )

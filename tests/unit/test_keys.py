@@ -1,6 +1,8 @@
-"""The keys of live faults and of what links did: as documented, and none twice."""
+"""Keys: those of live faults and of links as documented, none twice, and what a token's key says."""
 
 from __future__ import annotations
+
+import pytest
 
 from agent import keys
 
@@ -20,3 +22,15 @@ def test_no_key_is_used_twice():
     used += [keys.alive("delta", 3, role) for role in keys.ROLES]
     used += [keys.mission("delta"), keys.stop("delta"), keys.faults("delta")]
     assert len(set(used)) == len(used)
+
+
+@pytest.mark.parametrize("role", keys.ROLES)
+def test_a_token_names_its_process(role: str):
+    assert keys.robot_of_alive(keys.alive("delta", 3, role)) == (3, role)
+
+
+@pytest.mark.parametrize(
+    "robot", ["", "x", "-3", "\N{SUPERSCRIPT TWO}", "\N{ARABIC-INDIC DIGIT THREE}", "9" * 5000]
+)
+def test_a_token_of_no_robot_is_not_one(robot: str):
+    assert keys.robot_of_alive(keys.alive("delta", robot, "agent")) is None
