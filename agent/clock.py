@@ -37,9 +37,8 @@ class LocalTime(NamedTuple):
         if not drift or epoch_ns is None or true_ns <= epoch_ns:
             return true_ns
         true_ns = epoch_ns + floor((true_ns - epoch_ns) / (1.0 + drift))
-        while (
-            self.local_ns(true_ns) < local_ns
-        ):  # never the other way: what is cut off is more than is rounded
+        # Never the other way: what is cut off is more than is rounded.
+        while self.local_ns(true_ns) < local_ns:
             true_ns += 1
         return true_ns
 

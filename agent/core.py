@@ -126,14 +126,14 @@ class Agent:
         if type(message) is HandState:
             if self._hands.get(key) == message.robot:
                 reception = self._reception
-                if reception.idle or reception.take(key, payload, _HAND, message, self._position):
+                if reception.idle or reception.take(now_ns, key, payload, _HAND, message, self._position):
                     reason = self._neighbours.accept(message, now_ns)
                 else:
                     reason = None
         elif type(message) is PlantState:
             if key == self._key_plant and message.robot == self.robot:
                 reception = self._reception
-                if reception.idle or reception.take(key, payload, _STATE, message):
+                if reception.idle or reception.take(now_ns, key, payload, _STATE, message):
                     reason = self._accept_plant(message, now_ns)
                 else:
                     reason = None
@@ -201,6 +201,8 @@ class Agent:
     def _accept_stop(self, stop: Stop) -> str | None:
         # A stop is for all missions up to its version: only a later one ends it, whichever comes first.
         if self._mission is not None and stop.version < self._mission.version:
+            return "out_of_order"
+        if self._stop is not None and stop.version < self._stop.version:
             return "out_of_order"
         self._stop = stop
         return None

@@ -19,7 +19,7 @@ from agent.schema import Reader, show
 
 def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) -> None:
     """Adds what is wrong with valid values that do not go together; `ids` are the fleet's robots."""
-    traces = {row.get("name") for row in faults.get("traces", ()) if row}
+    traces = _check_traces(faults.get("traces", ()), reader)
     _check_delay(faults, "faults", traces, reader)
     _check_replays(faults.get("replays", ()), ids, reader)
     names: dict[str, int] = {}
@@ -36,7 +36,20 @@ def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) 
         _check_what(row, place, reader)
 
 
+def _check_traces(rows: Sequence[Mapping[str, Any]], reader: Reader) -> set[str]:
+    """The names of the traces."""
+    first: dict[str, int] = {}
+    for number, row in enumerate(rows, 1):
+        place, name = f"faults.trace[{number}]", row.get("name")
+        if name is not None and first.setdefault(name, number) != number:
+            reader.add(f"{place}.name", f"faults.trace[{first[name]}] has the name {show(name)} already")
+        if row.get("delays") == ():
+            reader.add(f"{place}.delays", "must have at least one delay, such as delays = [0.012, 0.019]")
+    return set(first)
+
+
 def _check_replays(replays: Sequence[Mapping[str, Any]], ids: Sequence[int], reader: Reader) -> None:
+    first: dict[tuple[tuple[int, int], str | None], int] = {}
     for number, row in enumerate(replays, 1):
         link = row.get("link") if row else None
         if link is None:
@@ -47,13 +60,16 @@ def _check_replays(replays: Sequence[Mapping[str, Any]], ids: Sequence[int], rea
         elif not link.named() <= set(ids) and ids:
             missing = sorted(link.named() - set(ids))
             reader.add(place, f"there is no robot {missing[0]}; ids are {show(sorted(ids), 80)[1:-1]}")
+        elif first.setdefault((link.ends, row.get("topic")), number) != number:
+            known = first[link.ends, row.get("topic")]
+            reader.add(place, f"faults.replay[{known}] is of the same messages already")
 
 
-def _check_delay(row: Mapping[str, Any], place: str, traces: set[Any], reader: Reader) -> None:
+def _check_delay(row: Mapping[str, Any], place: str, traces: set[str], reader: Reader) -> None:
     delay, jitter, distribution = (row.get(name) for name in ("delay", "jitter", "distribution"))
     if delay is None:
         for name, value in (("jitter", jitter), ("distribution", distribution)):
-            if value is not None and f"{place}.delay" not in {p.place for p in reader.problems}:
+            if value is not None and f"{place}.delay" not in _bad(reader):
                 reader.add(f"{place}.{name}", 'needs a delay beside it, such as delay = "80ms"')
         return
     for value in (delay.start, delay.end):
@@ -71,6 +87,13 @@ def _check_delay(row: Mapping[str, Any], place: str, traces: set[Any], reader: R
                 f"{show(str(delay))} gives its jitter itself: leave jitter and distribution out",
             )
             return
+    if distribution is not None and jitter is None and f"{place}.jitter" not in _bad(reader):
+        reader.add(f"{place}.distribution", 'needs a jitter beside it, such as jitter = "20ms"')
+
+
+def _bad(reader: Reader) -> set[str]:
+    """Places with a problem: what is missing there was given, but could not be read."""
+    return {problem.place for problem in reader.problems}
 
 
 def _check_where(row: Mapping[str, Any], place: str, ids: Sequence[int], reader: Reader) -> None:
@@ -90,6 +113,8 @@ def _check_where(row: Mapping[str, Any], place: str, ids: Sequence[int], reader:
                 f"{place}.{name}",
                 f"{shown}: there is no robot {' and no robot '.join(map(str, missing))}; ids are {there_are}",
             )
+    if robots == ():
+        reader.add(f"{place}.robot", "names no robot: leave robot out for all of them")
     given = [name for name in ("link", "robot", "partition") if row.get(name) is not None]
     if len(given) > 1:
         reader.add(place, f"gives {' and '.join(given)}: one of them says where")
@@ -138,8 +163,8 @@ def _check_when(row: Mapping[str, Any], place: str, reader: Reader) -> None:
 def _check_what(row: Mapping[str, Any], place: str, reader: Reader) -> None:
     link = [name for name in LINK_FIELDS if row.get(name) is not None]
     own = [name for name in (*SENSOR_FIELDS, *PROCESS_FIELDS) if row.get(name) is not None]
-    bad = {problem.place for problem in reader.problems}
-    if not link and not own and row.get("partition") is None and not any(p.startswith(place) for p in bad):
+    wrong = any(bad.startswith(place) for bad in _bad(reader))
+    if not link and not own and row.get("partition") is None and not wrong:
         reader.add(place, 'does nothing: give an effect, such as loss = "30%"')
     if own and row.get("link") is None and row.get("topic", "hand") != "hand" and not link:
         reader.add(f"{place}.topic", f"{own[0]} is not of messages: leave topic out")

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.clock import NS_PER_S, LocalTime
 from agent.fault_settings import (
+    ACTION_FIELDS,
     CLOCK_FIELDS,
     EFFECTS,
     LIMIT,
@@ -162,7 +163,7 @@ class FaultPlan:
         self.changes = 0
         self.epoch_ns: int | None = None
         self._defaults = link_effects(section)
-        self._file = tuple(_named(rule, f"rule {number}") for number, rule in enumerate(section.rules, 1))
+        self._file = named(section.rules, "rule")
         self._live: dict[str, LiveSet] = {}
         self._ended: dict[str, int] = {}
         self._cleared_version = 0
@@ -182,7 +183,7 @@ class FaultPlan:
 
         ``out_of_order``, ``duplicate``, ``expired``, ``scenario`` (not valid), ``authors`` (too many).
 
-        The same version again renews the lease; a set without rules is its author's end.
+        The same version again, with a later time, renews the lease; a set without rules is its author's end.
         """
         if message.author == EVERY_AUTHOR:
             if message.version <= self._cleared_version:
@@ -201,7 +202,7 @@ class FaultPlan:
         if message.lease_ns and now_ns >= message.time_ns + message.lease_ns:
             return "expired"
         if known is not None and message.version == known.message.version:
-            if message.rules != known.message.rules:
+            if message.rules != known.message.rules or message.time_ns < known.message.time_ns:
                 return "duplicate"
             rules = known.rules
         else:
@@ -209,9 +210,10 @@ class FaultPlan:
                 section = parse_scenario(message.rules, self.ids)
             except ScenarioError:
                 return "scenario"
-            if section != FaultsSection(rules=section.rules):
-                return "scenario"  # live faults are rules, and nothing that only a file can hold
-            rules = tuple(_named(rule, f"live rule {n}") for n, rule in enumerate(section.rules, 1))
+            of_a_file = any(rule.given((*ACTION_FIELDS, *CLOCK_FIELDS)) for rule in section.rules)
+            if of_a_file or section != FaultsSection(rules=section.rules):
+                return "scenario"  # nodes can live with rules alone, and those that they can carry out
+            rules = named(section.rules, "live rule")
         if not rules:
             self._end(message.author, message.version)
             return None
@@ -223,6 +225,7 @@ class FaultPlan:
 
     def _end(self, author: str, version: int) -> None:
         """Forgets the rules of an author, but not their number: they do not come back by a late message."""
+        self._ended.pop(author, None)
         if len(self._ended) >= ENDED_MAX:
             del self._ended[next(iter(self._ended))]
         self._ended[author] = version
@@ -251,7 +254,7 @@ class FaultPlan:
     @property
     def live(self) -> Sequence[LiveSet]:
         """Live rules that are held, the newest first."""
-        return sorted(self._live.values(), key=lambda held: -held.message.version)
+        return sorted(self._live.values(), key=lambda held: (-held.message.version, held.message.author))
 
     def _build(self) -> None:
         timed = [
@@ -303,6 +306,10 @@ class FaultPlan:
         """The fleet file's rules; each has a name."""
         return self._file
 
+    def rules(self) -> Sequence[Rule]:
+        """All rules, live ones too, whether or not they hold now."""
+        return [timed.rule for timed in self._timed]
+
     def _settings(self, names: Sequence[str], robot: int, time_ns: int) -> dict[str, Any]:
         found: dict[str, Any] = {}
         for timed in self._timed:
@@ -316,8 +323,11 @@ class FaultPlan:
         return found
 
 
-def _named(rule: Rule, name: str) -> Rule:
-    return rule if rule.name else replace(rule, name=name)
+def named(rules: Sequence[Rule], kind: str) -> tuple[Rule, ...]:
+    """The rules, those without a name called after their kind and place: ``rule 1``, ``live rule 2``."""
+    return tuple(
+        rule if rule.name else replace(rule, name=f"{kind} {number}") for number, rule in enumerate(rules, 1)
+    )
 
 
 def _effects_of(rule: Rule) -> dict[str, Effect[Any]]:

@@ -147,7 +147,6 @@ class ControlSection:
     wrench_timeout_s: float = setting(
         0.2, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
     )
-
     clock_skew_max_s: float = setting(
         0.05,
         "A neighbour whose clock is found to be further off than this is warned of. Clocks are compared by "

@@ -88,7 +88,7 @@ def edges(
         navigation: F_ni - F_nj, m/s^2.
         distance: wanted distance d, m; above `safe_distance`.
         safe_distance: r_s, m.
-        gains: k_d, k_2, k_p.
+        gains: k_d and k_p, and the relaxation of phi.
     """
     x, y = offset
     wx, wy = velocity
@@ -99,7 +99,7 @@ def edges(
     room = rho - safe_distance
     clearance = _at_least(room, _at_least(gains.relaxation, RELAXATION_MIN) * span)
     slope = span / (clearance * clearance)  # phi'
-    phi = 1.0 - span / clearance + slope * (room - clearance)  # (7), and its tangent where held (B1)
+    phi = 1.0 - span / clearance + slope * (room - clearance)  # (7), nearer its tangent (B1)
     closing = nx * wx + ny * wy  # n.w
     rate = slope * closing  # (9)
     # Adot rdot = phi'' (n.w)^2 + phi' (|w|^2 - (n.w)^2) / rho, with phi'' = -2 phi' / (rho - r_s), 0 on

@@ -100,17 +100,16 @@ class _Link:
     ) -> list[tuple[int, int, int]]:
         """What becomes of one message: for each copy (what, ns after it was sent, flipped bit or -1)."""
         streams = self._streams
-        what, extra_ns = 0, 0
         lost = effects.loss is not None and effects.loss.lost(streams["loss"], sequence)
-        if not lost and effects.range is not None and distance is not None:
-            tried = effects.range.attempt(streams["range"], sequence, distance)
-            if tried is None:
-                lost, what = True, RANGE
-            else:
-                extra_ns = round(tried * NS_PER_S)
         twice = effects.duplicate is not None and effects.duplicate.happens(streams["duplicate"], sequence)
         if lost and not twice:
-            return [(what | LOST, _LOST_US, -1)]
+            return [(LOST, _LOST_US, -1)]
+        extra_ns = 0
+        if effects.range is not None and distance is not None:
+            tried = effects.range.attempt(streams["range"], sequence, distance)
+            if tried is None:  # no copy gets further than its signal
+                return [(RANGE | LOST, _LOST_US, -1)]
+            extra_ns = round(tried * NS_PER_S)
         copies = [("delay", 0)]
         if twice and not lost:  # as in netem, a message that is both lost and doubled comes once
             copies.append(("second delay", DUPLICATED))

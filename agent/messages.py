@@ -73,9 +73,9 @@ class HandState(NamedTuple):
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
     `multipliers` are the sender's copies of lambda, one ``(neighbour, lambda)`` for each of its edges.
-    `heard` echoes, as ``(neighbour, delay_us)``, the least apparent delay of each neighbour's hand
-    states: the sender's clock when it took one minus the stamp on it. As the clocks differ it may be
-    negative; from both directions both ends find the offset of their clocks.
+    `heard`, empty in most messages, echoes, as ``(neighbour, delay_us)``, the least apparent delay of
+    each neighbour's hand states: the sender's clock when it took one minus the stamp on it. As the
+    clocks differ it may be negative; from both directions both ends find the offset of their clocks.
     """
 
     robot: int

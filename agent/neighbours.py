@@ -27,8 +27,8 @@ FUTURE_NS_MAX: Final = 250_000_000
 Reference = Callable[[int], tuple[float, float, float, float, float, float]]
 """The formation's reference point at a wall time (ns): x, y, vx, vy, ax, ay (m, m/s, m/s^2; W)."""
 
-
 Transition = tuple[float, float, float, float, float, float, float]
+"""What `transition` returns."""
 
 
 def constraint_decay(kd: float, kp: float) -> float:

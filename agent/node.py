@@ -152,8 +152,7 @@ class Ticks:
         plan = self._plan
         if self._changes != plan.changes:
             self._changes = plan.changes
-            rules = (*plan.file_rules(), *(rule for held in plan.live for rule in held.rules))
-            self._jittery = any(rule.tick_jitter is not None for rule in rules)
+            self._jittery = any(rule.tick_jitter is not None for rule in plan.rules())
         self.due_ns = self._deadline_ns + (self._late_ns() if self._jittery else 0)
 
     def take(self, now_ns: int) -> tuple[int, int]:

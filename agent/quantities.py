@@ -163,7 +163,9 @@ def take_kind(words: list[str], kinds: Sequence[str]) -> str | None:
     if not words[0][0].isalpha():
         return None
     if words[0] not in kinds:
-        raise ValueError(f"must be a number or begin with one of {', '.join(kinds)}, got {shown(words[0])}")
+        raise ValueError(
+            f"must be a number with its unit, or begin with one of {', '.join(kinds)}, got {shown(words[0])}"
+        )
     return words.pop(0)
 
 

@@ -15,6 +15,7 @@ from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.links import Arrival, Links, Sample
 from agent.messages import Faults, encode
+from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Outgoing
 
 HELD_PERIOD_NS: Final = NS_PER_S
@@ -69,6 +70,7 @@ class Reception:
 
     def take(
         self,
+        now_ns: int,
         key: str,
         payload: bytes,
         topic: int,
@@ -80,7 +82,12 @@ class Reception:
         Args:
             topic: index into `agent.messages.TOPICS`.
             own_position: (x, y), m, W, for a range channel.
+
+        A message from the future is delivered, to be refused: waiting for its time, it would keep the
+        link's queue from all others.
         """
+        if message[2] > now_ns + FUTURE_NS_MAX:
+            return True
         return self._links.take(key, payload, topic, message, own_position)
 
     def arrivals(self, now_ns: int) -> list[Arrival]:

@@ -49,7 +49,7 @@ class Measurement:
         """True while nothing can make a measurement differ from the pose; no rule, at whatever time."""
         if self._changes != self._plan.changes:
             self._changes = self._plan.changes
-            rules = (*self._plan.file_rules(), *(rule for held in self._plan.live for rule in held.rules))
+            rules = self._plan.rules()
             self._ruled = any(
                 rule.given(SENSOR_FIELDS) and (rule.robots is None or self._robot in rule.robots)
                 for rule in rules

@@ -25,7 +25,11 @@ _WRENCH: Final = TOPICS.index("wrench")
 
 
 class PlantNode:
-    """Hosts `backend` as the plant of robot `robot`; a `agent.node.Node`."""
+    """Hosts `backend` as the plant of robot `robot`; an `agent.node.Node`.
+
+    Raises:
+        agent.fleet.FleetError: the fleet has no such robot.
+    """
 
     def __init__(self, fleet: Fleet, robot: int, backend: PlantBackend) -> None:
         name = fleet.fleet.name
@@ -82,7 +86,7 @@ class PlantNode:
         reason: str | None = "wrong_key"
         if type(message) is Wrench:
             if key == self._key_wrench and message.robot == self.robot:
-                if self._reception.idle or self._reception.take(key, payload, _WRENCH, message):
+                if self._reception.idle or self._reception.take(now_ns, key, payload, _WRENCH, message):
                     reason = self._accept(message, now_ns)
                 else:
                     reason = None

@@ -463,6 +463,18 @@ def test_a_stop_of_an_older_mission_is_ignored():
     assert bench.counters()["rejected.out_of_order"] == 1
 
 
+def test_an_older_stop_that_comes_late_does_not_weaken_a_newer_one():
+    bench = Bench()
+    bench.tick()
+    bench.give(STOP, Stop(5, bench.now, "at once"))
+    bench.give(STOP, Stop(3, bench.now, "earlier"))
+    bench.mission(4)
+    for out in bench.run(8):
+        assert brakes(out)
+    assert bench.agent.condition == ("stopped", "stop: at once")
+    assert bench.counters()["rejected.out_of_order"] == 1
+
+
 @pytest.mark.parametrize("stop_version", [3, 4])
 def test_a_stop_wins_over_its_mission_whichever_comes_first(stop_version: int):
     """Two keys, two channels: the stop of a mission may overtake it. Only a later mission ends a stop."""

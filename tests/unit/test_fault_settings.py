@@ -7,6 +7,7 @@ import tomli_w
 
 from agent.fault_places import LinkSet, Partition
 from agent.fleet import FleetError, digest, parse_fleet, to_dict
+from agent.replay import encode_fates
 from agent.scenario import ScenarioError, parse_scenario
 
 FLEET = """
@@ -197,6 +198,7 @@ def test_majorities_each_hear_a_different_one(count: int) -> None:
         ('jitter = "5ms"', "faults.jitter: needs a delay beside it"),
         ('delay = "80ms 20ms"\njitter = "5ms"', "faults.delay: "),
         ('delay = "trace wifi"', 'there is no [[faults.trace]] of the name "wifi"; names are: none'),
+        ('delay = "80ms"\ndistribution = "normal"', "faults.distribution: needs a jitter beside it"),
         ("los = 3", "faults.los: unknown field; did you mean loss?"),
         ("clock_skew = 3", "faults.clock_skew: unknown field"),
     ],
@@ -215,6 +217,7 @@ def test_defaults_that_are_wrong(faults: str, said: str) -> None:
             'faults.rule[1].link: "1->9": there is no robot 9; ids are 1, 2, 3, 4',
         ),
         ('robot = 9\nloss = "5%"', "faults.rule[1].robot: 9: there is no robot 9"),
+        ('robot = []\nloss = "5%"', "faults.rule[1].robot: names no robot"),
         ('partition = "1,2 | 3,9"', "faults.rule[1].partition"),
         ('partition = "1,2 | 2,3"', "robot 2 is in two groups"),
         ('partition = "1,2"', "must be groups such as"),
@@ -248,6 +251,21 @@ def test_rules_that_are_wrong(rule: str, said: str) -> None:
 def test_two_rules_of_one_name() -> None:
     rule = '[[faults.rule]]\nname = "cut"\nloss = "5%"\n'
     assert any('faults.rule[1] has the name "cut" already' in problem for problem in problems(rule + rule))
+
+
+def test_two_traces_of_one_name_and_one_without_delays() -> None:
+    trace = '[[faults.trace]]\nname = "wifi"\n'
+    found = problems(trace + "delays = [0.1]\n" + trace)
+    assert any('faults.trace[2].name: faults.trace[1] has the name "wifi" already' in said for said in found)
+    assert any("faults.trace[2].delays: must have at least one delay" in said for said in found)
+
+
+def test_two_replays_of_the_same_messages() -> None:
+    replay = f'[[faults.replay]]\nlink = "1->2"\nfirst = 0\nfates = "{encode_fates([1])}"\n'
+    assert problems(replay + replay) == [
+        "faults.replay[2].link: faults.replay[1] is of the same messages already"
+    ]
+    parse_scenario(replay + replay + 'topic = "state"\n', IDS)
 
 
 def test_a_scenario_is_read_with_the_fleets_robots() -> None:

@@ -54,6 +54,13 @@ def test_the_same_version_renews_the_lease() -> None:
     assert not plan.expire(NOW + 4 * NS_PER_S)
 
 
+def test_an_old_renewal_that_comes_late_shortens_no_lease() -> None:
+    plan = FaultPlan(fleet())
+    plan.take(live(time_ns=NOW + NS_PER_S), NOW + NS_PER_S)
+    assert plan.take(live(), NOW + NS_PER_S) == "duplicate"
+    assert not plan.expire(NOW + 3 * NS_PER_S - 1)
+
+
 def test_rules_that_are_to_stay_stay_until_they_are_cleared() -> None:
     plan = FaultPlan(fleet())
     plan.take(live(lease_s=0.0), NOW)
@@ -97,6 +104,17 @@ def test_newer_authors_win_and_live_rules_win_over_the_files() -> None:
     assert lost(plan, NOW) == 0.2
     plan.take(live(CUT.replace("100%", "50%"), version=2, author="ben"), NOW)
     assert lost(plan, NOW) == 0.5
+
+
+def test_of_two_authors_at_once_the_same_wins_everywhere() -> None:
+    sets = [
+        live(CUT.replace("100%", share), author=author) for share, author in (("20%", "ana"), ("50%", "ben"))
+    ]
+    for order in (sets, sets[::-1]):
+        plan = FaultPlan(fleet())
+        for message in order:
+            plan.take(message, NOW)
+        assert lost(plan, NOW) == 0.2
 
 
 def test_what_cannot_be_used_changes_nothing() -> None:
@@ -180,7 +198,7 @@ def test_a_live_rule_takes_hold_of_messages_and_lets_go() -> None:
 
     def take(time_ns: int) -> bool:
         message = HandState(1, 0, time_ns, True, *(0.0,) * 8, (), ())
-        return reception.take("key", encode(message), 0, message)
+        return reception.take(time_ns, "key", encode(message), 0, message)
 
     assert not take(NOW)
     assert reception.arrivals(NOW + 49_000_000) == []
@@ -226,3 +244,17 @@ def test_live_faults_are_rules_and_nothing_else() -> None:
     assert plan.take(live(trace), NOW) == "scenario"
     assert plan.take(live('[faults]\nloss = "5%"\n'), NOW) == "scenario"
     assert plan.take(live("[faults]\nseed = 5\n"), NOW) == "scenario"
+    for done_elsewhere in ('kill = "agent"\nat = 1\n', 'clock_skew = "1s"\n'):
+        assert plan.take(live(f"[[faults.rule]]\nrobot = 1\n{done_elsewhere}"), NOW) == "scenario"
+
+
+def test_a_message_from_the_future_does_not_keep_the_queue_from_others() -> None:
+    reception = Reception(fleet('[faults]\nrate = "20kbit"\n'), 2, "agent", {"hand": (1,)})
+
+    def take(number: int, time_ns: int) -> bool:
+        message = HandState(1, number, time_ns, True, *(0.0,) * 8, (), ())
+        return reception.take(NOW, "key", encode(message), 0, message)
+
+    assert take(0, NOW + 3600 * NS_PER_S)  # at once: who takes it refuses it
+    assert not take(1, NOW)
+    assert len(reception.arrivals(NOW + NS_PER_S)) == 1

@@ -262,6 +262,13 @@ def test_out_of_range_is_out_of_hearing() -> None:
     assert [entry[4] for entry in entries(to)] == [0, LOST | RANGE, 0]
 
 
+@pytest.mark.parametrize("loss", ["0%", "100%"])
+def test_out_of_range_no_copy_is_heard(loss: str) -> None:
+    to = links("", "faults.range=disc 5m", "faults.duplicate=100%", f"faults.loss={loss}")
+    send(to, message(0, x=5.1), (0.0, 0.0))
+    assert [entry[4] for entry in entries(to)] == [LOST | RANGE]
+
+
 # --- independence -----------------------------------------------------------------------------
 
 
