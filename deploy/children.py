@@ -14,8 +14,8 @@ from typing import Final
 LAST_LINES: Final = 5
 LINE_MAX: Final = 300
 
-# One thread for each process's linear algebra: its matrices are tiny, the threads are not.
-_ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""Environment of a process with one thread for its linear algebra: matrices are tiny, threads are not."""
 
 
 class Child:
@@ -43,7 +43,7 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
-                env=os.environ | _ENVIRONMENT,
+                env=os.environ | ONE_THREAD,
                 start_new_session=True,
             )
         self._guard: subprocess.Popen[bytes] | None = None

@@ -6,13 +6,12 @@ messages that it stamps; that is left out here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from typing import Final, NamedTuple
 
 from agent.fault_settings import Rule
-from agent.faults import FaultPlan
+from agent.faults import FaultPlan, named
 from agent.messages import EVERY_AUTHOR, Faults
 from agent.scenario import ScenarioError, parse_scenario
 from deploy.fault_words import lasts
@@ -39,13 +38,6 @@ class Span(NamedTuple):
     start_s: float
     end_s: float
     author: str
-
-
-def named(rules: Sequence[Rule], kind: str) -> tuple[Rule, ...]:
-    """The rules with the names that nodes give to those without one (`agent.faults`)."""
-    return tuple(
-        rule if rule.name else replace(rule, name=f"{kind} {number}") for number, rule in enumerate(rules, 1)
-    )
 
 
 def live_sets(recording: Recording) -> list[LiveSet]:

@@ -96,11 +96,12 @@ def _handled(command: Callable[[argparse.Namespace], int]) -> Callable[[argparse
     def handled(options: argparse.Namespace) -> int:
         from agent.bus import BusError
         from deploy.live_rules import LiveRulesError
+        from deploy.ports import NoPortsError
         from deploy.registry import NotRunningError
 
         try:
             return command(options)
-        except (FleetError, NotRunningError, LiveRulesError, InputError) as error:
+        except (FleetError, NotRunningError, NoPortsError, LiveRulesError, InputError) as error:
             print(f"handfast: {error}", file=sys.stderr)
             return BAD_INPUT
         except (BusError, NoAnswerError) as error:
@@ -214,14 +215,14 @@ def _show(options: argparse.Namespace) -> int:
     with _connected(fleet) as session:
         session.wait(lambda: False, ECHO_S)
         now_ns = session.now_ns()
-        at = "" if session.epoch_ns is None else f" at {(now_ns - session.epoch_ns) / NS_PER_S:.1f} s"
+        time_s = None if session.epoch_ns is None else (now_ns - session.epoch_ns) / NS_PER_S
+        at = "" if time_s is None else f" at {time_s:.1f} s"
         total = len(session.receivers)
         print(f"{fleet.fleet.name}{at}: {len(session.alive)} of {total} agents and plants answer")
         absent = [each for each in session.receivers if each not in session.alive]
         if absent:
             print(f"  not: {names(absent)}")
         everywhere = defaults(fleet.faults)
-        time_s = None if session.epoch_ns is None else (now_ns - session.epoch_ns) / NS_PER_S
         rules = [*FaultPlan(fleet).file_rules(), *([] if everywhere is None else [everywhere])]
         print("in its fleet file:" if rules else "in its fleet file: none")
         for rule in rules:
@@ -230,9 +231,7 @@ def _show(options: argparse.Namespace) -> int:
         print("live:" if sets else "live: none")
         for each in sets:
             stays = "until cleared" if not each.message.lease_ns else "as long as that command lives"
-            print(
-                f"  {each.message.author}, {stays}, held by {len(each.holders)} of {len(session.receivers)}:"
-            )
+            print(f"  {each.message.author}, {stays}, held by {len(each.holders)} of {total}:")
             lacking = [r for r in session.receivers if r in session.alive and r not in each.holders]
             if lacking:
                 print(f"    not by {names(lacking)}")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fault_settings import Rule
+from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import Fleet
 from agent.messages import Faults, Message
 from agent.scenario import ScenarioError, parse_scenario
@@ -49,13 +50,18 @@ class Held:
             keys.faults_held(name, robot, role): (robot, role) for robot, role in receivers(fleet)
         }
         self._latest: dict[tuple[Receiver, str], Faults] = {}
-        self._rules: dict[str, tuple[Rule, ...]] = {"": ()}
+        self._latest_max = len(self._receivers) * (AUTHORS_MAX + ENDED_MAX)
+        self._rules: dict[str, tuple[Rule, ...]] = {}
 
     def feed(self, key: str, message: Message) -> None:
         """Takes a message that came on `key`; what is no echo is ignored."""
         receiver = self._receivers.get(key)
         if receiver is not None and type(message) is Faults:
-            self._latest[receiver, message.author] = message
+            known = receiver, message.author
+            self._latest.pop(known, None)
+            self._latest[known] = message  # the latest last: what is held is said again and again
+            if len(self._latest) > self._latest_max:
+                del self._latest[next(iter(self._latest))]
 
     def forget(self, receiver: Receiver) -> None:
         """A process has started again, and holds nothing."""
@@ -78,10 +84,12 @@ class Held:
             if (message.version, message.time_ns) > (newest.version, newest.time_ns):
                 found[author] = message, holders
         newest_first = sorted(found.values(), key=lambda each: -each[0].version)
-        return [
+        sets = [
             LiveSet(message, self._parsed(message.rules), frozenset(holders))
             for message, holders in newest_first
         ]
+        self._rules = {each.message.rules: each.rules for each in sets}
+        return sets
 
     def _parsed(self, text: str) -> tuple[Rule, ...]:
         if text not in self._rules:

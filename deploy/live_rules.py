@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Final, get_args, get_origin
 
 from agent.fault_settings import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
+from agent.faults import named
 from agent.messages import RULES_MAX
 from agent.scenario import ScenarioError, parse_scenario
 from agent.schema import Entry, Reader, entries, plain
@@ -91,10 +91,7 @@ def rules_of_scenario(text: str, source: str, ids: Sequence[int]) -> list[Rule]:
         for key in rule.given(NOT_LIVE)
     ]
     problems += [f"{place}: {why}" for place, why in _beyond_rules(section)]
-    rules = [
-        rule if rule.name else replace(rule, name=f"rule {number}")
-        for number, rule in enumerate(section.rules, 1)
-    ]
+    rules = list(named(section.rules, "rule"))
     everywhere = defaults(section)
     if everywhere is not None:
         rules.append(everywhere)

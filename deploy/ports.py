@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import stat
 import tempfile
 from pathlib import Path
 from typing import Final
@@ -20,9 +21,19 @@ class NoPortsError(RuntimeError):
 
 
 def private_folder() -> Path:
-    """Where this user's runs on this machine find each other; nobody else may write there."""
+    """Where this user's runs on this machine find each other; nobody else may write there.
+
+    Raises:
+        NoPortsError: the folder is there already, and others may.
+    """
     folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise NoPortsError(
+            f"{folder} must be a folder of this user that nobody else may write to: remove it, "
+            "or make it so (chmod 700)"
+        )
     return folder
 
 

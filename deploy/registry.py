@@ -117,9 +117,10 @@ def find(what: str) -> Path:
     path, runs = Path(what), running()
     if path.is_dir():
         here = [run for run in runs if Path(run.folder).resolve() == path.resolve()]
-        if not here:
+        if here:
+            return Path(here[0].fleet_file)
+        if all(run.name != what for run in runs):  # else a folder that happens to have a fleet's name
             raise NotRunningError(f"no run lives in the folder {path}{_those(runs)}")
-        return Path(here[0].fleet_file)
     if path.is_file():
         exact = [run for run in runs if Path(run.fleet_file).resolve() == path.resolve()]
         if exact:

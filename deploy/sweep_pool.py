@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Final
 
+from deploy.children import ONE_THREAD
 from deploy.sweep import Plan
 from deploy.sweep_run import CRASHED, TIMED_OUT, Abandoned, Row, execute, unfinished
 
@@ -28,8 +29,6 @@ START_ATTEMPTS: Final = 3
 """So many starts that fail one after the other end the sweep: it is not for a run that they do."""
 END_TIMEOUT_S: Final = 2.0
 _READY: Final = "ready"
-_THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""One thread for each worker's linear algebra: its matrices are tiny, the threads are not."""
 _BLOCKED: Final = (signal.SIGINT, signal.SIGHUP)
 
 
@@ -117,8 +116,8 @@ class Pool:
         self._plan, self._jobs, self._timeout_s = plan, jobs, timeout_s
         self._workers: list[_Worker] = []
         self._failed_starts = 0
-        for name in _THREADS:
-            os.environ.setdefault(name, "1")
+        for name, value in ONE_THREAD.items():
+            os.environ.setdefault(name, value)
 
     def __enter__(self) -> Pool:
         return self

@@ -9,8 +9,10 @@ from math import inf
 
 import pytest
 
+from agent import keys
 from agent.clock import NS_PER_S
 from agent.fault_settings import Rule
+from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import load_fleet
 from agent.messages import Faults, decode, encode
 from agent.reception import Reception
@@ -422,6 +424,24 @@ def test_rules_that_are_over_are_not_shown(world: World) -> None:
         for s in (1.2, 1.4, 3.2, 3.4)
     ]
     assert [len(each) for each in lines] == [0, 1, 1, 0]
+
+
+def test_what_is_kept_of_ended_authors_is_bounded() -> None:
+    held = Held(FLEET)
+    keys_of = {receiver: keys.faults_held(FLEET.fleet.name, *receiver) for receiver in receivers(FLEET)}
+    living = Faults(1, 1, "ana@lab:1", 0, 0, text_of([rule('loss = "30%"')]))
+    authors = 2 * (AUTHORS_MAX + ENDED_MAX)
+    for number in range(authors):
+        for key in keys_of.values():
+            held.feed(key, Faults(2, 1, f"bob@lab:{number}", 0, 0, ""))
+            held.feed(key, living)  # as receivers do, again and again
+    (kept,) = held.sets(2)
+    assert kept.holders == set(keys_of)
+    first, last = (
+        sum(held.echo(receiver, f"bob@lab:{number}") is not None for receiver in keys_of)
+        for number in (0, authors - 1)
+    )
+    assert (first, last) == (0, len(keys_of))
 
 
 class Terminal(io.StringIO):

@@ -47,6 +47,13 @@ def test_found_by_the_folder_of_its_run(tmp_path: Path, monkeypatch: pytest.Monk
             find("c")
 
 
+def test_a_folder_of_a_fleets_name_does_not_hide_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pair").mkdir()
+    with a_run(tmp_path, "pair", "a"):
+        assert find("pair") == tmp_path / "a" / "fleet.toml"
+
+
 def test_two_of_one_name_are_listed(tmp_path: Path) -> None:
     with (
         a_run(tmp_path, "pair", "a"),
