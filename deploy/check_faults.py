@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import formation
+from agent.core import HEARD_ROUNDS
 from agent.fault_settings import ACTION_FIELDS, Effect, Rule
 from agent.faults import FaultPlan, LinkEffects
 from agent.fleet import Fleet
@@ -352,8 +353,10 @@ def _crowded(fleet: Fleet, each: _Rule) -> Iterator[Finding]:
     degree = max(sum(robot in edge for edge in fleet.formation.edges) for robot in fleet.ids)
     ids = fleet.ids[:degree]
     multipliers, heard = tuple((robot, 1.0) for robot in ids), tuple((robot, 20_000) for robot in ids)
-    hand = HandState(fleet.ids[0], FIRST_ROUND, 2**60, True, *(0.1,) * 8, multipliers, heard)
-    needed = 8.0 * len(encode(hand)) * fleet.fleet.rate_hz
+    hand = HandState(fleet.ids[0], FIRST_ROUND, 2**60, True, *(0.1,) * 8, multipliers, ())
+    with_echo, without = len(encode(hand._replace(heard=heard))), len(encode(hand))
+    size = (with_echo + (HEARD_ROUNDS - 1) * without) / HEARD_ROUNDS
+    needed = 8.0 * size * fleet.fleet.rate_hz
     least = min(one.bits_per_second for one in _ends(effect))
     if least < needed:
         yield Finding(

@@ -127,6 +127,7 @@ def _write(strip: Axes, lane: Lane, row: int, end_s: float) -> None:
     strip.annotate(
         text, (x, row + 0.52), xytext=(3 if side == "left" else -3, 0), textcoords="offset points",
         ha=side, va="center_baseline", fontsize=7, color=INK, annotation_clip=False,
+        parse_math=False,  # names and authors are texts of others: a $ in them is a $
     )  # fmt: skip
 
 

@@ -188,11 +188,11 @@ def _draw_starts(axes: Axes, ids: Sequence[int], a: Analysis, few: bool) -> None
 def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
     """The paper's Fig. 4: the distance of every edge over time, with the safe distance; above it faults."""
     figure = new_figure(7.6, 4.2)
-    (axes,) = time_axes(figure, recording, max(float(a.grid[-1]), 1e-3))
+    end = max(float(a.grid[-1]), 1e-3)
+    (axes,) = time_axes(figure, recording, end)
     axes.set_ylabel("distance between hand points (m)")
     safe = fleet.formation.safe_distance_m
     few = len(a.edges) <= LEGEND_MAX
-    end = max(float(a.grid[-1]), 1e-3)
     wanted = np.unique(np.round(a.wanted, 6))
     for value in wanted if len(wanted) <= 4 else []:
         axes.axhspan(value * (1 - SETTLED), value * (1 + SETTLED), color="#009E73", alpha=0.13, linewidth=0)

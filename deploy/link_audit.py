@@ -20,6 +20,7 @@ from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.links import TRACE_PERIOD_NS, Links
 from agent.messages import HELD, OVERFLOW, TOPICS, Faults, Wrench
+from deploy.fault_words import gives_link_effects
 from deploy.link_data import Link, LinkTable
 from deploy.recording import LiveFaults, Recording
 
@@ -88,16 +89,15 @@ def audit(recording: Recording) -> AuditResult:
         for link in links:
             node.check(link, recorded.pop(link, None), result)
         for rows in recorded.values():
-            result.decided += len(rows)
-            result.unrecorded += len(rows)
+            messages = int(rows.first_copies.sum())
+            result.decided += messages
+            result.unrecorded += messages
     return result
 
 
 def _has_rules(recording: Recording) -> bool:
     section = recording.fleet.faults
-    return bool(recording.live_faults or section.rules or section.replays) or any(
-        not _plan(recording, ()).rules_of_link(i, j, "hand").idle for i, j in recording.fleet.formation.edges
-    )
+    return bool(recording.live_faults or section.rules or section.replays or gives_link_effects(section))
 
 
 def _receiver(link: Link) -> tuple[int, str]:

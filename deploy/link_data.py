@@ -97,7 +97,7 @@ class LinkTable:
             )
         return ~again
 
-    def share(self, bit: int) -> int:
+    def count(self, bit: int) -> int:
         """How many rows have a bit of `what`."""
         return int(np.count_nonzero(self.what & bit))
 

@@ -110,7 +110,7 @@ def _lost(recording: Recording, end: float) -> tuple[Floats, Floats] | None:
     """Edges of bins (s) and the share of messages between agents that was lost on purpose in each, %."""
     rows = recording.links
     rows = rows[(rows.topic == 0) & rows.first_copies & (rows.t >= 0.0) & (rows.t <= end)]
-    if not rows.share(LOST):
+    if not rows.count(LOST):
         return None
     bins = np.linspace(0.0, end, max(int(min(end / 0.5, _BINS)), 1) + 1)
     links = len(recording.fleet.formation.edges) * 2

@@ -69,12 +69,12 @@ def injected(rows: LinkTable) -> dict[str, Any]:
         "decided": messages,
         "lost": lost,
         "rate": number(lost / messages) if messages else None,
-        "duplicated": rows.share(DUPLICATED),
-        "corrupted": rows.share(CORRUPTED),
-        "reordered": rows.share(REORDERED),
-        "held": rows.share(HELD),
-        "overflow": rows.share(OVERFLOW),
-        "range": rows.share(RANGE),
+        "duplicated": rows.count(DUPLICATED),
+        "corrupted": rows.count(CORRUPTED),
+        "reordered": rows.count(REORDERED),
+        "held": rows.count(HELD),
+        "overflow": rows.count(OVERFLOW),
+        "range": rows.count(RANGE),
         "delay_ms": {
             "mean": mean(delays_ms),
             "p50": percentile(delays_ms, 50),
@@ -199,13 +199,11 @@ def ages(recording: Recording) -> Ages:
     That is what the law worked with: everything that the network and the faults did is in it. Statuses
     from when not all neighbours had been heard are left out: their ages cannot be told apart.
     """
-    out: dict[tuple[int, int], tuple[Floats, Floats]] = {}
+    found: dict[tuple[int, int], list[tuple[Floats, Ints]]] = {}
     for robot, data in recording.robots.items():
         status = data.status
         ends = np.cumsum(status.age_counts)
         rows = np.cumsum(status.neighbour_counts)
-        parts: list[tuple[Floats, Ints]] = []
-        ids: list[int] = []
         heard = False
         for k in range(len(status)):
             entries = status.neighbours[rows[k] - status.neighbour_counts[k] : rows[k]]
@@ -216,13 +214,12 @@ def ages(recording: Recording) -> Ages:
             ids = entries[:, 0].tolist()
             table = status.ages_us[ends[k] - count : ends[k]].reshape(-1, len(ids))
             back = np.arange(len(table) - 1, -1, -1) / recording.fleet.fleet.rate_hz
-            parts.append((status.t[k] - back, table))
-        if parts:
-            t = np.concatenate([times for times, _ in parts])
-            table = np.concatenate([values for _, values in parts])
             for column, source in enumerate(ids):
-                out[source, robot] = (t, table[:, column] / 1e3)
-    return out
+                found.setdefault((source, robot), []).append((status.t[k] - back, table[:, column]))
+    return {
+        link: (np.concatenate([t for t, _ in parts]), np.concatenate([ages_us for _, ages_us in parts]) / 1e3)
+        for link, parts in found.items()
+    }
 
 
 # --- clocks -----------------------------------------------------------------------------------
@@ -262,7 +259,7 @@ def clock_warnings(recording: Recording, offsets: list[dict[str, Any]]) -> list[
     out = []
     while wrong:
         counts = {robot: sum(robot in pair for pair in wrong) for pair in wrong for robot in pair}
-        # Among equals the one that is further off, as the worst of its neighbours sees it.
+        # Among equals the first: nothing tells them apart.
         culprit = max(counts, key=lambda robot: (counts[robot], -robot))
         pairs = [pair for pair in wrong if culprit in pair]
         seen: dict[int, tuple[float, float]] = {}
@@ -305,8 +302,9 @@ def idle_rules(recording: Recording) -> list[str]:
         if not links:
             out.append(f"{told} ({words(rule)}) is for no link of this fleet: no message goes there.")
         elif not times_held:
+            what = "the drive" if end == end_s else "its set"
             out.append(
-                f"{told} never held: it begins at {start + (rule.at or 0.0):.1f} s, and the drive ended at "
+                f"{told} never held: it begins at {start + (rule.at or 0.0):.1f} s, and {what} ended at "
                 f"{end:.1f} s."
             )
         elif not any(

@@ -27,6 +27,7 @@ from agent.messages import (
     Stop,
     Wrench,
 )
+from agent.node import FIRST_ROUND
 
 CLASSES: Final[tuple[type[Message], ...]] = (
     HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event,
@@ -34,12 +35,16 @@ CLASSES: Final[tuple[type[Message], ...]] = (
 
 _ROBOT: Final = "Number of the robot"
 _SEQUENCE: Final = "Sequence number, counted by the sender for this topic"
+_ROUND: Final = (
+    f"Sequence number: {FIRST_ROUND} + the periods from the mission's epoch to time_ns; before the mission "
+    "is known, counted from 0"
+)
 _TIME: Final = "Wall clock at which the content holds, ns since the Unix epoch"
 
 DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
     HandState: {
         "robot": _ROBOT,
-        "sequence": _SEQUENCE,
+        "sequence": _ROUND,
         "time_ns": _TIME,
         "following": "False while the robot brakes instead of following the law",
         "x": "Hand point, east, m (world ENU)",
@@ -51,11 +56,11 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "constraint_x": "Constraint force per unit mass, east, m/s2",
         "constraint_y": "Constraint force per unit mass, north, m/s2",
         "multipliers": "The sender's copy of the multiplier of each of its edges",
-        "heard": "Least apparent delay of each neighbour's hand states",
+        "heard": "Least apparent delay of each neighbour's hand states; empty in most messages",
     },
     PlantState: {
         "robot": _ROBOT,
-        "sequence": _SEQUENCE,
+        "sequence": _ROUND,
         "time_ns": _TIME,
         "x": "Position, east, m (world ENU)",
         "y": "Position, north, m (world ENU)",
@@ -70,7 +75,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
     },
     Wrench: {
         "robot": _ROBOT,
-        "sequence": _SEQUENCE,
+        "sequence": _ROUND,
         "time_ns": _TIME,
         "force": "Force asked for, along the heading, N",
         "torque": "Torque asked for, N m",

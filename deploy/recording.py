@@ -256,7 +256,7 @@ class RunData:
             self.missions.append(message)
         elif type(message) is Stop and key == self._stop_key:
             self.stops.append(message)
-        elif type(message) is LinkTrace and self._traced.get(key) == message.robot:
+        elif type(message) is LinkTrace and self._is_ours(key, message):
             self._links.append(message)
         elif type(message) is Faults and key in self._faults_from:
             rules = self._texts.setdefault(message.rules, message.rules)  # said once a second: keep one
@@ -267,6 +267,11 @@ class RunData:
             self.events.append(message)
         else:
             self.foreign += 1
+
+    def _is_ours(self, key: str, trace: LinkTrace) -> bool:
+        return self._traced.get(key) == trace.robot and all(
+            source in self._plant for source, *_ in trace.entries
+        )
 
     def _is_meant(self, received_ns: int, key: str, message: Message) -> bool:
         """Whether a time that is far from its reception is what the faults on purpose make of it."""

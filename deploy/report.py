@@ -21,6 +21,7 @@ from deploy.metrics import Analysis, analyse
 from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recorder import RecordingError
 from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
+from deploy.rounding import largest, number, percentile
 from deploy.version import handfast_version
 
 METRICS_NAME: Final = "metrics.json"
@@ -303,23 +304,15 @@ def _robots_table(recording: Recording, a: Analysis) -> str:
         cells = [
             shown(_closest(a, index)),
             shown(_worst_edge(a, index)),
-            shown(_finite(np.hypot(*(a.hands[-1, index] - a.desired[-1, index])))),
-            shown(_percentile(data.status.tick_us) if recording.mode != "simulate" else None),
+            shown(number(np.hypot(*(a.hands[-1, index] - a.desired[-1, index])))),
+            shown(percentile(data.status.tick_us, 99) if recording.mode != "simulate" else None),
             shown(totals.get("overruns")),
-            shown(_percentile(data.status.ages_us / 1e3)),
+            shown(percentile(data.status.ages_us / 1e3, 99)),
             *(shown(totals.get(name)) for name in ("sent", "received", "lost", "rejected")),
         ]
         numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
         rows.append(f'<tr><td class="n">{robot}</td><td>{escape(words)}</td>{numbers}</tr>')
     return table(f"<tr>{head}</tr>", rows)
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _percentile(values: Any) -> float | None:
-    return float(np.percentile(values, 99)) if len(values) else None
 
 
 def _closest(a: Analysis, index: int) -> float | None:
@@ -332,9 +325,7 @@ def _closest(a: Analysis, index: int) -> float | None:
 
 def _worst_edge(a: Analysis, index: int) -> float | None:
     own = (a.edges == index).any(axis=1)
-    errors = np.abs(a.distances[-1, own] - a.wanted[own])
-    errors = errors[np.isfinite(errors)]
-    return float(errors.max()) if errors.size else None
+    return largest(np.abs(a.distances[-1, own] - a.wanted[own]))
 
 
 def _again(recording: Recording, found: dict[str, Any]) -> str:

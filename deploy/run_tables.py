@@ -22,7 +22,7 @@ WRENCH_COLUMNS: Final = ("force", "torque", "brake")
 MULTIPLIER_COLUMNS: Final = ("neighbour", "value")
 NEIGHBOUR_COLUMNS: Final = len(("robot", "age_us", "received", "lost", "offset_us", "error_us"))
 NO_INTS: Final[Ints] = np.zeros(0, dtype=np.int64)
-_AGE_MAX: Final = 2**62
+_INTEGER_MAX: Final = 2**62
 
 
 class Table:
@@ -145,6 +145,11 @@ class HandRows(Rows):
         return Table(MULTIPLIER_COLUMNS, (times[order] - epoch_ns) / 1e9, values[order])
 
 
+def _bounded(value: int) -> int:
+    """What int64 holds: numbers in a status are only known to be integers; none that is true is so large."""
+    return max(-_INTEGER_MAX, min(value, _INTEGER_MAX))
+
+
 class StatusRows:
     kind: type[Message] = Status
 
@@ -160,18 +165,17 @@ class StatusRows:
 
     def append(self, message: Any) -> None:
         known = self._known.setdefault  # the same few texts come thousands of times: keep one of each
-        ticks = [value for value in message.tick_us if 0 <= value < _AGE_MAX]
-        ages = [value for value in message.ages_us if 0 <= value < _AGE_MAX]
+        ticks = [value for value in message.tick_us if 0 <= value < _INTEGER_MAX]
+        ages = [value for value in message.ages_us if 0 <= value < _INTEGER_MAX]
         self.times.append(message.time_ns)
         self._texts.append((known(message.state, message.state), known(message.reason, message.reason)))
-        self._counters.append({known(name, name): value for name, value in message.counters})
+        self._counters.append({known(name, name): _bounded(value) for name, value in message.counters})
         self._ticks.extend(ticks)
         self._tick_counts.append(len(ticks))
         self._ages.extend(ages)
         self._age_counts.append(len(ages))
         for entry in message.neighbours:
-            # Its numbers are only known to be integers; no clock is off by as much as one of these allows.
-            self._neighbours.extend([max(-_AGE_MAX, min(value, _AGE_MAX)) for value in entry])
+            self._neighbours.extend(map(_bounded, entry))
         self._neighbour_counts.append(len(message.neighbours))
 
     def table(self, epoch_ns: int, clock: Clock) -> StatusTable:

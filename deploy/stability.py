@@ -146,7 +146,7 @@ def _decay(mode: Mode) -> float:
 
 
 class Start(NamedTuple):
-    """The law at t = 0: |u| and |e| of every robot, energy E(0) of the whole fleet."""
+    """The law at t = 0: |u| (n,), m/s^2, and |e| (n,), m, of every robot; energy E(0) of the fleet, (J3)."""
 
     demand: Floats
     error: Floats
@@ -154,6 +154,7 @@ class Start(NamedTuple):
 
 
 def at_start(fleet: Fleet, geometry: Geometry) -> Start:
+    """The law where the fleet file has the robots stand, before anything is clipped."""
     control = fleet.control
     gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)

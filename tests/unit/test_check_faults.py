@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,11 @@ from agent.draws import stream
 from agent.fleet import Fleet, load_fleet, parse_fleet
 from agent.formation import resolved
 from agent.impairments import Loss
+from agent.messages import HandState, encode
 from deploy.check import Finding, check
 from deploy.check_faults import silences
 from deploy.description import describe
+from tests.unit.simulated_run import driven
 
 DELTA = Path(deploy.__file__).parent / "fleets" / "delta.toml"
 
@@ -229,6 +232,17 @@ def test_a_rate_that_cannot_carry_the_messages() -> None:
     assert (finding.level, finding.place) == ("warning", "faults.rule[1].rate")
     assert "'thin': 20 kbit/s is less than the " in finding.message
     assert found(rule('link = "5->6"', 'rate = "200kbit"')) == []
+
+
+def test_what_messages_need_is_what_a_fleet_sends() -> None:
+    said = re.search(r"less than the ([\d.]+) kbit/s", one(rule('link = "5->6"', 'rate = "20kbit"')).message)
+    assert said is not None
+    sizes: dict[int, list[int]] = {}
+    for _, _, message in driven(delta("", "fleet.duration_s=1")):
+        if isinstance(message, HandState) and message.multipliers:
+            sizes.setdefault(message.robot, []).append(len(encode(message)))
+    most = max(sum(each) / len(each) for each in sizes.values())
+    assert float(said[1]) == pytest.approx(8e-3 * 50 * most, rel=0.05)  # with an echo in each: 14 % more
 
 
 def test_processes_that_do_not_come_back() -> None:

@@ -140,6 +140,18 @@ def test_ages_are_told_link_by_link_and_tick_by_tick() -> None:
     assert found[3, 2][1].tolist() == [10.0, 20.0, 30.0, 40.0]
 
 
+def test_ages_of_a_status_with_other_neighbours_do_not_mix() -> None:
+    one, other = (1, 5_000, 0, 0, 0, -1), (3, 50_000, 0, 0, 0, -1)
+    recording = fed(
+        status(2, 0.1, one, other, ages_us=(9, 9)),
+        status(2, 0.2, one, other, ages_us=(1_000, 10_000)),
+        status(2, 0.3, other, ages_us=(20_000,)),  # of an agent with another fleet file
+        statuses=False,
+    )
+    found = {link: values.tolist() for link, (_, values) in ages(recording).items()}
+    assert found == {(1, 2): [1.0], (3, 2): [10.0, 20.0]}
+
+
 # --- clocks -----------------------------------------------------------------------------------
 
 
@@ -225,6 +237,20 @@ def test_a_live_rule_that_did_nothing_is_named() -> None:
     assert (
         told == "Rule 'live rule 1' of ana@lab never held: it begins at 3.5 s, and the drive ended at 1.0 s."
     )
+
+
+def test_a_live_rule_that_was_cleared_before_it_began_is_named() -> None:
+    fleet = trio(duration=1.5)
+
+    def live(epoch_ns: int) -> list[tuple[float, Faults]]:
+        rules = '[[faults.rule]]\nlink = "1->2"\nloss = "9%"\nat = 3\n'
+        return [
+            (0.25, Faults(1, epoch_ns, "ana@lab", epoch_ns, 0, rules)),
+            (0.5, Faults(2, epoch_ns + 500_000_000, "ana@lab", epoch_ns, 0, "")),
+        ]
+
+    (told,) = idle_rules(recorded(fleet, driven(fleet, live)))
+    assert "begins at 3.0 s, and its set ended at 0." in told
 
 
 def test_rules_that_worked_are_not_named() -> None:

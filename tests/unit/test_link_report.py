@@ -14,6 +14,7 @@ import pytest
 from agent.fault_settings import Rule
 from agent.messages import Event
 from deploy import fault_strip, link_figures
+from deploy.drawing import write
 from deploy.fault_times import WINDOWS_MAX, windows
 from deploy.link_data import EXACT
 from deploy.link_report import ROWS_MAX, advice, section
@@ -219,6 +220,12 @@ def test_what_was_done_to_processes_is_marked(folder: Path) -> None:
     texts = {text.get_text() for one in axes for text in one.texts}
     assert {"plant 3 killed", "plant 3 started"} <= texts
     assert any(text.startswith("<b>cut</b>: loss 100% on 1->2") for text in texts)
+
+
+def test_a_dollar_in_the_name_of_a_rule_is_a_dollar(tmp_path: Path) -> None:
+    fleet = trio('[[faults.rule]]\nname = "$\\\\nosuch$"\nlink = "1->2"\nloss = "9%"\n', duration=0.1)
+    recording = recorded(fleet, driven(fleet))
+    write(tmp_path / "links.png", lambda: link_figures.links(recording))  # TeX would not know it, and raise
 
 
 def test_many_events_are_marked_without_words(quiet: Recording) -> None:

@@ -34,6 +34,7 @@ from agent.messages import (
     Wrench,
     encode,
 )
+from deploy.export import tabulate
 from deploy.mcap_file import MAGIC
 from deploy.recorder import Recorder, RecordingError
 from deploy.recording import Recording, RunData
@@ -96,6 +97,13 @@ def test_fed_live_and_read_back_are_the_same(tmp_path: Path) -> None:
     assert len(live.robots[1].plant) == 100
 
 
+def test_counters_that_nobody_can_count_to_are_kept_in_bounds() -> None:
+    status = Status(1, 7, EPOCH_NS, "running", "", 1, (), (), (), (("sent", 2**64 - 1), ("lost", -(2**63))))
+    sent: list[Sent] = [MISSION, (EPOCH_NS, keys.status(NAME, 1), status)]
+    statuses = tabulate(fed(FLEET, sent))["statuses"]
+    assert (int(statuses["sent"][0]), int(statuses["lost"][0])) == (2**62, -(2**62))
+
+
 def test_every_column_holds_what_was_sent() -> None:
     plant = PlantState(1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, "dizzy")
     force = (0.1, 0.2, 0.3, 0.4)
@@ -156,9 +164,14 @@ def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
         (t, keys.links(NAME, 2), agent),
         (t, keys.plant_links(NAME, 2), plant),
         (t, keys.links(NAME, 1), agent),  # of another robot
+        (
+            t,
+            keys.links(NAME, 2),
+            agent._replace(entries=((9, 0, 8, t, 0, 40),)),
+        ),  # from no robot of the fleet
     ]
     for recording in (fed(FLEET, sent), Recording.from_folder(write_run(tmp_path, FLEET, sent))):
-        assert recording.foreign == 1
+        assert recording.foreign == 2
         links = dict(recording.links.by_link())
         assert list(map(str, links)) == ["1→2", "3→2", "2→2 wrench"]
         first = links[next(iter(links))]
