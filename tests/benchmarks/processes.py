@@ -23,6 +23,7 @@ from agent.fleet import Fleet, digest, to_dict
 from agent.messages import Malformed, Mission, PlantState, Status, decode, encode
 from agent.node import next_tick_ns
 from agent.supervision import State
+from deploy.children import ONE_THREAD
 from deploy.local import place
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -33,8 +34,6 @@ READY_TIMEOUT_S: Final = 30.0
 END_TIMEOUT_S: Final = 3.0
 DRIVE_S: Final = 3600.0
 
-_ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-
 
 class BenchmarkError(RuntimeError):
     """A benchmark could not run."""
@@ -43,7 +42,7 @@ class BenchmarkError(RuntimeError):
 def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
     """Of a child: it finds this checkout's packages wherever it starts. An empty value unsets a variable."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    whole = os.environ | _ENVIRONMENT | {"PYTHONPATH": path} | dict(extra or {})
+    whole = os.environ | ONE_THREAD | {"PYTHONPATH": path} | dict(extra or {})
     return {name: value for name, value in whole.items() if value}
 
 
@@ -166,7 +165,7 @@ class Observer:
         self._clock = RealClock()
         self._states: dict[int, str] = {}
         self._missed: dict[int, int] = {}
-        self._plants: dict[int, tuple[int, int]] = {}
+        self._plants: dict[int, int] = {}
         name = fleet.fleet.name
         ends = [each(robot) for robot in fleet.ids for each in (fleet.agent_endpoint, fleet.plant_endpoint)]
         self._bus = Bus(listen=[], connect=ends)
@@ -248,11 +247,10 @@ class Observer:
         self._missed[status.robot] = missed
 
     def _plant(self, state: PlantState, traffic: Traffic) -> None:
-        # A tick that was skipped leaves a gap in time but none in the sequence.
-        sequence, time_ns = self._plants.get(state.robot, (state.sequence, state.time_ns))
-        ticks = round((state.time_ns - time_ns) / self._fleet.period_ns)
-        traffic.plants_missed += max(0, ticks - (state.sequence - sequence))
-        self._plants[state.robot] = state.sequence, state.time_ns
+        # By gaps in time. Numbers do not tell: they count rounds once the mission is known, skipped or not.
+        since_ns = state.time_ns - self._plants.get(state.robot, state.time_ns)
+        traffic.plants_missed += max(0, round(since_ns / self._fleet.period_ns) - 1)
+        self._plants[state.robot] = state.time_ns
 
 
 Starter = Callable[[Group, Fleet, Path], None]

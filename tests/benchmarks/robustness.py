@@ -80,8 +80,11 @@ def run(options: Options) -> Result:
             continue
         settled = 100.0 * sum(each.settled is True for each in rows) / count
         result.figures.append(Figure(f"{arm}: settled", settled, "%", 100.0, at_most=False))
-        final = float(np.median([each.numbers["final_distance_error_m"] for each in rows])) * 1e3
-        result.figures.append(Figure(f"{arm}: final distance error, median", final, "mm", FINAL_MM.get(arm)))
+        final_mm = [1e3 * each.numbers["final_distance_error_m"] for each in rows if each.numbers]
+        if final_mm:
+            median_mm = float(np.median(final_mm))
+            name = f"{arm}: final distance error, median"
+            result.figures.append(Figure(name, median_mm, "mm", FINAL_MM.get(arm)))
     heading = [
         "delay, loss", "safe %", "settled %", "median s", "p95 s", "final mm", "max mm", "closest m",
     ]  # fmt: skip
