@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
+from agent.clock import Clock
 from agent.core import Agent
 from agent.fleet import Fleet
 from agent.formation import resolved
-from agent.process import main
+from agent.process import Log, Start, main
 
 
-def start(fleet: Fleet, robot: int) -> tuple[Agent, Sequence[str], Sequence[str]]:
+def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
     """The agent and its endpoints: of two neighbours, the one with the greater id connects."""
     fleet = resolved(fleet)
     agent = Agent(fleet, robot)
     connect = [fleet.agent_endpoint(other) for other in fleet.neighbours(robot) if other < robot]
-    return agent, [fleet.agent_endpoint(robot)], connect
+    return Start(agent, [fleet.agent_endpoint(robot)], connect)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from agent.messages import (
     Malformed,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
@@ -33,16 +34,13 @@ from agent.messages import (
 from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Numbers, Outgoing
 from agent.reception import Reception
-from agent.supervision import Conditions, State, step
+from agent.supervision import REST_SPEED, REST_YAW_RATE, Conditions, State, step
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 HEARD_ROUNDS: Final = 7
 """Each robot's hand states echo once in so many what it heard of its neighbours: clocks part slowly."""
 STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
-REST_SPEED: Final = 0.06
-"""Below this (m/s) a robot stands: an EKF reports up to 0.05 m/s of a rover at rest."""
-REST_YAW_RATE: Final = 0.1
 _HAND: Final = TOPICS.index("hand")
 _STATE: Final = TOPICS.index("state")
 
@@ -78,6 +76,8 @@ class Agent:
         self._stop: Stop | None = None
         self._refused_mission = ""
         self._leaving = False
+        self._taken = ""
+        self._resume_version = -1
         self._numbers = ""
         self._hand_numbers = Numbers(self.period_ns, self.phase_ns)
         self._wrench_numbers = Numbers(self.period_ns, self.phase_ns)
@@ -94,6 +94,7 @@ class Agent:
         self._key_plant = keys.plant_state(name, robot)
         self._key_mission = keys.mission(name)
         self._key_stop = keys.stop(name)
+        self._key_resume = keys.resume(name)
         self._hands = {keys.hand(name, other): other for other in self._neighbours.ids}
         self.alive_key: Final = keys.alive(name, robot, "agent")
         self._reception = Reception(fleet, robot, "agent", {"hand": self._neighbours.ids, "state": (robot,)})
@@ -104,6 +105,7 @@ class Agent:
             *self._hands,
             self._key_mission,
             self._key_stop,
+            self._key_resume,
             *self._reception.subscriptions,
         )
         self.publications: Final = (
@@ -143,6 +145,9 @@ class Agent:
         elif type(message) is Stop:
             if key == self._key_stop:
                 reason = self._accept_stop(message)
+        elif type(message) is Resume:
+            if key == self._key_resume:
+                reason = self._accept_resume(message)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
@@ -189,13 +194,21 @@ class Agent:
             return "digest"
         if self._mission is None or mission.version > self._mission.version:
             self._mission = mission
-            self._refused_mission = ""
+            self._refused_mission = self._taken = ""
             self._controller.plan(mission.epoch_ns)
             self._reception.begin(mission.epoch_ns)
             self._hand_numbers.begin(mission.epoch_ns)
             self._wrench_numbers.begin(mission.epoch_ns)
             if self._stop is not None and self._stop.version < mission.version:
                 self._stop = None
+        return None
+
+    def _accept_resume(self, resume: Resume) -> str | None:
+        if resume.version < self._resume_version:
+            return "out_of_order"
+        if resume.version > self._resume_version and (not resume.robots or self.robot in resume.robots):
+            self._resume_version = resume.version
+            self._taken = ""
         return None
 
     def _accept_stop(self, stop: Stop) -> str | None:
@@ -224,8 +237,8 @@ class Agent:
 
     @property
     def done(self) -> bool:
-        """True when a leaving robot stands, or nothing is known of it that could say so."""
-        return self._leaving and (bool(self._plant_trouble) or self._at_rest)
+        """True when a leaving robot stands, does not obey, or nothing is known of it that could say so."""
+        return self._leaving and (bool(self._plant_trouble or self._body_trouble) or self._at_rest)
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
@@ -236,6 +249,9 @@ class Agent:
         self._ages_us.extend([age // 1000 for age in ages_ns if age is not None])
         self._plant_trouble = self._check_plant(now_ns)
         was = self.state
+        if was is State.RELEASED and self._plant_trouble:
+            # A plant that starts again cannot know that its operator had the body: this agent does.
+            self._taken = "its plant was lost while its operator had the body: waiting to be told to resume"
         if not (was is State.RUNNING and self._all_well(now_ns, ages_ns)):
             conditions = self._conditions(now_ns, ages_ns)
             self.state, row = step(was, conditions)
@@ -259,6 +275,14 @@ class Agent:
             return f"plant silent for {age_ns / NS_PER_S:.2f} s"
         return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
 
+    @property
+    def _body_trouble(self) -> str:
+        """Why a body whose pose is good does not do what it is asked; "" when it does."""
+        plant = self._plant
+        if plant is not None and not plant.obeying:
+            return plant.note or "its body does not obey"
+        return self._taken
+
     def _all_well(self, now_ns: int, ages_ns: list[int | None]) -> bool:
         """True when a running robot has nothing to worry about: the table has no row for that."""
         mission, horizon_ns = self._mission, self._horizon_ns
@@ -270,6 +294,7 @@ class Agent:
             or self._leaving
             or self._stop is not None
             or self._numbers
+            or self._body_trouble
             or mission is None
             or now_ns >= mission.epoch_ns + mission.duration_ns
             or self._controller.acts_from_ns(now_ns) < mission.epoch_ns
@@ -291,6 +316,7 @@ class Agent:
             stop = "the mission is over"
         return Conditions(
             plant=self._plant_trouble,
+            body=self._body_trouble,
             numbers=self._numbers,
             neighbours=f"silent neighbours: {', '.join(silent)}" if silent else "",
             mission="" if mission is not None else self._refused_mission or "for a mission",

@@ -23,9 +23,11 @@ from agent.fault_settings import FaultsSection
 from agent.fleet_checks import check_fleet, kinds_by_field
 from agent.fleet_sections import (
     LAWS,
+    LINK_FIELDS,
     TRAJECTORY_FIELDS,
     Body,
     ControlSection,
+    DatumSection,
     FleetSection,
     FormationSection,
     NetworkSection,
@@ -78,6 +80,13 @@ class Fleet:
     )
     network: NetworkSection = field(
         default_factory=NetworkSection, metadata=about("Where processes listen. Not part of the digest.")
+    )
+    datum: DatumSection | None = field(
+        default=None,
+        metadata=about(
+            "Where x = 0, y = 0 lies on the earth. Needed as soon as a robot is a real vehicle: all of them "
+            "drive about this one point."
+        ),
     )
     faults: FaultsSection = field(
         default_factory=FaultsSection,
@@ -321,8 +330,14 @@ def to_dict(fleet: Fleet) -> dict[str, Any]:
 
 
 def digest(fleet: Fleet) -> str:
-    """16 hex digits over what all robots must agree on: everything but ``[network]`` and the description."""
+    """16 hex digits over what all robots must agree on.
+
+    That is everything but ``[network]``, the description, and how a vehicle's own computer reaches it.
+    """
     table = to_dict(fleet)
     del table["network"], table["fleet"]["description"]
+    for robot in table["robot"]:
+        for key in LINK_FIELDS:
+            robot.get("mavlink", {}).pop(key, None)
     canonical = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return blake2b(canonical.encode(), digest_size=8).hexdigest()

@@ -203,6 +203,97 @@ class TrajectorySection:
     clockwise: bool = setting(False, "`circle`: the way round.")
 
 
+SIMULATOR: Final = "simulator"
+"""As a connection: a simulated rover, which whoever starts the bridge starts as well."""
+SHARED_LINKS: Final = ("tcp:", "udpout:")
+"""What a connection begins with that several bridges may have, each to a vehicle of its own."""
+LINK_FIELDS: Final = ("connection", "baud", "signing_key")
+"""Fields of `MavlinkSection` that only say how its own computer reaches a vehicle."""
+_PORT: Final = r"([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"
+
+
+@dataclass(frozen=True, slots=True)
+class MavlinkSection:
+    """``[robot.mavlink]``: one vehicle and the bridge to it."""
+
+    connection: str | None = setting(
+        None,
+        "Where the vehicle is, as pymavlink writes it: `udpin:HOST:PORT` (it sends to this port), "
+        "`udpout:HOST:PORT`, `tcp:HOST:PORT`, or a serial port, best by its id. `simulator`: `run` and "
+        '`preflight` start a simulated rover. Each robot with `plant = "mavlink"` needs one.',
+        pattern=rf"simulator|(udpin|udpout|udp|tcp):[A-Za-z0-9.-]{{1,253}}:{_PORT}|/dev/[^\s,]{{1,200}}",
+        pattern_says='"simulator", "udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT" or a serial port '
+        'such as "/dev/serial/by-id/usb-ArduPilot..."',
+        example='"udpin:0.0.0.0:14550"',
+    )
+    baud: int = setting(115_200, "Speed of a serial port.", unit="1/s", ge=1200, le=4_000_000)
+    system: int | None = setting(
+        None,
+        "The vehicle's MAVLink system id (`SYSID_THISMAV`, `MAV_SYSID`). Left out: the first rover that is "
+        "heard; give it where a link carries several, as that to a MAVLink router does.",
+        ge=1,
+        le=255,
+        example="1",
+    )
+    own_system: int | None = setting(
+        None,
+        "The bridge's own system id; left out: the vehicle's. 255 is a ground station's and not possible.",
+        ge=1,
+        le=254,
+        example="1",
+    )
+    own_component: int = setting(
+        191, "The bridge's own component id: 191 to 194 are onboard computers.", ge=2, le=250
+    )
+    state_rate_hz: float = setting(
+        25.0,
+        "How often the vehicle is to send position and attitude. It may grant less; 40 is ArduPilot's most, "
+        "25 its steadiest.",
+        unit="Hz",
+        ge=5,
+        le=50,
+    )
+    arm: bool = setting(
+        False,
+        "The bridge itself puts the vehicle into GUIDED and arms it, as soon as its estimate is good: "
+        "**it may move without anybody at it having said so**. Else its operator does both.",
+    )
+    set_origin: bool = setting(
+        True, "Gives the vehicle the datum as the origin of its EKF while it has none of its own."
+    )
+    signing_key: str | None = setting(
+        None,
+        "File of the key that signs MAVLink messages, which nobody else may read. Left out: not signed.",
+        pattern=r"[^\x00]{1,400}",
+        pattern_says="a file name",
+        example='"~/.config/handfast/rover1.key"',
+    )
+    max_speed_mps: float = setting(
+        1.0, "Never asks for more, forward or in reverse.", unit="m/s", gt=0, le=20
+    )
+    max_acceleration: float = setting(
+        0.8,
+        "Never asks for a faster change of speed. Below the vehicle's own `ATC_ACCEL_MAX`.",
+        unit="m/s2",
+        gt=0,
+        le=20,
+    )
+    max_yaw_rate_radps: float = setting(1.0, "Never asks for a faster turn.", unit="rad/s", gt=0, le=10)
+
+
+@dataclass(frozen=True, slots=True)
+class DatumSection:
+    """``[datum]``."""
+
+    latitude_deg: float = field(
+        metadata=about("Latitude, WGS 84.", unit="deg", ge=-85, le=85, example="-35.363261")
+    )
+    longitude_deg: float = field(
+        metadata=about("Longitude, WGS 84.", unit="deg", ge=-180, le=180, example="149.165230")
+    )
+    altitude_m: float = setting(0.0, "Height of the ground above mean sea level.", unit="m", ge=-500, le=9000)
+
+
 @dataclass(frozen=True, slots=True)
 class Body:
     """``[robot_defaults]``: what drives, and how it is measured."""
@@ -218,7 +309,11 @@ class Body:
         gt=0,
         le=100,
     )
-    plant: Literal["unicycle"] = setting("unicycle", "What drives: `unicycle` is simulated.")
+    plant: Literal["unicycle", "mavlink"] = setting(
+        "unicycle",
+        "What drives: `unicycle` is simulated, `mavlink` is an ArduPilot Rover, which `[robot.mavlink]` and "
+        "`[datum]` tell of.",
+    )
     max_force_n: float | None = setting(
         None, "Largest driving force; left out: no limit.", unit="N", gt=0, le=1e6, example="50.0"
     )
@@ -239,6 +334,13 @@ class Body:
     )
     yaw_rate_noise_radps: float = setting(
         0.0, "Standard deviation of the measured yaw rate.", unit="rad/s", ge=0, le=100
+    )
+    mavlink: MavlinkSection | None = setting(
+        None,
+        'How a robot with `plant = "mavlink"` is reached, and what it may do (docs/rovers.md). In '
+        "`[robot_defaults.mavlink]` for all, in `[robot.mavlink]` below a `[[robot]]` for one, which then "
+        "takes what it leaves out from the former. `connection`, `baud` and `signing_key` are not part of "
+        "the digest.",
     )
 
 

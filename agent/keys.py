@@ -43,6 +43,16 @@ def stop(fleet: str) -> str:
     return f"{fleet}/stop"
 
 
+def resume(fleet: str) -> str:
+    """Operator's leave to drive again, to every agent and plant."""
+    return f"{fleet}/resume"
+
+
+def checks(fleet: str, robot: int | str) -> str:
+    """What a plant has to say of its body before a drive, for operators."""
+    return f"{fleet}/robot/{robot}/plant/checks"
+
+
 def faults(fleet: str) -> str:
     """Live fault rules of one author, from the operator to every agent and plant."""
     return f"{fleet}/faults"

@@ -23,7 +23,7 @@ from zlib import crc32
 
 import msgpack
 
-VERSION: Final = 2
+VERSION: Final = 3
 BYTES_MAX: Final = 10_240
 NEIGHBOURS_MAX: Final = 64
 TEXT_MAX: Final = 200
@@ -54,6 +54,13 @@ OVERFLOW: Final = 64
 WHAT_MAX: Final = 2**16 - 1
 EVENTS: Final = ("kill", "start", "stop", "continue")
 """What is done to processes: SIGKILL, started again, SIGSTOP, SIGCONT."""
+
+LEVELS: Final = ("ok", "warning", "blocking")
+"""Of a line of `Checks`: fine; worth knowing; no drive begins over it."""
+CHECKS_MAX: Final = 32
+"""Lines of one `Checks`."""
+CHECK_TEXT_MIN: Final = 100
+"""Bytes of a text of `Checks` that there is room for, however many lines it has."""
 
 REASONS: Final = ("oversized", "checksum", "malformed", "version", "type", "not_finite", "range")
 
@@ -100,7 +107,8 @@ class PlantState(NamedTuple):
     x, y (m, W), heading (rad, counter-clockwise from x), speed along the heading (m/s),
     yaw rate (rad/s). `force` (N) and `torque` (N m) are what acts on the body from now on, after
     limits. `driving` is False while the plant brakes of its own accord (no fresh wrench, or told
-    so); `healthy` is False when the measurement must not be used, and `note` says why.
+    so); `healthy` is False when the measurement must not be used; `obeying` is False when it may be, but the
+    body does not do what it is asked: its operator has it. `note` says why.
     """
 
     robot: int
@@ -115,6 +123,7 @@ class PlantState(NamedTuple):
     torque: float
     driving: bool
     healthy: bool
+    obeying: bool
     note: str
 
 
@@ -149,6 +158,32 @@ class Stop(NamedTuple):
     version: int
     time_ns: int
     reason: str
+
+
+class Resume(NamedTuple):
+    """Operator's leave to drive again, for robots whose body an operator took away and gave back.
+
+    `robots` are their ids, none of them means all. A plant obeys a `version` only once, and only a
+    greater one than before.
+    """
+
+    version: int
+    time_ns: int
+    robots: tuple[int, ...]
+
+
+class Checks(NamedTuple):
+    """What a plant has to say of its body before a drive, for operators.
+
+    A line is ``(name, level, found, advice)``: what was looked at, one of `LEVELS`, what was found, and
+    what to do about it ("" when there is nothing to do). At most `CHECKS_MAX` lines, which fit if no text
+    is longer than `CHECK_TEXT_MIN`.
+    """
+
+    robot: int
+    sequence: int
+    time_ns: int
+    lines: tuple[tuple[str, str, str, str], ...]
 
 
 class Status(NamedTuple):
@@ -217,17 +252,19 @@ class Event(NamedTuple):
     rule: str
 
 
-Message = HandState | PlantState | Wrench | Mission | Stop | Status | Faults | LinkTrace | Event
+Message = (
+    HandState | PlantState | Wrench | Mission | Stop | Status | Faults | LinkTrace | Event | Resume | Checks
+)
 
 _CLASSES: Final[tuple[type[Message], ...]] = (
-    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event,
+    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event, Resume, Checks,
 )  # fmt: skip
 _TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}
 
 # Exact types of the fields on the wire; a tuple stands for a variable part, checked on its own.
 _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
     (int, int, int, bool, *(float,) * 8, tuple, tuple),
-    (int, int, int, *(float,) * 7, bool, bool, str),
+    (int, int, int, *(float,) * 7, bool, bool, bool, str),
     (int, int, int, float, float, bool),
     (int, int, int, int, str),
     (int, int, str),
@@ -235,6 +272,8 @@ _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
     (int, int, str, int, int, str),
     (int, int, int, tuple),
     (int, int, int, str, str, str),
+    (int, int, tuple),
+    (int, int, int, tuple),
 )
 _HEAD: Final = 2  # version and type come before the fields
 _FLOATS: Final = tuple(
@@ -362,10 +401,10 @@ def _check_floats(values: tuple[float, ...], what: str) -> None:
         raise Malformed("range", f"{what} holds a number beyond +-{FLOAT_MAX:g}")
 
 
-def clipped(text: str) -> str:
-    """`text` cut to what a message may hold, `TEXT_MAX` bytes."""
+def clipped(text: str, most: int = TEXT_MAX) -> str:
+    """`text` cut to what a message may hold, `most` bytes."""
     data = text.encode()
-    return text if len(data) <= TEXT_MAX else data[: TEXT_MAX - 3].decode(errors="ignore") + "..."
+    return text if len(data) <= most else data[: most - 3].decode(errors="ignore") + "..."
 
 
 def _shown(value: Any) -> str:
@@ -501,4 +540,30 @@ def _event(fields: tuple[Any, ...]) -> Event:
     return event
 
 
-_CHECKS: Final = (_hand_state, _plant_state, _wrench, _mission, _stop, _status, _faults, _link_trace, _event)
+def _resume(fields: tuple[Any, ...]) -> Resume:
+    resume = Resume._make(fields)
+    _check_times(1, resume.version, resume.time_ns)
+    for robot in resume.robots:
+        if type(robot) is not int:
+            raise Malformed("malformed", f"Resume.robots holds {_shown(robot)}, not a robot's id")
+        _check_times(robot, 0, 0)
+    return resume
+
+
+def _checks(fields: tuple[Any, ...]) -> Checks:
+    checks = Checks._make(fields)
+    _check_times(checks.robot, checks.sequence, checks.time_ns)
+    if len(checks.lines) > CHECKS_MAX:
+        raise Malformed("range", f"{len(checks.lines)} lines, at most {CHECKS_MAX} are accepted")
+    for line in checks.lines:
+        if type(line) is not tuple or tuple(map(type, line)) != (str,) * 4:
+            raise Malformed("malformed", f"Checks.lines holds {_shown(line)}, not 4 texts")
+        if line[1] not in LEVELS:
+            raise Malformed("range", f"level {_shown(line[1])} is not one of {', '.join(LEVELS)}")
+    return checks
+
+
+_CHECKS: Final = (
+    _hand_state, _plant_state, _wrench, _mission, _stop, _status, _faults, _link_trace, _event, _resume,
+    _checks,
+)  # fmt: skip

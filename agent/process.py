@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from agent.bus import Bus, BusError
 from agent.clock import NS_PER_S, Clock, RealClock
@@ -21,6 +21,19 @@ LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
 
 Log = Callable[[str], None]
+
+
+class StartError(RuntimeError):
+    """A process's part cannot be made; the text is one clear message."""
+
+
+class Start(NamedTuple):
+    """What a process serves: the endpoints to listen on and to connect to; `close` is called at its end."""
+
+    node: Node
+    listen: Sequence[str]
+    connect: Sequence[str]
+    close: Callable[[], None] = lambda: None
 
 
 class Shutdown:
@@ -102,13 +115,13 @@ def main(
     argv: Sequence[str] | None,
     program: str,
     role: str,
-    start: Callable[[Fleet, int], tuple[Node, Sequence[str], Sequence[str]]],
+    start: Callable[[Fleet, int, Clock, Log], Start],
 ) -> int:
     """Command line of a robot's process: reads the fleet file, opens the bus, serves.
 
     Args:
-        start: from the fleet and the robot's id, the node and the endpoints to listen on and to
-            connect to. May raise `FleetError`.
+        start: makes the process's part from the fleet, the robot's id, the clock and what writes a line
+            of the log. May raise `FleetError` or `StartError`.
 
     Returns the exit status: 0 when it was asked to end, 2 for bad input.
     """
@@ -130,10 +143,14 @@ def main(
 
     try:
         fleet = load_fleet(options.fleet, options.overrides, options.law)
-        node, listen, connect = start(fleet, options.robot)
-        with Bus(listen=listen, connect=connect) as bus:
-            serve(node, bus, RealClock(*FaultPlan(fleet).clock(options.robot)), shutdown, log)
-    except (FleetError, BusError) as error:
+        clock = RealClock(*FaultPlan(fleet).clock(options.robot))
+        node, listen, connect, close = start(fleet, options.robot, clock, log)
+        try:
+            with Bus(listen=listen, connect=connect) as bus:
+                serve(node, bus, clock, shutdown, log)
+        finally:
+            close()
+    except (FleetError, BusError, StartError) as error:
         log(str(error))
         return 2
     return 0

@@ -28,6 +28,7 @@ T = TypeVar("T")
 
 _METADATA: Final = "setting"
 _INVALID: Final = object()  # what a value that has a problem reads as
+_POSITION = re.compile(r"\[\d+\]")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _SUGGESTIONS_MAX = 100  # nearest names are slow to find: a file of rubbish does not get one for each line
 
@@ -291,13 +292,14 @@ class Reader:
         for entry in known.values():
             here = _join(place, entry.key)
             if entry.table is not None:
-                value = self._sub_table(entry, entry.table, raw, here)
+                handed = None if inherited is None else inherited.get(entry.attribute)
+                value = self._sub_table(entry, entry.table, raw, here, handed)
+            elif inherited is not None and entry.attribute in inherited and entry.key not in raw:
+                value = inherited[entry.attribute]
             elif entry.tables is not None:
                 value = self._rows(entry, entry.tables, raw, here, shared)
             elif entry.key in raw:
                 value = self._value(entry.hint, raw[entry.key], here, entry.setting, entry.default)
-            elif inherited is not None and entry.attribute in inherited:
-                value = inherited[entry.attribute]
             elif entry.required:
                 given = example(entry.hint, entry.setting)
                 self.add(here, f"is missing: write for example {entry.key} = {given}")
@@ -305,21 +307,35 @@ class Reader:
             else:
                 value = entry.default
             if not entry.attribute:
-                shared = value if value is not _INVALID else {}
+                shared = _handed_down(entry.hint, value)
             elif value is not _INVALID:
                 values[entry.attribute] = value
         return values
 
-    def _sub_table(self, entry: Entry, model: type, raw: Mapping[str, Any], place: str) -> Any:
-        value = raw.get(entry.key, {})
+    def _sub_table(
+        self,
+        entry: Entry,
+        model: type,
+        raw: Mapping[str, Any],
+        place: str,
+        inherited: Any,
+    ) -> Any:
+        """The table's values. `inherited`: those of the table of defaults, None where it has none."""
+        if entry.key not in raw:
+            if inherited is _INVALID:
+                return _INVALID  # its problem is told where the defaults are
+            if entry.optional and inherited is None:
+                return None
+        value, header = raw.get(entry.key, {}), f"[{_POSITION.sub('', place)}]"
         if not isinstance(value, Mapping):
-            self.add(place, f"must be a table: write [{place}] and its fields below it, got {show(value)}")
+            self.add(place, f"must be a table: write {header} and its fields below it, got {show(value)}")
             return _INVALID
+        handed = inherited if isinstance(inherited, Mapping) else None
         needs = [e.key for e in entries(model).values() if e.required]
-        if needs and entry.key not in raw:
-            self.add(place, f"table [{place}] is missing: it must give at least {' and '.join(needs)}")
+        if needs and entry.key not in raw and handed is None:
+            self.add(place, f"table {header} is missing: it must give at least {' and '.join(needs)}")
             return _INVALID
-        return self._table(model, value, place)
+        return self._table(model, value, place, handed)
 
     def _rows(
         self, entry: Entry, model: type, raw: Mapping[str, Any], place: str, shared: Mapping[str, Any]
@@ -439,7 +455,7 @@ class Reader:
     def _unknown(self, model: type, key: str, place: str) -> None:
         names = list(entries(model))
         kind = "table" if model is self._root else "field"
-        elsewhere = [e.key for e in entries(self._root).values() if key in _names_in(e)]
+        elsewhere = [home for e in entries(self._root).values() for home in _homes(e, key)]
         near = self._nearest(key, names)
         if near is not None:
             self.add(place, f"unknown {kind}; did you mean {near}?")
@@ -510,9 +526,28 @@ class Reader:
         return None, place
 
 
-def _names_in(entry: Entry) -> Iterable[str]:
-    model = entry.table or entry.tables
-    return entries(model) if model is not None else ()
+def _homes(entry: Entry, key: str, above: str = "") -> Iterable[str]:
+    """Names of the tables, from this one down, that may hold `key`."""
+    model, name = entry.table or entry.tables, above + entry.key
+    if model is not None:
+        if key in entries(model):
+            yield name
+        for inside in entries(model).values():
+            yield from _homes(inside, key, name + ".")
+
+
+def _handed_down(model: type, values: Any) -> dict[str, Any]:
+    """What entries of an array inherit of their table of defaults: `_INVALID` for what had a problem there.
+
+    Else they would take the model's own default for it, and be blamed for what nobody wrote.
+    """
+    given = values if isinstance(values, Mapping) else {}
+    handed: dict[str, Any] = {}
+    for entry in entries(model).values():
+        value = given.get(entry.attribute, _INVALID)
+        nested = entry.table is not None and isinstance(value, Mapping)
+        handed[entry.attribute] = _handed_down(entry.hint, value) if nested else value
+    return handed
 
 
 def _override_value(entry: Entry, written: str) -> object:
@@ -540,7 +575,7 @@ def build(model: type[T], values: Mapping[str, Any]) -> T:
             continue
         value = values[entry.attribute]
         if entry.table is not None:
-            value = build(entry.table, value)
+            value = build(entry.table, value) if value is not None else None
         elif entry.tables is not None:
             value = tuple(build(entry.tables, row) for row in value)
         arguments[entry.attribute] = value
@@ -559,7 +594,7 @@ def plain(instance: object) -> dict[str, Any]:
             continue
         value = getattr(instance, entry.attribute)
         if entry.table is not None:
-            value = plain(value)
+            value = plain(value) if value is not None else None
         elif entry.tables is not None:
             value = [plain(row) for row in value]
         if value is not None:

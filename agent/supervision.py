@@ -11,18 +11,24 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, NamedTuple
 
+REST_SPEED: Final = 0.06
+"""Below this (m/s) a robot stands: an EKF reports up to 0.05 m/s of a rover at rest."""
+REST_YAW_RATE: Final = 0.1
+
 
 class State(Enum):
     """What a robot is doing. The values are what status messages carry."""
 
     WAITING = "waiting"
-    """Its plant or a neighbour is missing."""
+    """Its plant or a neighbour is missing, or its body's operator has not handed it over."""
     READY = "ready"
-    """Plant and neighbours are there; a mission or its epoch has not come."""
+    """Plant, body and neighbours are there; a mission or its epoch has not come."""
     RUNNING = "running"
     """Drives by the law."""
     HOLDING = "holding"
     """Brakes because a neighbour has been silent for longer than it can be predicted."""
+    RELEASED = "released"
+    """Its body's operator has taken it away. Its neighbours go on hearing where it is."""
     STOPPING = "stopping"
     """Brakes because the mission is over or a stop was ordered."""
     STOPPED = "stopped"
@@ -35,6 +41,7 @@ class Conditions(NamedTuple):
     """One tick's situation. Each text is empty when all is well, else says what is wrong."""
 
     plant: str
+    body: str
     numbers: str
     neighbours: str
     mission: str
@@ -54,12 +61,12 @@ class Transition(NamedTuple):
 
 
 _ALL: Final = frozenset(State)
-_ACTIVE: Final = frozenset({State.RUNNING, State.HOLDING})
+_ACTIVE: Final = frozenset({State.RUNNING, State.HOLDING, State.RELEASED})
 _BEFORE: Final = frozenset({State.WAITING, State.READY})
 
 
 def _missing(c: Conditions) -> str:
-    return c.plant or c.neighbours
+    return c.plant or c.body or c.neighbours
 
 
 TRANSITIONS: Final[tuple[Transition, ...]] = (
@@ -90,10 +97,12 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
         _missing,
     ),
     Transition("rescheduled", _ACTIVE, State.READY, lambda c: not c.started, lambda c: "for the epoch"),
+    Transition("body_released", _ACTIVE, State.RELEASED, lambda c: bool(c.body), lambda c: c.body),
     Transition(
         "neighbour_silent", _ACTIVE, State.HOLDING, lambda c: bool(c.neighbours), lambda c: c.neighbours
     ),
     Transition("neighbour_back", frozenset({State.HOLDING}), State.RUNNING, lambda c: True, lambda c: ""),
+    Transition("body_back", frozenset({State.RELEASED}), State.RUNNING, lambda c: True, lambda c: ""),
     Transition("incomplete", _BEFORE, State.WAITING, lambda c: bool(_missing(c)), _missing),
     Transition("epoch", _BEFORE, State.RUNNING, lambda c: c.started, lambda c: ""),
     Transition("complete", _BEFORE, State.READY, lambda c: True, lambda c: c.mission or "for the epoch"),

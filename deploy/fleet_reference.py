@@ -48,6 +48,7 @@ not TOML is taken as a string, so that quotes can be left out.
     handfast run delta --set trajectory.kind=hold          # the file's velocity is then left out too
     handfast run delta --set 'formation.edges=[[1, 2], [2, 3]]'
     handfast run delta --set control.plant_timeout_s=200ms
+    handfast run rovers --set robot.3.mavlink.connection=udpin:0.0.0.0:14553
 """
 
 
@@ -70,7 +71,7 @@ def _tables() -> Iterator[str]:
 
 
 def _section(entry: Entry, name: str, above: type | None = None) -> Iterator[str]:
-    """One table of fields, and the arrays of tables within it. Fields that `above` has too are left out."""
+    """One table of fields, and the tables within it. Fields that `above` has too are left out."""
     model = entry.table or entry.tables
     assert model is not None
     title = f"[[{name}]]" if entry.tables else f"[{name}]"
@@ -80,11 +81,11 @@ def _section(entry: Entry, name: str, above: type | None = None) -> Iterator[str
         else {}
     )
     own = [field for field in entries(model).values() if field.key not in known]
-    rows = [_row(field) for field in own if not field.tables]
+    rows = [_row(field) for field in own if not (field.table or field.tables)]
     head = "| field | value | default | meaning | example |\n|---|---|---|---|---|\n"
     yield f"## `{title}`\n\n{entry.setting.doc}\n\n{head}" + "\n".join(rows) + "\n"
     for field in own:
-        if field.tables:
+        if field.table or field.tables:
             yield from _section(field, f"{name}.{field.key}", model)
 
 

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple, get_type_hints
 
 from agent.messages import (
     TOPICS,
+    Checks,
     Event,
     Faults,
     HandState,
@@ -23,6 +24,7 @@ from agent.messages import (
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
@@ -30,7 +32,7 @@ from agent.messages import (
 from agent.node import FIRST_ROUND
 
 CLASSES: Final[tuple[type[Message], ...]] = (
-    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event,
+    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event, Resume, Checks,
 )  # fmt: skip
 
 _ROBOT: Final = "Number of the robot"
@@ -71,7 +73,8 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "torque": "Torque that acts, after limits, N m",
         "driving": "False while the plant brakes of its own accord",
         "healthy": "False when the measurement must not be used",
-        "note": "Why it is not healthy",
+        "obeying": "False when the body's operator has it",
+        "note": "Why it is not healthy, or does not obey",
     },
     Wrench: {
         "robot": _ROBOT,
@@ -127,6 +130,17 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "what": "kill, start, stop (SIGSTOP) or continue",
         "rule": "Name of the rule that asked for it",
     },
+    Resume: {
+        "version": "Grows with every leave",
+        "time_ns": _TIME,
+        "robots": "Numbers of the robots that may drive again; none: all",
+    },
+    Checks: {
+        "robot": _ROBOT,
+        "sequence": _SEQUENCE,
+        "time_ns": _TIME,
+        "lines": "What was looked at, how it stands (ok, warning, blocking), what was found, what to do",
+    },
 }
 
 
@@ -165,6 +179,12 @@ _ROWS: Final[dict[str, tuple[_Column, ...]]] = {
         _Column("error_us", "integer", "Half the offset's uncertainty, us; -1: not known", added=-1),
     ),
     "counters": (_Column("name", "string"), _Column("value", "integer")),
+    "lines": (
+        _Column("name", "string"),
+        _Column("level", "string", "ok, warning or blocking"),
+        _Column("found", "string"),
+        _Column("advice", "string"),
+    ),
     "entries": (
         _Column("source", "integer", "Number of the robot that sent"),
         _Column(
@@ -176,8 +196,8 @@ _ROWS: Final[dict[str, tuple[_Column, ...]]] = {
         _Column("delay_us", "integer", "Injected delay after the stamp, us; -1: lost"),
     ),
 }
-_ADDED_FIELDS: Final[dict[str, Any]] = {"heard": ()}
-"""Fields that messages of version 1 had not, and what stands for them."""
+_ADDED_FIELDS: Final[dict[str, Any]] = {"heard": (), "obeying": True}
+"""Fields that messages of earlier versions had not, and what stands for them."""
 _SCALARS: Final = {int: "integer", float: "number", bool: "boolean", str: "string"}
 
 
@@ -241,8 +261,23 @@ def _hand(m: HandState) -> str:
 
 
 def _plant(m: PlantState) -> str:
-    robot, sequence, time_ns, x, y, heading, speed, yaw_rate, force, torque, driving, healthy, note = m
-    flags = _TRUTH[driving], _TRUTH[healthy], _quoted(note)
+    (
+        robot,
+        sequence,
+        time_ns,
+        x,
+        y,
+        heading,
+        speed,
+        yaw_rate,
+        force,
+        torque,
+        driving,
+        healthy,
+        obeying,
+        note,
+    ) = m
+    flags = _TRUTH[driving], _TRUTH[healthy], _TRUTH[obeying], _quoted(note)
     return _PLANT % (robot, sequence, time_ns, x, y, heading, speed, yaw_rate, force, torque, *flags)
 
 
@@ -267,6 +302,7 @@ def _other(m: Message) -> str:
 _WRITERS: Final[dict[type[Message], Callable[[Any], str]]] = {
     HandState: _hand, PlantState: _plant, Wrench: _wrench,
     Mission: _other, Stop: _other, Status: _other, Faults: _other, LinkTrace: _other, Event: _other,
+    Resume: _other, Checks: _other,
 }  # fmt: skip
 
 
@@ -276,7 +312,7 @@ def to_json(message: Message) -> bytes:
 
 
 def reader(cls: type[Message]) -> Callable[[dict[str, Any]], Message]:
-    """A function from a parsed JSON object to the message. Recordings of version 1 are read as well.
+    """A function from a parsed JSON object to the message. Recordings of earlier versions are read as well.
 
     The function raises KeyError, TypeError or ValueError for an object that is not such a message.
     """
@@ -285,8 +321,8 @@ def reader(cls: type[Message]) -> Callable[[dict[str, Any]], Message]:
     rows = [
         (cls._fields.index(name), _row(columns)) for name, columns in _ROWS.items() if name in cls._fields
     ]
-    plain = [cls._fields.index(name) for name in ("tick_us", "ages_us") if name in cls._fields]
-    if not rows and not plain:
+    plain = [cls._fields.index(name) for name in ("tick_us", "ages_us", "robots") if name in cls._fields]
+    if not rows and not plain and not added:
         return lambda content: cls._make(values(content))
 
     def read(content: dict[str, Any]) -> Message:

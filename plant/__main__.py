@@ -11,8 +11,10 @@ import sys
 from collections.abc import Sequence
 from math import isfinite
 
+from agent.clock import Clock
 from agent.fleet import Fleet
 from agent.messages import FLOAT_MAX
+from agent.process import Log
 from plant.server import main as serve
 from plant.unicycle import Unicycle, from_fleet
 
@@ -43,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
     options, rest = parser.parse_known_args(argv)
 
-    def make(fleet: Fleet, robot: int) -> Unicycle:
+    def make(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Unicycle:
         return from_fleet(fleet, robot, options.pose)
 
     return serve(rest, "python -m plant", make)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from agent.hand import Pose
@@ -18,9 +19,9 @@ class Reading(NamedTuple):
     """What a plant knows of its body.
 
     `time_ns` (wall clock) is when `pose` was true, not when it was read. `force` (N) and `torque`
-    (N m) act on the body from then on. `healthy` is False when the pose must not be used and
-    `note` then says why. The pose of a simulated body is exact: `plant.measurement` adds what
-    its sensors get wrong.
+    (N m) act on the body from then on. `healthy` is False when the pose must not be used; `obeying` is
+    False when it may, but commands do not reach the body, because its operator has it. `note` says why.
+    The pose of a simulated body is exact: `plant.measurement` adds what its sensors get wrong.
     """
 
     time_ns: int
@@ -29,6 +30,19 @@ class Reading(NamedTuple):
     torque: float
     healthy: bool = True
     note: str = ""
+    obeying: bool = True
+
+
+class Check(NamedTuple):
+    """One thing to know of a body before it drives: a line of `agent.messages.Checks`.
+
+    `level` is one of `agent.messages.LEVELS`; `advice` says what to do, "" when there is nothing to do.
+    """
+
+    name: str
+    level: str
+    found: str
+    advice: str = ""
 
 
 class PlantBackend(Protocol):
@@ -44,3 +58,14 @@ class PlantBackend(Protocol):
     def close(self) -> None:
         """Lets go of the body, which is left braking."""
         ...
+
+    def go_ahead(self, now_ns: int) -> None:
+        """The fleet was told to drive: by a new mission, or by leave to resume.
+
+        A body that its operator has taken away and given back obeys again only after this.
+        """
+        return None
+
+    def checks(self, now_ns: int) -> Sequence[Check]:
+        """What is to be said of the body before a drive; nothing of a simulated one."""
+        return ()

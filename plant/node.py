@@ -6,21 +6,39 @@ Pure. The plant obeys a fresh wrench and brakes in any other case.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Final
 
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest
 from agent.hand import Pose
-from agent.messages import TOPICS, Faults, Malformed, Mission, PlantState, Wrench, decode, encode
+from agent.messages import (
+    BYTES_MAX,
+    CHECK_TEXT_MIN,
+    CHECKS_MAX,
+    LEVELS,
+    TEXT_MAX,
+    TOPICS,
+    Checks,
+    Faults,
+    Malformed,
+    Mission,
+    PlantState,
+    Resume,
+    Wrench,
+    clipped,
+    decode,
+    encode,
+)
 from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Numbers, Outgoing
 from agent.reception import Reception
-from plant.backend import Command, PlantBackend, Reading
+from agent.supervision import REST_SPEED, REST_YAW_RATE
+from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 
-REST_SPEED: Final = 0.02
-REST_YAW_RATE: Final = 0.05
+CHECKS_PERIOD_NS: Final = NS_PER_S
 _WRENCH: Final = TOPICS.index("wrench")
 
 
@@ -43,18 +61,32 @@ class PlantNode:
         self._key_wrench = keys.wrench(name, robot)
         self.alive_key: Final = keys.alive(name, robot, "plant")
         self._key_mission = keys.mission(name)
+        self._key_resume = keys.resume(name)
+        self._key_checks = keys.checks(name, robot)
         self._digest = digest(fleet)
-        self._mission_version = -1
+        self._mission_version = self._resume_version = -1
+        self._levels: list[tuple[str, str]] = []
+        self._checks_due_ns = self._checks_sequence = 0
         self._reception = Reception(fleet, robot, "plant", {"wrench": (robot,)})
         self.plan: Final = self._reception.plan
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
-        self.subscriptions: Final = (self._key_wrench, self._key_mission, *self._reception.subscriptions)
-        self.publications: Final = (self._key_state, self._key_truth, *self._reception.publications)
+        self.subscriptions: Final = (
+            self._key_wrench,
+            self._key_mission,
+            self._key_resume,
+            *self._reception.subscriptions,
+        )
+        self.publications: Final = (
+            self._key_state,
+            self._key_truth,
+            self._key_checks,
+            *self._reception.publications,
+        )
         self.rejected: Counter[str] = Counter()
         self.overruns = 0
         self._wrench: Wrench | None = None
         self._leaving = False
-        self._at_rest = True
+        self._at_rest = self._obeying = True
         self._numbers = Numbers(self.period_ns)
         self._condition = ("braking", "no wrench yet")
 
@@ -64,7 +96,7 @@ class PlantNode:
 
     @property
     def done(self) -> bool:
-        return self._leaving and self._at_rest
+        return self._leaving and (self._at_rest or not self._obeying)
 
     def leave(self) -> None:
         """The process is about to end: brakes, whatever the agent says."""
@@ -76,7 +108,8 @@ class PlantNode:
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes a wrench; anything else, and one that is older than the last, is counted and ignored.
 
-        The mission and live faults are taken too: they say which faults hold on the way from the agent.
+        The mission and live faults are taken too: they say which faults hold on the way from the agent. A
+        mission, and leave to resume, also let a body obey again that its operator has given back.
         """
         try:
             message = decode(payload)
@@ -92,7 +125,10 @@ class PlantNode:
                     reason = None
         elif type(message) is Mission:
             if key == self._key_mission:
-                reason = self._accept_mission(message)
+                reason = self._accept_mission(message, now_ns)
+        elif type(message) is Resume:
+            if key == self._key_resume:
+                reason = self._accept_resume(message, now_ns)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
@@ -106,13 +142,22 @@ class PlantNode:
         self._wrench = wrench
         return None
 
-    def _accept_mission(self, mission: Mission) -> str | None:
+    def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         if mission.digest != self._digest:
             return "digest"
         if mission.version > self._mission_version:
             self._mission_version = mission.version
             self._numbers.begin(mission.epoch_ns)
             self._reception.begin(mission.epoch_ns)
+            self._backend.go_ahead(now_ns)
+        return None
+
+    def _accept_resume(self, resume: Resume, now_ns: int) -> str | None:
+        if resume.version < self._resume_version:
+            return "out_of_order"
+        if resume.version > self._resume_version and (not resume.robots or self.robot in resume.robots):
+            self._resume_version = resume.version
+            self._backend.go_ahead(now_ns)
         return None
 
     def _arrive(self, now_ns: int) -> None:
@@ -148,7 +193,7 @@ class PlantNode:
             self._arrive(now_ns)
         command = self._command(now_ns)
         reading = self._backend.step(now_ns, command)
-        pose = reading.pose
+        pose, self._obeying = reading.pose, reading.obeying
         self._at_rest = abs(pose.speed) < REST_SPEED and abs(pose.yaw_rate) < REST_YAW_RATE
         sequence = self._numbers.next(reading.time_ns)
         measured = self._measurement.measured(pose, reading.time_ns, sequence)
@@ -157,8 +202,31 @@ class PlantNode:
             out.append((self._key_state, encode(self._state(sequence, reading, measured, command))))
         if not self._measurement.exact:
             out.append((self._key_truth, encode(self._state(sequence, reading, pose, command))))
+        checks = self._backend.checks(now_ns)
+        levels = [(check.name, check.level) for check in checks]
+        # Their texts may hold figures that change with every tick: those wait for their second.
+        if checks and (now_ns >= self._checks_due_ns or levels != self._levels):
+            self._levels = levels
+            out.append((self._key_checks, self._told(checks, now_ns)))
         out += self._reception.outgoing(now_ns, flush=command is None)
         return out
+
+    def _told(self, checks: Sequence[Check], now_ns: int) -> bytes:
+        """The checks as a message that fits: of too many lines the worst, of too much text the beginnings."""
+        self._checks_due_ns = now_ns + CHECKS_PERIOD_NS
+        self._checks_sequence += 1
+        if len(checks) > CHECKS_MAX:
+            checks = sorted(checks, key=lambda check: -LEVELS.index(check.level))[:CHECKS_MAX]
+        payload = b""
+        for most in (TEXT_MAX, CHECK_TEXT_MIN):
+            lines = tuple(
+                (clipped(name, most), level, clipped(found, most), clipped(advice, most))
+                for name, level, found, advice in checks
+            )
+            payload = encode(Checks(self.robot, self._checks_sequence - 1, now_ns, lines))
+            if len(payload) <= BYTES_MAX:
+                break
+        return payload
 
     def _state(self, sequence: int, reading: Reading, pose: Pose, command: Command | None) -> PlantState:
         return PlantState(
@@ -168,7 +236,8 @@ class PlantNode:
             *pose,
             reading.force,
             reading.torque,
-            command is not None,
+            command is not None and reading.healthy and reading.obeying,
             reading.healthy,
-            reading.note,
+            reading.obeying,
+            clipped(reading.note),
         )

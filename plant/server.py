@@ -4,17 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from agent.clock import Clock
 from agent.fleet import Fleet
+from agent.process import Log, Start
 from agent.process import main as process_main
 from plant.backend import PlantBackend
 from plant.node import PlantNode
 
 
-def main(argv: Sequence[str] | None, program: str, make: Callable[[Fleet, int], PlantBackend]) -> int:
-    """Command line of a plant process; `make` builds the backend of a robot. Returns the exit status."""
+def main(
+    argv: Sequence[str] | None, program: str, make: Callable[[Fleet, int, Clock, Log], PlantBackend]
+) -> int:
+    """Command line of a plant process. Returns the exit status.
 
-    def start(fleet: Fleet, robot: int) -> tuple[PlantNode, Sequence[str], Sequence[str]]:
-        node = PlantNode(fleet, robot, make(fleet, robot))
-        return node, [fleet.plant_endpoint(robot)], [fleet.agent_endpoint(robot)]
+    Args:
+        make: the backend of a robot, from its fleet, its id, the process's clock and what writes a line of
+            its log.
+    """
+
+    def start(fleet: Fleet, robot: int, clock: Clock, log: Log) -> Start:
+        backend = make(fleet, robot, clock, log)
+        node = PlantNode(fleet, robot, backend)
+        return Start(node, [fleet.plant_endpoint(robot)], [fleet.agent_endpoint(robot)], backend.close)
 
     return process_main(argv, program, "plant", start)

@@ -13,7 +13,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.fleet_sections import Robot
 from agent.hand import Pose
-from plant.backend import Command, Reading
+from plant.backend import Command, PlantBackend, Reading
 
 TURN_MAX: Final = 0.5
 """Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
@@ -100,7 +100,7 @@ def _limited(value: float, limit: float | None) -> float:
     return value if limit is None else min(limit, max(-limit, value))
 
 
-class Unicycle:
+class Unicycle(PlantBackend):
     """The simulated body of one robot, a `plant.backend.PlantBackend`.
 
     Args:

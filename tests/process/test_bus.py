@@ -30,10 +30,12 @@ from agent.bus import Bus
 from agent.fleet import Fleet, load_fleet, to_dict
 from agent.messages import (
     VERSION,
+    Checks,
     HandState,
     Malformed,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
@@ -190,11 +192,12 @@ class Hostile:
         self._random = random.Random(seed)
         self._pause_s = pause_s
         name, ids = fleet.fleet.name, [*fleet.ids]
-        of_robot = (keys.hand, keys.status, keys.plant_state, keys.plant_truth, keys.wrench)
+        of_robot = (keys.hand, keys.status, keys.plant_state, keys.plant_truth, keys.wrench, keys.checks)
         self._keys = [
             *(of(name, robot) for of in of_robot for robot in ids),
             keys.mission(name),
             keys.stop(name),
+            keys.resume(name),
             f"{name}/faults",
             keys.hand(name, 9999),
             keys.status(name, 9999),
@@ -311,10 +314,10 @@ class Hostile:
             encode(HandState(stranger, 1, now_ns, True, *[0.0] * 8, (), ())),
             encode(HandState(robot, 1, far_ns, True, *[0.0] * 8, (), ())),
             encode(HandState(robot, 1, -now_ns, True, *[0.0] * 8, (), ())),
-            encode(PlantState(robot, 1, now_ns, *[nan] * 7, True, True, "")),
-            encode(PlantState(stranger, 1, now_ns, *[0.0] * 7, True, False, "x" * 199)),
-            encode(PlantState(robot, 1, 0, *[0.0] * 7, False, False, "from 1970")),
-            encode(PlantState(robot, 1, far_ns, *[0.0] * 7, True, True, "")),
+            encode(PlantState(robot, 1, now_ns, *[nan] * 7, True, True, True, "")),
+            encode(PlantState(stranger, 1, now_ns, *[0.0] * 7, True, False, True, "x" * 199)),
+            encode(PlantState(robot, 1, 0, *[0.0] * 7, False, False, True, "from 1970")),
+            encode(PlantState(robot, 1, far_ns, *[0.0] * 7, True, True, True, "")),
             encode(Wrench(robot, 1, now_ns, inf, 0.0, False)),
             encode(Wrench(stranger, 1, now_ns, 99.0, 0.0, False)),
             encode(Wrench(robot, 1, far_ns, 99.0, 9.0, False)),
@@ -324,6 +327,9 @@ class Hostile:
             # Before there is a mission, anybody's stop is one: a matter of authentication.
             *([encode(Stop(1, now_ns, "of an older mission"))] if self._mission_heard else []),
             encode(Stop(-1, now_ns, "")),
+            encode(Resume(-1, now_ns, ())),
+            encode(Resume(2**61, now_ns, (stranger, 2**40))),
+            encode(Checks(robot, 1, now_ns, (("gps", "bad", "", ""),))),
             encode(Status(stranger, 1, now_ns, "fault", "", 0, (), (), (), ())),
         ]
 

@@ -11,15 +11,20 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agent.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
+from agent.fleet_sections import MavlinkSection
 from agent.schema import Entry, entries
 
-KEYS = sorted(
-    {
+
+def keys_in(model: type) -> set[str]:
+    return {
         key
-        for entry in entries(Fleet).values()
-        for key in (entry.key, *entries(entry.table or entry.tables or Fleet))
+        for entry in entries(model).values()
+        for inside in (entry.table or entry.tables,)
+        for key in {entry.key} | (keys_in(inside) if inside is not None else set())
     }
-)
+
+
+KEYS = sorted(keys_in(Fleet))
 
 scalars = (
     st.booleans()
@@ -73,6 +78,23 @@ def trajectories(draw: st.DrawFn) -> dict[str, Any]:
     return {"start_m": draw(points)}
 
 
+links = st.fixed_dictionaries(
+    {},
+    optional={
+        "connection": st.from_regex(r"(udpin|tcp):[a-z0-9.]{1,20}:[1-9][0-9]{0,3}", fullmatch=True)
+        | st.just("simulator"),
+        "system": st.integers(1, 255),
+        "arm": st.booleans(),
+        "state_rate_hz": st.floats(5, 50),
+        "signing_key": st.text(min_size=1, max_size=20).filter(lambda text: "\0" not in text),
+    },
+)
+DATUM = st.fixed_dictionaries(
+    {"latitude_deg": st.floats(-85, 85), "longitude_deg": st.floats(-180, 180)},
+    optional={"altitude_m": st.floats(-500, 9000)},
+)
+
+
 @st.composite
 def fleets(draw: st.DrawFn) -> dict[str, Any]:
     ids = draw(st.lists(st.integers(1, 9999), min_size=1, max_size=6, unique=True))
@@ -96,8 +118,14 @@ def fleets(draw: st.DrawFn) -> dict[str, Any]:
                 {}, optional={"mass_kg": small, "max_force_n": small, "heading_rad": far.map(math.sin)}
             )
         )
+        if draw(st.booleans()):
+            row["mavlink"] = draw(links)
+        if draw(st.booleans()):
+            row["plant"] = "mavlink"
+            row["mavlink"] = {**row.get("mavlink", {}), "connection": f"udpout:10.0.0.1:{robot}"}
         rows.append(row)
     return {
+        "datum": draw(DATUM),
         "fleet": {
             "name": draw(st.from_regex(r"[A-Za-z0-9_-]{1,40}", fullmatch=True)),
             "rate_hz": draw(st.floats(10, 1000)),
@@ -111,7 +139,9 @@ def fleets(draw: st.DrawFn) -> dict[str, Any]:
         ),
         "trajectory": draw(trajectories()),
         "robot_defaults": draw(
-            st.fixed_dictionaries({}, optional={"mass_kg": small, "position_noise_m": small})
+            st.fixed_dictionaries(
+                {}, optional={"mass_kg": small, "position_noise_m": small, "mavlink": links}
+            )
         ),
         "robot": rows,
     }
@@ -123,6 +153,16 @@ def test_a_fleet_survives_being_written(table: dict[str, Any]) -> None:
     again = parse_fleet(tomli_w.dumps(to_dict(fleet)), source="again")
     assert again == fleet
     assert digest(again) == digest(fleet)
+
+
+@given(fleets())
+def test_every_link_is_that_of_the_defaults_but_for_what_its_robot_says(table: dict[str, Any]) -> None:
+    fleet = parse_fleet(tomli_w.dumps(table), source="drawn")
+    shared = table["robot_defaults"].get("mavlink")
+    for row, robot in zip(table["robot"], fleet.robots, strict=True):
+        own = row.get("mavlink")
+        given_at_all = None if shared is None and own is None else {**(shared or {}), **(own or {})}
+        assert robot.mavlink == (None if given_at_all is None else MavlinkSection(**given_at_all))
 
 
 @given(fleets())

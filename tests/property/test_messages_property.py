@@ -15,13 +15,17 @@ from hypothesis import strategies as st
 from agent.messages import (
     AUTHOR_MAX,
     BYTES_MAX,
+    CHECK_TEXT_MIN,
+    CHECKS_MAX,
     EVENTS,
     EVERY_AUTHOR,
     FLOAT_MAX,
+    LEVELS,
     REASONS,
     TIME_NS_MAX,
     VERSION,
     WHAT_MAX,
+    Checks,
     Event,
     Faults,
     HandState,
@@ -30,6 +34,7 @@ from agent.messages import (
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
@@ -50,7 +55,7 @@ HANDS = st.builds(
     st.lists(st.tuples(ROBOT, FLOAT), max_size=64).map(tuple),
     st.lists(st.tuples(ROBOT, MICROSECONDS), max_size=64).map(tuple),
 )
-PLANTS = st.builds(PlantState, *(ROBOT, NS, NS, *[FLOAT] * 7, st.booleans(), st.booleans(), TEXT))
+PLANTS = st.builds(PlantState, *(ROBOT, NS, NS, *[FLOAT] * 7, *[st.booleans()] * 3, TEXT))
 WRENCHES = st.builds(Wrench, ROBOT, NS, NS, FLOAT, FLOAT, st.booleans())
 MISSIONS = st.builds(Mission, NS, NS, NS, st.integers(1, TIME_NS_MAX - 1), TEXT)
 STOPS = st.builds(Stop, NS, NS, TEXT)
@@ -71,7 +76,13 @@ TRACES = st.builds(LinkTrace, ROBOT, NS, NS, st.lists(ENTRIES, max_size=128).map
 HAPPENINGS = st.builds(
     Event, ROBOT, NS, NS, st.sampled_from(["agent", "plant"]), st.sampled_from(EVENTS), TEXT
 )
-MESSAGES = st.one_of(HANDS, PLANTS, WRENCHES, MISSIONS, STOPS, STATUSES, FAULTS, TRACES, HAPPENINGS)
+RESUMES = st.builds(Resume, NS, NS, st.lists(ROBOT, max_size=64).map(tuple))
+SHORT = st.text(max_size=50).filter(lambda text: len(text.encode()) <= CHECK_TEXT_MIN)
+LINES = st.tuples(SHORT, st.sampled_from(LEVELS), SHORT, SHORT)
+CHECKS = st.builds(Checks, ROBOT, NS, NS, st.lists(LINES, max_size=CHECKS_MAX).map(tuple))
+MESSAGES = st.one_of(
+    HANDS, PLANTS, WRENCHES, MISSIONS, STOPS, STATUSES, FAULTS, TRACES, HAPPENINGS, RESUMES, CHECKS
+)
 
 
 def floats_of(value: Any) -> list[float]:
@@ -105,6 +116,10 @@ def survives(payload: bytes) -> Message | None:
         assert all((type(name), type(count)) == (str, int) for name, count in message.counters)
     elif isinstance(message, LinkTrace):
         assert all(tuple(map(type, entry)) == (int,) * 6 for entry in message.entries)
+    elif isinstance(message, Resume):
+        assert all(type(robot) is int and 0 < robot <= 9999 for robot in message.robots)
+    elif isinstance(message, Checks):
+        assert all(tuple(map(type, line)) == (str,) * 4 and line[1] in LEVELS for line in message.lines)
     assert decode(encode(message)) == message
     hash(message)
     return message
@@ -130,7 +145,7 @@ def test_random_bytes(payload: bytes):
     survives(sealed(payload))
 
 
-@given(st.binary(max_size=200), st.integers(0, 10), st.integers(6, 15))
+@given(st.binary(max_size=200), st.integers(0, 12), st.integers(6, 15))
 @settings(max_examples=300)
 def test_random_bytes_after_a_good_head(payload: bytes, number: int, fields: int):
     survives(sealed(bytes([0x90 | fields, VERSION, number]) + payload))
@@ -219,7 +234,7 @@ def test_a_field_replaced_by_anything(message: Message, data: st.DataObject):
     survives(sealed(msgpack.packb(fields)))
 
 
-@given(STATUSES | HANDS | TRACES, st.data())
+@given(STATUSES | HANDS | TRACES | RESUMES | CHECKS, st.data())
 @settings(max_examples=300)
 def test_an_entry_of_a_list_replaced_by_anything(message: Message, data: st.DataObject):
     fields = list(msgpack.unpackb(opened(encode(message))))
@@ -259,12 +274,21 @@ def test_integers_and_single_precision_are_taken_for_floats(message: Wrench):
     assert type(mixed.torque) is float
 
 
+V = bytes([VERSION])
 OPENINGS = {"array": b"\x91", "array of two": b"\x92\x01", "map": b"\x81\x01", "long": b"\xdc\x00\x01"}
-HEADS = {b"": 0, b"\x9f": 14, b"\x9f\x02": 13, b"\x9f\x02\x00": 12, b"\x98\x02\x02\x01\x01\x01": 2}
+HEADS = {
+    b"": 0,
+    b"\x9f": 14,
+    b"\x9f" + V: 13,
+    b"\x9f" + V + b"\x00": 12,
+    b"\x98" + V + b"\x02\x01\x01\x01": 2,
+    b"\x95" + V + b"\x09\x01\x01": 0,
+    b"\x96" + V + b"\x0a\x01\x01\x01": 0,
+}
 
 
 @given(st.integers(1, 1100), st.sampled_from(sorted(OPENINGS)), st.sampled_from(sorted(HEADS)))
-@example(1000, "array", b"\x9f\x02")
+@example(1000, "array", b"\x9f" + V)
 @settings(max_examples=300)
 def test_nesting_of_any_depth(depth: int, opening: str, head: bytes):
     """Closed as it should be, so that MessagePack itself has nothing against it.

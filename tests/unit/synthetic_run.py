@@ -69,7 +69,9 @@ def messages(
         for robot, path in zip(fleet.robots, paths, strict=True):
             x, y, heading = path(t)
             i, offset = robot.id, robot.hand_offset_m
-            pose = PlantState(i, sequence, time_ns, x, y, heading, 0.1, 0.01 * i, 2.0, 0.1, True, True, "")
+            pose = PlantState(
+                i, sequence, time_ns, x, y, heading, 0.1, 0.01 * i, 2.0, 0.1, True, True, True, ""
+            )
             if truth:
                 yield received, keys.plant_truth(prefix, i), pose
                 pose = pose._replace(x=x + 0.5, y=y - 0.5)

@@ -38,7 +38,7 @@ def test_as_many_wrenches_are_remembered_as_the_oldest_plant_state_needs(rate_hz
     now_ns = T0 + period_ns // 2 + age_ns // period_ns * period_ns - period_ns
     for tick_ns in range(T0 - 10 * period_ns + period_ns // 2, now_ns, period_ns):
         controller.sent(tick_ns, 2.0 if tick_ns > T0 else 0.0, 0.0)
-    state = PlantState(1, 0, T0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.0, True, True, "")
+    state = PlantState(1, 0, T0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.0, True, True, True, "")
     pushed_s = (now_ns - T0 - period_ns) / S  # the wrench of T0's round acts from the next on
     pose = advance(Pose(0.0, 0.0, 0.3, 0.1, 0.0), 0.0, 0.0, body.mass_kg, body.inertia_kgm2, period_ns / S)
     pose = advance(pose, 2.0, 0.0, body.mass_kg, body.inertia_kgm2, pushed_s)

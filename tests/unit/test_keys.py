@@ -15,12 +15,32 @@ def test_keys_of_faults_and_links():
     assert keys.plant_links("delta", "*") == "delta/robot/*/plant/links"
 
 
+def test_keys_of_what_operators_say_to_plants_and_hear_of_them():
+    assert keys.resume("delta") == "delta/resume"
+    assert keys.checks("delta", 3) == "delta/robot/3/plant/checks"
+    assert keys.checks("delta", "*") == "delta/robot/*/plant/checks"
+
+
 def test_no_key_is_used_twice():
-    by_robot = (keys.hand, keys.status, keys.plant_state, keys.plant_truth, keys.wrench, keys.links)
+    by_robot = (
+        keys.hand,
+        keys.status,
+        keys.plant_state,
+        keys.plant_truth,
+        keys.wrench,
+        keys.links,
+        keys.checks,
+    )
     used = [key("delta", 3) for key in (*by_robot, keys.plant_links)]
     used += [keys.faults_held("delta", 3, role) for role in keys.ROLES]
     used += [keys.alive("delta", 3, role) for role in keys.ROLES]
-    used += [keys.mission("delta"), keys.stop("delta"), keys.faults("delta")]
+    used += [
+        keys.mission("delta"),
+        keys.stop("delta"),
+        keys.resume("delta"),
+        keys.faults("delta"),
+        keys.events("delta"),
+    ]
     assert len(set(used)) == len(used)
 
 

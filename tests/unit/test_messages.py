@@ -14,9 +14,12 @@ import pytest
 from agent.messages import (
     AUTHOR_MAX,
     BYTES_MAX,
+    CHECK_TEXT_MIN,
+    CHECKS_MAX,
     EVENTS,
     EVERY_AUTHOR,
     FLOAT_MAX,
+    LEVELS,
     NEIGHBOURS_MAX,
     REASONS,
     RULES_MAX,
@@ -26,6 +29,7 @@ from agent.messages import (
     TRACE_MAX,
     VERSION,
     WHAT_MAX,
+    Checks,
     Event,
     Faults,
     HandState,
@@ -34,9 +38,11 @@ from agent.messages import (
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
+    clipped,
     decode,
     encode,
 )
@@ -46,7 +52,8 @@ HAND = HandState(
     3, 7, 10**18, True, 1.5, -2.0, 0.25, 0.0, 0.1, 0.2, -0.3, 0.4,
     ((1, 0.5), (2, -1.25), (9999, 0.0)), ((1, 20_000), (2, -150)),
 )  # fmt: skip
-PLANT = PlantState(3, 8, 10**18, 1.0, 2.0, -0.5, 0.3, 0.01, 12.0, -0.5, True, False, "no estimate")
+V = bytes([VERSION])
+PLANT = PlantState(3, 8, 10**18, 1.0, 2.0, -0.5, 0.3, 0.01, 12.0, -0.5, True, True, False, "mode MANUAL")
 WRENCH = Wrench(3, 9, 10**18, 4.5, -0.125, False)
 MISSION = Mission(2, 10**18, 10**18 + 5, 30 * 10**9, "0123456789abcdef")
 STOP = Stop(2, 10**18, "by the operator")
@@ -66,7 +73,10 @@ FAULTS = Faults(4, 10**18, "bench (Ada)", 10**18 - 5, 3 * 10**9, '[[rule]]\nlink
 ENTRY = (2, 0, 2**20 + 7, 10**18, 16, 80_000)
 TRACE = LinkTrace(3, 11, 10**18, (ENTRY, (3, 1, 9, 10**18, 33, -1), (3, 2, 9, 10**18, 0, 0)))
 EVENT = Event(3, 12, 10**18, "plant", EVENTS[2], "pause at noon")
-MESSAGES = [HAND, PLANT, WRENCH, MISSION, STOP, STATUS, FAULTS, TRACE, EVENT]
+RESUME = Resume(5, 10**18, (3, 9999, 1))
+LINE = ("gps", "warning", "fix 3D, 7 satellites", "wait for more")
+CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED"), ("link", "ok", "", "")))
+MESSAGES = [HAND, PLANT, WRENCH, MISSION, STOP, STATUS, FAULTS, TRACE, EVENT, RESUME, CHECKS]
 NUMBER = {type(message): number for number, message in enumerate(MESSAGES)}
 
 
@@ -140,8 +150,8 @@ def test_floats_keep_every_bit():
         packed(VERSION, 4, 2, 0, {}),
         packed(VERSION, 4, 2, 0, {"a": 1}),
         packed(VERSION, 4, 2, 0, None),
-        sealed(b"\x95\x02\x04\x02\x00\xa2\xff\xfe"),  # text that is not UTF-8
-        sealed(b"\x95\x02\x04\x02\x00\xa3\xed\xa0\x80"),  # half of a surrogate pair
+        sealed(b"\x95" + V + b"\x04\x02\x00\xa2\xff\xfe"),  # text that is not UTF-8
+        sealed(b"\x95" + V + b"\x04\x02\x00\xa3\xed\xa0\x80"),  # half of a surrogate pair
     ],
 )
 def test_malformed(payload: bytes):
@@ -182,9 +192,16 @@ def test_without_its_checksum_a_message_is_refused_for_that():
         assert reason(junk) == "checksum"
 
 
+def test_a_program_of_version_2_is_named_as_such():
+    """Its plant states had no `obeying`."""
+    with pytest.raises(Malformed, match="version 2, this program speaks 3") as caught:
+        decode(packed(2, 1, *PLANT[:-2], PLANT.note))
+    assert caught.value.reason == "version"
+
+
 def test_a_program_of_version_1_is_named_as_such():
     """It sent the array alone."""
-    with pytest.raises(Malformed, match="version 1, this program speaks 2") as caught:
+    with pytest.raises(Malformed, match="version 1, this program speaks 3") as caught:
         decode(msgpack.packb([1, 0, *HAND[:-1]]))
     assert caught.value.reason == "version"
     assert reason(msgpack.packb([1, 4, 2, 10**18, "by the operator"])) == "version"
@@ -221,6 +238,8 @@ def test_bool_is_no_integer_and_no_float():
     assert reason(changed(HAND, heard=[[1, True]])) == "malformed"
     assert reason(changed(STATUS, tick_us=[True])) == "malformed"
     assert reason(changed(TRACE, entries=[[*ENTRY[:4], True, 5]])) == "malformed"
+    assert reason(changed(RESUME, robots=[True])) == "malformed"
+    assert reason(changed(PLANT, obeying=1)) == "malformed"
     assert reason(packed(True, 0, *HAND)) == "version"
     assert reason(packed(VERSION, False, *HAND)) == "type"
 
@@ -246,17 +265,23 @@ def test_integers_are_taken_for_multipliers_as_well():
 
 def test_single_precision_is_taken():
     payload = (
-        b"\x98\x02\x02\x03\x09\x00" + b"\xca" + struct.pack(">f", 0.5) + b"\xca" + struct.pack(">f", -2.0)
+        b"\x98"
+        + V
+        + b"\x02\x03\x09\x00"
+        + b"\xca"
+        + struct.pack(">f", 0.5)
+        + b"\xca"
+        + struct.pack(">f", -2.0)
     )
     assert decode(sealed(payload + b"\xc2")) == Wrench(3, 9, 0, 0.5, -2.0, False)
 
 
-@pytest.mark.parametrize("version", [0, 1, 3, -1, 255, 2**63, 2.0, "2", None, [2]])
+@pytest.mark.parametrize("version", [0, 1, 2, 4, -1, 255, 2**63, 2.0, "2", None, [2]])
 def test_other_versions(version: object):
     assert reason(packed(version, 0, *HAND)) == "version"
 
 
-@pytest.mark.parametrize("number", [9, -1, 255, 2**64 - 1, 0.0, "0", None, [0]])
+@pytest.mark.parametrize("number", [len(MESSAGES), -1, 255, 2**64 - 1, 0.0, "0", None, [0]])
 def test_unknown_types(number: object):
     assert reason(packed(VERSION, number, *HAND)) == "type"
 
@@ -348,6 +373,20 @@ def test_absurd_numbers_whose_sum_overflows():
         changed(TRACE, entries=[(*ENTRY[:4], WHAT_MAX + 1, 5)]),
         changed(TRACE, entries=[(*ENTRY[:5], -2)]),
         changed(TRACE, entries=[(*ENTRY[:5], TIME_NS_MAX)]),
+        changed(RESUME, version=-1),
+        changed(RESUME, version=TIME_NS_MAX),
+        changed(RESUME, time_ns=-1),
+        changed(RESUME, time_ns=TIME_NS_MAX),
+        changed(RESUME, robots=[0]),
+        changed(RESUME, robots=[3, -1]),
+        changed(RESUME, robots=[10_000]),
+        changed(CHECKS, robot=0),
+        changed(CHECKS, sequence=-1),
+        changed(CHECKS, time_ns=TIME_NS_MAX),
+        changed(CHECKS, lines=[LINE] * (CHECKS_MAX + 1)),
+        changed(CHECKS, lines=[LINE, ("gps", "", "", "")]),
+        changed(CHECKS, lines=[("gps", "bad", "", "")]),
+        changed(CHECKS, lines=[("gps", "OK", "", "")]),
     ],
 )
 def test_out_of_range(payload: bytes):
@@ -390,6 +429,20 @@ def test_out_of_range(payload: bytes):
         changed(TRACE, entries=[(*ENTRY, 0)]),
         changed(TRACE, entries=[(*ENTRY[:5], 5.0)]),
         changed(TRACE, entries=["123456"]),
+        changed(RESUME, robots=["3"]),
+        changed(RESUME, robots=[3.0]),
+        changed(RESUME, robots=[None]),
+        changed(RESUME, robots=[[3]]),
+        changed(RESUME, robots=[1] * 2049),  # more than an array may hold
+        changed(CHECKS, lines=["gps"]),
+        changed(CHECKS, lines=["four"]),
+        changed(CHECKS, lines=[[]]),
+        changed(CHECKS, lines=[LINE[:3]]),
+        changed(CHECKS, lines=[(*LINE, "")]),
+        changed(CHECKS, lines=[("gps", 0, "", "")]),
+        changed(CHECKS, lines=[("gps", "ok", "", None)]),
+        changed(CHECKS, lines=[(["gps"], "ok", "", "")]),
+        changed(CHECKS, lines=[(b"gps", "ok", "", "")]),
     ],
 )
 def test_malformed_parts(payload: bytes):
@@ -416,6 +469,8 @@ def test_only_rules_may_be_long():
         changed(MISSION, digest=long),
         changed(STATUS, state=long),
         changed(STATUS, counters=[[long, 1]]),
+        changed(CHECKS, lines=[("gps", "ok", long, "")]),
+        changed(CHECKS, lines=[("gps", "ok", "", long)]),
         packed(VERSION, long, *HAND),
     ):
         assert reason(payload) == "malformed"
@@ -453,6 +508,27 @@ def test_as_many_entries_as_a_trace_may_have_fit_however_large_their_numbers():
     assert decode(encode(most)) == most
 
 
+def test_leave_to_resume_names_robots_or_means_all():
+    assert decode(encode(RESUME._replace(robots=()))) == Resume(5, 10**18, ())
+    many = RESUME._replace(robots=tuple(range(7952, 10_000)))
+    assert decode(encode(many)) == many
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_as_many_checks_as_one_message_may_have_fit_in_it(level: str):
+    longest = "é" * (CHECK_TEXT_MIN // 2)
+    most = Checks(9999, TIME_NS_MAX - 1, TIME_NS_MAX - 1, ((longest, level, longest, longest),) * CHECKS_MAX)
+    assert decode(encode(most)) == most
+    assert decode(encode(CHECKS._replace(lines=()))).lines == ()
+
+
+def test_a_text_is_cut_at_a_whole_character():
+    assert clipped("x" * TEXT_MAX) == "x" * TEXT_MAX
+    assert clipped("x" * (TEXT_MAX + 1)) == "x" * (TEXT_MAX - 3) + "..."
+    assert clipped("é" * 5, 10) == "é" * 5
+    assert clipped("é" * 6, 10) == "é" * 3 + "..."
+
+
 # ---------------------------------------------------------------------- hostile
 
 
@@ -460,10 +536,10 @@ ROOM = BYTES_MAX - 5  # for the checksum
 HOSTILE = {
     "array of 2^32": b"\xdd\xff\xff\xff\xff",
     "array of 2^16": b"\xdc\xff\xff",
-    "text of 2^32": b"\x95\x02\x04\x02\x00\xdb\xff\xff\xff\xff",
-    "bytes of 2^32": b"\x95\x02\x04\x02\x00\xc6\xff\xff\xff\xff",
+    "text of 2^32": b"\x95" + V + b"\x04\x02\x00\xdb\xff\xff\xff\xff",
+    "bytes of 2^32": b"\x95" + V + b"\x04\x02\x00\xc6\xff\xff\xff\xff",
     "map of 2^32": b"\xdf\xff\xff\xff\xff",
-    "extension of 2^32": b"\x95\x02\x04\x02\x00\xc9\xff\xff\xff\xff\x05",
+    "extension of 2^32": b"\x95" + V + b"\x04\x02\x00\xc9\xff\xff\xff\xff\x05",
     "arrays in arrays": b"\x91" * ROOM,
     "arrays in arrays, closed": b"\x91" * (ROOM - 1) + b"\x90",
     "long arrays in arrays": b"\xdc\x08\x00" * (ROOM // 3),
@@ -490,7 +566,9 @@ def test_hostile_payloads_are_refused_fast_and_small(payload: bytes):
 
 
 @pytest.mark.parametrize("depth", [10, 100, 300, 500, 900, 1000, 1020, 2000])
-@pytest.mark.parametrize("place", ["version", "type", "field", "multiplier", "heard", "neighbour", "entry"])
+@pytest.mark.parametrize(
+    "place", ["version", "type", "field", "multiplier", "heard", "neighbour", "entry", "robot", "line"]
+)
 def test_deep_nesting_is_refused_wherever_it_is(depth: int, place: str):
     """Also where the reason for the refusal shows the value."""
     deep = b"\x91" * depth + b"\x90"
@@ -498,12 +576,16 @@ def test_deep_nesting_is_refused_wherever_it_is(depth: int, place: str):
     long = b"\xdc\x00\x10"  # an array of 16
     payload = {
         "version": long + deep + b"\x00" + b"".join(parts),
-        "type": long + b"\x02" + deep + b"".join(parts),
-        "field": long + b"\x02\x00" + deep + b"".join(parts[1:]),
-        "multiplier": long + b"\x02\x00" + b"".join(parts[:-2]) + b"\x91" + deep + parts[-1],
-        "heard": long + b"\x02\x00" + b"".join(parts[:-1]) + b"\x91" + deep,
-        "entry": b"\x96\x02\x07" + msgpack.packb([*TRACE[:3]])[1:] + b"\x91" + deep,
-        "neighbour": b"\x9c\x02\x05"
+        "type": long + V + deep + b"".join(parts),
+        "field": long + V + b"\x00" + deep + b"".join(parts[1:]),
+        "multiplier": long + V + b"\x00" + b"".join(parts[:-2]) + b"\x91" + deep + parts[-1],
+        "heard": long + V + b"\x00" + b"".join(parts[:-1]) + b"\x91" + deep,
+        "entry": b"\x96" + V + b"\x07" + msgpack.packb([*TRACE[:3]])[1:] + b"\x91" + deep,
+        "robot": b"\x95" + V + b"\x09" + msgpack.packb([*RESUME[:2]])[1:] + b"\x91" + deep,
+        "line": b"\x96" + V + b"\x0a" + msgpack.packb([*CHECKS[:3]])[1:] + b"\x91" + deep,
+        "neighbour": b"\x9c"
+        + V
+        + b"\x05"
         + msgpack.packb([*STATUS[:6]])[1:]
         + b"\x91"
         + deep

@@ -358,6 +358,59 @@ def test_poses_of_a_robot_are_not_mixed_up_with_those_of_another() -> None:
         (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 10**8, ""))
     ]
     for robot, x in ((1, -0.1), (2, 0.6)):
-        state = PlantState(robot, 0, EPOCH_NS + 10**8, x, 0.0, *(0.0,) * 5, True, True, "")
+        state = PlantState(robot, 0, EPOCH_NS + 10**8, x, 0.0, *(0.0,) * 5, True, True, True, "")
         sent.append((EPOCH_NS, keys.plant_state(NAME, robot), state))
     assert judged(PAIR, sent)["min_distance_m"]["edge"] == 0.7
+
+
+# --- robots that their operators took ------------------------------------------------------------
+
+
+def taken(*periods: tuple[float, float]) -> dict[str, Any]:
+    """A perfect run in which the statuses of robot 2 say `released` in these periods, s."""
+
+    def told(message: Message) -> Message:
+        if type(message) is Status and message.robot == 2:
+            t = (message.time_ns - EPOCH_NS) / 1e9
+            if any(begin <= t < end for begin, end in periods):
+                return message._replace(state="released", reason="mode MANUAL")
+        return message
+
+    ways = [_body(standing(x, 0), 0.1) for x in (0, 1)]
+    return judged(PAIR, [(received, key, told(each)) for received, key, each in messages(PAIR, ways)])
+
+
+def test_a_release_is_a_warning_with_its_time() -> None:
+    verdict = taken((0.5, 1.1), (1.5, 1.7))["verdict"]
+    assert verdict["passed"]
+    assert verdict["warnings"] == [
+        "Robot 2 was released to its operator from 0.6 s to 1.2 s (mode MANUAL): it did not follow the law "
+        "then.",
+        "Robot 2 was released to its operator from 1.6 s to 1.8 s (mode MANUAL): it did not follow the law "
+        "then.",
+    ]
+
+
+def test_a_robot_that_is_still_its_operators_at_the_end_is_a_warning_too() -> None:
+    verdict = taken((1.0, 99.0))["verdict"]
+    assert (verdict["passed"], verdict["reasons"]) == (True, [])
+    assert "from 1.0 s to the end" in verdict["warnings"][0]
+
+
+def test_a_release_after_the_drive_is_none_of_it() -> None:
+    assert taken((2.0, 99.0))["verdict"]["warnings"] == []
+
+
+def test_poses_that_are_not_to_be_used_are_not() -> None:
+    """A bridge that starts again is somewhere at first, and says that it does not know."""
+
+    def lost(each: Sent) -> Sent:
+        received, key, message = each
+        if type(message) is PlantState and message.robot == 2 and 0.5 < (received - EPOCH_NS) / 1e9 < 0.9:
+            message = message._replace(x=0.0, y=0.0, healthy=False)
+        return received, key, message
+
+    sent = [lost(each) for each in messages(PAIR, [_body(standing(x, 0), 0.1) for x in (0, 1)])]
+    found = judged(PAIR, sent)
+    assert found["min_distance_m"]["edge"] == 1.0
+    assert found["verdict"]["passed"]

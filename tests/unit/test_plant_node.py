@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import pytest
@@ -10,10 +11,23 @@ from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
-from agent.messages import Faults, HandState, Mission, PlantState, Wrench, decode, encode
+from agent.messages import (
+    CHECK_TEXT_MIN,
+    CHECKS_MAX,
+    TEXT_MAX,
+    Checks,
+    Faults,
+    HandState,
+    Mission,
+    PlantState,
+    Resume,
+    Wrench,
+    decode,
+    encode,
+)
 from agent.neighbours import FUTURE_NS_MAX
-from plant.backend import Command, Reading
-from plant.node import PlantNode
+from plant.backend import Check, Command, PlantBackend, Reading
+from plant.node import CHECKS_PERIOD_NS, PlantNode
 from plant.unicycle import from_fleet
 from tests.wire import opened, sealed
 
@@ -31,6 +45,8 @@ WRENCH_KEY = "two/robot/1/plant/wrench"
 STATE_KEY = "two/robot/1/plant/state"
 TRUTH_KEY = "two/robot/1/plant/truth"
 MISSION_KEY = "two/mission"
+RESUME_KEY = "two/resume"
+CHECKS_KEY = "two/robot/1/plant/checks"
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -43,20 +59,28 @@ class Call(NamedTuple):
     command: Command | None
 
 
-class Backend:
+class Backend(PlantBackend):
     """Remembers what it was asked for, and gives the reading it was given."""
 
     def __init__(self) -> None:
         self.calls: list[Call] = []
         self.pose = REST
-        self.healthy, self.note = True, ""
+        self.healthy, self.obeying, self.note = True, True, ""
+        self.go_aheads: list[int] = []
+        self.told: Sequence[Check] = ()
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
         self.calls.append(Call(now_ns, command))
         force, torque = command or (0.0, 0.0)
-        return Reading(now_ns - 7, self.pose, force, torque, self.healthy, self.note)
+        return Reading(now_ns - 7, self.pose, force, torque, self.healthy, self.note, self.obeying)
 
     def close(self) -> None: ...
+
+    def go_ahead(self, now_ns: int) -> None:
+        self.go_aheads.append(now_ns)
+
+    def checks(self, now_ns: int) -> Sequence[Check]:
+        return self.told
 
 
 @pytest.fixture
@@ -84,9 +108,9 @@ def state(node: PlantNode, now_ns: int) -> PlantState:
 
 
 def test_keys_and_ticks(node: PlantNode):
-    assert node.subscriptions == (WRENCH_KEY, MISSION_KEY, "two/faults")
+    assert node.subscriptions == (WRENCH_KEY, MISSION_KEY, RESUME_KEY, "two/faults")
     links = "two/robot/1/plant/links"
-    assert node.publications == (STATE_KEY, TRUTH_KEY, links, "two/robot/1/plant/faults")
+    assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
     assert node.alive_key == keys.alive("two", 1, "plant") == "two/alive/robot/1/plant"
     assert (node.period_ns, node.phase_ns) == (PERIOD, 0)
 
@@ -110,7 +134,9 @@ def test_tells_what_its_body_told(node: PlantNode, backend: Backend):
     backend.pose = Pose(1.0, 2.0, 3.0, 4.0, 5.0)
     backend.healthy, backend.note = False, "no estimate"
     first, second = state(node, T0), state(node, T0 + PERIOD)
-    assert first == PlantState(1, 0, T0 - 7, 1.0, 2.0, 3.0, 4.0, 5.0, 0.0, 0.0, False, False, "no estimate")
+    assert first == PlantState(
+        1, 0, T0 - 7, 1.0, 2.0, 3.0, 4.0, 5.0, 0.0, 0.0, False, False, True, "no estimate"
+    )
     assert (second.sequence, second.time_ns) == (1, T0 + PERIOD - 7)
 
 
@@ -159,7 +185,7 @@ def test_obeys_a_wrench_that_brakes(node: PlantNode, backend: Backend):
         (WRENCH_KEY, wrench(T0 + 2, force=float("nan")), "not_finite"),
         (WRENCH_KEY, wrench(T0 + 2, torque=float("inf")), "not_finite"),
         (WRENCH_KEY, wrench(T0 + 2, robot=0), "range"),
-        (WRENCH_KEY, sealed(b"\x98\x03" + opened(wrench(T0 + 2))[2:]), "version"),
+        (WRENCH_KEY, sealed(b"\x98\x02" + opened(wrench(T0 + 2))[2:]), "version"),
     ],
 )
 def test_anything_else_is_counted_and_changes_nothing(
@@ -180,6 +206,168 @@ def test_of_several_wrenches_the_newest_counts(node: PlantNode, backend: Backend
     state(node, T0 + PERIOD)
     assert backend.calls[-1].command == Command(9.0, 0.2)
     assert dict(node.rejected) == {"out_of_order": 1}
+
+
+# ---------------------------------------------------------------------- its operator, and leave to drive
+
+
+def test_a_body_that_its_operator_has_does_not_drive_whatever_the_wrench(node: PlantNode, backend: Backend):
+    node.receive(T0, WRENCH_KEY, wrench(T0))
+    backend.obeying, backend.note = False, "mode MANUAL"
+    told = state(node, T0)
+    assert (told.driving, told.healthy, told.obeying, told.note) == (False, True, False, "mode MANUAL")
+    assert backend.calls[-1].command == Command(3.0, 0.2)  # whether it may have it, its backend knows
+    backend.healthy, backend.note = False, "no estimate"
+    told = state(node, T0 + PERIOD)
+    assert (told.driving, told.healthy, told.obeying) == (False, False, False)
+    backend.healthy, backend.obeying, backend.note = True, True, ""
+    assert state(node, T0 + 2 * PERIOD).driving
+
+
+def test_a_note_is_cut_to_what_a_message_may_hold(node: PlantNode, backend: Backend):
+    backend.obeying, backend.note = False, "é" * TEXT_MAX
+    assert state(node, T0).note == "é" * (TEXT_MAX // 2 - 2) + "..."
+
+
+def test_leaving_does_not_wait_for_a_body_that_somebody_else_drives(node: PlantNode, backend: Backend):
+    backend.pose, backend.obeying = REST._replace(speed=0.5), False
+    state(node, T0)
+    assert not node.done
+    node.leave()
+    assert node.done
+
+
+def mission(version: int, of: str = "") -> bytes:
+    return encode(Mission(version, T0, T0 + NS_PER_S, 60 * NS_PER_S, of or digest(fleet())))
+
+
+def resume(version: int, *robots: int) -> bytes:
+    return encode(Resume(version, T0, robots))
+
+
+def test_a_mission_is_leave_to_drive_once(node: PlantNode, backend: Backend):
+    """`run` says it until all have it, and to whoever starts again: that is no new leave."""
+    for now in (T0, T0 + 1, T0 + 2):
+        node.receive(now, MISSION_KEY, mission(4))
+    node.receive(T0 + 3, MISSION_KEY, mission(3))
+    assert backend.go_aheads == [T0]
+    node.receive(T0 + 4, MISSION_KEY, mission(5))
+    assert backend.go_aheads == [T0, T0 + 4]
+    assert not node.rejected
+
+
+def test_a_mission_for_another_fleet_file_is_no_leave_to_drive(node: PlantNode, backend: Backend):
+    node.receive(T0, MISSION_KEY, mission(1, "0123456789abcdef"))
+    assert backend.go_aheads == []
+    assert dict(node.rejected) == {"digest": 1}
+
+
+@pytest.mark.parametrize("robots", [(), (1,), (2, 1)])
+def test_leave_to_resume_is_taken_once(node: PlantNode, backend: Backend, robots: tuple[int, ...]):
+    node.receive(T0, RESUME_KEY, resume(7, *robots))
+    node.receive(T0 + 1, RESUME_KEY, resume(7, *robots))
+    assert backend.go_aheads == [T0]
+    node.receive(T0 + 2, RESUME_KEY, resume(8, *robots))
+    assert backend.go_aheads == [T0, T0 + 2]
+    assert not node.rejected
+
+
+def test_leave_to_resume_for_others_is_not_for_this_one(node: PlantNode, backend: Backend):
+    node.receive(T0, RESUME_KEY, resume(7, 2))
+    node.receive(T0, RESUME_KEY, resume(8, 2, 11, 9999))
+    assert backend.go_aheads == []
+    assert not node.rejected
+    node.receive(T0 + 1, RESUME_KEY, resume(7, 1))  # of another operator, who counts for himself
+    assert backend.go_aheads == [T0 + 1]
+
+
+def test_old_leave_to_resume_is_refused(node: PlantNode, backend: Backend):
+    node.receive(T0, RESUME_KEY, resume(7))
+    node.receive(T0 + 1, RESUME_KEY, resume(6))
+    assert backend.go_aheads == [T0]
+    assert dict(node.rejected) == {"out_of_order": 1}
+
+
+@pytest.mark.parametrize(
+    ("key", "payload"),
+    [
+        (MISSION_KEY, resume(7)),
+        (RESUME_KEY, mission(7)),
+        ("two/robot/1/resume", resume(7)),
+        ("three/resume", resume(7)),
+        (WRENCH_KEY, resume(7)),
+        (RESUME_KEY, wrench(T0)),
+        (CHECKS_KEY, encode(Checks(1, 0, T0, ()))),
+    ],
+)
+def test_leave_on_another_key_is_none(node: PlantNode, backend: Backend, key: str, payload: bytes):
+    node.receive(T0, key, payload)
+    assert backend.go_aheads == []
+    assert dict(node.rejected) == {"wrong_key": 1}
+
+
+# ---------------------------------------------------------------------- checks
+
+GPS = Check("gps", "warning", "fix 3D", "wait for more satellites")
+MODE = Check("mode", "blocking", "MANUAL", "set GUIDED")
+
+
+def checks(node: PlantNode, now_ns: int) -> Checks | None:
+    found = [decode(payload) for key, payload in node.tick(now_ns) if key == CHECKS_KEY]
+    assert len(found) <= 1
+    if not found:
+        return None
+    assert isinstance(found[0], Checks)
+    return found[0]
+
+
+def test_checks_are_told_at_once_when_they_change_and_every_second(node: PlantNode, backend: Backend):
+    assert checks(node, T0) is None  # a body of which there is nothing to say
+    backend.told = [GPS]
+    now = T0 + PERIOD
+    assert checks(node, now) == Checks(1, 0, now, (GPS,))
+    while now < T0 + CHECKS_PERIOD_NS:
+        now += PERIOD
+        assert checks(node, now) is None
+    now += PERIOD
+    assert checks(node, now) == Checks(1, 1, now, (GPS,))
+    backend.told = (GPS, MODE)
+    now += PERIOD
+    assert checks(node, now) == Checks(1, 2, now, (GPS, MODE))
+    for k in range(CHECKS_PERIOD_NS // PERIOD - 1):  # a second after the change
+        now += PERIOD
+        backend.told = (GPS._replace(found=f"{k} satellites"), MODE)  # a figure is no change
+        assert checks(node, now) is None
+    now += PERIOD
+    assert checks(node, now) == Checks(1, 3, now, tuple(backend.told))
+    backend.told = (GPS._replace(level="ok"), MODE)
+    now += PERIOD
+    assert checks(node, now) == Checks(1, 4, now, tuple(backend.told))
+
+
+def test_checks_are_told_while_the_measurement_fails(backend: Backend):
+    """Sensor faults on purpose are on the way to the agent; operators hear what the body says."""
+    backend.told = [MODE]
+    node = PlantNode(fleet(faults="{ robot = 1, dropout = 1 }"), 1, backend)
+    assert [key for key, _ in node.tick(T0)] == [TRUTH_KEY, CHECKS_KEY]
+
+
+def test_a_long_check_is_cut_to_what_a_message_may_hold(node: PlantNode, backend: Backend):
+    backend.told = [Check("x" * 300, "ok", "y" * 300, "z" * 300)]
+    told = checks(node, T0)
+    assert told is not None
+    assert told.lines == (("x" * 197 + "...", "ok", "y" * 197 + "...", "z" * 197 + "..."),)
+
+
+def test_of_more_checks_than_a_message_may_hold_the_worst_are_told(node: PlantNode, backend: Backend):
+    long = "y" * TEXT_MAX
+    fine = [Check(f"{k}", "ok", long, long) for k in range(CHECKS_MAX)]
+    backend.told = [*fine, GPS, *fine, MODE]
+    told = checks(node, T0)
+    assert told is not None
+    assert [line[:2] for line in told.lines[:3]] == [("mode", "blocking"), ("gps", "warning"), ("0", "ok")]
+    assert len(told.lines) == CHECKS_MAX
+    assert len(told.lines[-1][2]) == CHECK_TEXT_MIN
 
 
 # ---------------------------------------------------------------------- measurements

@@ -8,7 +8,7 @@ from io import BytesIO
 from itertools import pairwise
 from math import isclose
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given
@@ -22,6 +22,7 @@ from agent.messages import (
     HELD,
     TOPICS,
     WHAT_MAX,
+    Checks,
     Event,
     Faults,
     HandState,
@@ -29,11 +30,13 @@ from agent.messages import (
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
     encode,
 )
+from deploy.foxglove import Scene
 from deploy.mcap_file import MAGIC
 from deploy.message_json import CLASSES, DESCRIPTIONS, reader, schema, to_json
 from deploy.recorder import (
@@ -70,7 +73,7 @@ entries = st.tuples(robots, st.integers(0, 2), counts, counts, st.integers(0, WH
 rows = st.lists(counts, max_size=5).map(tuple)
 any_message = st.one_of(
     st.builds(HandState, counts, counts, counts, st.booleans(), *(floats,) * 8, pairs, delays),
-    st.builds(PlantState, counts, counts, counts, *(floats,) * 7, st.booleans(), st.booleans(), texts),
+    st.builds(PlantState, counts, counts, counts, *(floats,) * 7, *(st.booleans(),) * 3, texts),
     st.builds(Wrench, counts, counts, counts, floats, floats, st.booleans()),
     st.builds(Mission, counts, counts, counts, counts, texts),
     st.builds(Stop, counts, counts, texts),
@@ -81,6 +84,8 @@ any_message = st.one_of(
     st.builds(Faults, counts, counts, texts, counts, counts, texts),
     st.builds(LinkTrace, counts, counts, counts, st.lists(entries, max_size=5).map(tuple)),
     st.builds(Event, counts, counts, counts, texts, texts, texts),
+    st.builds(Resume, counts, counts, rows),
+    st.builds(Checks, counts, counts, counts, st.lists(st.tuples(*(texts,) * 4), max_size=5).map(tuple)),
 )  # fmt: skip
 
 
@@ -128,7 +133,21 @@ def test_a_link_trace_reads_like_text() -> None:
         reader(LinkTrace)(content)
 
 
-OF_VERSION_1 = {
+def test_checks_and_leave_to_resume_read_like_text() -> None:
+    line = ("mode", "blocking", "MANUAL", "set GUIDED")
+    assert json.loads(to_json(Checks(3, 5, EPOCH_NS, (line,)))) == {
+        "robot": 3, "sequence": 5, "time_ns": EPOCH_NS,
+        "lines": [{"name": "mode", "level": "blocking", "found": "MANUAL", "advice": "set GUIDED"}],
+    }  # fmt: skip
+    assert to_json(Resume(2, 9, (3, 1))) == b'{"version":2,"time_ns":9,"robots":[3,1]}'
+    assert to_json(Resume(2, 9, ())) == b'{"version":2,"time_ns":9,"robots":[]}'
+
+
+def test_every_message_of_the_bus_can_be_recorded() -> None:
+    assert set(CLASSES) == set(get_args(Message))
+
+
+OF_EARLIER_VERSIONS = {
     HandState: (
         {"robot": 1, "sequence": 5, "time_ns": 9, "following": True, "x": 1.0, "y": 2.0, "vx": 0.0, "vy": 0.0,
          "navigation_x": 0.0, "navigation_y": 0.0, "constraint_x": 0.0, "constraint_y": 0.5,
@@ -142,12 +161,17 @@ OF_VERSION_1 = {
         Status(1, 5, 9, "running", "", 1, ((2, 20_000, 0, 0, 0, -1), (3, -1, 0, 0, 0, -1)), (90,), (),
                (("sent", 3),)),
     ),
+    PlantState: (  # of version 1 and 2
+        {"robot": 1, "sequence": 5, "time_ns": 9, "x": 1.0, "y": 2.0, "heading": 0.5, "speed": 0.25,
+         "yaw_rate": 0.0, "force": 3.0, "torque": 0.0, "driving": True, "healthy": True, "note": ""},
+        PlantState(1, 5, 9, 1.0, 2.0, 0.5, 0.25, 0.0, 3.0, 0.0, True, True, True, ""),
+    ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("cls", OF_VERSION_1)
-def test_a_recording_of_version_1_is_read_as_well(cls: type[Message]) -> None:
-    content, message = OF_VERSION_1[cls]
+@pytest.mark.parametrize("cls", OF_EARLIER_VERSIONS)
+def test_a_recording_of_an_earlier_version_is_read_as_well(cls: type[Message]) -> None:
+    content, message = OF_EARLIER_VERSIONS[cls]
     read = reader(cls)
     before = json.dumps(content)
     assert read(content) == message
@@ -160,7 +184,7 @@ def test_a_recording_of_version_1_is_read_as_well(cls: type[Message]) -> None:
 
 
 def test_a_row_of_a_message_lacks_only_what_was_added_later() -> None:
-    content, _ = OF_VERSION_1[Status]
+    content, _ = OF_EARLIER_VERSIONS[Status]
     for broken in ({"robot": 2}, {"age_us": 2}, {}):
         with pytest.raises(KeyError):
             reader(Status)(content | {"neighbours": [broken]})
@@ -186,6 +210,22 @@ def test_a_recording_holds_every_message_with_its_times(tmp_path: Path) -> None:
         assert stored.sequence == getattr(message, "sequence", getattr(message, "version", None))
         assert stored.data == to_json(message)
         assert conforms(json.loads(stored.data), json.loads(described.data))
+
+
+def test_a_recording_holds_what_bodies_said_and_who_may_drive_again(tmp_path: Path) -> None:
+    prefix, checks = FLEET.fleet.name, Checks(2, 5, EPOCH_NS, (("gps", "ok", "fix", ""),))
+    sent = [
+        (EPOCH_NS, keys.checks(prefix, 2), checks),
+        (EPOCH_NS + 1, keys.resume(prefix), Resume(4, EPOCH_NS, (2,))),
+    ]
+    recorder = record(tmp_path / "run.mcap", ((t, key, encode(message)) for t, key, message in sent))
+    assert not recorder.rejected
+    names = {f"handfast.{cls.__name__}": cls for cls in CLASSES}
+    found = [
+        (stored.log_time, channel.topic, reader(names[described.name])(json.loads(stored.data)))
+        for described, channel, stored in read(tmp_path / "run.mcap")
+    ]
+    assert found == sent
 
 
 def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
@@ -375,3 +415,14 @@ def test_chunks_are_in_the_order_of_time(tmp_path: Path) -> None:
     assert summary is not None
     assert len(summary.chunk_indexes) >= 2
     assert all(a.message_end_time <= b.message_start_time for a, b in pairwise(summary.chunk_indexes))
+
+
+def test_foxglove_does_not_see_poses_that_are_not_to_be_used() -> None:
+    fleet = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)])
+    scene = Scene(fleet)
+    lost = PlantState(1, 0, EPOCH_NS, *[0.0] * 7, False, False, True, "no position yet")
+    assert list(scene.update(EPOCH_NS, lost)) == []
+    known = lost._replace(x=5.0, healthy=True)
+    drawn = {key: json.loads(content) for key, _, content in scene.update(EPOCH_NS, known)}
+    (transform,) = drawn["made-up/foxglove/poses"]["transforms"]
+    assert transform["translation"]["x"] == 5.0

@@ -22,6 +22,7 @@ from agent.clock import LocalTime
 from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet, FleetError, to_dict
 from agent.messages import (
+    Checks,
     Event,
     Faults,
     HandState,
@@ -29,6 +30,7 @@ from agent.messages import (
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
@@ -36,6 +38,7 @@ from agent.messages import (
 )
 from deploy.export import tabulate
 from deploy.mcap_file import MAGIC
+from deploy.message_json import to_json
 from deploy.recorder import Recorder, RecordingError
 from deploy.recording import Recording, RunData
 from deploy.run_tables import Table
@@ -105,7 +108,9 @@ def test_counters_that_nobody_can_count_to_are_kept_in_bounds() -> None:
 
 
 def test_every_column_holds_what_was_sent() -> None:
-    plant = PlantState(1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, "dizzy")
+    plant = PlantState(
+        1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, True, "dizzy"
+    )
     force = (0.1, 0.2, 0.3, 0.4)
     hand = HandState(1, 5, EPOCH_NS + 2 * 10**9, True, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)), ())
     wrench = Wrench(1, 6, EPOCH_NS + 3 * 10**9, 10.0, 11.0, True)
@@ -128,7 +133,7 @@ def test_every_column_holds_what_was_sent() -> None:
 
     assert row(robot.plant) == {
         "t": 1.0, "x": 1.5, "y": 2.5, "heading": 0.25, "speed": 0.5, "yaw_rate": -0.75,
-        "force": 3.0, "torque": 4.0, "driving": 1.0, "healthy": 0.0,
+        "force": 3.0, "torque": 4.0, "driving": 1.0, "healthy": 0.0, "obeying": 1.0,
     }  # fmt: skip
     assert row(robot.hand) == {
         "t": 2.0, "following": 1.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
@@ -204,6 +209,17 @@ def test_live_rules_and_events_are_kept() -> None:
     assert recording.foreign == 2
 
 
+def test_checks_and_leave_to_resume_are_recorded_and_are_not_foreign(tmp_path: Path) -> None:
+    t = EPOCH_NS + 10**9
+    checks = Checks(2, 0, t, (("EKF", "blocking", "waiting for its EKF", "open sky"),))
+    resume = Resume(5, t, (2,))
+    sent: list[Sent] = [MISSION, (t, keys.checks(NAME, 2), checks), (t, keys.resume(NAME), resume)]
+    for recording in (fed(FLEET, sent), Recording.from_folder(write_run(tmp_path, FLEET, sent))):
+        assert recording.foreign == 0
+    stray: list[Sent] = [(t, keys.resume(NAME), checks), (t, keys.checks(NAME, 99), checks)]
+    assert fed(FLEET, [*sent, *stray]).foreign == 2
+
+
 @pytest.mark.parametrize(("skew", "drift"), [(0.3, 0.0), (-900.0, 0.0), (0.1, 0.002), (0.0, -0.001)])
 def test_stamps_of_a_clock_that_is_wrong_on_purpose_are_set_right(skew: float, drift: float) -> None:
     wrong = replace(
@@ -231,7 +247,7 @@ def test_hand_points_are_ahead_of_the_pose_and_interpolated() -> None:
     mission = Mission(1, EPOCH_NS, EPOCH_NS, 10**8, "")
     sent: list[Sent] = [(EPOCH_NS, keys.mission(NAME), mission)]
     for ms, x in ((-25, 0.0), (75, 1.0), (175, 5.0)):
-        state = PlantState(1, 0, EPOCH_NS + ms * 10**6, x, 2.0, pi / 6, *(0.0,) * 4, True, True, "")
+        state = PlantState(1, 0, EPOCH_NS + ms * 10**6, x, 2.0, pi / 6, *(0.0,) * 4, True, True, True, "")
         sent.append((state.time_ns, keys.plant_state(NAME, 1), state))
     recording = fed(fleet, sent)
     assert recording.grid.tolist() == [0.0, 0.1]
@@ -262,7 +278,7 @@ def test_fleet_time_starts_at_the_epoch_of_the_newest_mission() -> None:
         epoch_ns = EPOCH_NS + epoch_s * 10**9
         return EPOCH_NS, keys.mission(NAME), Mission(version, EPOCH_NS, epoch_ns, duration_s * 10**9, "")
 
-    pose = PlantState(1, 0, EPOCH_NS + 30 * 10**9, *(0.0,) * 7, True, True, "")
+    pose = PlantState(1, 0, EPOCH_NS + 30 * 10**9, *(0.0,) * 7, True, True, True, "")
     recording = fed(
         FLEET,
         [
@@ -311,10 +327,34 @@ def test_valid_messages_from_nowhere_change_nothing(key: str, robot: int, late_s
     sent = list(messages(FLEET, in_formation(FLEET)))
     received_ns = EPOCH_NS + 400_000_000
     time_ns = received_ns - late_s * 10**9
-    stray = PlantState(robot, 0, time_ns, 99.0, 99.0, *(0.0,) * 5, True, True, "")
+    stray = PlantState(robot, 0, time_ns, 99.0, 99.0, *(0.0,) * 5, True, True, True, "")
     recording = fed(FLEET, [*sent[:300], (received_ns, key, stray), *sent[300:]])
     assert recording.foreign == 1
     assert_same(recording, fed(FLEET, sent))
+
+
+def test_what_bodies_say_and_who_may_drive_again_is_kept_and_changes_nothing(tmp_path: Path) -> None:
+    sent = list(messages(FLEET, in_formation(FLEET)))
+    now = EPOCH_NS + 400_000_000
+    said: list[Sent] = [
+        (now, keys.checks(NAME, 2), Checks(2, 0, now, (("mode", "blocking", "MANUAL", "set GUIDED"),))),
+        (now, keys.resume(NAME), Resume(1, now, (2,))),
+    ]
+    recording = Recording.from_folder(write_run(tmp_path / "run", FLEET, [*sent[:300], *said, *sent[300:]]))
+    assert recording.foreign == 0
+    assert_same(recording, fed(FLEET, sent))
+    astray: list[Sent] = [
+        (now, key, message) for (_, key, _), (*_, message) in zip(said, said[::-1], strict=True)
+    ]
+    assert fed(FLEET, [*sent, *astray]).foreign == 2
+
+
+def test_a_recording_of_version_2_is_read_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its plant states do not say whether a body obeys."""
+    sent = list(messages(FLEET, in_formation(FLEET)))
+    monkeypatch.setattr("deploy.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b""))
+    folder = write_run(tmp_path / "run", FLEET, sent)
+    assert_same(Recording.from_folder(folder), fed(FLEET, sent))
 
 
 def test_what_the_operator_knew_comes_back(tmp_path: Path) -> None:

@@ -353,6 +353,182 @@ def test_an_override_leaves_the_files_own_problems_in_the_file() -> None:
     assert [problem.split(": ")[0] for problem in problems] == ["frame", "wheel[1].turns"]
 
 
+# --- tables that may be left out, and what entries inherit of them ------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Radio:
+    port: str | None = setting(None, "Port.", pattern="[a-z0-9]+", pattern_says="letters")
+    rate: int = setting(9, "Rate.", ge=1)
+    bands: tuple[int, ...] = setting((1, 2), "Bands.")
+
+
+@dataclass(frozen=True, slots=True)
+class Depot:
+    length_m: float = field(metadata=about("Length.", unit="m"))
+    width_m: float = setting(1.0, "Width.", unit="m")
+
+
+@dataclass(frozen=True, slots=True)
+class Truck:
+    load_kg: float = setting(1.0, "Load.", unit="kg", ge=0)
+    radio: Radio | None = field(default=None, metadata=about("Its radio."))
+    home: Depot | None = field(default=None, metadata=about("Where it stays."))
+
+
+@dataclass(frozen=True, slots=True)
+class Named(Truck):
+    id: int = setting(0, "Number.", ge=1, required=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Convoy:
+    trucks: tuple[Named, ...] = field(
+        metadata=about("Trucks.", key="truck", shared=("truck_defaults", Truck))
+    )
+    depot: Depot | None = field(default=None, metadata=about("Where it starts."))
+
+
+def convoy(raw: dict[str, Any], *overrides: str) -> tuple[Convoy | None, list[str]]:
+    reader = Reader(Convoy)
+    for override in overrides:
+        reader.override(raw, override)
+    values = reader.read(raw)
+    problems = [str(problem) for problem in reader.problems]
+    return (None if problems else build(Convoy, values)), problems
+
+
+TWO: list[dict[str, Any]] = [{"id": 1}, {"id": 2}]
+
+
+def test_a_table_that_may_be_left_out_is_none() -> None:
+    made, problems = convoy({"truck": TWO})
+    assert problems == []
+    assert made == Convoy((Named(id=1), Named(id=2)))
+    assert plain(made) == {"truck": [{"id": 1, "load_kg": 1.0}, {"id": 2, "load_kg": 1.0}]}
+
+
+def test_a_table_that_may_be_left_out_is_complete_when_it_is_there() -> None:
+    made, problems = convoy({"truck": [{"id": 1, "radio": {}}], "depot": {"length_m": 5}})
+    assert problems == []
+    assert made == Convoy((Named(id=1, radio=Radio()),), Depot(5.0))
+    assert convoy(plain(made)) == (made, [])
+    assert convoy({"truck": TWO, "depot": {}})[1] == [
+        "depot.length_m: is missing: write for example length_m = 1.0"
+    ]
+    assert convoy({"truck": TWO}, "depot.width_m=2")[1] == [
+        "depot.length_m: is missing: write for example length_m = 1.0"
+    ]
+
+
+def test_an_entrys_table_is_that_of_the_defaults_but_for_what_it_says_itself() -> None:
+    raw = {
+        "truck_defaults": {"radio": {"port": "a", "rate": 5, "bands": [3]}},
+        "truck": [{"id": 1}, {"id": 2, "radio": {"rate": 7}}, {"id": 3, "radio": {"bands": []}}],
+    }
+    made, problems = convoy(raw)
+    assert problems == []
+    assert made is not None
+    assert [truck.radio for truck in made.trucks] == [
+        Radio("a", 5, (3,)), Radio("a", 7, (3,)), Radio("a", 5, ())
+    ]  # fmt: skip
+    assert convoy(plain(made)) == (made, [])
+
+
+def test_what_a_nested_table_must_give_may_come_from_the_defaults() -> None:
+    made, problems = convoy(
+        {
+            "truck_defaults": {"home": {"length_m": 5}},
+            "truck": [{"id": 1}, {"id": 2, "home": {"width_m": 2}}, {"id": 3, "home": {"length_m": 6}}],
+        }
+    )
+    assert problems == []
+    assert made is not None
+    assert [truck.home for truck in made.trucks] == [Depot(5.0), Depot(5.0, 2.0), Depot(6.0)]
+    missing = "home.length_m: is missing: write for example length_m = 1.0"
+    assert convoy({"truck": [{"id": 1, "home": {"width_m": 2}}]})[1] == [f"truck[1].{missing}"]
+    assert convoy({"truck_defaults": {"home": {"width_m": 2}}, "truck": TWO})[1] == [
+        f"truck_defaults.{missing}"
+    ]
+
+
+def test_one_entrys_table_is_not_anothers() -> None:
+    raw = {"truck_defaults": {"radio": {"rate": 5}}, "truck": [{"id": 1}, {"id": 2}]}
+    made, _ = convoy(raw, "truck.1.radio.port=x", "truck_defaults.radio.rate=6")
+    assert made is not None
+    assert [truck.radio for truck in made.trucks] == [Radio("x", 6), Radio(None, 6)]
+    made, _ = convoy({"truck": [{"id": 1}, {"id": 2}]}, "truck.2.radio.port=x")
+    assert made is not None
+    assert [truck.radio for truck in made.trucks] == [None, Radio("x")]
+
+
+@pytest.mark.parametrize(
+    ("defaults", "row", "places"),
+    [
+        ({"radio": {"port": "A b"}}, {}, ["truck_defaults.radio.port"]),
+        (
+            {"radio": {"rate": 0}},
+            {"radio": {"port": "B b"}},
+            ["truck_defaults.radio.rate", "truck[1].radio.port"],
+        ),
+        ({"radio": {"prot": "a"}}, {}, ["truck_defaults.radio.prot"]),
+        ({"radio": 3}, {}, ["truck_defaults.radio"]),
+        ({"radio": [{"port": "a"}]}, {"radio": {"port": "a"}}, ["truck_defaults.radio"]),
+        ({"radio": {"bands": [1, "x"]}}, {}, ["truck_defaults.radio.bands[2]"]),
+        ({}, {"radio": "a"}, ["truck[1].radio"]),
+        ({}, {"radio": {"bands": [1, 2.5]}}, ["truck[1].radio.bands[2]"]),
+        (3, {}, ["truck_defaults"]),
+    ],
+)
+def test_what_is_wrong_in_a_nested_table_is_told_once_and_where_it_is(
+    defaults: Any, row: dict[str, Any], places: list[str]
+) -> None:
+    reader = Reader(Convoy)
+    reader.read({"truck_defaults": defaults, "truck": [{"id": 1, **row}, {"id": 2}]})
+    assert [problem.place for problem in reader.problems] == places
+
+
+def test_an_entry_does_not_take_the_models_default_for_a_default_with_a_problem() -> None:
+    """A check across fields would blame the entry for a value that nobody wrote."""
+    reader = Reader(Convoy)
+    raw = {"load_kg": -1, "radio": {"port": "A b", "rate": 5}}
+    values = reader.read(
+        {"truck_defaults": raw, "truck": [{"id": 1}, {"id": 2, "load_kg": 2, "radio": {"port": "a"}}]}
+    )
+    assert values["trucks"] == [
+        {"id": 1, "radio": {"rate": 5, "bands": (1, 2)}, "home": None},
+        {"id": 2, "load_kg": 2.0, "radio": {"port": "a", "rate": 5, "bands": (1, 2)}, "home": None},
+    ]
+    for wrong in ({"radio": 3}, 3):
+        values = reader.read({"truck_defaults": wrong, "truck": [{"id": 1}]})
+        assert "radio" not in values["trucks"][0]
+
+
+@pytest.mark.parametrize(
+    ("override", "problem"),
+    [
+        (
+            "truck.2.radio=7",
+            "--set truck.2.radio: must be a table: write [truck.radio] and its fields below it, got 7",
+        ),
+        ("truck.2.radio.port=A B", '--set truck.2.radio.port: must be letters, got "A B"'),
+        ("truck.2.radio.ports=a", "--set truck.2.radio.ports: unknown field; did you mean port?"),
+        (
+            "truck.2.bands=a",
+            "--set truck.2.bands: unknown field; bands belongs in [truck_defaults.radio] or [truck.radio]",
+        ),
+        (
+            "truck.2.radio.rate.x=1",
+            "--set truck.2.radio.rate.x: truck[2].radio.rate is a single value: nothing can follow it but "
+            "=value",
+        ),
+        ("depot=1", "--set depot: must be a table: write [depot] and its fields below it, got 1"),
+    ],
+)
+def test_overrides_in_nested_tables_that_are_wrong(override: str, problem: str) -> None:
+    assert convoy({"truck": [{"id": 1}, {"id": 2}]}, override) == (None, [problem])
+
+
 def test_plain_is_what_was_read() -> None:
     raw = {
         "frame": {**FRAME, "place": [1, 2], "gaps_m": [1.0]},

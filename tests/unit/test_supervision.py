@@ -8,11 +8,14 @@ import pytest
 
 from agent.supervision import TRANSITIONS, Conditions, State, step
 
-WELL = Conditions(plant="", numbers="", neighbours="", mission="", stop="", started=True, at_rest=False)
-TROUBLE = Conditions("no plant", "NaN", "silent 2", "no mission", "stopped", started=True, at_rest=True)
+WELL = Conditions(
+    plant="", body="", numbers="", neighbours="", mission="", stop="", started=True, at_rest=False
+)
+TROUBLE = Conditions("no plant", "MANUAL", "NaN", "silent 2", "no mission", "stopped", True, True)
+TEXTS = sum(isinstance(value, str) for value in WELL)
 EVERY = [
-    Conditions._make((TROUBLE[k] if told else "") if k < 5 else told for k, told in enumerate(bits))
-    for bits in product((False, True), repeat=7)
+    Conditions._make((TROUBLE[k] if told else "") if k < TEXTS else told for k, told in enumerate(bits))
+    for bits in product((False, True), repeat=len(WELL))
 ]
 CASES = list(product(State, EVERY))
 STANDING = frozenset({State.WAITING, State.READY, State.STOPPED})
@@ -71,7 +74,7 @@ def test_step_takes_the_first_row_that_applies():
 
 def test_values_are_what_status_messages_carry():
     assert {state.value for state in State} == {
-        "waiting", "ready", "running", "holding", "stopping", "stopped", "fault"
+        "waiting", "ready", "running", "holding", "released", "stopping", "stopped", "fault"
     }  # fmt: skip
 
 
@@ -84,6 +87,7 @@ def test_drives_only_when_all_is_well(state: State):
         if step(state, conditions)[0] is State.RUNNING:
             assert not conditions.numbers
             assert not conditions.plant
+            assert not conditions.body
             assert not conditions.neighbours
             assert not conditions.stop
 
@@ -115,7 +119,7 @@ def test_a_fault_of_the_plant_ends_with_it():
 
 
 def test_a_robot_that_moves_without_its_plant_is_in_fault():
-    for state in (State.RUNNING, State.HOLDING, State.STOPPING):
+    for state in (State.RUNNING, State.HOLDING, State.RELEASED, State.STOPPING):
         for conditions in EVERY:
             if conditions.plant:
                 assert step(state, conditions)[0] is State.FAULT
@@ -165,11 +169,71 @@ def test_a_silent_neighbour_holds_a_running_robot_and_lets_it_go_on():
     assert (after, row.name) == (State.RUNNING, "neighbour_back")
 
 
+RELEASED = WELL._replace(body="mode MANUAL")
+
+
+@pytest.mark.parametrize("state", [State.RUNNING, State.HOLDING, State.RELEASED])
+def test_a_body_that_its_operator_takes_is_released_and_comes_back(state: State):
+    after, row = step(state, RELEASED)
+    assert (after, row.name, row.reason(RELEASED)) == (State.RELEASED, "body_released", "mode MANUAL")
+    disarmed = WELL._replace(body="disarmed")
+    after, row = step(State.RELEASED, disarmed)
+    assert (after, row.reason(disarmed)) == (State.RELEASED, "disarmed")  # the reason is the newest
+    after, row = step(State.RELEASED, WELL)
+    assert (after, row.name) == (State.RUNNING, "body_back")
+
+
+def test_a_body_that_is_given_back_waits_for_its_neighbours():
+    silent = WELL._replace(neighbours="silent neighbours: 2")
+    assert step(State.RELEASED, silent)[0] is State.HOLDING
+    assert step(State.RELEASED, silent._replace(body="mode MANUAL"))[0] is State.RELEASED
+
+
+def test_a_body_that_was_never_handed_over_is_waited_for():
+    """Also in mid-mission: an agent that starts again then does not know that there was a drive."""
+    for started, mission in product((False, True), ("", "for a mission")):
+        conditions = RELEASED._replace(started=started, mission=mission)
+        for state in (State.WAITING, State.READY):
+            after, row = step(state, conditions)
+            assert (after, row.reason(conditions)) == (State.WAITING, "mode MANUAL")
+    assert step(State.WAITING, WELL)[0] is State.RUNNING
+
+
+def test_of_a_released_robot_more_than_its_body_may_be_wrong():
+    """The first of these rows wins: numbers, plant, stop, another epoch, body."""
+    stop = RELEASED._replace(stop="stop: lunch", started=False)
+    for conditions, expected in [
+        (stop._replace(numbers="NaN", plant="no plant"), State.FAULT),
+        (stop._replace(plant="no plant"), State.FAULT),
+        (stop, State.STOPPING),
+        (stop._replace(stop=""), State.READY),
+        (RELEASED._replace(neighbours="silent 2"), State.RELEASED),
+    ]:
+        assert step(State.RELEASED, conditions)[0] is expected, conditions
+
+
+def test_a_stop_while_released_lasts_although_the_operator_drives_on():
+    stop = RELEASED._replace(stop="stop: lunch")
+    assert settled(State.RELEASED, stop) is State.STOPPING
+    assert settled(State.STOPPING, stop._replace(at_rest=True)) is State.STOPPED
+    assert step(State.STOPPED, WELL._replace(stop="stop: lunch"))[0] is State.STOPPED
+    new_mission = RELEASED
+    assert settled(State.STOPPED, new_mission) is State.WAITING
+    assert settled(State.STOPPED, WELL) is State.RUNNING
+
+
+def test_a_body_that_is_lost_while_released_is_released_again_when_it_is_back():
+    assert step(State.RELEASED, RELEASED._replace(plant="plant silent"))[0] is State.FAULT
+    assert settled(State.FAULT, RELEASED) is State.WAITING
+    assert settled(State.FAULT, WELL) is State.RUNNING
+
+
 def test_the_way_to_running():
-    begin = Conditions("for its plant", "", "silent neighbours: 2", "for a mission", "", False, False)
+    begin = Conditions("for its plant", "", "", "silent neighbours: 2", "for a mission", "", False, False)
     state = State.WAITING
     for change, expected, reason in [
         ({}, State.WAITING, "for its plant"),
+        ({"plant": "", "body": "disarmed"}, State.WAITING, "disarmed"),
         ({"plant": ""}, State.WAITING, "silent neighbours: 2"),
         ({"plant": "", "neighbours": ""}, State.READY, "for a mission"),
         ({"plant": "", "neighbours": "", "mission": ""}, State.READY, "for the epoch"),

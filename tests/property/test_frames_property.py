@@ -1,0 +1,164 @@
+"""NED, FRD and geodetic coordinates against the world, both ways, for all places and headings."""
+
+from __future__ import annotations
+
+from math import cos, hypot, isclose, pi, sin, tau
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymap3d import enu2geodetic, geodetic2ecef
+
+from bridges.mavlink import frames
+from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.rover_dynamics import RoverDynamics
+
+ANGLE = st.floats(-20.0, 20.0)
+METRES = st.floats(-2000.0, 2000.0)
+LATITUDE = st.floats(-80.0, 80.0)
+LONGITUDE = st.floats(-180.0, 179.999)
+PLACE = st.builds(Geodetic, LATITUDE, LONGITUDE, st.floats(-100.0, 3000.0))
+SPEED = st.floats(-3.0, 3.0)
+
+
+def off(a: float, b: float) -> float:
+    """Difference of two angles."""
+    return abs(frames.wrapped(a - b))
+
+
+def place_near(datum: Geodetic, east: float, north: float) -> Geodetic:
+    latitude, longitude, _ = enu2geodetic(
+        east, north, 0.0, datum.latitude_deg, datum.longitude_deg, datum.altitude_m
+    )
+    return Geodetic(float(latitude), float(longitude), datum.altitude_m)
+
+
+@given(ANGLE)
+def test_yaw_and_heading_are_one_anothers_inverse(angle):
+    assert off(frames.yaw_from_heading(frames.heading_from_yaw(angle)), angle) < 1e-12
+    assert off(frames.heading_from_yaw(frames.yaw_from_heading(angle)), angle) < 1e-12
+    assert -pi <= frames.heading_from_yaw(angle) <= pi
+    assert 0.0 <= frames.yaw_degrees(angle) <= 360.0
+
+
+@given(ANGLE)
+def test_a_direction_is_the_same_one_in_both_frames(yaw):
+    """North and east of a unit vector along the yaw are y and x of one along the heading."""
+    heading = frames.heading_from_yaw(yaw)
+    assert isclose(cos(heading), sin(yaw), abs_tol=1e-12)
+    assert isclose(sin(heading), cos(yaw), abs_tol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "heading"), [(0.0, pi / 2), (pi / 2, 0.0), (pi, -pi / 2), (-pi / 2, pi), (tau, pi / 2)]
+)
+def test_compass(yaw: float, heading: float):
+    assert off(frames.heading_from_yaw(yaw), heading) < 1e-12
+
+
+@given(ANGLE, st.floats(-2.0, 2.0))
+def test_turning_right_lessens_the_heading(yaw, rate):
+    turned = frames.heading_from_yaw(yaw + 0.01 * rate)
+    assert off(turned, frames.heading_from_yaw(yaw) + 0.01 * frames.yaw_rate(rate)) < 1e-12
+    assert frames.yaw_rate(frames.yaw_rate(rate)) == rate
+
+
+@given(ANGLE, SPEED, SPEED)
+def test_velocity_forward_and_to_the_left(yaw, forward, left):
+    heading = frames.heading_from_yaw(yaw)
+    vx = forward * cos(heading) - left * sin(heading)
+    vy = forward * sin(heading) + left * cos(heading)
+    assert isclose(frames.forward_speed(yaw, vy, vx), forward, abs_tol=1e-12)
+    assert isclose(frames.sideways_speed(yaw, vy, vx), left, abs_tol=1e-12)
+
+
+@given(PLACE, METRES, METRES)
+def test_world_and_geodetic_are_one_anothers_inverse(datum, x, y):
+    again = frames.geodetic_to_world(datum, frames.world_to_geodetic(datum, x, y))
+    assert again == pytest.approx((x, y), abs=1e-3)
+
+
+@given(PLACE, METRES, METRES)
+def test_local_and_geodetic_are_one_anothers_inverse(origin, north, east):
+    again = frames.geodetic_to_local(origin, frames.local_to_geodetic(origin, north, east))
+    assert again == pytest.approx((north, east), abs=1e-5)
+
+
+@given(PLACE, METRES, METRES, METRES, METRES)
+def test_local_and_world_are_one_anothers_inverse(datum, east, north, x, y):
+    origin = place_near(datum, east, north)
+    local = frames.world_to_local(datum, origin, x, y)
+    assert frames.local_to_world(datum, origin, *local) == pytest.approx((x, y), abs=1e-3)
+
+
+@given(PLACE, METRES, METRES, METRES, METRES, METRES, METRES)
+def test_two_origins_agree_on_one_place(datum, east_1, north_1, east_2, north_2, x, y):
+    """Two vehicles with origins of their own report one place as different north and east."""
+    place = frames.world_to_geodetic(datum, x, y)
+    seen = []
+    for origin in (place_near(datum, east_1, north_1), place_near(datum, east_2, north_2)):
+        local = frames.geodetic_to_local(origin, place)
+        seen.append(frames.local_to_world(datum, origin, *local))
+    assert seen[0] == pytest.approx(seen[1], abs=1e-5)
+    assert seen[0] == pytest.approx((x, y), abs=1e-3)
+
+
+@given(PLACE, METRES, METRES)
+def test_distances_are_those_of_the_ellipsoid(datum, x, y):
+    """Straight through the earth between the two places, which a tangent plane has right to 1e-7 at 3 km."""
+    place = frames.world_to_geodetic(datum, x, y)
+    a, b = (geodetic2ecef(p.latitude_deg, p.longitude_deg, p.altitude_m) for p in (datum, place))
+    distance = hypot(*(float(q) - float(p) for p, q in zip(a, b, strict=True)))
+    assert distance == pytest.approx(hypot(x, y), rel=1e-6, abs=1e-5)
+
+
+@given(PLACE, METRES, METRES)
+def test_the_sphere_of_the_autopilot_is_not_far_off(origin, north, east):
+    """One vehicle's own north and east are within 1 % of metres; `local_to_world` takes that out."""
+    place = frames.local_to_geodetic(origin, north, east)
+    x, y = frames.geodetic_to_world(origin, place)
+    assert (
+        hypot(x - east, y - north)
+        < 0.011 * hypot(east, north) + 0.05 * hypot(east, north) * (abs(origin.latitude_deg) > 75.0) + 1e-4
+    )
+
+
+@given(
+    st.builds(Geodetic, LATITUDE, st.sampled_from([-180.0, 179.9999, 180.0]), st.just(0.0)), METRES, METRES
+)
+def test_across_the_antimeridian(datum, x, y):
+    place = frames.world_to_geodetic(datum, x, y)
+    assert -180.0 <= place.longitude_deg <= 180.0
+    assert frames.local_to_world(datum, datum, *frames.geodetic_to_local(datum, place)) == pytest.approx(
+        (x, y), abs=1e-3
+    )
+
+
+@given(PLACE, st.floats(-1.0, 1.0).filter(lambda v: abs(v) > 0.1))
+def test_a_vehicle_heading_north_drives_towards_plus_y(datum, speed):
+    rover = RoverDynamics(yaw=0.0)
+    for _ in range(100):
+        rover.step(0.02, speed, 0.0)
+    x, y = frames.local_to_world(datum, datum, rover.north, rover.east)
+    assert abs(x) < 1e-3
+    assert y * speed > 0.0
+    assert y == pytest.approx(rover.north, rel=0.011)
+    assert frames.heading_from_yaw(rover.yaw) == pytest.approx(pi / 2)
+
+
+@given(ANGLE, st.floats(0.3, 1.0), st.floats(-0.5, 0.5))
+def test_a_vehicle_drives_along_its_heading(yaw, speed, rate):
+    datum = Geodetic(-35.363261, 149.16523)
+    rover = RoverDynamics(yaw=yaw)
+    before = (0.0, 0.0)
+    for _ in range(60):
+        rover.step(0.02, speed, frames.yaw_rate(rate))
+        here = frames.local_to_world(datum, datum, rover.north, rover.east)
+        if rover.speed > 0.2:
+            heading = frames.heading_from_yaw(rover.yaw)
+            way = hypot(here[0] - before[0], here[1] - before[1])
+            ahead = (here[0] - before[0]) * cos(heading) + (here[1] - before[1]) * sin(heading)
+            assert ahead == pytest.approx(way, rel=1e-3)
+        before = here
+    turned = frames.wrapped(frames.heading_from_yaw(rover.yaw) - frames.heading_from_yaw(yaw))
+    assert turned * rate >= 0.0  # counter-clockwise is positive in the world
