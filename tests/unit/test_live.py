@@ -110,3 +110,32 @@ def test_plain_lines_end_with_the_faults() -> None:
     stream = io.StringIO()
     Lines(stream, quiet=False, period_s=2.0).show(watch('[faults]\nloss = "10%"\n').picture(1.0))
     assert stream.getvalue().rstrip().endswith(", faults: loss 10% on every link")
+
+
+def told(watched: Watch, robot: int, state: str, reason: str, after_ns: int) -> None:
+    status = Status(robot, 1, EPOCH_NS + after_ns, state, reason, 1, (), (), (), ())
+    watched.feed(keys.status("pair", robot), status)
+
+
+def test_a_released_robot_is_shown_with_its_reason() -> None:
+    watched = watch()
+    told(watched, 1, "running", "", 1)
+    told(watched, 2, "released", "mode MANUAL, not GUIDED", 1)
+    text = summary(watched.picture(1.0))
+    assert text.endswith("running: 1, released: 2 (mode MANUAL, not GUIDED)")
+    told(watched, 1, "released", "disarmed", 2)
+    text = summary(watched.picture(1.0))
+    assert text.endswith("released: 1 (disarmed), 2 (mode MANUAL, not GUIDED)")
+
+
+def test_a_release_and_its_end_are_news_once() -> None:
+    watched = watch()
+    told(watched, 2, "running", "", 1)
+    assert watched.news(1.0) == []
+    told(watched, 2, "released", "mode MANUAL, not GUIDED", 2)
+    assert watched.news(12.34) == ["12.3 s: robot 2 is released: mode MANUAL, not GUIDED"]
+    told(watched, 2, "released", "mode HOLD, not GUIDED", 3)
+    assert watched.news(12.5) == []
+    told(watched, 2, "running", "", 4)
+    assert watched.news(20.0) == ["20.0 s: robot 2 is back: running"]
+    assert watched.news(20.0) == []

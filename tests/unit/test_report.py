@@ -134,6 +134,18 @@ def test_a_failed_run_says_why_and_what_to_try(tmp_path: Path) -> None:
     assert "drive for longer" in page.text
 
 
+def test_a_failed_run_with_a_released_robot_says_how_it_drives_on(tmp_path: Path) -> None:
+    def told(state: str) -> str:
+        sent = messages(FLEET, in_formation(FLEET, 1.5, calm_s=1e9), state=state)
+        folder = tmp_path / state
+        folder.mkdir()
+        finish(folder, leave_run(folder, FLEET, sent))
+        return Page((folder / "report.html").read_text()).text
+
+    assert "handfast resume" in told("released")
+    assert "handfast resume" not in told("running")
+
+
 def test_texts_of_others_are_escaped(tmp_path: Path) -> None:
     """Descriptions, reasons of states and names of counters come from outside."""
     attack = '<script>alert("x")</script>&amp;'

@@ -1,0 +1,1 @@
+"""A real rover as a plant: ArduPilot Rover over MAVLink."""

@@ -1,0 +1,287 @@
+"""What ArduPilot Rover, and no other autopilot, means by its numbers (PURE).
+
+Numbers as in MAVLink's ``common`` and ``ardupilotmega`` dialects and in ArduPilot's ``Rover/mode.h``; what
+the vehicle does with them is measured (``docs/rovers.md``). pymavlink's own enums stay out, so that pure
+modules may import this one.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+# Flight modes: HEARTBEAT.custom_mode, SET_MODE, MAV_CMD_DO_SET_MODE.
+MANUAL: Final = 0
+ACRO: Final = 1
+STEERING: Final = 3
+HOLD: Final = 4
+LOITER: Final = 5
+FOLLOW: Final = 6
+SIMPLE: Final = 7
+DOCK: Final = 8
+CIRCLE: Final = 9
+AUTO: Final = 10
+RTL: Final = 11
+SMART_RTL: Final = 12
+GUIDED: Final = 15
+INITIALISING: Final = 16
+
+MODE_NAMES: Final = {
+    MANUAL: "MANUAL",
+    ACRO: "ACRO",
+    STEERING: "STEERING",
+    HOLD: "HOLD",
+    LOITER: "LOITER",
+    FOLLOW: "FOLLOW",
+    SIMPLE: "SIMPLE",
+    DOCK: "DOCK",
+    CIRCLE: "CIRCLE",
+    AUTO: "AUTO",
+    RTL: "RTL",
+    SMART_RTL: "SMART_RTL",
+    GUIDED: "GUIDED",
+    INITIALISING: "INITIALISING",
+}
+MODE_NUMBERS: Final = {name: number for number, name in MODE_NAMES.items()}
+
+
+def mode_name(number: int) -> str:
+    """Name of a mode of Rover, ``mode 42`` for one that is not known."""
+    return MODE_NAMES.get(number, f"mode {number}")
+
+
+# MAV_TYPE, MAV_AUTOPILOT, MAV_STATE, MAV_MODE_FLAG: of HEARTBEAT.
+TYPE_GENERIC: Final = 0
+TYPE_FIXED_WING: Final = 1
+TYPE_QUADROTOR: Final = 2
+TYPE_GCS: Final = 6
+TYPE_GROUND_ROVER: Final = 10
+TYPE_SURFACE_BOAT: Final = 11
+TYPE_SUBMARINE: Final = 12
+TYPE_ONBOARD_CONTROLLER: Final = 18
+ROVER_TYPES: Final = frozenset({TYPE_GROUND_ROVER, TYPE_SURFACE_BOAT})
+TYPE_NAMES: Final = {
+    TYPE_GENERIC: "generic",
+    TYPE_FIXED_WING: "fixed wing",
+    TYPE_QUADROTOR: "quadrotor",
+    3: "coaxial helicopter",
+    4: "helicopter",
+    5: "antenna tracker",
+    TYPE_GCS: "ground station",
+    TYPE_GROUND_ROVER: "ground rover",
+    TYPE_SURFACE_BOAT: "surface boat",
+    TYPE_SUBMARINE: "submarine",
+    13: "hexarotor",
+    14: "octorotor",
+    TYPE_ONBOARD_CONTROLLER: "onboard controller",
+    19: "vertical take-off plane",
+    26: "gimbal",
+    27: "ADS-B receiver",
+    30: "camera",
+}
+
+AUTOPILOT_GENERIC: Final = 0
+AUTOPILOT_ARDUPILOT: Final = 3
+"""MAV_AUTOPILOT_ARDUPILOTMEGA."""
+AUTOPILOT_INVALID: Final = 8
+"""What a ground station and a companion say of themselves."""
+AUTOPILOT_PX4: Final = 12
+
+STATE_UNINIT: Final = 0
+STATE_BOOT: Final = 1
+STATE_CALIBRATING: Final = 2
+STATE_STANDBY: Final = 3
+STATE_ACTIVE: Final = 4
+STATE_CRITICAL: Final = 5
+
+FLAG_CUSTOM_MODE: Final = 1
+"""MAV_MODE_FLAG_CUSTOM_MODE_ENABLED: HEARTBEAT.custom_mode has a meaning; needed in a request for a mode."""
+FLAG_GUIDED: Final = 8
+FLAG_STABILIZE: Final = 16
+FLAG_MANUAL_INPUT: Final = 64
+FLAG_ARMED: Final = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED."""
+
+# Components.
+COMPONENT_AUTOPILOT: Final = 1
+COMPONENT_ONBOARD_COMPUTER: Final = 191
+SYSTEM_GROUND_STATION: Final = 255
+"""The system id that a ground station and SYSID_MYGCS have unless they were told otherwise: never ours."""
+
+# POSITION_TARGET_TYPEMASK: a bit set means "ignore".
+IGNORE_X: Final = 0x001
+IGNORE_Y: Final = 0x002
+IGNORE_Z: Final = 0x004
+IGNORE_VX: Final = 0x008
+IGNORE_VY: Final = 0x010
+IGNORE_VZ: Final = 0x020
+IGNORE_AX: Final = 0x040
+IGNORE_AY: Final = 0x080
+IGNORE_AZ: Final = 0x100
+FORCE_SET: Final = 0x200
+IGNORE_YAW: Final = 0x400
+IGNORE_YAW_RATE: Final = 0x800
+IGNORE_POSITION: Final = IGNORE_X | IGNORE_Y
+"""The bits of a group that Rover reads; the vertical ones it does not."""
+IGNORE_VELOCITY: Final = IGNORE_VX | IGNORE_VY
+IGNORE_ACCELERATION: Final = IGNORE_AX | IGNORE_AY
+
+MASK_SPEED_AND_YAW_RATE: Final = 0x5C7
+"""Forward speed ``sqrt(vx^2 + vy^2) * sign(vx)`` in a body frame, with a yaw rate: what a bridge sends."""
+MASK_YAW_RATE: Final = 0x5FF
+"""A yaw rate alone: turns on the spot."""
+MASK_VELOCITY: Final = 0xDC7
+"""A velocity vector: turns its heading to ``atan2(vy, vx)`` and drives forward, never in reverse."""
+MASK_POSITION: Final = 0xDFC
+"""A place to go to; never times out."""
+ATTITUDE_MASK_THRUST_AND_YAW_RATE: Final = 0x83
+"""Of SET_ATTITUDE_TARGET: speed ``thrust * WP_SPEED`` with ``body_yaw_rate``."""
+
+# MAV_FRAME.
+FRAME_GLOBAL: Final = 0
+FRAME_LOCAL_NED: Final = 1
+FRAME_LOCAL_OFFSET_NED: Final = 7
+FRAME_BODY_NED: Final = 8
+FRAME_BODY_OFFSET_NED: Final = 9
+FRAME_BODY_FRD: Final = 12
+FRAME_LOCAL_FRD: Final = 20
+ACCEPTED_FRAMES: Final = frozenset(
+    {FRAME_LOCAL_NED, FRAME_LOCAL_OFFSET_NED, FRAME_BODY_NED, FRAME_BODY_OFFSET_NED}
+)
+"""Setpoints in any other frame are ignored without a word."""
+BODY_FRAMES: Final = frozenset({FRAME_BODY_NED, FRAME_BODY_OFFSET_NED})
+
+# Ids of messages.
+HEARTBEAT: Final = 0
+SYS_STATUS: Final = 1
+SYSTEM_TIME: Final = 2
+GPS_RAW_INT: Final = 24
+ATTITUDE: Final = 30
+LOCAL_POSITION_NED: Final = 32
+GLOBAL_POSITION_INT: Final = 33
+GPS_GLOBAL_ORIGIN: Final = 49
+TIMESYNC: Final = 111
+BATTERY_STATUS: Final = 147
+AUTOPILOT_VERSION: Final = 148
+EKF_STATUS_REPORT: Final = 193
+HOME_POSITION: Final = 242
+
+# MAV_CMD, and what COMMAND_ACK says of one (MAV_RESULT).
+CMD_DO_SET_MODE: Final = 176
+CMD_PREFLIGHT_REBOOT_SHUTDOWN: Final = 246
+CMD_RUN_PREARM_CHECKS: Final = 401
+CMD_COMPONENT_ARM_DISARM: Final = 400
+CMD_GET_HOME_POSITION: Final = 410
+CMD_GET_MESSAGE_INTERVAL: Final = 510
+CMD_SET_MESSAGE_INTERVAL: Final = 511
+CMD_REQUEST_MESSAGE: Final = 512
+FORCE_ARM: Final = 21196
+"""``param2`` of an arming command that skips the checks. Before the EKF is ready it can crash the vehicle."""
+
+RESULT_ACCEPTED: Final = 0
+RESULT_TEMPORARILY_REJECTED: Final = 1
+RESULT_DENIED: Final = 2
+RESULT_UNSUPPORTED: Final = 3
+RESULT_FAILED: Final = 4
+RESULT_IN_PROGRESS: Final = 5
+RESULT_NAMES: Final = {
+    RESULT_ACCEPTED: "accepted",
+    RESULT_TEMPORARILY_REJECTED: "temporarily rejected",
+    RESULT_DENIED: "denied",
+    RESULT_UNSUPPORTED: "unsupported",
+    RESULT_FAILED: "failed",
+    RESULT_IN_PROGRESS: "in progress",
+}
+
+# EKF_STATUS_REPORT.flags.
+EKF_ATTITUDE: Final = 1
+EKF_VELOCITY_HORIZ: Final = 2
+EKF_VELOCITY_VERT: Final = 4
+EKF_POS_HORIZ_REL: Final = 8
+EKF_POS_HORIZ_ABS: Final = 16
+EKF_POS_VERT_ABS: Final = 32
+EKF_POS_VERT_AGL: Final = 64
+EKF_CONST_POS_MODE: Final = 128
+EKF_PRED_POS_HORIZ_REL: Final = 256
+EKF_PRED_POS_HORIZ_ABS: Final = 512
+EKF_UNINITIALIZED: Final = 1024
+EKF_GPS_GLITCHING: Final = 1 << 15
+EKF_NEEDED: Final = EKF_ATTITUDE | EKF_VELOCITY_HORIZ | EKF_POS_HORIZ_REL | EKF_POS_HORIZ_ABS
+EKF_FORBIDDEN: Final = EKF_CONST_POS_MODE | EKF_UNINITIALIZED | EKF_GPS_GLITCHING
+
+# SYS_STATUS sensors (MAV_SYS_STATUS_SENSOR).
+SENSOR_GPS: Final = 0x20
+SENSOR_AHRS: Final = 0x200000
+SENSOR_PREARM_CHECK: Final = 0x10000000
+
+# GPS_RAW_INT.fix_type.
+GPS_NO_GPS: Final = 0
+GPS_NO_FIX: Final = 1
+GPS_2D_FIX: Final = 2
+GPS_3D_FIX: Final = 3
+GPS_DGPS: Final = 4
+GPS_RTK_FLOAT: Final = 5
+GPS_RTK_FIXED: Final = 6
+GPS_FIX_NAMES: Final = {
+    GPS_NO_GPS: "no GPS",
+    GPS_NO_FIX: "no fix",
+    GPS_2D_FIX: "2D fix",
+    GPS_3D_FIX: "3D fix",
+    GPS_DGPS: "DGPS",
+    GPS_RTK_FLOAT: "RTK float",
+    GPS_RTK_FIXED: "RTK fixed",
+}
+
+# MAV_SEVERITY of STATUSTEXT.
+SEVERITY_NAMES: Final = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+
+
+def severity_name(number: int) -> str:
+    """Name of a STATUSTEXT's severity."""
+    return SEVERITY_NAMES[number] if 0 <= number < len(SEVERITY_NAMES) else f"severity {number}"
+
+
+# MAV_PARAM_TYPE of PARAM_VALUE.
+PARAM_INT8: Final = 2
+PARAM_INT16: Final = 4
+PARAM_INT32: Final = 6
+PARAM_REAL32: Final = 9
+
+# Parameters. Newer firmware has renamed some: first today's name, then the older one.
+FS_ACTION: Final = "FS_ACTION"
+FS_TIMEOUT: Final = "FS_TIMEOUT"
+FS_THR_ENABLE: Final = "FS_THR_ENABLE"
+FS_GCS_ENABLE: Final = "FS_GCS_ENABLE"
+FS_GCS_TIMEOUT: Final = "FS_GCS_TIMEOUT"
+FS_EKF_ACTION: Final = "FS_EKF_ACTION"
+FS_EKF_THRESH: Final = "FS_EKF_THRESH"
+FS_CRASH_CHECK: Final = "FS_CRASH_CHECK"
+SYSTEM_ID: Final = ("MAV_SYSID", "SYSID_THISMAV")
+GROUND_STATION_ID: Final = ("MAV_GCS_SYSID", "SYSID_MYGCS")
+SYSID_ENFORCE: Final = "SYSID_ENFORCE"
+WP_SPEED: Final = "WP_SPEED"
+ATC_ACCEL_MAX: Final = "ATC_ACCEL_MAX"
+ATC_STR_RAT_MAX: Final = "ATC_STR_RAT_MAX"
+ATC_TURN_MAX_G: Final = "ATC_TURN_MAX_G"
+SCHED_LOOP_RATE: Final = "SCHED_LOOP_RATE"
+ARMING_CHECK: Final = ("ARMING_SKIPCHK", "ARMING_CHECK")
+BATT_FS_LOW_ACT: Final = "BATT_FS_LOW_ACT"
+BATT_FS_CRT_ACT: Final = "BATT_FS_CRT_ACT"
+BATT_LOW_VOLT: Final = "BATT_LOW_VOLT"
+BATT_CRT_VOLT: Final = "BATT_CRT_VOLT"
+BATT_MONITOR: Final = "BATT_MONITOR"
+SIM_GPS1_JAM: Final = "SIM_GPS1_JAM"
+SIM_GPS1_ENABLE: Final = "SIM_GPS1_ENABLE"
+
+LOOP_RATE_HZ: Final = 50
+"""Default of SCHED_LOOP_RATE."""
+STREAM_RATE_PART: Final = 0.8
+"""Of SCHED_LOOP_RATE: the most that SET_MESSAGE_INTERVAL grants (40 Hz)."""
+STREAM_RATE_HZ: Final = 1.0
+"""What is sent of position and attitude unless asked for more."""
+SETPOINT_TIMEOUT_NS: Final = 3_000_000_000
+"""After this silence in GUIDED the vehicle stops by itself; hard-coded in the firmware."""
+SETPOINT_TIMEOUT_TEXT: Final = "target not received last 3secs, stopping"
+WP_SPEED_MPS: Final = 3.0
+ATC_ACCEL_MAX_MPS2: Final = 1.0
+ATC_STR_RAT_MAX_DPS: Final = 120.0
+ATC_TURN_MAX_G_G: Final = 0.6

@@ -1,0 +1,120 @@
+"""Who has the vehicle: its operator or the bridge (PURE).
+
+The operator always wins. Commands may flow in `Holder.BRIDGE` only. The table `TRANSITIONS` is read from the
+top at every tick, and the first row that applies is taken; nothing else changes the holder but `go_ahead`.
+
+Once the fleet has been told to drive, a vehicle that leaves GUIDED or is disarmed is **released**: at once, and
+for as long as its operator has not given it back (GUIDED, armed) *and* the fleet has then been told to drive
+again, by a new mission or by leave to resume. The bridge never goes back into GUIDED by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Final, NamedTuple
+
+
+class Holder(Enum):
+    """Who has the vehicle. The values are for logs."""
+
+    NOBODY = "no vehicle"
+    """It is not there, is not one that can be driven, or another bridge is at it."""
+    OPERATOR = "its operator's"
+    """It has not been handed over: not in GUIDED, or not armed."""
+    BRIDGE = "the bridge's"
+    """Armed, in GUIDED: wrenches reach it."""
+    RELEASED = "released"
+    """Its operator took it away. Given back or not, the bridge waits to be told to go on."""
+
+
+class Situation(NamedTuple):
+    """One tick's. Each text is empty when all is well, else says what is wrong.
+
+    vehicle: its link, what kind of vehicle it is, who else commands it.
+    operator: its mode and arming: "" means GUIDED and armed, or that nothing is heard of it.
+    refusal: what makes the bridge let go of a vehicle that is its own: it does not follow its commands.
+    driven: the fleet has been told to drive since the bridge started, or the bridge has driven.
+    """
+
+    vehicle: str
+    operator: str
+    refusal: str
+    driven: bool
+
+
+class Transition(NamedTuple):
+    """One row: from any of `sources` to `target` when `applies`."""
+
+    name: str
+    sources: frozenset[Holder]
+    target: Holder
+    applies: Callable[[Situation], bool]
+
+
+_FREE: Final = frozenset({Holder.NOBODY, Holder.OPERATOR, Holder.BRIDGE})
+
+TRANSITIONS: Final[tuple[Transition, ...]] = (
+    # First, so that a vehicle that was taken while its estimate was bad does not drive off when that is mended.
+    Transition("taken", _FREE, Holder.RELEASED, lambda s: bool(s.operator) and s.driven),
+    # A released vehicle stays released whatever happens to its link: the row for a lost one spares it.
+    Transition("lost", _FREE, Holder.NOBODY, lambda s: bool(s.vehicle)),
+    Transition("refused", _FREE, Holder.RELEASED, lambda s: bool(s.refusal)),
+    Transition("not_handed_over", _FREE, Holder.OPERATOR, lambda s: bool(s.operator)),
+    Transition("handed_over", _FREE, Holder.BRIDGE, lambda s: True),
+)
+
+
+class Authority:
+    """Whether commands may flow.
+
+    Attributes:
+        holder: who has the vehicle.
+        why: what keeps commands from flowing, "" while they may.
+    """
+
+    def __init__(self) -> None:
+        self.holder = Holder.NOBODY
+        self.why = "waiting for the vehicle"
+        self._driven = False
+        self._taken = ""
+        self._situation = Situation(self.why, "", "", driven=False)
+
+    def step(self, vehicle: str, operator: str, refusal: str = "") -> Transition | None:
+        """One tick: see `Situation`. Returns the row that changed the holder, None when none did."""
+        self._situation = situation = Situation(vehicle, operator, refusal, self._driven)
+        before = self.holder
+        row = next((row for row in TRANSITIONS if before in row.sources and row.applies(situation)), None)
+        if row is not None:
+            self.holder = row.target
+        if self.holder is Holder.RELEASED and before is not Holder.RELEASED:
+            self._taken = refusal or operator
+        self.why = self._reason()
+        return row if self.holder is not before else None
+
+    def _reason(self) -> str:
+        situation = self._situation
+        if self.holder is Holder.BRIDGE:
+            return ""
+        if situation.vehicle:
+            return situation.vehicle
+        if self.holder is Holder.RELEASED:
+            if situation.operator:
+                return f"its operator has it: {situation.operator}"
+            return f"released ({self._taken}) and given back: waiting to be told to resume"
+        return situation.operator
+
+    def driving(self) -> None:
+        """A wrench reaches the vehicle. A bridge that started again may not have heard the order to drive."""
+        self._driven = True
+
+    def go_ahead(self) -> bool:
+        """The fleet is told to drive. False when this vehicle cannot: its operator has not given it back."""
+        self._driven = True
+        given_back = not (self._situation.vehicle or self._situation.operator)
+        if self.holder is Holder.RELEASED:
+            if given_back:
+                self.holder = Holder.NOBODY  # the next step finds who has it
+        elif self._situation.operator:
+            self._taken, self.holder = self._situation.operator, Holder.RELEASED
+        return given_back

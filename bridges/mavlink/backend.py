@@ -1,0 +1,341 @@
+"""A rover as a plant: what comes of its link, whose it is, and what it is told, once a tick."""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Final
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.fleet_sections import MavlinkSection
+from agent.hand import Pose
+from agent.process import Log
+from agent.supervision import REST_SPEED, REST_YAW_RATE
+from bridges.mavlink import ardurover, checks, frames
+from bridges.mavlink.authority import Authority, Holder
+from bridges.mavlink.estimate import Estimate
+from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.link import Link
+from bridges.mavlink.link_settings import LinkSettings
+from bridges.mavlink.rover_dynamics import DEFAULTS, Limits
+from bridges.mavlink.setpoint import Bounds, MotionCheck, Setpoint
+from bridges.mavlink.signing import Signing
+from bridges.mavlink.transport import Transport
+from plant.backend import Check, Command, PlantBackend, Reading
+
+CHECKS_PERIOD_NS: Final = NS_PER_S // 2
+COMMAND_PERIOD_NS: Final = NS_PER_S // 50 - NS_PER_S // 1000
+"""Setpoints go out at every tick, but no faster than 50 Hz: the vehicle's own loop is not faster."""
+BRAKE_AT_REST_NS: Final = NS_PER_S
+BRAKE_NS_MAX: Final = 3 * NS_PER_S
+"""Zero setpoints are sent until the vehicle has stood for the first, at most for the second: silence stops it
+then."""
+LISTEN_NS: Final = 2 * NS_PER_S
+"""Another bridge sends its heartbeat once in half of this."""
+CLAIM_PERIOD_NS: Final = 3 * NS_PER_S
+PREARM: Final = ("PreArm: ", "Arm: ")
+_NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def datum_of(fleet: Fleet) -> Geodetic:
+    """The fleet's datum. A fleet with a robot whose plant is `mavlink` has one."""
+    assert fleet.datum is not None
+    return Geodetic(fleet.datum.latitude_deg, fleet.datum.longitude_deg, fleet.datum.altitude_m)
+
+
+def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Link:
+    """The session with the vehicle of a robot, as the fleet file describes it.
+
+    Args:
+        token: any number that other bridges are not likely to have (`LinkSettings`).
+    """
+    section = fleet.robot(robot).mavlink or MavlinkSection()
+    return Link(
+        LinkSettings(
+            system=section.system,
+            own_system=section.own_system,
+            own_component=section.own_component,
+            state_rate_hz=section.state_rate_hz,
+            set_origin=section.set_origin,
+            datum=datum_of(fleet),
+            signing=signing,
+            token=token,
+        )
+    )
+
+
+class MavlinkPlant(PlantBackend):
+    """The vehicle of robot `robot` behind `transport`.
+
+    Args:
+        link: the session with it.
+        log: takes a line for the log.
+
+    Attributes:
+        authority: who has the vehicle.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, link: Link, transport: Transport, log: Log) -> None:
+        body = fleet.robot(robot)
+        self._section = section = body.mavlink or MavlinkSection()
+        self._start = body.x_m, body.y_m
+        self._datum = datum_of(fleet)
+        self._link, self._transport, self._log = link, transport, log
+        self.authority: Final = Authority()
+        bounds = Bounds(section.max_speed_mps, section.max_acceleration, section.max_yaw_rate_radps)
+        self._setpoint = Setpoint(body.mass_kg, body.inertia_kgm2, bounds)
+        self._motion = MotionCheck()
+        self._estimate = Estimate()
+        self._yaw: float | None = None
+        self._connections, self._lives = transport.epoch, link.epoch
+        self._pose = _NOWHERE
+        self._known = False
+        self._listening_since_ns: int | None = None
+        self._now_ns: int | None = None
+        self._driving = False
+        self._braking_since_ns: int | None = None
+        self._resting_since_ns: int | None = None
+        self._commanded_ns: int | None = None
+        self._asked = (0.0, 0.0)
+        self._refusal = ""
+        self._claiming = section.arm
+        self._claimed_ns: int | None = None
+        self._was_guided = self._armed_here = False
+        self._prearm = ""
+        self._checks: tuple[Check, ...] = ()
+        self._checks_due_ns = 0
+        self._said = self._noted = ""
+
+    # ------------------------------------------------------------------ one tick
+
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        """See `PlantBackend.step`."""
+        dt = 0.0 if self._now_ns is None else max(0.0, (now_ns - self._now_ns) / NS_PER_S)
+        self._now_ns = now_ns
+        self._listen()
+        trouble = self._locate(now_ns)
+        self.authority.step(trouble, self._operator if self._link.connected(now_ns) else "", self._refusal)
+        self._say_who_has_it()
+        if self._claiming and not trouble:
+            self._claim(now_ns)
+        out = self._drive(now_ns, dt, command) + self._link.tick(now_ns)
+        if out:
+            self._transport.send(out)
+        return self._reading(now_ns, trouble)
+
+    def _listen(self) -> None:
+        """Takes what the vehicle has said since the last tick."""
+        link = self._link
+        if self._connections != self._transport.epoch:
+            self._connections = self._transport.epoch
+            link.restart()
+        for arrival_ns, data in self._transport.receive():
+            link.receive(arrival_ns, data)
+        if self._lives != link.epoch:
+            self._lives = link.epoch
+            self._estimate.forget()
+            self._yaw = None
+            self._known = self._was_guided = False
+        for attitude in link.take_attitudes():
+            valid_ns = link.clock.take(attitude.stamp_ms, attitude.arrival_ns)
+            self._yaw = attitude.yaw
+            self._estimate.attitude(
+                valid_ns, frames.heading_from_yaw(attitude.yaw), frames.yaw_rate(attitude.rate)
+            )
+        origin = link.origin
+        for position in link.take_positions():
+            valid_ns = link.clock.take(position.stamp_ms, position.arrival_ns)
+            if origin is not None and self._yaw is not None:
+                x, y = frames.local_to_world(self._datum, origin, position.north, position.east)
+                speed = frames.forward_speed(self._yaw, position.v_north, position.v_east)
+                self._estimate.position(valid_ns, x, y, speed)
+        for text in link.take_texts():
+            self._log(f"the vehicle says ({ardurover.severity_name(text.severity)}): {text.text}")
+            for mark in PREARM:
+                if text.text.startswith(mark):
+                    self._prearm = text.text.removeprefix(mark)
+
+    def _locate(self, now_ns: int) -> str:
+        """Finds the pose. Says why the vehicle is not there or cannot be relied on; "" when all is well."""
+        found = self._estimate.pose_at(now_ns)
+        if found.healthy:
+            self._pose, self._known = found.pose, True
+        link = self._link
+        absence = self._transport.trouble or link.absence(now_ns)
+        if absence:
+            self._listening_since_ns = None
+        elif self._listening_since_ns is None:
+            self._listening_since_ns = now_ns
+        return (
+            absence
+            or link.problem
+            or self._company(now_ns)
+            or checks.gps_trouble(link, now_ns)
+            or checks.ekf_trouble(link, now_ns)
+            or checks.origin_trouble(link, self._datum)
+            or found.note
+        )
+
+    def _company(self, now_ns: int) -> str:
+        """Which other bridge keeps this one from driving; it listens for a while before it believes in none.
+
+        Of two, the one that has the vehicle keeps it; of two that start at once neither takes it.
+        """
+        if self.authority.holder is Holder.BRIDGE:
+            return ""
+        other = self._link.another_bridge(now_ns)
+        since_ns = self._listening_since_ns
+        if not other and since_ns is not None and now_ns - since_ns < LISTEN_NS:
+            return f"{checks.WAITING}other bridges to be heard, if there are any"
+        return other
+
+    @property
+    def _operator(self) -> str:
+        """What the vehicle's operator has still to do, or has undone; "" when it is in GUIDED and armed."""
+        mode = self._link.mode
+        if mode != ardurover.GUIDED:
+            return f"mode {ardurover.mode_name(mode) if mode is not None else 'unknown'}, not GUIDED"
+        return "" if self._link.armed else "disarmed"
+
+    def _say_who_has_it(self) -> None:
+        why = self.authority.why
+        if self.authority.holder is Holder.BRIDGE:
+            self._claiming = False  # from now on its operator decides
+        if why != self._said and why.split(" for ")[0] != self._said.split(" for ")[0]:
+            self._log(why or "armed and in GUIDED: it obeys")
+        self._said = why
+
+    def _claim(self, now_ns: int) -> None:
+        """Puts the vehicle into GUIDED and arms it, as the fleet file says that the bridge should."""
+        link = self._link
+        if link.mode == ardurover.GUIDED:
+            self._was_guided = True
+        elif self._was_guided:
+            self._claiming = False
+            self._log("its operator has taken it out of GUIDED again: it is asked no more")
+            return
+        due = self._claimed_ns is None or now_ns - self._claimed_ns >= CLAIM_PERIOD_NS
+        if self.authority.holder is not Holder.OPERATOR or not due:
+            return
+        if link.mode == ardurover.GUIDED:
+            self._log("arming it (mavlink.arm = true)")
+            link.command_arm(True)
+            self._armed_here = True
+        elif not link.armed:  # else somebody drives it
+            self._log("asking for GUIDED (mavlink.arm = true)")
+            link.command_mode(ardurover.GUIDED)
+        self._claimed_ns = now_ns
+
+    # ------------------------------------------------------------------ commands
+
+    def _drive(self, now_ns: int, dt: float, command: Command | None) -> bytes:
+        """The setpoint of this tick; nothing unless the vehicle is the bridge's to command, or to brake."""
+        self._setpoint.vehicle = self._vehicle_limits()
+        surprise = self._estimate.surprise
+        obeys = self.authority.holder is Holder.BRIDGE
+        if obeys and command is not None:
+            self.authority.driving()
+            self._driving, self._braking_since_ns = True, None
+        elif self._driving and (self._operator or not self._still_braking(now_ns)):
+            self._driving = False
+        wanted = command if obeys else None
+        self._asked = self._setpoint.step(dt, wanted, self._pose, surprise)
+        if self._setpoint.note:
+            self._log(self._setpoint.note)
+        predicted = self._estimate.predicted
+        self._refusal = self._motion.step(dt, self._driving and obeys, predicted, surprise)
+        self._estimate.command(now_ns, *self._asked, self._setpoint.vehicle)
+        if not self._driving:
+            return b""
+        if self._commanded_ns is not None and now_ns - self._commanded_ns < COMMAND_PERIOD_NS:
+            return b""
+        self._commanded_ns = now_ns
+        return self._link.setpoint(*self._asked)
+
+    def _still_braking(self, now_ns: int) -> bool:
+        """False when the vehicle has stood for a while, or had time enough."""
+        if self._braking_since_ns is None:
+            self._braking_since_ns, self._resting_since_ns = now_ns, None
+        if abs(self._pose.speed) >= REST_SPEED or abs(self._pose.yaw_rate) >= REST_YAW_RATE:
+            self._resting_since_ns = None
+        elif self._resting_since_ns is None:
+            self._resting_since_ns = now_ns
+        rested = self._resting_since_ns is not None and now_ns - self._resting_since_ns >= BRAKE_AT_REST_NS
+        return not rested and now_ns - self._braking_since_ns < BRAKE_NS_MAX
+
+    def _vehicle_limits(self) -> Limits:
+        """What the vehicle's own parameters allow, as far as they are known."""
+        link = self._link
+        speed, acceleration, turn, turn_g = map(
+            link.parameter,
+            (
+                ardurover.WP_SPEED,
+                ardurover.ATC_ACCEL_MAX,
+                ardurover.ATC_STR_RAT_MAX,
+                ardurover.ATC_TURN_MAX_G,
+            ),
+        )
+        return Limits(
+            DEFAULTS.speed if speed is None else max(0.0, speed),
+            DEFAULTS.acceleration if acceleration is None else max(0.0, acceleration),
+            DEFAULTS.yaw_rate if turn is None else max(0.0, radians(turn)),
+            DEFAULTS.turn_g if turn_g is None else max(0.0, turn_g),
+        )
+
+    def _reading(self, now_ns: int, trouble: str) -> Reading:
+        """What the agent is told: where the vehicle is, and the motion of the body that the law drives.
+
+        While the bridge drives, its speed and yaw rate are those of the reference (`setpoint`), else those
+        measured: then `Setpoint.step` keeps the two alike.
+        """
+        pose = self._pose
+        if self._driving and self.authority.holder is Holder.BRIDGE:
+            pose = pose._replace(speed=self._setpoint.speed, yaw_rate=self._setpoint.yaw_rate)
+        obeying = self.authority.holder is Holder.BRIDGE
+        if trouble or not self._known:
+            return Reading(now_ns, pose, 0.0, 0.0, False, trouble or "no position yet", obeying)
+        return Reading(
+            now_ns, pose, self._setpoint.force, self._setpoint.torque, True, self.authority.why, obeying
+        )
+
+    # ------------------------------------------------------------------ before and after
+
+    def go_ahead(self, now_ns: int) -> None:
+        """See `PlantBackend.go_ahead`."""
+        was = self.authority.holder
+        if not self.authority.go_ahead():
+            self._log(f"told to drive, but cannot: {self.authority.why}")
+        elif was is Holder.RELEASED:
+            self._log("told to resume")
+
+    def checks(self, now_ns: int) -> tuple[Check, ...]:
+        """See `PlantBackend.checks`."""
+        if now_ns >= self._checks_due_ns:
+            self._checks_due_ns = now_ns + CHECKS_PERIOD_NS
+            link = self._link
+            trip_ns = link.clock.round_trip_ns
+            found = checks.Found(
+                now_ns,
+                self._transport.trouble,
+                self._transport.note,
+                None if trip_ns is None else trip_ns / NS_PER_S,
+                link.clock.note,
+                self._pose if self._known else None,
+                self._start,
+                self._prearm,
+            )
+            self._checks = checks.checks(link, found, self._section, self._datum)
+        return self._checks
+
+    def close(self) -> None:
+        """See `PlantBackend.close`: a vehicle that was armed here, and stands, is disarmed."""
+        now_ns = self._now_ns
+        standing = abs(self._pose.speed) < REST_SPEED and abs(self._pose.yaw_rate) < REST_YAW_RATE
+        if now_ns is not None and self._armed_here and self._link.armed and standing and not self._operator:
+            self._log("disarming it, as it was armed here")
+            self._link.command_arm(False)
+            self._transport.send(self._link.tick(now_ns))
+        self._transport.close()
+        signing = self._link.settings.signing
+        if signing is not None:
+            signing.timestamps.close()

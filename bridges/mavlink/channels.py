@@ -1,0 +1,294 @@
+"""Sockets and serial ports behind one face: opened, read when poll says so, written without waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import socket
+import termios
+from typing import Any, Final, Protocol
+
+from agent.clock import NS_PER_S
+from bridges.mavlink.connection import Connection
+
+READ_BYTES: Final = 8192
+PEER_NS: Final = 3 * NS_PER_S
+"""The sender a waiting UDP port listens to may be silent this long before another takes its place."""
+TCP_QUEUE_BYTES: Final = 16384
+TCP_SILENT_MS: Final = 3000
+"""What was sent and not acknowledged for this long ends the connection, so that it is opened again."""
+CONNECT_S: Final = 2.0
+SERIAL_QUEUE_S: Final = 0.25
+"""More than this waiting in a serial port's buffer: what is sent would come too late, and is dropped."""
+_SERIAL_BITS: Final = 10
+
+
+class Channel(Protocol):
+    """An open connection.
+
+    Attributes:
+        note: something odd that does not keep it from working, "" when nothing is.
+    """
+
+    note: str
+
+    def fileno(self) -> int:
+        """To poll for reading."""
+        ...
+
+    def read(self, now_ns: int) -> bytes:
+        """What is there, b"" for nothing of use. Raises OSError when the connection has ended."""
+        ...
+
+    def write(self, data: bytes) -> bool:
+        """Takes all of it, or nothing (False); never waits. Raises OSError when the connection has ended."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def _addresses(connection: Connection, kind: socket.SocketKind, flags: int = 0) -> list[Any]:
+    try:
+        return socket.getaddrinfo(connection.host, connection.port, type=kind, flags=flags)
+    except socket.gaierror as error:
+        raise OSError(f"cannot find the host {connection.host}: {(error.strerror or '').lower()}") from None
+
+
+def _would_wait(error: OSError) -> bool:
+    return error.errno in (errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS, errno.EINTR)
+
+
+class UdpIn:
+    """Waits for a vehicle that sends here. Answers go to the first that was heard, until that has been silent
+    for 3 s; what others send is dropped.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        family, kind, protocol, _, address = _addresses(connection, socket.SOCK_DGRAM, socket.AI_PASSIVE)[0]
+        self._socket = socket.socket(family, kind, protocol)
+        try:
+            self._socket.setblocking(False)
+            # Neither SO_REUSEADDR nor SO_REUSEPORT: a second program must not take half of what comes.
+            self._socket.bind(address)
+        except OSError as error:
+            self._socket.close()
+            if error.errno == errno.EADDRINUSE:
+                raise OSError(f"port {connection.port} is in use by another program") from None
+            raise
+        self.note = ""
+        self._peer: Any = None
+        self._heard_ns = 0
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self, now_ns: int) -> bytes:
+        try:
+            data, sender = self._socket.recvfrom(READ_BYTES)
+        except OSError as error:
+            if _would_wait(error) or error.errno == errno.ECONNREFUSED:
+                return b""  # ECONNREFUSED: an earlier answer found nobody
+            raise
+        if sender != self._peer:
+            if self._peer is not None and 0 <= now_ns - self._heard_ns < PEER_NS:
+                self.note = f"{sender[0]}:{sender[1]} sends here too: ignored"
+                return b""
+            self._peer, self.note = sender, ""
+        self._heard_ns = now_ns
+        return data
+
+    def write(self, data: bytes) -> bool:
+        if self._peer is None:
+            return False
+        try:
+            self._socket.sendto(data, self._peer)
+        except OSError:
+            return False  # no way to it at the moment; the port stays open
+        return True
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class UdpOut:
+    """Sends to a vehicle, and hears only that one."""
+
+    def __init__(self, connection: Connection) -> None:
+        family, kind, protocol, _, address = _addresses(connection, socket.SOCK_DGRAM)[0]
+        self._socket = socket.socket(family, kind, protocol)
+        try:
+            self._socket.setblocking(False)
+            self._socket.connect(address)
+        except OSError:
+            self._socket.close()
+            raise
+        self._place = connection.text
+        self.note = ""
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def _refused(self, error: OSError) -> None:
+        if error.errno == errno.ECONNREFUSED:
+            self.note = f"nobody listens at {self._place} (connection refused)"
+
+    def read(self, now_ns: int) -> bytes:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except OSError as error:
+            self._refused(error)
+            return b""
+        self.note = ""
+        return data
+
+    def write(self, data: bytes) -> bool:
+        try:
+            self._socket.send(data)
+        except OSError as error:
+            self._refused(error)
+            return False
+        return True
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Stream:
+    """Bytes in a row: what was begun is sent to its end before anything else."""
+
+    def __init__(self) -> None:
+        self.note = ""
+        self._rest = b""
+
+    def _put(self, data: bytes) -> int:
+        raise NotImplementedError
+
+    def write(self, data: bytes) -> bool:
+        if self._rest:
+            self._rest = self._rest[self._put(self._rest) :]
+            if self._rest:
+                return False
+        sent = self._put(data)
+        if sent:
+            self._rest = data[sent:]
+        return bool(sent)
+
+
+class Tcp(_Stream):
+    """A connection to a vehicle's TCP port, as of ArduPilot's simulator."""
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__()
+        _addresses(connection, socket.SOCK_STREAM)
+        self._socket = socket.create_connection((connection.host, connection.port), CONNECT_S)
+        try:
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            # A setpoint that has waited long is worth nothing: keep few, and notice a dead peer soon.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, TCP_QUEUE_BYTES)
+            if hasattr(socket, "TCP_USER_TIMEOUT"):
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, TCP_SILENT_MS)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self, now_ns: int) -> bytes:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except OSError as error:
+            if _would_wait(error):
+                return b""
+            raise
+        if not data:
+            raise OSError("the vehicle closed the connection")
+        return data
+
+    def _put(self, data: bytes) -> int:
+        try:
+            return self._socket.send(data)
+        except OSError as error:
+            if _would_wait(error):
+                return 0
+            raise
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Serial(_Stream):
+    """A serial device, opened so that no other program can."""
+
+    def __init__(self, connection: Connection, baud: int) -> None:
+        super().__init__()
+        try:
+            import serial
+        except ModuleNotFoundError:
+            raise OSError("serial devices need pyserial: pip install 'handfast[rover]'") from None
+        self._baud = baud
+        try:
+            self._port = serial.Serial(connection.device, baud, timeout=0, exclusive=True)
+        except serial.SerialException as error:
+            raise OSError(_why_not(connection.device, error.errno, str(error))) from None
+        except ValueError:
+            raise OSError(f"it cannot be set to {baud} baud") from None
+        self._handle = self._port.fileno()
+        with contextlib.suppress(OSError):  # pyserial's lock keeps only those out who ask for it
+            fcntl.ioctl(self._handle, termios.TIOCEXCL)
+
+    def fileno(self) -> int:
+        return int(self._handle)
+
+    def read(self, now_ns: int) -> bytes:
+        try:
+            data = os.read(self._handle, READ_BYTES)
+        except OSError as error:
+            if _would_wait(error):
+                return b""
+            raise OSError("the device is gone") from None
+        if not data:  # readable, and yet nothing: that is how an unplugged one looks
+            raise OSError("the device is gone")
+        return data
+
+    def _put(self, data: bytes) -> int:
+        try:
+            if self._port.out_waiting * _SERIAL_BITS > self._baud * SERIAL_QUEUE_S:
+                return 0
+            return os.write(self._handle, data)
+        except OSError as error:
+            if _would_wait(error):
+                return 0
+            raise OSError("the device is gone") from None
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+def _why_not(device: str, number: int | None, text: str) -> str:
+    if number == errno.EACCES:
+        return "permission denied: add this user to the group of the device (dialout), and log in again"
+    if number == errno.ENOENT or not os.path.exists(device):
+        return "there is no such device: is it plugged in?"
+    if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text:
+        return "another program has it open"
+    return text if number is None else os.strerror(number).lower()
+
+
+def open_channel(connection: Connection, baud: int) -> Channel:
+    """Opens a connection; may take seconds.
+
+    Raises:
+        OSError: it cannot be opened; the text says why.
+    """
+    if connection.kind == "udpin":
+        return UdpIn(connection)
+    if connection.kind == "udpout":
+        return UdpOut(connection)
+    if connection.kind == "tcp":
+        return Tcp(connection)
+    return Serial(connection, baud)

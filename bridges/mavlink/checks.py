@@ -1,0 +1,390 @@
+"""What is to be known of a vehicle before it drives: the lines of `handfast preflight`.
+
+A line at level blocking keeps the fleet from starting. One whose text begins with "waiting" may change by
+itself within seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees, hypot
+from typing import Final, NamedTuple
+
+from agent.clock import NS_PER_S
+from agent.fleet_sections import MavlinkSection
+from agent.hand import Pose
+from bridges.mavlink import ardurover
+from bridges.mavlink.connection import BY_ID
+from bridges.mavlink.frames import Geodetic, geodetic_to_world
+from bridges.mavlink.link import Link
+from plant.backend import Check
+
+WAITING: Final = "waiting for "
+FIRMWARE_MIN: Final = (4, 3)
+DATUM_FAR_M: Final = 1_000.0
+DATUM_TOO_FAR_M: Final = 10_000.0
+"""An EKF's origin this far from the datum is another place than was meant."""
+START_FAR_M: Final = 5.0
+HDOP_MAX: Final = 2.0
+SATELLITES_MIN: Final = 6
+VARIANCE_WARN: Final = 0.5
+VARIANCE_MAX: Final = 0.8
+"""ArduPilot's own FS_EKF_THRESH."""
+REPORTED_NS: Final = 5 * NS_PER_S
+"""What EKF and GPS said longer ago holds no more: both are asked for once a second at least."""
+RATE_SHARE: Final = 0.8
+RATE_MIN_HZ: Final = 4.0
+ROUND_TRIP_WARN_S: Final = 0.15
+ROUND_TRIP_MAX_S: Final = 0.5
+BATTERY_WARN_PERCENT: Final = 30
+BATTERY_MIN_PERCENT: Final = 10
+
+
+class Found(NamedTuple):
+    """What the bridge knows besides its link, at `now_ns`.
+
+    trouble, note: of its transport. round_trip_s: of TIMESYNC, None while there was no answer. clock: what is
+    wrong with the vehicle's clock, "" nothing. place: where it is (W), None while not known. start: x, y (m, W)
+    of its start in the fleet file. prearm: the last complaint of its pre-arm checks.
+    """
+
+    now_ns: int
+    trouble: str
+    note: str
+    round_trip_s: float | None
+    clock: str
+    place: Pose | None
+    start: tuple[float, float]
+    prearm: str
+
+
+def checks(link: Link, found: Found, section: MavlinkSection, datum: Geodetic) -> tuple[Check, ...]:
+    """All lines that can be said now; the first is that of the link, and without one there is no other."""
+    first = _link(link, found, section)
+    if first.level == "blocking":
+        return (first,)
+    lines = [first, _type(link)]
+    if lines[-1].level == "blocking":
+        return tuple(lines)
+    lines += [_firmware(link), _mode(link, section), _arming(link, found, section)]
+    lines += [_ekf(link, found.now_ns), _gps(link, found.now_ns)]
+    lines += [_origin(link, datum), *_place(found), *_rates(link, found.now_ns), _round_trip(found)]
+    lines += [
+        *_parameters(link, section),
+        *_battery(link),
+        _signing(link, section),
+        *_others(link, found.now_ns),
+    ]
+    return tuple(lines)
+
+
+def _link(link: Link, found: Found, section: MavlinkSection) -> Check:
+    where = section.connection or ""
+    if found.trouble:
+        return Check("link", "blocking", found.trouble, f"check {where} and what is behind it")
+    absence = link.absence(found.now_ns)
+    if absence:
+        advice = "is it switched on, and does its telemetry go there?"
+        return Check("link", "blocking", f"{WAITING}it: {absence} on {where}", advice)
+    text = f"system {link.system} on {where}"
+    if where.startswith("/dev/") and not where.startswith(BY_ID):
+        return Check("link", "warning", text, "name the port by /dev/serial/by-id/: this name can change")
+    return Check("link", "warning" if found.note else "ok", text, found.note)
+
+
+def _type(link: Link) -> Check:
+    if link.problem:
+        return Check(
+            "type", "blocking", link.problem, "only ArduPilot Rover can be driven: check the connection"
+        )
+    return Check("type", "ok", f"ArduPilot, {ardurover.TYPE_NAMES.get(link.type, f'MAV_TYPE {link.type}')}")
+
+
+def _firmware(link: Link) -> Check:
+    if not link.firmware:
+        return Check("firmware", "warning", "does not tell its version")
+    numbers = link.firmware.split(" ")[0].split(".")
+    version = tuple(int(number) for number in numbers[:2] if number.isdigit())
+    if len(version) == 2 and version < FIRMWARE_MIN:
+        return Check("firmware", "warning", link.firmware, "update: older than 4.3 has not been looked at")
+    return Check("firmware", "ok", link.firmware)
+
+
+def _mode(link: Link, section: MavlinkSection) -> Check:
+    name = ardurover.mode_name(link.mode) if link.mode is not None else "unknown"
+    if link.mode == ardurover.GUIDED:
+        return Check("mode", "ok", name)
+    advice = (
+        "the bridge will put it into GUIDED"
+        if section.arm
+        else "its operator puts it into GUIDED to hand it over"
+    )
+    return Check("mode", "warning", name, advice)
+
+
+def _arming(link: Link, found: Found, section: MavlinkSection) -> Check:
+    if link.armed:
+        return Check("arming", "ok", "armed")
+    if link.prearm_ok is False:
+        text = f"{WAITING}its pre-arm checks{f': {found.prearm}' if found.prearm else ''}"
+        return Check("arming", "blocking", text, "see what its ground station says; mend that first")
+    advice = "the bridge will arm it (mavlink.arm = true)" if section.arm else "its operator arms it"
+    return Check("arming", "warning", "disarmed", advice)
+
+
+def ekf_trouble(link: Link, now_ns: int) -> str:
+    """Why the vehicle's own estimate cannot be relied on, by what its EKF says of itself; "" when it can."""
+    ekf = link.ekf
+    if ekf is None:
+        return f"{WAITING}the state of its EKF"
+    if now_ns - ekf.arrival_ns > REPORTED_NS:
+        return f"{WAITING}its EKF: silent for {(now_ns - ekf.arrival_ns) / NS_PER_S:.0f} s"
+    if ekf.flags & ardurover.EKF_UNINITIALIZED:
+        return f"{WAITING}its EKF to start"
+    if ekf.flags & ardurover.EKF_GPS_GLITCHING:
+        return "its EKF says that the GPS is glitching"
+    if ekf.flags & ardurover.EKF_CONST_POS_MODE:
+        return f"{WAITING}its EKF to have a position"
+    missing = ardurover.EKF_NEEDED & ~ekf.flags
+    if missing:
+        names = {
+            ardurover.EKF_ATTITUDE: "attitude",
+            ardurover.EKF_VELOCITY_HORIZ: "velocity",
+            ardurover.EKF_POS_HORIZ_REL: "position",
+            ardurover.EKF_POS_HORIZ_ABS: "position on the earth",
+        }
+        return f"{WAITING}its EKF to have {', '.join(name for flag, name in names.items() if missing & flag)}"
+    worst = max(ekf.velocity_variance, ekf.position_variance, ekf.compass_variance)
+    if worst > VARIANCE_MAX:
+        return f"its EKF is inconsistent: a variance of {worst:.2f}, at most {VARIANCE_MAX:g} is good"
+    return ""
+
+
+def gps_trouble(link: Link, now_ns: int) -> str:
+    """Why its GPS is not good enough, "" when it is."""
+    if link.gps is None:
+        return f"{WAITING}its GPS"
+    if now_ns - link.gps.arrival_ns > REPORTED_NS:
+        return f"{WAITING}its GPS: silent for {(now_ns - link.gps.arrival_ns) / NS_PER_S:.0f} s"
+    if link.gps.fix < ardurover.GPS_3D_FIX:
+        return f"{WAITING}a GPS fix: {ardurover.GPS_FIX_NAMES.get(link.gps.fix, link.gps.fix)}"
+    return ""
+
+
+def _ekf(link: Link, now_ns: int) -> Check:
+    trouble = ekf_trouble(link, now_ns)
+    if trouble:
+        return Check(
+            "EKF", "blocking", trouble, "give it open sky and half a minute; then see its ground station"
+        )
+    assert link.ekf is not None
+    worst = max(link.ekf.velocity_variance, link.ekf.position_variance, link.ekf.compass_variance)
+    if worst > VARIANCE_WARN:
+        return Check(
+            "EKF",
+            "warning",
+            f"worst variance {worst:.2f}",
+            "compass and GPS disagree: calibrate, move away from iron",
+        )
+    return Check("EKF", "ok", f"healthy, worst variance {worst:.2f}")
+
+
+def _gps(link: Link, now_ns: int) -> Check:
+    trouble = gps_trouble(link, now_ns)
+    if trouble or link.gps is None:
+        return Check("GPS", "blocking", trouble, "give it open sky; check the antenna")
+    hdop = f", hdop {link.gps.hdop:.1f}" if link.gps.hdop is not None else ""
+    text = (
+        f"{ardurover.GPS_FIX_NAMES.get(link.gps.fix, link.gps.fix)}, {link.gps.satellites} satellites{hdop}"
+    )
+    if link.gps.satellites < SATELLITES_MIN or (link.gps.hdop or 0.0) > HDOP_MAX:
+        return Check("GPS", "warning", text, "wait for more satellites: positions may be metres off")
+    return Check("GPS", "ok", text)
+
+
+def origin_trouble(link: Link, datum: Geodetic) -> str:
+    """Why the vehicle's frame cannot be brought to the world, "" when it can."""
+    if link.origin is None:
+        return f"{WAITING}the origin of its EKF"
+    distance = hypot(*geodetic_to_world(datum, link.origin))
+    if distance > DATUM_TOO_FAR_M:
+        return f"the origin of its EKF is {distance / 1000.0:.0f} km from the datum"
+    return ""
+
+
+def _origin(link: Link, datum: Geodetic) -> Check:
+    trouble = origin_trouble(link, datum)
+    if trouble or link.origin is None:
+        waiting = trouble.startswith(WAITING)
+        return Check(
+            "origin", "blocking", trouble, "" if waiting else "correct [datum], or restart the vehicle"
+        )
+    distance = hypot(*geodetic_to_world(datum, link.origin))
+    whose = "ours" if link.origin_ours else "its own"
+    text = f"{distance:.2f} m from the datum ({whose})"
+    if distance > DATUM_FAR_M:
+        return Check("origin", "warning", text, "is [datum] where the fleet drives?")
+    return Check("origin", "ok", text)
+
+
+def _place(found: Found) -> Iterator[Check]:
+    if found.place is None:
+        return
+    x, y = found.start
+    apart = hypot(found.place.x - x, found.place.y - y)
+    text = f"({found.place.x:.2f}, {found.place.y:.2f}) m, {apart:.1f} m from its start in the fleet file"
+    if apart > START_FAR_M:
+        yield Check("place", "warning", text, "it will drive from where it is: is the way free?")
+    else:
+        yield Check("place", "ok", text)
+
+
+def _rates(link: Link, now_ns: int) -> Iterator[Check]:
+    for stream in link.streams(now_ns):
+        if stream.name not in ("ATTITUDE", "LOCAL_POSITION_NED"):
+            continue
+        text = f"{stream.measured_hz:.1f} Hz of {stream.asked_hz:g} Hz"
+        if stream.answer == "waiting" or stream.measured_hz == 0.0:
+            yield Check(stream.name, "blocking", f"{WAITING}it", "its telemetry link may be too slow")
+        elif stream.measured_hz < RATE_MIN_HZ:
+            advice = (
+                f"at least {RATE_MIN_HZ:g} Hz are needed: raise the link's speed, or end other streams on it"
+            )
+            yield Check(stream.name, "blocking", text, advice)
+        elif stream.measured_hz < RATE_SHARE * (stream.granted_hz or stream.asked_hz):
+            yield Check(
+                stream.name, "warning", text, "driven all the same, less closely: raise the link's speed"
+            )
+        elif stream.granted_hz is not None and stream.granted_hz < stream.asked_hz:
+            advice = f"the vehicle refused more; state_rate_hz = {stream.granted_hz:g} asks for no more"
+            yield Check(stream.name, "warning", text, advice)
+        else:
+            yield Check(stream.name, "ok", text)
+
+
+def _round_trip(found: Found) -> Check:
+    if found.round_trip_s is None:
+        text = "it does not answer TIMESYNC: times of validity are those of arrival, less the shortest delay"
+        return Check("round trip", "warning", text, "update the firmware, or let a router pass TIMESYNC")
+    text = f"{found.round_trip_s * 1000.0:.0f} ms"
+    if found.clock:
+        return Check(
+            "round trip", "warning", f"{text}; {found.clock}", "a simulated vehicle must run in real time"
+        )
+    if found.round_trip_s > ROUND_TRIP_MAX_S:
+        return Check(
+            "round trip", "blocking", text, f"more than {ROUND_TRIP_MAX_S * 1000:.0f} ms: take a faster link"
+        )
+    if found.round_trip_s > ROUND_TRIP_WARN_S:
+        return Check("round trip", "warning", text, "the formation will be held less closely")
+    return Check("round trip", "ok", text)
+
+
+def _parameters(link: Link, section: MavlinkSection) -> Iterator[Check]:
+    """Failsafes that are off or risky, and limits that do not go with those of the fleet file."""
+    if not link.parameters_done:
+        yield Check("parameters", "blocking", f"{WAITING}its parameters")
+        return
+    lines = [*_failsafes(link), *_limits(link, section), *_ids(link, section)]
+    read = sum(value is not None for value in link.parameters.values())
+    if not any(value is not None for value in link.parameters.values()):
+        yield Check("parameters", "warning", "it tells none", "failsafes and limits could not be looked at")
+    elif not lines:
+        yield Check("parameters", "ok", f"{read} read, failsafes on")
+    yield from lines
+
+
+_OFF: Final = (
+    (ardurover.FS_ACTION, "a failsafe does nothing", "set 2 (HOLD)"),
+    (ardurover.FS_THR_ENABLE, "the loss of its remote control goes unnoticed", "set 1"),
+    (
+        ardurover.FS_GCS_ENABLE,
+        "the loss of its ground station goes unnoticed",
+        "set 1 if one is always there",
+    ),
+    (ardurover.FS_EKF_ACTION, "it drives on when its EKF fails", "set 1 (HOLD)"),
+    (ardurover.FS_CRASH_CHECK, "it drives on against an obstacle", "set 1 (HOLD)"),
+    (ardurover.BATT_FS_LOW_ACT, "a low battery goes unnoticed", "set 2 (HOLD) with a battery monitor"),
+)
+
+
+def _failsafes(link: Link) -> Iterator[Check]:
+    for name, means, advice in _OFF:
+        if link.parameters.get(name) == 0.0:
+            yield Check(name, "warning", f"0: {means}", advice)
+    if link.parameters.get("ARMING_CHECK") == 0.0 or link.parameters.get("ARMING_SKIPCHK") not in (None, 0.0):
+        yield Check(
+            "arming checks", "warning", "some or all are off: it arms whatever is wrong", "turn them on"
+        )
+
+
+def _limits(link: Link, section: MavlinkSection) -> Iterator[Check]:
+    for name, unit, scale, ours, field in (
+        (ardurover.WP_SPEED, "m/s", 1.0, section.max_speed_mps, "max_speed_mps"),
+        (ardurover.ATC_ACCEL_MAX, "m/s2", 1.0, section.max_acceleration, "max_acceleration"),
+        (ardurover.ATC_STR_RAT_MAX, "deg/s", degrees(1.0), section.max_yaw_rate_radps, "max_yaw_rate_radps"),
+    ):
+        value = link.parameters.get(name)
+        if value is not None and 0.0 < value < ours * scale * 0.999:
+            text = f"{value:g} {unit} is less than mavlink.{field}, {ours * scale:.3g} {unit}"
+            yield Check(name, "warning", text, f"the vehicle's limit holds: lower {field}, or raise {name}")
+
+
+def _ids(link: Link, section: MavlinkSection) -> Iterator[Check]:
+    own = section.own_system or link.system
+    station = link.parameter(ardurover.GROUND_STATION_ID)
+    if link.parameters.get(ardurover.SYSID_ENFORCE) == 1.0 and own not in (link.system, station):
+        text = f"1: it obeys its ground station {station or 255:g} only, and the bridge is system {own}"
+        yield Check(ardurover.SYSID_ENFORCE, "blocking", text, "leave own_system out")
+    if station is not None and own == station:
+        text = f"its ground station's id {station:g} is the bridge's own: its failsafe would watch the bridge"
+        yield Check("own_system", "warning", text, "leave own_system out")
+
+
+def _battery(link: Link) -> Iterator[Check]:
+    battery = link.battery
+    if battery is None or (battery.voltage is None and battery.percent is None):
+        yield Check("battery", "warning", "not measured", "set up its battery monitor (BATT_MONITOR)")
+        return
+    shown = [f"{battery.voltage:.1f} V"] if battery.voltage is not None else []
+    shown += [f"{battery.percent} %"] if battery.percent is not None else []
+    text = ", ".join(shown)
+    low = link.parameters.get(ardurover.BATT_LOW_VOLT)
+    empty = battery.percent is not None and battery.percent < BATTERY_MIN_PERCENT
+    if empty or (low and battery.voltage is not None and battery.voltage < low):
+        yield Check("battery", "blocking", text, "charge it")
+    elif battery.percent is not None and battery.percent < BATTERY_WARN_PERCENT:
+        yield Check("battery", "warning", text, "charge it soon")
+    else:
+        yield Check("battery", "ok", text)
+
+
+def _signing(link: Link, section: MavlinkSection) -> Check:
+    if section.signing_key is None:
+        advice = "whoever reaches its link can drive it: see docs/rovers.md, signing"
+        return Check("signing", "warning", "messages are not signed", advice)
+    if link.bad_signatures:
+        text = f"{link.bad_signatures} messages with another key's signature were refused"
+        return Check("signing", "blocking", text, "give vehicle and fleet file the same key")
+    if link.signed:
+        return Check("signing", "ok", "on, the vehicle signs")
+    text = f"the vehicle does not sign ({link.unsigned_refused} unsigned messages refused)"
+    return Check("signing", "blocking", text, "set the key up on the vehicle: handfast signing")
+
+
+def _others(link: Link, now_ns: int) -> Iterator[Check]:
+    other = link.another_bridge(now_ns)
+    if other:
+        yield Check("other bridges", "blocking", other, "end it: two would pull the vehicle two ways")
+    stations = link.ground_stations(now_ns)
+    if stations:
+        shown = ", ".join(str(system) for system, _ in stations)
+        yield Check("ground station", "ok", f"system {shown}")
+    if link.strangers and section_unclear(link):
+        shown = ", ".join(str(system) for system in sorted(link.strangers))
+        yield Check("other vehicles", "warning", f"systems {shown} on the same link", "give mavlink.system")
+
+
+def section_unclear(link: Link) -> bool:
+    """Whether the fleet file does not say which of several vehicles on a link is meant."""
+    return link.settings.system is None

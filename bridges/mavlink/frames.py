@@ -1,0 +1,117 @@
+"""The one place where NED, FRD and geodetic coordinates meet the world (PURE).
+
+W is the world: ENU about the fleet's datum, x east, y north, heading counter-clockwise from x. A vehicle
+speaks NED about its own EKF origin, yaw clockwise from north, and of its body in FRD; the robot's frame is
+FLU. Angles in rad, lengths in m, latitude and longitude in degrees (WGS 84).
+
+Between a vehicle's NED and latitude and longitude ArduPilot has its own arithmetic (``Location::offset``,
+``Location::get_distance_NE``): a sphere, with the longitude's scale at the middle latitude. It is repeated
+here as it is, since that is what the vehicle did to its GPS's latitude and longitude. From there to W a
+geodesy library takes over (pymap3d, ellipsoid). So two vehicles with different origins agree about one place,
+which they would not if the offset between their origins were merely added (0.3 % of it at middle latitudes).
+"""
+
+from __future__ import annotations
+
+from math import cos, degrees, pi, radians, remainder, sin, tau
+from typing import Final, NamedTuple
+
+from pymap3d import enu2geodetic, geodetic2enu
+
+METRES_PER_DEGREE: Final = 0.011131884502145034e7
+"""Of latitude, in ArduPilot's arithmetic (``LOCATION_SCALING_FACTOR``)."""
+_LONGITUDE_SCALE_MIN: Final = 0.01
+
+
+class Geodetic(NamedTuple):
+    """A place: latitude and longitude in degrees (WGS 84), altitude above mean sea level in m."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = 0.0
+
+
+def _longitude_scale(latitude_deg: float) -> float:
+    return max(cos(radians(latitude_deg)), _LONGITUDE_SCALE_MIN)
+
+
+def _turn_deg(difference_deg: float) -> float:
+    """A difference of longitudes within -180 to 180 degrees."""
+    return remainder(difference_deg, 360.0)
+
+
+def local_to_geodetic(origin: Geodetic, north: float, east: float) -> Geodetic:
+    """The place `north` and `east` (m) of a vehicle's EKF origin, as ArduPilot has it."""
+    latitude = origin.latitude_deg + north / METRES_PER_DEGREE
+    middle = 0.5 * (origin.latitude_deg + latitude)
+    longitude = origin.longitude_deg + east / (METRES_PER_DEGREE * _longitude_scale(middle))
+    return Geodetic(latitude, _turn_deg(longitude), origin.altitude_m)
+
+
+def geodetic_to_local(origin: Geodetic, place: Geodetic) -> tuple[float, float]:
+    """North and east (m) of a place from a vehicle's EKF origin, as ArduPilot has it."""
+    middle = 0.5 * (origin.latitude_deg + place.latitude_deg)
+    north = (place.latitude_deg - origin.latitude_deg) * METRES_PER_DEGREE
+    turn = _turn_deg(place.longitude_deg - origin.longitude_deg)
+    return north, turn * METRES_PER_DEGREE * _longitude_scale(middle)
+
+
+def geodetic_to_world(datum: Geodetic, place: Geodetic) -> tuple[float, float]:
+    """x and y (m, W) of a place. Heights are those of the datum: the world is flat, its ground level."""
+    height = datum.altitude_m
+    east, north, _ = geodetic2enu(
+        place.latitude_deg, place.longitude_deg, height, datum.latitude_deg, datum.longitude_deg, height
+    )
+    return float(east), float(north)
+
+
+def world_to_geodetic(datum: Geodetic, x: float, y: float) -> Geodetic:
+    """The place at x and y (m, W), at the height of the datum."""
+    height = datum.altitude_m
+    latitude, longitude, _ = enu2geodetic(x, y, 0.0, datum.latitude_deg, datum.longitude_deg, height)
+    return Geodetic(float(latitude), float(longitude), height)
+
+
+def local_to_world(datum: Geodetic, origin: Geodetic, north: float, east: float) -> tuple[float, float]:
+    """x and y (m, W) of what a vehicle has `north` and `east` (m) of its EKF origin."""
+    return geodetic_to_world(datum, local_to_geodetic(origin, north, east))
+
+
+def world_to_local(datum: Geodetic, origin: Geodetic, x: float, y: float) -> tuple[float, float]:
+    """North and east (m) from a vehicle's EKF origin of x and y (m, W)."""
+    return geodetic_to_local(origin, world_to_geodetic(datum, x, y))
+
+
+def wrapped(angle: float) -> float:
+    """The angle within -pi to pi."""
+    return remainder(angle, tau)
+
+
+def heading_from_yaw(yaw: float) -> float:
+    """Heading (W, counter-clockwise from east) of a vehicle with a yaw clockwise from north."""
+    return wrapped(0.5 * pi - yaw)
+
+
+def yaw_from_heading(heading: float) -> float:
+    """Yaw (clockwise from north) of a robot with a heading in W. Its own inverse is `heading_from_yaw`."""
+    return wrapped(0.5 * pi - heading)
+
+
+def yaw_rate(rate: float) -> float:
+    """Between a yaw rate about the axis down (FRD, NED) and one about the axis up (FLU, ENU): both ways."""
+    return -rate
+
+
+def forward_speed(yaw: float, v_north: float, v_east: float) -> float:
+    """Speed along the heading (m/s), negative in reverse, of a velocity in NED."""
+    return v_north * cos(yaw) + v_east * sin(yaw)
+
+
+def sideways_speed(yaw: float, v_north: float, v_east: float) -> float:
+    """Speed to the left (m/s, FLU) of a velocity in NED: slip, for a rover."""
+    return v_north * sin(yaw) - v_east * cos(yaw)
+
+
+def yaw_degrees(yaw: float) -> float:
+    """A yaw in degrees from 0 to 360, as people read a compass."""
+    return degrees(yaw) % 360.0 % 360.0  # a tiny negative one is 360.0 after the first

@@ -1,0 +1,313 @@
+"""The MAVLink session with one rover, without clock, socket or thread: bytes in, bytes out.
+
+What a radio has to carry at 25 Hz of state and of setpoints (MAVLink 2, unsigned; a signature adds 13 bytes
+to each message): down about 2.4 kB/s (ATTITUDE and LOCAL_POSITION_NED 40 bytes each, the rest 0.4 kB/s), up
+about 1.8 kB/s (setpoint 65 bytes, heartbeat, TIMESYNC). Together that is three quarters of 57600 baud: there
+10 to 15 Hz are right, and 25 Hz from 115200 baud on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any, Final, TypeVar
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from agent.clock import NS_PER_S
+from bridges.mavlink import ardurover, frames, link_reports
+from bridges.mavlink.link_commands import Outcome
+from bridges.mavlink.link_receiver import Receiver
+from bridges.mavlink.link_reports import AttitudeSample, Battery, PositionSample, Text
+from bridges.mavlink.link_settings import LinkSettings as LinkSettings
+from bridges.mavlink.signing import KEY_BYTES
+from bridges.mavlink.streams import StreamRow
+
+HEARTBEAT_PERIOD_NS: Final = NS_PER_S
+HEARTBEAT_TIMEOUT_NS: Final = 3 * NS_PER_S
+"""A vehicle that has sent no heartbeat for this long (ArduPilot: 1 Hz at least) is not connected."""
+TIMESYNC_PERIOD_NS: Final = NS_PER_S // 4
+ORIGIN_PERIOD_NS: Final = NS_PER_S
+ORIGIN_AGAIN_NS: Final = 30 * NS_PER_S
+VERSION_PERIOD_NS: Final = 2 * NS_PER_S
+TOKEN_NS: Final = 65536
+MAVLINK_VERSION: Final = 3
+"""Of MAVLink 1 and 2 alike, as heartbeats tell it."""
+SPEED_MAX: Final = 30.0
+YAW_RATE_MAX: Final = 30.0
+"""Setpoints (m/s, rad/s) beyond these are a mistake, not a wish."""
+_T = TypeVar("_T")
+
+
+class Link(Receiver):
+    """One session. The caller brings bytes with their times of arrival (`receive`), sends what `tick` and
+    `setpoint` return, and calls `restart` when the connection was opened (again).
+    """
+
+    # What is known.
+
+    @property
+    def origin_ours(self) -> bool:
+        """Whether the EKF's origin is the datum."""
+        datum = self.settings.datum
+        return self.origin is not None and datum is not None and link_reports.same_place(self.origin, datum)
+
+    @property
+    def prearm_ok(self) -> bool | None:
+        """Whether the vehicle's own checks before arming pass; None: it does not say."""
+        return None if self.status is None else self.status.prearm_ok
+
+    @property
+    def battery(self) -> Battery | None:
+        """Its battery, None before the first report."""
+        return None if self.status is None else self.status.battery
+
+    @property
+    def parameters(self) -> Mapping[str, float | None]:
+        """Values read; None for a parameter it does not have, missing while it is still asked for."""
+        return self._audit.values
+
+    @property
+    def parameters_done(self) -> bool:
+        """Whether all have been read, or given up."""
+        return self._audit.done
+
+    def parameter(self, names: str | Sequence[str]) -> float | None:
+        """The value of the first of these names that the vehicle has."""
+        return self._audit.first(names)
+
+    @property
+    def signed(self) -> int:
+        """Messages with a good signature."""
+        return int(self._codec.signing.goodsig_count)
+
+    @property
+    def bad_signatures(self) -> int:
+        """Messages refused because of another key or an old timestamp."""
+        return int(self._codec.signing.badsig_count)
+
+    @property
+    def unsigned_refused(self) -> int:
+        """Messages refused because they were not signed; 0 without a key."""
+        signing = self._codec.signing
+        return int(signing.reject_count - signing.badsig_count)
+
+    @property
+    def vehicle_signs(self) -> bool:
+        """Whether any message came signed, with whatever key, though none may have been given."""
+        return bool(self._codec.signing.sig_count)
+
+    def heartbeat_age_ns(self, now_ns: int) -> int | None:
+        """Time since the vehicle's last heartbeat; None: there was none since the (re)start."""
+        return None if self.heartbeat_ns is None else max(0, now_ns - self.heartbeat_ns)
+
+    def connected(self, now_ns: int) -> bool:
+        """Whether its heartbeat is fresh."""
+        age_ns = self.heartbeat_age_ns(now_ns)
+        return age_ns is not None and age_ns < HEARTBEAT_TIMEOUT_NS
+
+    def absence(self, now_ns: int) -> str:
+        """Why it is not connected, "" when it is."""
+        age_ns = self.heartbeat_age_ns(now_ns)
+        if age_ns is not None:
+            connected = age_ns < HEARTBEAT_TIMEOUT_NS
+            return "" if connected else f"no heartbeat of the vehicle for {age_ns / NS_PER_S:.1f} s"
+        vehicles = self._others.vehicles(now_ns)
+        if vehicles:
+            heard = ", ".join(f"{o.system} ({ardurover.TYPE_NAMES.get(o.type, o.type)})" for o in vehicles)
+            return f"no vehicle with system id {self.settings.system} here, but with {heard}"
+        if self.unsigned_refused:
+            return "what comes is not signed: give the vehicle this signing key"
+        if self.bad_signatures:
+            return "what comes is signed with another key or an old time: give the vehicle this signing key"
+        return "no heartbeat of a vehicle yet"
+
+    def streams(self, now_ns: int) -> list[StreamRow]:
+        """The messages asked for, and how often they come."""
+        return self._streams.rows(now_ns)
+
+    def outcome(self, command: int) -> Outcome | None:
+        """What became of the last command of that number (MAV_CMD), None when there was none."""
+        return self._commands.outcome(command)
+
+    def another_bridge(self, now_ns: int) -> str:
+        """Who else may steer the vehicle, "" nobody."""
+        return self._others.another_bridge(now_ns, self.own, self.system or 0)
+
+    def ground_stations(self, now_ns: int) -> list[tuple[int, int]]:
+        """System and component of those heard in the last 5 s; they may be there."""
+        return [(other.system, other.component) for other in self._others.ground_stations(now_ns)]
+
+    @property
+    def strangers(self) -> dict[int, int]:
+        """Other vehicles that were heard on this link: MAV_TYPE by system id."""
+        return self._others.strangers()
+
+    def take_positions(self) -> list[PositionSample]:
+        """The samples since the last call, in order of their stamps."""
+        return _emptied(self._positions)
+
+    def take_attitudes(self) -> list[AttitudeSample]:
+        """The samples since the last call, in order of their stamps."""
+        return _emptied(self._attitudes)
+
+    def take_texts(self) -> list[Text]:
+        """What the vehicle said since the last call."""
+        return _emptied(self._texts)
+
+    # What is said to it.
+
+    def setpoint(self, speed: float, yaw_rate: float) -> bytes:
+        """The message that asks for a forward speed (m/s, negative in reverse) and a yaw rate (rad/s, FLU:
+        counter-clockwise). b"" while there is no vehicle, for one that is not a rover, and for numbers that
+        are not finite or beyond all sense, which are counted: NaN makes ArduPilot abort.
+
+        BODY_NED with mask 0x5C7: Rover takes sqrt(vx^2 + vy^2) * sign(vx), so vx is the speed. Speed 0 turns
+        on the spot.
+        """
+        if not (isfinite(speed) and isfinite(yaw_rate)):
+            self.counts["setpoint not finite"] += 1
+            return b""
+        if abs(speed) > SPEED_MAX or abs(yaw_rate) > YAW_RATE_MAX:
+            self.counts["setpoint out of range"] += 1
+            return b""
+        if self.system is None or self.problem:
+            return b""
+        message = dialect.MAVLink_set_position_target_local_ned_message(
+            0,
+            self.system,
+            ardurover.COMPONENT_AUTOPILOT,
+            ardurover.FRAME_BODY_NED,
+            ardurover.MASK_SPEED_AND_YAW_RATE,
+            *(0.0, 0.0, 0.0),
+            *(speed, 0.0, 0.0),
+            *(0.0, 0.0, 0.0),
+            0.0,
+            frames.yaw_rate(yaw_rate),
+        )
+        return self._codec.encoded(message)
+
+    def command_mode(self, mode: int) -> None:
+        """Asks for a custom mode, up to three times: `outcome(ardurover.CMD_DO_SET_MODE)`. Not again once the
+        mode has changed: that may have been the operator.
+        """
+        self._commands.give(ardurover.CMD_DO_SET_MODE, ardurover.FLAG_CUSTOM_MODE, mode)
+
+    def command_arm(self, arm: bool) -> None:
+        """Arms or disarms, never by force, asking up to three times:
+        `outcome(ardurover.CMD_COMPONENT_ARM_DISARM)`.
+        """
+        self._commands.give(ardurover.CMD_COMPONENT_ARM_DISARM, 1.0 if arm else 0.0)
+
+    def setup_signing(self, key: bytes, timestamp: int) -> bytes:
+        """The message that gives the vehicle a signing key (32 bytes) and the time (10 us since 2015) from
+        which it signs: readable for whoever listens, so over a cable only. b"" while there is no vehicle and
+        while it is armed, when ArduPilot takes none. There is no answer but that it signs (`vehicle_signs`).
+
+        Raises:
+            ValueError: no key.
+        """
+        if len(key) != KEY_BYTES or not any(key):
+            raise ValueError(
+                f"a signing key has {KEY_BYTES} bytes that are not all 0, which switches signing off"
+            )
+        if self.system is None or self.armed:
+            return b""
+        message = dialect.MAVLink_setup_signing_message(
+            self.system, ardurover.COMPONENT_AUTOPILOT, tuple(key), timestamp
+        )
+        return self._codec.encoded(message)
+
+    def tick(self, now_ns: int) -> bytes:
+        """All that is due but the setpoint: own heartbeat, TIMESYNC, requests and their repetition. Called
+        from the live loop, so that a loop that hangs is not heard either.
+        """
+        signing = self.settings.signing
+        if signing is not None:
+            codec = self._codec.signing
+            codec.timestamp = signing.timestamps.next(now_ns, codec.timestamp)
+        self._texts.extend(self._text_parts.overdue(now_ns))
+        messages = []
+        if self._is_due("heartbeat", now_ns, HEARTBEAT_PERIOD_NS):
+            messages.append(self._heartbeat())
+        while self._replies:
+            messages.append(dialect.MAVLink_timesync_message(now_ns, self._replies.popleft()))
+        system = self.system
+        if system is not None and self.connected(now_ns):
+            if self._is_due("timesync", now_ns, TIMESYNC_PERIOD_NS):
+                # Bridges of one fleet tick at the same times: the token tells whose question it was. A little
+                # early is still before it was sent, which is all that `BootClock` reckons with.
+                asked_ns = now_ns - self.settings.token % TOKEN_NS
+                self._asked.append(asked_ns)
+                self._own_times.append(asked_ns)
+                messages.append(dialect.MAVLink_timesync_message(0, asked_ns))
+            messages += self._requests(now_ns, system)
+        else:
+            # An order to arm that has waited for the link must not reach the vehicle when it comes back.
+            self._commands.cancel()
+            self._streams.cancelled()
+        return b"".join(map(self._codec.encoded, messages))
+
+    def _requests(self, now_ns: int, system: int) -> list[Any]:
+        component = ardurover.COMPONENT_AUTOPILOT
+        self._next_stream(now_ns)
+        out = [
+            dialect.MAVLink_command_long_message(system, component, command, confirmation, *values)
+            for command, confirmation, values in self._commands.due(now_ns)
+        ]
+        again_ns = ORIGIN_PERIOD_NS if self.origin is None else ORIGIN_AGAIN_NS
+        if self._is_due("origin", now_ns, again_ns):
+            datum = self.settings.datum
+            if self.origin is None and self.settings.set_origin and datum is not None and not self.problem:
+                place = link_reports.scaled(datum)
+                out.append(dialect.MAVLink_set_gps_global_origin_message(system, *place, now_ns // 1000))
+            out.append(_request_message(system, ardurover.GPS_GLOBAL_ORIGIN))
+        if not self.firmware and self._is_due("version", now_ns, VERSION_PERIOD_NS):
+            out.append(_request_message(system, ardurover.AUTOPILOT_VERSION))
+        name = self._audit.ask(now_ns)
+        if name is not None:
+            out.append(
+                dialect.MAVLink_param_request_read_message(system, component, name.encode("ascii"), -1)
+            )
+        return out
+
+    def _next_stream(self, now_ns: int) -> None:
+        outcome = self._commands.take(ardurover.CMD_SET_MESSAGE_INTERVAL)
+        if outcome is not None:
+            self._streams.answered(now_ns, outcome.result)
+        wanted = self._streams.ask(now_ns)
+        if wanted is not None:
+            self._commands.give(ardurover.CMD_SET_MESSAGE_INTERVAL, *wanted)
+
+    def _heartbeat(self) -> Any:
+        return dialect.MAVLink_heartbeat_message(
+            ardurover.TYPE_ONBOARD_CONTROLLER,
+            ardurover.AUTOPILOT_INVALID,
+            0,
+            self.settings.token,
+            ardurover.STATE_ACTIVE,
+            MAVLINK_VERSION,
+        )
+
+    def _is_due(self, name: str, now_ns: int, period_ns: int) -> bool:
+        last_ns = self._due.get(name)
+        if last_ns is not None and 0 <= now_ns - last_ns < period_ns:
+            return False
+        # On a grid, so that ticks do not stretch the period; not one that lies far back.
+        late = last_ns is None or now_ns - last_ns >= 2 * period_ns or now_ns < last_ns
+        self._due[name] = now_ns if late or last_ns is None else last_ns + period_ns
+        return True
+
+
+def _request_message(system: int, number: int) -> Any:
+    values = (float(number), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return dialect.MAVLink_command_long_message(
+        system, ardurover.COMPONENT_AUTOPILOT, ardurover.CMD_REQUEST_MESSAGE, 0, *values
+    )
+
+
+def _emptied(queue: deque[_T]) -> list[_T]:
+    out = list(queue)
+    queue.clear()
+    return out

@@ -1,0 +1,76 @@
+"""Who else is on a vehicle's link: ground stations, other bridges, other vehicles (PURE)."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from agent.clock import NS_PER_S
+from bridges.mavlink import ardurover
+
+HEARD_NS: Final = 5 * NS_PER_S
+"""Who has sent no heartbeat for this long is gone."""
+KEPT: Final = 32
+BRIDGE_COMPONENTS: Final = range(191, 195)
+"""MAV_COMP_ID_ONBOARD_COMPUTER and its three successors."""
+
+
+class Other(NamedTuple):
+    """A sender of heartbeats that is not the vehicle: its identity, MAV_TYPE and when it was last heard."""
+
+    system: int
+    component: int
+    type: int
+    heard_ns: int
+
+
+class Others:
+    """All of them, `KEPT` at most."""
+
+    def __init__(self) -> None:
+        self._heard: dict[tuple[int, int, bool], Other] = {}
+
+    def clear(self) -> None:
+        """Nobody is here."""
+        self._heard.clear()
+
+    def heard(self, other: Other, *, vehicle: bool) -> None:
+        """A heartbeat came; `vehicle`: of an autopilot."""
+        key = other.system, other.component, vehicle
+        if key not in self._heard and len(self._heard) >= KEPT:
+            self._heard = {k: o for k, o in self._heard.items() if other.heard_ns - o.heard_ns <= HEARD_NS}
+            if len(self._heard) >= KEPT:
+                return
+        self._heard[key] = other
+
+    def _now(self, now_ns: int, *, vehicle: bool) -> list[Other]:
+        return [
+            other
+            for (_, _, is_vehicle), other in self._heard.items()
+            if is_vehicle is vehicle and now_ns - other.heard_ns <= HEARD_NS
+        ]
+
+    def ground_stations(self, now_ns: int) -> list[Other]:
+        """Those of MAV_TYPE_GCS."""
+        return [o for o in self._now(now_ns, vehicle=False) if o.type == ardurover.TYPE_GCS]
+
+    def vehicles(self, now_ns: int) -> list[Other]:
+        """Autopilots that are not the one of this link."""
+        return self._now(now_ns, vehicle=True)
+
+    def strangers(self) -> dict[int, int]:
+        """MAV_TYPE by system id of such autopilots, also of those that have gone silent."""
+        return {other.system: other.type for (_, _, vehicle), other in self._heard.items() if vehicle}
+
+    def another_bridge(self, now_ns: int, own: tuple[int, int], vehicle: int) -> str:
+        """Who else may steer the vehicle, "" nobody. A ground station is the operator's: it may be there."""
+        for other in self._now(now_ns, vehicle=False):
+            name = f"system {other.system}, component {other.component}"
+            if (other.system, other.component) == own:
+                return f"another program speaks as {name}, which is this bridge's own identity"
+            if (
+                other.type == ardurover.TYPE_ONBOARD_CONTROLLER
+                and other.system == vehicle
+                and other.component in BRIDGE_COMPONENTS
+            ):
+                return f"another onboard controller is on this vehicle ({name})"
+        return ""

@@ -1,0 +1,272 @@
+"""What a rover says in a MAVLink session: the half of `link.Link` that listens."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridges.mavlink import ardurover, link_reports
+from bridges.mavlink.boot_clock import BootClock
+from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.link_codec import Codec
+from bridges.mavlink.link_commands import Commands
+from bridges.mavlink.link_others import Other, Others
+from bridges.mavlink.link_reports import AttitudeSample, Ekf, Gps, PositionSample, Status, Text, Texts
+from bridges.mavlink.link_settings import LinkSettings
+from bridges.mavlink.parameters import Parameters
+from bridges.mavlink.streams import Streams, wanted_messages
+
+QUEUE_MAX: Final = 256
+TIMESYNC_KEPT: Final = 16
+OWN_TIMES_KEPT: Final = 64
+"""Own questions of the last 16 s: an echo of one is nobody else's."""
+_TIME_MAX: Final = 2**62
+
+
+class Receiver:
+    """Takes bytes; its attributes, to be read only, are what is known of the vehicle. Only messages of the
+    vehicle's autopilot (component 1) change them. No bytes make any method raise.
+
+    Attributes:
+        system: the vehicle's id, None until its heartbeat came. `type` MAV_TYPE, `autopilot` MAV_AUTOPILOT.
+        firmware: its version, "" while unknown.
+        problem: why it is not to be driven, as "is a quadrotor (MAV_TYPE 2), not a rover"; "" when nothing is
+            known against it.
+        heartbeat_ns: arrival of its last heartbeat; None: none since the (re)start of link or vehicle.
+        mode: custom mode (`ardurover.mode_name`), None while unknown. armed: whether it may move.
+        epoch: grows with each restart of the connection or of the vehicle.
+        clock: its boot clock against ours.
+        ekf, gps, status: the last reports, None before the first.
+        origin: of its EKF, None until it was told.
+        counts: what was refused or was odd, by kind.
+    """
+
+    def __init__(self, settings: LinkSettings) -> None:
+        self.settings: Final = settings
+        self.counts: Counter[str] = Counter()
+        self.epoch = 0
+        self.clock = BootClock()
+        self._audit: Final = Parameters(settings.parameters)
+        self._handlers: dict[int, Callable[[int, Any], None]] = {
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: self._on_attitude,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._on_position,
+            dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+            dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._on_ekf,
+            dialect.MAVLINK_MSG_ID_GPS_RAW_INT: self._on_gps,
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: self._on_status,
+            dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._on_origin,
+            dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
+            dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
+            dialect.MAVLINK_MSG_ID_PARAM_VALUE: self._on_parameter,
+            dialect.MAVLINK_MSG_ID_PARAM_ERROR: self._on_no_parameter,
+            dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._on_version,
+        }
+        self._codec = Codec(self._handlers, settings.signing)
+        self._codec.srcSystem = settings.own_system or settings.system or 1
+        self._codec.srcComponent = settings.own_component
+        self._commands = Commands()
+        self._streams = Streams(wanted_messages(settings.state_rate_hz))
+        self._others = Others()
+        self._positions: deque[PositionSample] = deque(maxlen=QUEUE_MAX)
+        self._attitudes: deque[AttitudeSample] = deque(maxlen=QUEUE_MAX)
+        self._texts: deque[Text] = deque(maxlen=QUEUE_MAX)
+        self._asked: deque[int] = deque(maxlen=TIMESYNC_KEPT)
+        self._own_times: deque[int] = deque(maxlen=OWN_TIMES_KEPT)
+        self._replies: deque[int] = deque(maxlen=4)
+        self._due: dict[str, int] = {}
+        self._forget_identity()
+        self._forget_vehicle()
+
+    def _forget_identity(self) -> None:
+        self.system: int | None = None
+        self.type = 0
+        self.autopilot = 0
+        self.problem = ""
+
+    def _forget_vehicle(self) -> None:
+        """What a vehicle that has begun anew no longer is, or no longer knows."""
+        self.heartbeat_ns: int | None = None
+        self.mode: int | None = None
+        self.armed = False
+        self.firmware = ""
+        self.ekf: Ekf | None = None
+        self.gps: Gps | None = None
+        self.status: Status | None = None
+        self.origin: Geodetic | None = None
+        self._audit.restart()
+        self._commands.restart()
+        self._streams.restart()
+        self._positions.clear()
+        self._attitudes.clear()
+        self._stamps: dict[int, int] = {}
+        self._text_parts = Texts()
+        self._due = {name: sent_ns for name, sent_ns in self._due.items() if name == "heartbeat"}
+
+    def restart(self) -> None:
+        """The connection was opened (again): nothing is believed before a fresh heartbeat."""
+        self.epoch += 1
+        self.clock = BootClock()
+        self._asked.clear()
+        self._replies.clear()
+        self._codec.forget()
+        self._others.clear()
+        self._forget_identity()
+        self._forget_vehicle()
+        self._due.clear()
+
+    @property
+    def own(self) -> tuple[int, int]:
+        """The system and component as which we speak."""
+        return self._codec.srcSystem, self._codec.srcComponent
+
+    def receive(self, arrival_ns: int, data: bytes) -> None:
+        """Takes bytes and when they came."""
+        for message in self._codec.parse(data):
+            number = message.get_msgId()  # STATUSTEXT has a field `id`
+            handler = self._handlers.get(number)
+            if handler is None:
+                if number == dialect.MAVLINK_MSG_ID_BAD_DATA:
+                    self.counts["bad data"] += 1
+                continue
+            sender = message.get_srcSystem(), message.get_srcComponent()
+            if number == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                self._on_any_heartbeat(arrival_ns, message, sender)
+            elif number == dialect.MAVLINK_MSG_ID_TIMESYNC and not message.tc1:
+                self._on_time_asked(arrival_ns, message, sender)
+                continue
+            if sender == (self.system, ardurover.COMPONENT_AUTOPILOT):
+                self._streams.heard(number, arrival_ns)
+                handler(arrival_ns, message)
+
+    def _on_time_asked(self, arrival_ns: int, message: Any, sender: tuple[int, int]) -> None:
+        """ArduPilot passes no heartbeat on to a port where it has heard its sender's identity, but this it
+        does: so a twin with its own way to the vehicle is found.
+        """
+        if sender == (self.system, ardurover.COMPONENT_AUTOPILOT):
+            self._replies.append(message.ts1)
+        elif sender == self.own and self.system is not None and message.ts1 not in self._own_times:
+            twin = Other(*sender, ardurover.TYPE_ONBOARD_CONTROLLER, arrival_ns)
+            self._others.heard(twin, vehicle=False)
+
+    def _on_any_heartbeat(self, arrival_ns: int, message: Any, sender: tuple[int, int]) -> None:
+        system, component = sender
+        autopilot = (
+            component == ardurover.COMPONENT_AUTOPILOT
+            and message.autopilot != ardurover.AUTOPILOT_INVALID
+            and message.type != ardurover.TYPE_GCS
+        )
+        if autopilot and self.system is None and self.settings.system in (None, system):
+            self.system = system
+            if self.settings.own_system is None:
+                self._codec.srcSystem = system
+        if autopilot and system == self.system:
+            return
+        token = self.settings.token
+        if sender == self.own and token and message.custom_mode == token:
+            return  # an echo
+        self._others.heard(Other(system, component, message.type, arrival_ns), vehicle=autopilot)
+
+    def _on_heartbeat(self, arrival_ns: int, message: Any) -> None:
+        if message.autopilot == ardurover.AUTOPILOT_INVALID or message.type == ardurover.TYPE_GCS:
+            return
+        self.type, self.autopilot = message.type, message.autopilot
+        self.problem = _problem(message.type, message.autopilot)
+        self.heartbeat_ns = arrival_ns
+        mode = message.custom_mode if message.base_mode & ardurover.FLAG_CUSTOM_MODE else None
+        armed = bool(message.base_mode & ardurover.FLAG_ARMED)
+        if mode != self.mode:
+            self._commands.no_more(ardurover.CMD_DO_SET_MODE)
+        if armed != self.armed or (mode != self.mode and mode != ardurover.GUIDED):
+            self._commands.no_more(ardurover.CMD_COMPONENT_ARM_DISARM)
+        self.mode, self.armed = mode, armed
+
+    def _valid_ns(self, message: Any, arrival_ns: int) -> int | None:
+        """The wall time of a message with a stamp; None for one that is not newer than the last."""
+        reboots = self.clock.reboots
+        valid_ns = self.clock.take(message.time_boot_ms, arrival_ns)
+        self._look_for_reboot(reboots)
+        number = message.get_msgId()
+        if message.time_boot_ms <= self._stamps.get(number, -1):
+            self.counts["out of order"] += 1
+            return None
+        self._stamps[number] = message.time_boot_ms
+        return valid_ns
+
+    def _look_for_reboot(self, reboots: int) -> None:
+        if self.clock.reboots != reboots:
+            self.epoch += 1
+            self._forget_vehicle()
+
+    def _on_position(self, arrival_ns: int, message: Any) -> None:
+        valid_ns = self._valid_ns(message, arrival_ns)
+        if valid_ns is not None:
+            sample = link_reports.position_sample(message, valid_ns, arrival_ns)
+            if sample is None:
+                self.counts["not finite"] += 1
+            else:
+                self._positions.append(sample)
+
+    def _on_attitude(self, arrival_ns: int, message: Any) -> None:
+        valid_ns = self._valid_ns(message, arrival_ns)
+        if valid_ns is not None:
+            sample = link_reports.attitude_sample(message, valid_ns, arrival_ns)
+            if sample is None:
+                self.counts["not finite"] += 1
+            else:
+                self._attitudes.append(sample)
+
+    def _on_timesync(self, arrival_ns: int, message: Any) -> None:
+        if message.ts1 in self._asked and 0 < message.tc1 < _TIME_MAX:
+            self._asked.remove(message.ts1)
+            reboots = self.clock.reboots
+            self.clock.exchange(message.ts1, message.tc1, arrival_ns)
+            self._look_for_reboot(reboots)
+
+    def _on_ekf(self, arrival_ns: int, message: Any) -> None:
+        self.ekf = link_reports.ekf(message, arrival_ns)
+
+    def _on_gps(self, arrival_ns: int, message: Any) -> None:
+        self.gps = link_reports.gps(message, arrival_ns)
+
+    def _on_status(self, arrival_ns: int, message: Any) -> None:
+        self.status = link_reports.status(message, arrival_ns)
+
+    def _on_origin(self, _arrival_ns: int, message: Any) -> None:
+        origin = link_reports.origin(message)
+        if origin is None:
+            self.counts["no place"] += 1
+        else:
+            self.origin = origin
+
+    def _on_text(self, arrival_ns: int, message: Any) -> None:
+        self._texts.extend(self._text_parts.take(message, arrival_ns))
+
+    def _on_ack(self, arrival_ns: int, message: Any) -> None:
+        system, component = self.own
+        if message.target_system in (0, system) and message.target_component in (0, component):
+            self._commands.answered(arrival_ns, message.command, message.result)
+
+    def _on_parameter(self, _arrival_ns: int, message: Any) -> None:
+        if not self._audit.received(message.param_id, message.param_value):
+            self.counts["not finite"] += 1
+
+    def _on_no_parameter(self, _arrival_ns: int, message: Any) -> None:
+        if (message.target_system, message.target_component) == self.own:
+            self._audit.missing(message.param_id)
+
+    def _on_version(self, _arrival_ns: int, message: Any) -> None:
+        self.firmware = link_reports.firmware(message)
+
+
+def _problem(kind: int, autopilot: int) -> str:
+    if kind not in ardurover.ROVER_TYPES:
+        name = ardurover.TYPE_NAMES.get(kind, "vehicle of another kind")
+        return f"is a {name} (MAV_TYPE {kind}), not a rover"
+    if autopilot != ardurover.AUTOPILOT_ARDUPILOT:
+        name = "PX4" if autopilot == ardurover.AUTOPILOT_PX4 else "another autopilot"
+        return f"runs {name} (MAV_AUTOPILOT {autopilot}), not ArduPilot"
+    return ""

@@ -1,0 +1,116 @@
+"""Reading a vehicle's parameters by name, few at a time (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Final
+
+from agent.clock import NS_PER_S
+from bridges.mavlink import ardurover
+
+AUDITED: Final = (
+    # First what limits the motion, which the bridge itself needs.
+    ardurover.WP_SPEED,
+    ardurover.ATC_ACCEL_MAX,
+    ardurover.ATC_STR_RAT_MAX,
+    ardurover.ATC_TURN_MAX_G,
+    *ardurover.SYSTEM_ID,
+    *ardurover.GROUND_STATION_ID,
+    ardurover.SYSID_ENFORCE,
+    ardurover.SCHED_LOOP_RATE,
+    ardurover.FS_ACTION,
+    ardurover.FS_TIMEOUT,
+    ardurover.FS_THR_ENABLE,
+    ardurover.FS_GCS_ENABLE,
+    ardurover.FS_GCS_TIMEOUT,
+    ardurover.FS_EKF_ACTION,
+    ardurover.FS_EKF_THRESH,
+    ardurover.FS_CRASH_CHECK,
+    *ardurover.ARMING_CHECK,
+    ardurover.BATT_MONITOR,
+    ardurover.BATT_FS_LOW_ACT,
+    ardurover.BATT_FS_CRT_ACT,
+    ardurover.BATT_LOW_VOLT,
+    ardurover.BATT_CRT_VOLT,
+)
+"""Where firmware versions differ in a name, both: the one that answers counts."""
+IN_FLIGHT: Final = 4
+SPACING_NS: Final = NS_PER_S // 10
+PATIENCE_NS: Final = 3 * NS_PER_S // 2
+TRIES: Final = 3
+
+
+class Parameters:
+    """What is known of the parameters `names`.
+
+    Attributes:
+        values: by name; None for one that the vehicle does not have: it leaves such a request unanswered
+            (or, newest firmware, says so). One that is still being asked for is missing.
+    """
+
+    def __init__(self, names: Sequence[str] = AUDITED) -> None:
+        self._names = tuple(dict.fromkeys(names))
+        self.values: dict[str, float | None] = {}
+        self.restart()
+
+    def restart(self) -> None:
+        """Reads everything anew."""
+        self.values.clear()
+        self._tries = dict.fromkeys(self._names, 0)
+        self._waiting: dict[str, int] = {}
+        self._last_ns: int | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether each has answered or is taken to be missing."""
+        return not self._tries
+
+    def first(self, names: str | Sequence[str]) -> float | None:
+        """The value of the first of these names that the vehicle has, None while there is none."""
+        for name in (names,) if isinstance(names, str) else names:
+            value = self.values.get(name)
+            if value is not None:
+                return value
+        return None
+
+    def ask(self, now_ns: int) -> str | None:
+        """The name to ask for now, at most one in 0.1 s; None when there is nothing to do."""
+        for name, sent_ns in list(self._waiting.items()):
+            if now_ns - sent_ns >= PATIENCE_NS:
+                del self._waiting[name]
+                if self._tries[name] >= TRIES:
+                    self.missing(name)
+        if len(self._waiting) >= IN_FLIGHT or not self._tries:
+            return None
+        if self._last_ns is not None and now_ns - self._last_ns < SPACING_NS:
+            return None
+        name = min(
+            (n for n in self._tries if n not in self._waiting), key=self._tries.__getitem__, default=""
+        )
+        if not name:
+            return None
+        self._tries[name] += 1
+        self._waiting[name] = now_ns
+        self._last_ns = now_ns
+        return name
+
+    def received(self, name: str, value: float) -> bool:
+        """A value came, asked for or changed by somebody else; False for one that is not finite."""
+        if name not in self._names:
+            return True
+        if not isfinite(value):
+            return False
+        self.values[name] = value
+        self._settle(name)
+        return True
+
+    def missing(self, name: str) -> None:
+        """The vehicle has no such parameter."""
+        if name in self._tries:
+            self.values[name] = None
+            self._settle(name)
+
+    def _settle(self, name: str) -> None:
+        self._tries.pop(name, None)
+        self._waiting.pop(name, None)

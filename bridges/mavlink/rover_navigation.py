@@ -1,0 +1,156 @@
+"""What a simulated rover's GPS and EKF say of where it is, and when (PURE).
+
+Measured: the EKF has its origin 17 s after the boot and its position 40 s after it; at rest it reports a
+phantom 0.02 to 0.05 m/s; a jammed GPS costs it its position after 13.5 s; a GPS that lags 300 ms instead of
+the 100 ms that it expects puts it 0.19 m behind at 1 m/s. NED, SI units, times in s since the boot.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, tau
+from typing import Final
+
+from agent.draws import stream, uniform
+from bridges.mavlink import ardurover
+from bridges.mavlink.frames import Geodetic, geodetic_to_local, local_to_geodetic, wrapped
+from bridges.mavlink.rover_dynamics import RoverDynamics
+
+INITIALISED: Final = 5.0 / 40.0
+GPS_FIX: Final = 12.0 / 40.0
+OWN_ORIGIN: Final = 17.0 / 40.0
+"""Of the time to boot: when the EKF runs, the GPS has a fix, the EKF takes an origin by itself."""
+EKF_READY: Final = (
+    ardurover.EKF_NEEDED
+    | ardurover.EKF_VELOCITY_VERT
+    | ardurover.EKF_POS_VERT_ABS
+    | ardurover.EKF_PRED_POS_HORIZ_REL
+    | ardurover.EKF_PRED_POS_HORIZ_ABS
+)
+EKF_WITHOUT_POSITION: Final = (
+    ardurover.EKF_ATTITUDE
+    | ardurover.EKF_VELOCITY_HORIZ
+    | ardurover.EKF_VELOCITY_VERT
+    | ardurover.EKF_POS_VERT_ABS
+    | ardurover.EKF_CONST_POS_MODE
+)
+FIX_LOST_S: Final = 1.0
+POSITION_LOST_S: Final = 13.5
+"""After this long without a GPS the EKF gives up its position, and after this long with one has it back."""
+POSITION_BACK_S: Final = 10.0
+DRIFT: Final = 0.01
+"""m/s^2 by which it drifts until then."""
+WANDER: Final = 0.015
+"""m by which its position is off, slowly varying."""
+YAW_ERROR: Final = 0.005
+PHANTOM: Final = (0.035, 0.013)
+"""m/s: mean and swing of the speed that it reports at rest."""
+PHANTOM_FADES: Final = 0.25
+"""m/s at which that has faded to a fifth."""
+EXPECTED_LAG_S: Final = 0.1
+LAG_ERROR: Final = 0.95
+"""m/s and s of lag that it does not expect, times this: by how many m it is behind."""
+
+
+class Navigation:
+    """The estimate of one vehicle from one boot on.
+
+    Attributes: `origin` (None before it has one); `ready`: EKF and GPS carry a position; `initialised`: the
+    EKF runs; `north`, `east`, `v_north`, `v_east`, `yaw`, `yaw_rate`: as it reports them; `flags` of
+    EKF_STATUS_REPORT; `fix`, `satellites` and `place` of its GPS.
+    """
+
+    def __init__(self, home: Geodetic, boot_s: float, *key: int | str) -> None:
+        self._home, self._boot_s = home, boot_s
+        draws = stream("rover navigation", *key)
+        self._phase = [tau * uniform(draws, i) for i in range(7)]
+        self._yaw_error = YAW_ERROR * (2.0 * uniform(draws, 7) - 1.0)
+        self.origin: Geodetic | None = None
+        self.place = home
+        self.north = self.east = self.v_north = self.v_east = self.yaw = self.yaw_rate = 0.0
+        self.initialised = self.ready = False
+        self._fixed = False
+        self._without_gps = self._with_gps = 0.0
+        self._drift = self._drift_speed = 0.0
+
+    def set_origin(self, origin: Geodetic) -> bool:
+        """The origin that somebody sent; taken only while the EKF runs and has none."""
+        if not self.initialised or self.origin is not None:
+            return False
+        self.origin = origin
+        return True
+
+    def step(self, time: float, dt: float, truth: RoverDynamics, gps: bool, lag_s: float) -> None:
+        """The estimate at `time` from the truth then.
+
+        Args:
+            gps: neither jammed nor off.
+            lag_s: by how much the GPS's fixes are late.
+        """
+        self.initialised = time >= INITIALISED * self._boot_s
+        self._look_at_gps(time, dt, gps)
+        phase = self._phase
+        turn = tau * time
+        behind = LAG_ERROR * (lag_s - EXPECTED_LAG_S) * truth.speed
+        c, s = cos(truth.yaw), sin(truth.yaw)
+        north = truth.north + WANDER * sin(turn / 37.0 + phase[0]) - behind * c
+        east = truth.east + WANDER * sin(turn / 53.0 + phase[1]) - behind * s
+        if self._drift:
+            north += self._drift * cos(phase[5])
+            east += self._drift * sin(phase[5])
+        self.place = local_to_geodetic(self._home, north, east)
+        if self.origin is None and self._fixed and time >= OWN_ORIGIN * self._boot_s:
+            # To the seventh decimal, as GPS_GLOBAL_ORIGIN says it.
+            latitude, longitude, altitude = self.place
+            self.origin = Geodetic(round(latitude, 7), round(longitude, 7), round(altitude, 2))
+        self.yaw = wrapped(truth.yaw + self._yaw_error)
+        self.yaw_rate = truth.yaw_rate
+        if self.origin is None or not self.ready:
+            self.v_north = self.v_east = 0.0
+            return
+        self.north, self.east = geodetic_to_local(self.origin, self.place)
+        fading = max(0.2, 1.0 - 0.8 * abs(truth.speed) / PHANTOM_FADES)
+        phantom = fading * (PHANTOM[0] + PHANTOM[1] * sin(turn / 23.0 + phase[2]))
+        course = turn / 31.0 + phase[3]
+        self.v_north = truth.speed * c + phantom * cos(course)
+        self.v_east = truth.speed * s + phantom * sin(course)
+
+    def _look_at_gps(self, time: float, dt: float, gps: bool) -> None:
+        if time < GPS_FIX * self._boot_s:
+            return
+        if gps:
+            self._with_gps += dt
+            self._without_gps = 0.0
+            self._fixed = True
+        else:
+            self._without_gps += dt
+            self._with_gps = 0.0
+            self._fixed = self._fixed and self._without_gps < FIX_LOST_S
+        if not self.ready:
+            # After a loss it takes its while to trust the GPS again, at the boot the boot's time.
+            if self._fixed and self._with_gps >= POSITION_BACK_S * min(1.0, self._boot_s / 40.0):
+                self.ready = self.origin is not None and time >= self._boot_s
+                self._drift = self._drift_speed = 0.0
+            return
+        if gps:
+            self._drift = self._drift_speed = 0.0
+        else:
+            self._drift_speed += DRIFT * dt
+            self._drift += self._drift_speed * dt
+            self.ready = self._without_gps < POSITION_LOST_S
+
+    @property
+    def flags(self) -> int:
+        """Of EKF_STATUS_REPORT."""
+        if not self.initialised:
+            return ardurover.EKF_UNINITIALIZED
+        return EKF_READY if self.ready else EKF_WITHOUT_POSITION
+
+    @property
+    def fix(self) -> int:
+        """GPS_RAW_INT.fix_type."""
+        return ardurover.GPS_3D_FIX if self._fixed else ardurover.GPS_NO_FIX
+
+    @property
+    def satellites(self) -> int:
+        """How many its GPS sees."""
+        return 10 if self._fixed else 0

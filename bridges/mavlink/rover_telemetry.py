@@ -1,0 +1,221 @@
+"""The messages in which a simulated rover says how it is: from the vehicle to MAVLink's fields and units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import cos, degrees, sin
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from bridges.mavlink import ardurover
+from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.rover_vehicle import Vehicle
+
+MANUAL_MODES: Final = frozenset({ardurover.MANUAL, ardurover.ACRO, ardurover.STEERING, ardurover.SIMPLE})
+NOT_AUTOPILOT: Final = MANUAL_MODES | {ardurover.HOLD, ardurover.INITIALISING}
+SENSORS: Final = ardurover.SENSOR_GPS | ardurover.SENSOR_AHRS | ardurover.SENSOR_PREARM_CHECK
+CAPABILITIES: Final = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+EMPTY_BATTERY_V: Final = 10.5
+FULL_BATTERY_V: Final = 12.6
+NO_CELL: Final = 65535
+
+Message = Any
+"""A pymavlink message; the library has no types."""
+
+
+def heartbeat(vehicle: Vehicle, _now_ns: int) -> Message:
+    """Mode, arming and state."""
+    mode = vehicle.mode
+    base = ardurover.FLAG_CUSTOM_MODE
+    if mode in MANUAL_MODES:
+        base |= ardurover.FLAG_MANUAL_INPUT
+    if mode not in NOT_AUTOPILOT:
+        base |= ardurover.FLAG_GUIDED
+    if vehicle.armed:
+        base |= ardurover.FLAG_ARMED
+    if vehicle.failsafe or vehicle.ekf_failsafe:
+        state = ardurover.STATE_CRITICAL
+    else:
+        state = ardurover.STATE_STANDBY if mode == ardurover.HOLD else ardurover.STATE_ACTIVE
+    settings = vehicle.settings
+    return mavlink.MAVLink_heartbeat_message(settings.vehicle_type, settings.autopilot, base, mode, state, 3)
+
+
+def _boot_ms(vehicle: Vehicle, now_ns: int) -> int:
+    return (now_ns - vehicle.boot_ns) // 1_000_000 & 0xFFFFFFFF
+
+
+def _attitude(vehicle: Vehicle, now_ns: int) -> Message:
+    navigation = vehicle.navigation
+    return mavlink.MAVLink_attitude_message(
+        _boot_ms(vehicle, now_ns), 0.0, 0.0, navigation.yaw, 0.0, 0.0, navigation.yaw_rate
+    )
+
+
+def _local_position(vehicle: Vehicle, now_ns: int) -> Message | None:
+    navigation = vehicle.navigation
+    if navigation.origin is None:
+        return None
+    return mavlink.MAVLink_local_position_ned_message(
+        _boot_ms(vehicle, now_ns),
+        navigation.north,
+        navigation.east,
+        0.0,
+        navigation.v_north,
+        navigation.v_east,
+        0.0,
+    )
+
+
+def _e7(place: Geodetic) -> tuple[int, int]:
+    return round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
+
+
+def _global_position(vehicle: Vehicle, now_ns: int) -> Message:
+    navigation = vehicle.navigation
+    return mavlink.MAVLink_global_position_int_message(
+        _boot_ms(vehicle, now_ns),
+        *((0, 0) if navigation.origin is None else _e7(navigation.place)),
+        round(navigation.place.altitude_m * 1e3),
+        0,
+        round(navigation.v_north * 100.0),
+        round(navigation.v_east * 100.0),
+        0,
+        round(degrees(navigation.yaw) * 100.0) % 36000,
+    )
+
+
+def _gps(vehicle: Vehicle, now_ns: int) -> Message:
+    navigation, truth = vehicle.navigation, vehicle.truth
+    fixed = navigation.fix >= ardurover.GPS_3D_FIX
+    course = degrees(truth.yaw) + (180.0 if truth.speed < 0.0 else 0.0)
+    return mavlink.MAVLink_gps_raw_int_message(
+        (now_ns - vehicle.boot_ns) // 1000,
+        navigation.fix,
+        *(_e7(navigation.place) if fixed else (0, 0)),
+        round(navigation.place.altitude_m * 1e3) if fixed else 0,
+        121 if fixed else 9999,
+        200 if fixed else 9999,
+        round(abs(truth.speed) * 100.0),
+        round(course * 100.0) % 36000,
+        navigation.satellites,
+    )
+
+
+def _ekf(vehicle: Vehicle, _now_ns: int) -> Message:
+    ready = vehicle.navigation.ready
+    return mavlink.MAVLink_ekf_status_report_message(
+        vehicle.navigation.flags, 0.02 if ready else 0.0, 0.03 if ready else 0.0, 0.01, 0.02, 0.0, 0.0
+    )
+
+
+def _charge(vehicle: Vehicle) -> int:
+    share = (vehicle.parameters["SIM_BATT_VOLTAGE"] - EMPTY_BATTERY_V) / (FULL_BATTERY_V - EMPTY_BATTERY_V)
+    return round(100.0 * min(1.0, max(0.0, share)))
+
+
+def _system(vehicle: Vehicle, _now_ns: int) -> Message:
+    health = SENSORS
+    if vehicle.navigation.fix < ardurover.GPS_3D_FIX:
+        health &= ~ardurover.SENSOR_GPS
+    if not vehicle.navigation.ready:
+        health &= ~ardurover.SENSOR_AHRS
+    if not vehicle.armed and vehicle.arming_refused():
+        health &= ~ardurover.SENSOR_PREARM_CHECK
+    voltage = round(vehicle.parameters["SIM_BATT_VOLTAGE"] * 1e3)
+    return mavlink.MAVLink_sys_status_message(
+        SENSORS, SENSORS, health, 120, voltage, 250, _charge(vehicle), 0, 0, 0, 0, 0, 0
+    )
+
+
+def _battery(vehicle: Vehicle, _now_ns: int) -> Message:
+    voltage = round(vehicle.parameters["SIM_BATT_VOLTAGE"] * 1e3)
+    cells = [voltage] + [NO_CELL] * 9
+    return mavlink.MAVLink_battery_status_message(
+        0,
+        mavlink.MAV_BATTERY_FUNCTION_UNKNOWN,
+        mavlink.MAV_BATTERY_TYPE_UNKNOWN,
+        32767,
+        cells,
+        250,
+        0,
+        0,
+        _charge(vehicle),
+    )
+
+
+def _system_time(vehicle: Vehicle, now_ns: int) -> Message:
+    unix = now_ns // 1000 if vehicle.navigation.fix >= ardurover.GPS_3D_FIX else 0
+    return mavlink.MAVLink_system_time_message(unix, _boot_ms(vehicle, now_ns))
+
+
+def _origin(vehicle: Vehicle, now_ns: int) -> Message | None:
+    origin = vehicle.navigation.origin
+    if origin is None:
+        return None
+    altitude = round(origin.altitude_m * 1e3)
+    return mavlink.MAVLink_gps_global_origin_message(
+        *_e7(origin), altitude, (now_ns - vehicle.boot_ns) // 1000
+    )
+
+
+def _home(vehicle: Vehicle, now_ns: int) -> Message | None:
+    if not vehicle.navigation.ready:
+        return None
+    home = vehicle.settings.home
+    return mavlink.MAVLink_home_position_message(
+        *_e7(home),
+        round(home.altitude_m * 1e3),
+        vehicle.navigation.north,
+        vehicle.navigation.east,
+        0.0,
+        [cos(0.5 * vehicle.settings.yaw), 0.0, 0.0, sin(0.5 * vehicle.settings.yaw)],
+        0.0,
+        0.0,
+        0.0,
+        (now_ns - vehicle.boot_ns) // 1000,
+    )
+
+
+def _version(vehicle: Vehicle, _now_ns: int) -> Message:
+    major, minor, patch = vehicle.settings.firmware
+    version = major << 24 | minor << 16 | patch << 8
+    return mavlink.MAVLink_autopilot_version_message(
+        CAPABILITIES, version, 0, 0, 0, list(b"handfast"), [0] * 8, [0] * 8, 0, 0, vehicle.system
+    )
+
+
+BUILDERS: Final[Mapping[int, Callable[[Vehicle, int], Message | None]]] = {
+    ardurover.HEARTBEAT: heartbeat,
+    ardurover.SYS_STATUS: _system,
+    ardurover.SYSTEM_TIME: _system_time,
+    ardurover.GPS_RAW_INT: _gps,
+    ardurover.ATTITUDE: _attitude,
+    ardurover.LOCAL_POSITION_NED: _local_position,
+    ardurover.GLOBAL_POSITION_INT: _global_position,
+    ardurover.GPS_GLOBAL_ORIGIN: _origin,
+    ardurover.BATTERY_STATUS: _battery,
+    ardurover.AUTOPILOT_VERSION: _version,
+    ardurover.EKF_STATUS_REPORT: _ekf,
+    ardurover.HOME_POSITION: _home,
+}
+"""All that can be asked for by its id. None: it has nothing to say yet, and sends nothing."""
+DEFAULT_STREAMS: Final = (
+    ardurover.HEARTBEAT,
+    ardurover.SYS_STATUS,
+    ardurover.SYSTEM_TIME,
+    ardurover.GPS_RAW_INT,
+    ardurover.ATTITUDE,
+    ardurover.LOCAL_POSITION_NED,
+    ardurover.GLOBAL_POSITION_INT,
+    ardurover.BATTERY_STATUS,
+    ardurover.EKF_STATUS_REPORT,
+)
+"""What is sent at 1 Hz by itself."""

@@ -1,0 +1,209 @@
+"""Keys and timestamps of MAVLink 2 signing, in files.
+
+A signature is worth something only while no timestamp is used twice, whatever the clock does: a timestamp
+ahead of those in use is kept in a file, by a thread, since an SD card may take seconds to write it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import secrets
+import stat
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+KEY_BYTES: Final = 32
+EPOCH_S: Final = 1_420_070_400
+"""2015-01-01 00:00 UTC, from which MAVLink counts, in steps of 10 us."""
+STEPS_PER_S: Final = 100_000
+AHEAD: Final = 20 * STEPS_PER_S
+"""What is stored is so far ahead of what is used. Less than a minute: a vehicle refuses others that are a
+minute behind what it has seen."""
+_NS_PER_STEP: Final = 10_000
+_MAX: Final = 2**48 - 1
+_FILE_MAX: Final = 256
+
+
+class SigningError(ValueError):
+    """A key or timestamp file that cannot be used; the text says what to do."""
+
+
+def load_key(path: str | Path) -> bytes:
+    """The 32 bytes of a key file: as they are, or as 64 hexadecimal digits.
+
+    Raises:
+        SigningError: it is not there, not a key, or others than this user may read or change it.
+    """
+    path = Path(path)
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise SigningError(f"cannot read the signing key {path}: {_reason(error)}") from None
+    try:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):
+            raise SigningError(f"the signing key {path} must be a plain file")
+        if found.st_uid != os.getuid():
+            raise SigningError(f"the signing key {path} must belong to the user who starts the bridge")
+        if found.st_mode & 0o077:
+            raise SigningError(f"others may read the signing key {path}: chmod 600 {path}")
+        data = os.read(handle, _FILE_MAX)
+    finally:
+        os.close(handle)
+    if len(data) == KEY_BYTES:
+        return data
+    if re.fullmatch(rb"\s*[0-9a-fA-F]{64}\s*", data):
+        return bytes.fromhex(data.decode("ascii"))
+    raise SigningError(
+        f"the signing key {path} must be {KEY_BYTES} bytes or {2 * KEY_BYTES} hexadecimal digits"
+    )
+
+
+def make_key(path: str | Path) -> bytes:
+    """Writes a new random key, as hexadecimal digits, for this user only; never over a file.
+
+    Raises:
+        SigningError: there is a file already, or it cannot be written.
+    """
+    path = Path(path)
+    key = secrets.token_bytes(KEY_BYTES)
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        with open(handle, "w", encoding="ascii") as file:
+            file.write(key.hex() + "\n")
+            file.flush()
+            os.fsync(handle)
+    except FileExistsError:
+        raise SigningError(f"{path} is there already: a key is never written over") from None
+    except OSError as error:
+        raise SigningError(f"cannot write the signing key {path}: {_reason(error)}") from None
+    return key
+
+
+def state_file(name: str) -> Path:
+    """Where the timestamp of one bridge is kept, in the user's folder for state.
+
+    Args:
+        name: of the bridge among all of this user's, as "rovers-3".
+    """
+    base = os.environ.get("XDG_STATE_HOME", "")
+    root = Path(base) if base.startswith("/") else Path.home() / ".local" / "state"
+    return root / "handfast" / f"signing-{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
+
+
+class Timestamps:
+    """The timestamps of one signing bridge: they only grow, also over a restart, a crash, a loss of power
+    and a clock that is set back. One process at a time uses a file.
+
+    Args:
+        path: its file; its folder is made.
+        now_ns: the present, wall time.
+
+    Attributes:
+        trouble: why the file cannot be kept up to date, "" while it can.
+
+    Raises:
+        SigningError: the file cannot be read or written.
+    """
+
+    def __init__(self, path: Path, now_ns: int) -> None:
+        self._path = path
+        self.trouble = ""
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._last = max(_steps(now_ns), _read(path))
+            self._stored = self._last + AHEAD
+            _write(path, self._stored)
+        except OSError as error:
+            raise SigningError(f"cannot keep the signing timestamp in {path}: {_reason(error)}") from None
+        self._wanted = self._stored
+        self._wake = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._keep, name="signing timestamp", daemon=True)
+        self._thread.start()
+
+    @property
+    def latest(self) -> int:
+        """The last one given, or the one from which the next is counted."""
+        return self._last
+
+    def next(self, now_ns: int, at_least: int = 0) -> int:
+        """The timestamp (10 us since 2015) to sign the next messages with, one more for each of them.
+
+        Args:
+            at_least: what signing has come to since: counted on from there. Later than the last one always.
+        """
+        self._last = min(_MAX, max(self._last + 1, at_least, _steps(now_ns)))
+        if self._last + AHEAD // 2 > self._wanted:
+            self._wanted = self._last + AHEAD
+            self._wake.set()
+        return self._last
+
+    def close(self) -> None:
+        """Ends the thread; what is stored stays ahead of what was used."""
+        self._ended = True
+        self._wake.set()
+        self._thread.join(1.0)
+
+    def _keep(self) -> None:
+        while not self._ended:
+            self._wake.wait()
+            self._wake.clear()
+            wanted = self._wanted
+            if wanted <= self._stored:
+                continue
+            try:
+                _write(self._path, wanted)
+                self._stored, self.trouble = wanted, ""
+            except OSError as error:
+                self.trouble = f"cannot keep the signing timestamp in {self._path}: {_reason(error)}"
+
+
+@dataclass(frozen=True)
+class Signing:
+    """What a session needs to sign: the key of 32 bytes, the timestamps, the number of this link."""
+
+    key: bytes
+    timestamps: Timestamps
+    link_id: int = 0
+
+
+def _steps(now_ns: int) -> int:
+    return max(0, now_ns // _NS_PER_STEP - EPOCH_S * STEPS_PER_S)
+
+
+def _read(path: Path) -> int:
+    try:
+        text = path.read_text(encoding="ascii", errors="replace").strip()
+    except FileNotFoundError:
+        return 0
+    if not re.fullmatch(r"[0-9]{1,15}", text) or int(text) > _MAX:
+        raise SigningError(
+            f"the signing timestamp in {path} is damaged: remove it while this machine's clock is right"
+        )
+    return int(text)
+
+
+def _write(path: Path, value: int) -> None:
+    """Whole or not at all, also when the power fails."""
+    new = path.with_name(path.name + ".new")
+    handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    with open(handle, "w", encoding="ascii") as file:
+        file.write(f"{value}\n")
+        file.flush()
+        os.fsync(handle)
+    new.replace(path)
+    with contextlib.suppress(OSError):  # some file systems cannot sync a folder
+        folder = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()

@@ -1,0 +1,119 @@
+"""A bridge and a simulated rover joined in memory, for virtual time: no socket, no thread, no clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.hand import Pose
+from bridges.mavlink import frames
+from bridges.mavlink.backend import MavlinkPlant, datum_of, session
+from bridges.mavlink.rover_settings import Settings
+from bridges.mavlink.rover_simulator import Rover
+from plant.backend import Check, Command, PlantBackend, Reading
+
+LATENCY_NS: Final = 2_000_000
+"""One way, between bridge and vehicle: as over a network on one machine."""
+STEP_NS: Final = NS_PER_S // 200
+"""The vehicle is looked at this often, so that what it sends arrives when it was sent."""
+
+
+def rover_settings(fleet: Fleet, robot: int) -> Settings:
+    """A simulated rover where the fleet file has this robot start, switched on a while ago and handed over."""
+    body = fleet.robot(robot)
+    return Settings(
+        system=(body.mavlink.system if body.mavlink is not None else None) or 1,
+        home=frames.world_to_geodetic(datum_of(fleet), body.x_m, body.y_m),
+        yaw=frames.yaw_from_heading(body.heading_rad),
+        boot="warm",
+        hand_over=True,
+        seed=fleet.fleet.seed * 10_000 + robot,
+    )
+
+
+class MemoryTransport:
+    """A `bridges.mavlink.transport.Transport` to a `Rover`'s first port, which it drives.
+
+    Args:
+        now_ns: the present, wall time.
+
+    Attributes:
+        cut: nothing passes while it is True.
+    """
+
+    def __init__(self, rover: Rover, now_ns: int) -> None:
+        self._rover = rover
+        rover.advance(now_ns)  # what it said while no bridge was there is lost
+        self._now_ns = now_ns
+        self._to_bridge: deque[tuple[int, bytes]] = deque()
+        self._to_rover: deque[tuple[int, bytes]] = deque()
+        self.trouble = self.note = ""
+        self.epoch, self.dropped = 1, 0
+        self.cut = False
+
+    def advance(self, now_ns: int) -> None:
+        """Lets time pass: the rover moves, and messages travel."""
+        while self._now_ns < now_ns:
+            self._now_ns = min(now_ns, self._now_ns + STEP_NS)
+            while self._to_rover and self._to_rover[0][0] <= self._now_ns:
+                self._rover.receive(0, self._to_rover.popleft()[1], self._now_ns)
+            for port, data in self._rover.advance(self._now_ns):
+                if port == 0 and not self.cut:
+                    self._to_bridge.append((self._now_ns + LATENCY_NS, data))
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        """See `Transport.receive`."""
+        came = []
+        while self._to_bridge and self._to_bridge[0][0] <= self._now_ns:
+            came.append(self._to_bridge.popleft())
+        return came
+
+    def send(self, data: bytes) -> None:
+        """See `Transport.send`."""
+        if not self.cut:
+            self._to_rover.append((self._now_ns + LATENCY_NS, data))
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+
+
+class SimulatedRoverPlant(PlantBackend):
+    """The bridge of one robot with the rover that it is joined to, as one body.
+
+    Attributes:
+        rover: goes on when its bridge is made anew.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, now_ns: int, rover: Rover | None = None) -> None:
+        self.rover: Final = rover if rover is not None else Rover(rover_settings(fleet, robot), now_ns)
+        self._datum = datum_of(fleet)
+        self.transport: Final = MemoryTransport(self.rover, now_ns)
+        self.log: list[str] = []
+        link = session(fleet, robot, signing=None, token=robot)
+        self.plant: Final = MavlinkPlant(fleet, robot, link, self.transport, self.log.append)
+
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        """See `PlantBackend.step`."""
+        self.transport.advance(now_ns)
+        return self.plant.step(now_ns, command)
+
+    @property
+    def pose(self) -> Pose:
+        """Where the rover really is, W."""
+        rover = self.rover
+        x, y = frames.geodetic_to_world(self._datum, rover.place)
+        return Pose(x, y, frames.heading_from_yaw(rover.yaw), rover.speed, frames.yaw_rate(rover.yaw_rate))
+
+    def go_ahead(self, now_ns: int) -> None:
+        """See `PlantBackend.go_ahead`."""
+        self.plant.go_ahead(now_ns)
+
+    def checks(self, now_ns: int) -> tuple[Check, ...]:
+        """See `PlantBackend.checks`."""
+        return self.plant.checks(now_ns)
+
+    def close(self) -> None:
+        """See `PlantBackend.close`."""
+        self.plant.close()

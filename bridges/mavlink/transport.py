@@ -1,0 +1,188 @@
+"""Bytes to and from a vehicle, without ever holding up the loop that steers it.
+
+pymavlink's own `mavutil` is not used for this: it waits inside its constructor until there is a connection,
+prints what goes wrong, opens serial devices without exclusion, and a `udpin` of it sends commands to
+everybody who ever sent it a datagram.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from bridges.mavlink.channels import Channel, open_channel
+from bridges.mavlink.connection import Connection, parse_connection
+from bridges.mavlink.exclusive import Hold
+
+RETRY_S: Final = 0.2
+"""Until the first attempt to open it again; twice that until the next, and so on."""
+RETRY_MAX_S: Final = 2.0
+QUEUE_MAX: Final = 4096
+CLOSE_S: Final = 0.5
+
+
+class Transport(Protocol):
+    """A connection, open or being opened again and again.
+
+    Attributes:
+        trouble: why there is none, "" while there is one. Changes at any time.
+        epoch: how often it was opened: when it has grown, the session starts afresh (`Link.restart`).
+        note: something odd that does not keep it from working, "" when nothing is.
+        dropped: how many `send`s went nowhere.
+    """
+
+    @property
+    def trouble(self) -> str: ...
+
+    @property
+    def epoch(self) -> int: ...
+
+    @property
+    def note(self) -> str: ...
+
+    @property
+    def dropped(self) -> int: ...
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        """What came since the last call, each with its time of arrival (ns, by the clock given)."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Sends, or drops and counts; never waits, never raises."""
+        ...
+
+    def close(self) -> None:
+        """Gives the connection back."""
+        ...
+
+
+class ThreadedTransport:
+    """A `Transport` with one thread, which opens, reads and stamps; it never sends and decides nothing.
+
+    Args:
+        clock: wall time in ns, called from that thread.
+    """
+
+    def __init__(self, connection: Connection, baud: int, clock: Callable[[], int]) -> None:
+        self.trouble = f"{connection.text} is being opened"
+        self.epoch = 0
+        self.dropped = 0
+        self._connection, self._baud, self._clock = connection, baud, clock
+        self._queue: deque[tuple[int, bytes]] = deque(maxlen=QUEUE_MAX)
+        self._lock = threading.Lock()  # never held while anything waits
+        self._channel: Channel | None = None
+        self._failure: OSError | None = None
+        self._closing = threading.Event()
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._wake_write.setblocking(False)
+        self._thread = threading.Thread(target=self._run, name=f"reader of {connection.text}", daemon=True)
+        self._thread.start()
+
+    @property
+    def note(self) -> str:
+        channel = self._channel
+        return "" if channel is None else channel.note
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        out: list[tuple[int, bytes]] = []
+        with contextlib.suppress(IndexError):  # the thread only adds
+            while len(out) < QUEUE_MAX:
+                out.append(self._queue.popleft())
+        return out
+
+    def send(self, data: bytes) -> None:
+        if not data:
+            return
+        sent = False
+        with self._lock:
+            if self._channel is not None and self._failure is None:
+                try:
+                    sent = self._channel.write(data)
+                except OSError as error:
+                    self._failure = error
+                    self._wake()
+        if not sent:
+            self.dropped += 1
+
+    def close(self) -> None:
+        if not self._closing.is_set():
+            self._closing.set()
+            self._wake()
+            self._thread.join(CLOSE_S)
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):
+            self._wake_write.send(b"x")
+
+    def _run(self) -> None:
+        hold: Hold | None = None
+        pause_s = RETRY_S
+        while not self._closing.is_set():
+            try:
+                if hold is None:
+                    hold = Hold(self._connection)
+                channel = open_channel(self._connection, self._baud)
+            except OSError as error:
+                self.trouble = f"cannot open {self._connection.text}: {_reason(error)}"
+            else:
+                if self._read(channel):
+                    pause_s = RETRY_S
+            self._closing.wait(pause_s)
+            pause_s = min(2.0 * pause_s, RETRY_MAX_S)
+        if hold is not None:
+            hold.close()
+        self._wake_read.close()
+        self._wake_write.close()
+
+    def _read(self, channel: Channel) -> bool:
+        """Reads until the connection ends; returns whether anything came."""
+        self._queue.clear()  # of what came before, nothing may be taken for the new session's
+        with self._lock:
+            self._channel, self._failure = channel, None
+        self.trouble = ""
+        self.epoch += 1
+        came = False
+        try:
+            while not self._closing.is_set():
+                ready, _, _ = select.select((channel.fileno(), self._wake_read.fileno()), (), ())
+                if self._wake_read.fileno() in ready:
+                    self._wake_read.recv(64)
+                if self._failure is not None:
+                    raise self._failure
+                if channel.fileno() not in ready:
+                    continue
+                now_ns = self._clock()
+                data = channel.read(now_ns)
+                if data:
+                    self._queue.append((now_ns, data))
+                    came = True
+        except OSError as error:
+            self.trouble = f"{self._connection.text}: {_reason(error)}"
+        finally:
+            with self._lock:
+                self._channel = None
+            channel.close()
+        return came
+
+
+def _reason(error: OSError) -> str:
+    text = str(error) if error.errno is None else error.strerror or str(error)
+    return text[:1].lower() + text[1:]
+
+
+def open_transport(connection: str, baud: int, clock: Callable[[], int]) -> Transport:
+    """Begins to open a connection (`connection.parse_connection`) and returns at once.
+
+    Args:
+        baud: of a serial device.
+        clock: wall time in ns, called from the reader's thread.
+
+    Raises:
+        ValueError: it is no connection string.
+    """
+    return ThreadedTransport(parse_connection(connection), baud, clock)

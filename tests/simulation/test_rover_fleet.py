@@ -1,0 +1,296 @@
+"""What agents and neighbours make of a rover that is taken, lost or killed: three rovers in virtual time."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import cos, hypot, sin
+from typing import Any
+
+import pytest
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.core import Agent
+from agent.fleet import parse_fleet
+from agent.formation import resolved
+from agent.messages import Checks, HandState, PlantState, Resume, Status, Wrench, decode, encode
+from agent.supervision import State
+from bridges.mavlink import frames
+from bridges.mavlink.backend import datum_of
+from bridges.mavlink.rover_simulator import Rover
+from bridges.mavlink.simulated import SimulatedRoverPlant
+from deploy.arguments import FLEETS
+from deploy.simulation import Simulation
+
+BRAKES_S = 0.3
+FORMATION = (
+    "formation.edges=[[1,2],[1,3],[2,3]]",
+    "formation.offsets=[[0.0,-1.732],[1.5,0.866],[-1.5,0.866]]",
+    "trajectory.start_m=[0.0,0.0]",
+    "robot.1.x_m=-0.4",
+    "robot.1.y_m=-1.9",
+    "robot.2.x_m=1.3",
+    "robot.2.y_m=1.0",
+    "robot.3.x_m=-2.0",
+    "robot.3.y_m=0.7",
+)
+"""Three of the rovers in a triangle, near their places from the start."""
+
+
+def three(*overrides: str, rules: tuple[str, ...] = ()) -> Any:
+    """The first three of the bundled fleet of rovers, with fault rules."""
+    text = (FLEETS / "rovers.toml").read_text(encoding="utf-8")
+    text = "[[robot]]".join(text.split("[[robot]]")[:4])
+    text += "".join(f"\n[[faults.rule]]\n{rule}\n" for rule in rules)
+    return resolved(parse_fleet(text, source="here", overrides=[*FORMATION, *overrides]))
+
+
+class Run:
+    """A mission of three rovers, and everything that was said in it."""
+
+    def __init__(self, *overrides: str, rules: tuple[str, ...] = (), duration_s: float = 600.0) -> None:
+        self.fleet = three(*overrides, rules=rules)
+        self.name = self.fleet.fleet.name
+        self.said: list[tuple[int, str, Any]] = []
+        self.simulation = Simulation(
+            self.fleet, lambda at, key, data: self.said.append((at, key, decode(data)))
+        )
+        assert self.simulation.start(round(duration_s * NS_PER_S)), self.simulation.reasons
+
+    @property
+    def now_ns(self) -> int:
+        return self.simulation.now_ns
+
+    def body(self, robot: int) -> SimulatedRoverPlant:
+        """The bridge and vehicle that a robot has now."""
+        return self.simulation._bodies._rovers[robot]
+
+    def rover(self, robot: int) -> Rover:
+        return self.body(robot).rover
+
+    def agent(self, robot: int) -> Agent:
+        return self.simulation.agents[robot - 1]
+
+    def states(self) -> dict[int, str]:
+        return {agent.robot: agent.state.value for agent in self.simulation.agents}
+
+    def until_fleet_time(self, time_s: float) -> None:
+        self.simulation.run_until(self.simulation.epoch_ns + round(time_s * NS_PER_S))
+
+    def run(self, seconds: float) -> None:
+        self.simulation.run_until(self.now_ns + round(seconds * NS_PER_S))
+
+    def until(self, condition: Any, most_s: float = 20.0) -> float:
+        """Runs until something is true; how long that took, s."""
+        begun_ns = self.now_ns
+        while not condition():
+            assert self.now_ns < begun_ns + most_s * NS_PER_S, (self.states(), self.reasons())
+            self.run(0.01)
+        return (self.now_ns - begun_ns) / NS_PER_S
+
+    def reasons(self) -> dict[int, str]:
+        return {agent.robot: agent.reason for agent in self.simulation.agents}
+
+    def heard(self, kind: type[Any], robot: int, since_ns: int = 0) -> list[Any]:
+        """What a robot said on the bus at `since_ns` and later, by its own time."""
+        return [m for _, _, m in self.said if type(m) is kind and m.robot == robot and m.time_ns >= since_ns]
+
+    def resume(self, *robots: int) -> None:
+        message = Resume(self.now_ns // 1_000_000, self.now_ns, robots)
+        self.simulation.publish(keys.resume(self.name), encode(message))
+
+    def distance(self, one: int, other: int) -> float:
+        """Of two hand points in truth, m."""
+        a, b = self.body(one).pose, self.body(other).pose
+        offset = self.fleet.robot(one).hand_offset_m
+        return hypot(
+            a.x + offset * cos(a.heading) - b.x - offset * cos(b.heading),
+            a.y + offset * sin(a.heading) - b.y - offset * sin(b.heading),
+        )
+
+    def edges_within(self, metres: float) -> bool:
+        return all(abs(self.distance(i, j) - 3.0) < metres for i, j in ((1, 2), (1, 3), (2, 3)))
+
+
+def test_taken_over_its_neighbours_are_told_and_carry_on_and_resumed_it_comes_back() -> None:
+    run = Run()
+    run.until_fleet_time(15.0)
+    assert run.states() == dict.fromkeys((1, 2, 3), "running")
+    assert run.edges_within(0.15)
+    taken_ns = run.now_ns
+    assert run.rover(2).set_mode("MANUAL")
+    took = run.until(lambda: run.agent(2).state is State.RELEASED)
+    assert took < 0.2, "the heartbeat, the bridge's tick, the agent's tick"
+    run.run(0.2)
+    status = run.heard(Status, 2, taken_ns)[0]
+    assert (status.state, status.reason) == ("released", "its operator has it: mode MANUAL, not GUIDED")
+    # The neighbours are told by the next hand state, go on by the law and reckon with where it really is.
+    released_ns = status.time_ns
+    run.run(6.0)
+    hands = run.heard(HandState, 2, released_ns)
+    assert len(hands) > 100
+    assert not any(hand.following for hand in hands)
+    for robot in (1, 3):
+        assert {s.state for s in run.heard(Status, robot, taken_ns)} == {"running"}
+        assert all(not wrench.brake for wrench in run.heard(Wrench, robot, taken_ns))
+        assert all(state.driving for state in run.heard(PlantState, robot, taken_ns))
+    assert all(wrench.brake for wrench in run.heard(Wrench, 2, released_ns))
+    state = run.heard(PlantState, 2, released_ns)[-1]
+    assert (state.healthy, state.obeying, state.driving) == (True, False, False)
+    assert abs(run.rover(2).speed) < 0.01
+
+    assert run.rover(2).set_mode("GUIDED")
+    run.run(3.0)
+    assert run.agent(2).state is State.RELEASED
+    assert "waiting to be told to resume" in run.reasons()[2]
+    run.resume(1, 3)  # not for it
+    run.run(1.0)
+    assert run.agent(2).state is State.RELEASED
+    run.resume(2)
+    run.until(lambda: run.agent(2).state is State.RUNNING, 0.5)
+    run.run(15.0)
+    assert run.states() == dict.fromkeys((1, 2, 3), "running")
+    assert run.edges_within(0.15)
+
+
+def test_a_resume_for_all_leaves_those_that_run_as_they_are() -> None:
+    run = Run()
+    run.until_fleet_time(5.0)
+    since_ns = run.now_ns
+    run.resume()
+    run.run(2.0)
+    for robot in (1, 2, 3):
+        assert {s.state for s in run.heard(Status, robot, since_ns)} == {"running"}
+        assert all(state.obeying for state in run.heard(PlantState, robot, since_ns))
+
+
+def test_an_agent_that_dies_has_its_rover_brake_and_a_new_one_drives_on() -> None:
+    run = Run(rules=("robot = 2\nat = 8\nfor = 4\nkill = 'agent'",))
+    run.until_fleet_time(8.0)
+    assert abs(run.rover(2).speed) > 0.25
+    killed_ns = run.now_ns
+    run.run(BRAKES_S)
+    assert not run.heard(PlantState, 2)[-1].driving
+    assert run.rover(2).mode == "GUIDED"
+    braked_ns = next(m.time_ns for m in run.heard(PlantState, 2, killed_ns) if not m.driving)
+    assert braked_ns - killed_ns <= BRAKES_S * NS_PER_S
+    run.until(lambda: abs(run.rover(2).speed) < 0.06, 2.0)
+    run.until_fleet_time(11.5)
+    assert run.agent(1).state is State.HOLDING
+    run.until_fleet_time(14.0)
+    assert run.states() == dict.fromkeys((1, 2, 3), "running")
+    run.run(12.0)
+    assert run.edges_within(0.15)
+
+
+def test_a_bridge_that_dies_leaves_its_rover_standing_and_a_new_one_drives_on() -> None:
+    run = Run(rules=("robot = 2\nat = 8\nfor = 6\nkill = 'plant'",))
+    run.until_fleet_time(8.0)
+    rover = run.rover(2)
+    killed_ns = run.now_ns
+    run.run(run.fleet.control.plant_timeout_s + 0.1)
+    assert run.agent(2).state is State.FAULT
+    while run.now_ns < killed_ns + 4 * NS_PER_S:  # nobody else lets time pass for it now
+        run.run(0.05)
+        rover.advance(run.now_ns)
+    assert abs(rover.speed) < 0.06
+    assert (rover.mode, rover.armed) == ("GUIDED", True)
+    run.until_fleet_time(14.0)
+    run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
+    assert run.rover(2) is rover
+    run.run(15.0)
+    assert run.states() == dict.fromkeys((1, 2, 3), "running")
+    assert run.edges_within(0.15)
+
+
+def test_a_bridge_that_dies_while_its_operator_has_the_rover_does_not_take_it() -> None:
+    run = Run(rules=("robot = 2\nat = 8\nfor = 2\nkill = 'plant'",))
+    run.until_fleet_time(7.0)
+    run.rover(2).set_mode("MANUAL")
+    run.until_fleet_time(15.0)
+    assert run.rover(2).set_mode("GUIDED")
+    back_ns = run.now_ns
+    run.run(4.0)
+    assert "waiting to be told to resume" in run.heard(PlantState, 2)[-1].note
+    assert not any(m.driving for m in run.heard(PlantState, 2, back_ns))
+    run.resume()
+    run.until(lambda: run.agent(2).state is State.RUNNING, 2.0)
+
+
+def test_a_vehicle_that_reboots_is_released_and_comes_back_when_told() -> None:
+    run = Run()
+    run.until_fleet_time(8.0)
+    since_ns = run.now_ns
+    run.rover(2).reboot()
+    run.until(lambda: run.agent(2).state is not State.RUNNING, 2.0)
+    run.until(lambda: run.agent(2).state is State.WAITING and run.rover(2).ready, 90.0)
+    run.until(lambda: run.heard(PlantState, 2)[-1].healthy, 10.0)
+    assert not any(m.driving for m in run.heard(PlantState, 2, since_ns + NS_PER_S))
+    assert run.rover(2).set_mode("GUIDED")
+    assert run.rover(2).arm()
+    run.run(2.0)
+    assert not run.heard(PlantState, 2)[-1].obeying
+    run.resume(2)
+    run.until(lambda: run.agent(2).state is State.RUNNING, 2.0)
+    run.until(lambda: run.edges_within(0.15), 60.0)
+
+
+def test_a_cut_link_is_a_fault_until_it_is_back() -> None:
+    run = Run()
+    run.until_fleet_time(8.0)
+    run.body(2).transport.cut = True
+    took = run.until(lambda: run.agent(2).state is State.FAULT, 2.0)
+    assert took < 0.8
+    run.run(5.0)
+    assert abs(run.rover(2).speed) < 0.06
+    run.body(2).transport.cut = False
+    run.until(lambda: run.agent(2).state is State.RUNNING, 5.0)
+    places = [(m.x, m.y, m.time_ns) for m in run.heard(PlantState, 2) if m.healthy]
+    for (x, y, before), (x1, y1, after) in pairwise(places):
+        assert hypot(x1 - x, y1 - y) < 0.1 + 1.0 * (after - before) / NS_PER_S
+    run.run(15.0)
+    assert run.states() == dict.fromkeys((1, 2, 3), "running")
+    assert run.edges_within(0.15)
+
+
+def test_a_jammed_gps_is_told_at_once() -> None:
+    run = Run()
+    run.until_fleet_time(8.0)
+    run.rover(2).set_parameter("SIM_GPS1_JAM", 1.0)
+    run.until(lambda: run.agent(2).state is State.FAULT, 3.0)
+    assert "GPS" in run.reasons()[2]
+    run.until(lambda: run.rover(2).mode == "HOLD", 15.0)
+    run.rover(2).set_parameter("SIM_GPS1_JAM", 0.0)
+    run.until(lambda: run.heard(PlantState, 2)[-1].healthy, 30.0)
+    run.run(0.2)
+    assert "HOLD" in run.reasons()[2]
+    assert run.agent(2).state is not State.RUNNING
+
+
+def test_the_mission_ends_with_all_standing_in_guided() -> None:
+    run = Run(duration_s=6.0)
+    run.until_fleet_time(12.0)
+    assert run.states() == dict.fromkeys((1, 2, 3), "stopped")
+    for robot in (1, 2, 3):
+        assert abs(run.rover(robot).speed) < 0.02
+        assert run.rover(robot).mode == "GUIDED"
+
+
+def test_rovers_with_an_origin_each_drive_in_one_world() -> None:
+    """Warm rovers took their own origins, where each was switched on: metres apart."""
+    run = Run()
+    run.until_fleet_time(10.0)
+    datum = datum_of(run.fleet)
+    origins = [frames.geodetic_to_world(datum, run.rover(robot).origin) for robot in (1, 2, 3)]
+    assert min(hypot(a[0] - b[0], a[1] - b[1]) for a, b in pairwise(origins)) > 2.0
+    for robot in (1, 2, 3):
+        state, truth = run.heard(PlantState, robot)[-1], run.body(robot).pose
+        assert (state.x, state.y) == pytest.approx((truth.x, truth.y), abs=0.1)
+
+
+def test_checks_are_told_on_the_bus() -> None:
+    run = Run()
+    run.until_fleet_time(6.0)
+    lines = {name: level for name, level, _, _ in run.heard(Checks, 1)[-1].lines}
+    assert lines["type"] == lines["mode"] == lines["ATTITUDE"] == "ok"
+    assert "blocking" not in lines.values()

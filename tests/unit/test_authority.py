@@ -1,0 +1,176 @@
+"""Who has a vehicle: every way in and out of the bridge's hands."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridges.mavlink.authority import TRANSITIONS, Authority, Holder
+
+MANUAL = "mode MANUAL, not GUIDED"
+LOST = "no heartbeat for 4 s"
+
+
+def driving() -> Authority:
+    """A vehicle that was handed over and told to drive."""
+    authority = Authority()
+    authority.step("", "")
+    assert authority.go_ahead()
+    authority.step("", "")
+    assert authority.holder is Holder.BRIDGE
+    assert authority.why == ""
+    return authority
+
+
+def test_nothing_may_be_commanded_before_the_vehicle_is_there() -> None:
+    authority = Authority()
+    assert authority.holder is Holder.NOBODY
+    assert authority.why
+    authority.step("waiting for a heartbeat", "")
+    assert (authority.holder, authority.why) == (Holder.NOBODY, "waiting for a heartbeat")
+
+
+def test_before_the_fleet_is_told_to_drive_the_operator_may_hand_over_and_take_back_at_will() -> None:
+    authority = Authority()
+    for _ in range(3):
+        authority.step("", MANUAL)
+        assert (authority.holder, authority.why) == (Holder.OPERATOR, MANUAL)
+        authority.step("", "")
+        assert authority.holder is Holder.BRIDGE
+
+
+def test_another_mode_releases_at_once_and_going_back_is_not_enough() -> None:
+    authority = driving()
+    row = authority.step("", MANUAL)
+    assert row is not None
+    assert row.name == "taken"
+    assert (authority.holder, authority.why) == (Holder.RELEASED, f"its operator has it: {MANUAL}")
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED
+    assert "waiting to be told to resume" in authority.why
+    assert MANUAL in authority.why
+    assert authority.go_ahead()
+    authority.step("", "")
+    assert authority.holder is Holder.BRIDGE
+
+
+def test_leave_to_resume_counts_only_once_the_operator_has_given_it_back() -> None:
+    authority = driving()
+    authority.step("", MANUAL)
+    assert not authority.go_ahead()
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED
+
+
+def test_a_mission_that_finds_the_operator_driving_does_not_take_the_vehicle_from_him_later() -> None:
+    authority = Authority()
+    authority.step("", MANUAL)
+    assert not authority.go_ahead()
+    authority.step("", MANUAL)
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED
+
+
+def test_a_lost_link_that_comes_back_in_guided_goes_on_by_itself() -> None:
+    authority = driving()
+    authority.step(LOST, "")
+    assert (authority.holder, authority.why) == (Holder.NOBODY, LOST)
+    authority.step("", "")
+    assert authority.holder is Holder.BRIDGE
+
+
+def test_a_vehicle_that_comes_back_in_another_mode_is_released() -> None:
+    authority = driving()
+    authority.step(LOST, "")
+    authority.step("", "disarmed")
+    assert authority.holder is Holder.RELEASED
+    authority.step(LOST, "")
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED, "a lost link must not wash the release away"
+
+
+def test_a_vehicle_that_was_taken_while_its_estimate_was_bad_is_released() -> None:
+    authority = driving()
+    authority.step("its EKF is bad", MANUAL)
+    assert (authority.holder, authority.why) == (Holder.RELEASED, "its EKF is bad")
+    authority.step("its EKF is bad", "")
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED
+
+
+def test_a_vehicle_that_is_driven_without_an_order_to_is_released_like_any() -> None:
+    authority = Authority()
+    authority.step("", "")
+    authority.driving()
+    authority.step("", MANUAL)
+    authority.step("", "")
+    assert authority.holder is Holder.RELEASED
+
+
+def test_an_order_to_drive_while_the_operator_has_it_counts_at_once() -> None:
+    authority = Authority()
+    authority.step("", MANUAL)
+    authority.go_ahead()
+    authority.step("", "")  # given back before the next look
+    assert authority.holder is Holder.RELEASED
+
+
+def test_a_restarted_bridge_drives_on_only_where_nobody_took_the_vehicle() -> None:
+    untouched, taken = Authority(), Authority()
+    for authority in (untouched, taken):
+        authority.go_ahead()  # the mission comes again before the vehicle is heard
+    untouched.step("", "")
+    assert untouched.holder is Holder.BRIDGE
+    taken.step("", MANUAL)
+    taken.step("", "")
+    assert taken.holder is Holder.RELEASED
+
+
+def test_a_vehicle_that_does_not_follow_is_let_go_until_told() -> None:
+    authority = driving()
+    authority.step("", "", "does not follow its commands")
+    assert authority.holder is Holder.RELEASED
+    assert "does not follow" in authority.why
+    assert authority.go_ahead()
+    authority.step("", "")
+    assert authority.holder is Holder.BRIDGE
+
+
+def test_every_row_has_a_name_of_its_own_and_none_leaves_released() -> None:
+    names = [row.name for row in TRANSITIONS]
+    assert len(set(names)) == len(names)
+    assert not any(Holder.RELEASED in row.sources for row in TRANSITIONS)
+
+
+steps = st.lists(
+    st.tuples(st.sampled_from(["", LOST]), st.sampled_from(["", MANUAL]), st.booleans()), max_size=40
+)
+
+
+@given(steps)
+def test_commands_flow_only_when_all_is_well_and_never_again_without_leave(
+    steps: list[tuple[str, str, bool]],
+) -> None:
+    authority, driven, latched = Authority(), False, False
+    for vehicle, operator, told in steps:
+        authority.step(vehicle, operator)
+        if authority.holder is Holder.BRIDGE:
+            assert not (vehicle or operator or latched)
+            assert authority.why == ""
+        else:
+            assert authority.why
+        latched = latched or (driven and bool(operator))
+        if told:
+            driven = True
+            latched = bool(operator) or (latched and bool(vehicle))
+            authority.go_ahead()
+
+
+@pytest.mark.parametrize("trouble", ["", LOST])
+def test_going_ahead_says_whether_the_vehicle_can(trouble: str) -> None:
+    authority = Authority()
+    authority.step(trouble, "")
+    assert authority.go_ahead() is (trouble == "")

@@ -1,0 +1,117 @@
+"""What `handfast check` finds wrong with real vehicles, and how it describes them."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.fleet import Fleet, load_fleet
+from deploy.arguments import FLEETS
+from deploy.check import check
+from deploy.check_vehicles import check_vehicles
+from deploy.description import describe
+from deploy.finding import Finding
+
+
+def rovers(*overrides: str) -> Fleet:
+    return load_fleet(FLEETS / "rovers.toml", overrides)
+
+
+def found(*overrides: str) -> dict[str, Finding]:
+    findings = check_vehicles(rovers(*overrides))
+    assert len({finding.place for finding in findings}) == len(findings)
+    return {finding.place: finding for finding in findings}
+
+
+def test_the_bundled_fleet_is_sound() -> None:
+    assert check_vehicles(rovers()) == []
+    assert [finding.level for finding in check(rovers())] == ["info"]
+    assert check_vehicles(load_fleet(FLEETS / "delta.toml")) == []
+    # What a robot has of the table for all, and is none.
+    assert check_vehicles(rovers("robot.6.plant=unicycle", "robot.6.mavlink.arm=true")) == []
+
+
+@pytest.mark.parametrize(
+    ("override", "place", "words"),
+    [
+        ("robot.3.mavlink.connection=/dev/ttyACM0", "robot[3].mavlink.connection", "/dev/serial/by-id/"),
+        ("robot.3.mavlink.connection=udpin:0.0.0.0:14550", "robot[3].mavlink.signing_key", "robot 3"),
+        ("robot.2.mavlink.arm=true", "robot[2].mavlink.arm", "robot 2"),
+        ("fleet.rate_hz=60", "fleet.rate_hz", "60 Hz"),
+        ("control.plant_timeout_s=0.2", "control.plant_timeout_s", "0.2 s"),
+        ("control.wrench_timeout_s=0.4", "control.wrench_timeout_s", "0.4 s"),
+        ("control.max_acceleration=0.9", "control.max_acceleration", "0.9 m/s2"),
+        ("robot.4.mavlink.max_acceleration=0.5", "control.max_acceleration", "robot 4, 0.5 m/s2"),
+        ("robot_defaults.mavlink.max_speed_mps=0.4", "robot[1].mavlink.max_speed_mps", "0.32 m/s"),
+        ("formation.safe_distance_m=0.7", "formation.safe_distance_m", "0.8 m"),
+        ("robot.5.hand_offset_m=0.1", "robot[5].hand_offset_m", "robot 5"),
+        ("robot.6.inertia_kgm2=0.01", "robot[6].inertia_kgm2", "robot 6"),
+        ("robot_defaults.inertia_kgm2=200", "robot[1].inertia_kgm2", "robots 1, 2, 3, 4, 5 and 6"),
+        ("robot.1.speed_noise_mps=0.1", "robot[1].position_noise_m", "on purpose"),
+    ],
+)
+def test_each_thing_that_is_unwise_is_a_warning(override: str, place: str, words: str) -> None:
+    findings = found(override)
+    assert findings[place].level == "warning"
+    assert words in findings[place].message
+    # A connection to the outside also asks whether the datum is meant.
+    assert set(findings) - {"datum"} == {place}
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "robot.3.mavlink.connection=/dev/serial/by-id/usb-ArduPilot-if00",
+        "robot.3.mavlink.connection=tcp:127.0.0.1:5760",
+        "fleet.rate_hz=50",
+        "control.plant_timeout_s=0.3",
+        "control.wrench_timeout_s=0.3",
+        "control.max_acceleration=0.8",
+        "robot_defaults.mavlink.max_speed_mps=0.45",
+        "formation.safe_distance_m=0.8",
+        "robot.5.hand_offset_m=0.2",
+    ],
+)
+def test_what_is_just_wise_enough_is_not(override: str) -> None:
+    assert set(found(override)) - {"datum"} == set()
+
+
+def test_signed_links_are_fine() -> None:
+    key = "robot.3.mavlink.signing_key=/tmp/key"
+    assert set(found("robot.3.mavlink.connection=udpin:0.0.0.0:14550", key)) == {"datum"}
+
+
+def test_the_simulators_datum_with_vehicles_outside_is_asked_about() -> None:
+    serial = "robot.3.mavlink.connection=/dev/serial/by-id/x"
+    assert found(serial)["datum"].level == "warning"
+    assert "datum" not in found(serial, "datum.latitude_deg=48.1")
+    assert "datum" not in found("robot.3.mavlink.connection=tcp:127.0.0.1:5760")
+
+
+def test_a_trajectory_faster_than_a_vehicle_is_an_error() -> None:
+    findings = found("robot.2.mavlink.max_speed_mps=0.3")
+    assert findings["robot[2].mavlink.max_speed_mps"].level == "error"
+
+
+def test_two_vehicles_that_are_waited_for_on_one_port_are_an_error() -> None:
+    fleet = rovers(
+        "robot.3.mavlink.connection=udpin:0.0.0.0:14550", "robot.5.mavlink.connection=udpin:10.0.0.1:14550"
+    )
+    (finding,) = [finding for finding in check_vehicles(fleet) if finding.level == "error"]
+    assert (finding.place, "robot 3" in finding.message) == ("robot[5].mavlink.connection", True)
+
+
+def test_vehicles_and_datum_are_described() -> None:
+    text = describe(rovers())
+    assert "datum: x = 0, y = 0 is at -35.3632610, 149.1652300, 584 m above the sea" in text
+    assert "vehicles: robots 1, 2, 3, 4, 5 and 6, ArduPilot Rovers that are simulated on this machine" in text
+    assert "arming of robots 1, 2, 3, 4, 5 and 6: their operators" in text
+    text = describe(
+        rovers(
+            "robot.3.mavlink.connection=/dev/serial/by-id/x",
+            "robot.3.mavlink.arm=true",
+            "robot.3.mavlink.signing_key=/tmp/key",
+        )
+    )
+    assert "vehicle: robot 3, an ArduPilot Rover on /dev/serial/by-id/x at 115200 baud, signed" in text
+    assert "arming of robot 3: their bridges put them into GUIDED and arm them, by themselves" in text
+    assert "datum" not in describe(load_fleet(FLEETS / "pair.toml"))

@@ -1,0 +1,696 @@
+"""The MAVLink session: whom it believes, what it asks for and how often, what it never sends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, nan
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from agent.clock import NS_PER_S
+from bridges.mavlink import ardurover
+from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.link import Link, LinkSettings
+from bridges.mavlink.signing import EPOCH_S, Signing, Timestamps
+
+T0 = 1_700_000_000 * NS_PER_S
+MS = NS_PER_S // 1000
+TICK_NS = 40 * MS
+HOME = Geodetic(47.3977, 8.5456, 500.0)
+KEY = bytes(range(32))
+
+
+class Speaker:
+    """Somebody on the link, as packed by pymavlink itself."""
+
+    def __init__(self, system: int = 3, component: int = 1) -> None:
+        self.mav = dialect.MAVLink(None, system, component)
+
+    def __getattr__(self, name: str) -> Callable[..., bytes]:
+        encode = getattr(self.mav, f"{name}_encode")
+
+        def pack(*values: Any) -> bytes:
+            data = bytes(encode(*values).pack(self.mav))
+            self.mav.seq = (self.mav.seq + 1) % 256
+            return data
+
+        return pack
+
+    def alive(
+        self, mode: int = ardurover.GUIDED, armed: bool = True, kind: int = 10, autopilot: int = 3
+    ) -> bytes:
+        return self.heartbeat(kind, autopilot, 1 | (128 if armed else 0), mode, 4, 3)
+
+    def position(self, stamp_ms: int, north: float = 1.0) -> bytes:
+        return self.local_position_ned(stamp_ms, north, 2.0, 0.0, 0.5, -0.5, 0.0)
+
+    def yaw(self, stamp_ms: int, yaw: float = 0.5) -> bytes:
+        return self.attitude(stamp_ms, 0.0, 0.0, yaw, 0.0, 0.0, 0.1)
+
+
+def read(data: bytes) -> list[Any]:
+    parser = dialect.MAVLink(None)
+    parser.robust_parsing = True
+    return parser.parse_buffer(data) or []
+
+
+def named(data: bytes, name: str) -> list[Any]:
+    return [message for message in read(data) if message.get_type() == name]
+
+
+def joined(settings: LinkSettings | None = None, system: int = 3) -> tuple[Link, Speaker]:
+    """A session that has heard its vehicle at T0, and that vehicle."""
+    link, rover = Link(settings or LinkSettings(parameters=())), Speaker(system)
+    link.receive(T0, rover.alive())
+    return link, rover
+
+
+def run(link: Link, rover: Speaker, since_ns: int, seconds: float, name: str) -> list[tuple[float, Any]]:
+    """Ticks, the vehicle only beating; what was sent of one message, with its time in s."""
+    sent = []
+    for index in range(round(seconds * NS_PER_S / TICK_NS)):
+        now_ns = since_ns + index * TICK_NS
+        if index % 25 == 0:
+            link.receive(now_ns, rover.alive())
+        sent += [((now_ns - since_ns) / NS_PER_S, message) for message in named(link.tick(now_ns), name)]
+    return sent
+
+
+def state(link: Link, command: int) -> str:
+    outcome = link.outcome(command)
+    assert outcome is not None
+    return outcome.state
+
+
+# Whom it believes.
+
+
+def test_the_first_autopilot_is_the_vehicle_and_nobody_else() -> None:
+    link = Link(LinkSettings())
+    link.receive(T0, Speaker(255, 190).heartbeat(6, 8, 0, 0, 4, 3))  # a ground station
+    link.receive(T0, Speaker(3, 191).heartbeat(18, 8, 0, 0, 4, 3))  # a companion
+    link.receive(T0, Speaker(3, 1).heartbeat(6, 3, 0, 0, 4, 3))  # a ground station as component 1
+    link.receive(T0, Speaker(3, 1).heartbeat(10, 8, 0, 0, 4, 3))  # a rover without an autopilot
+    link.receive(T0, Speaker(3, 2).alive())  # a second autopilot's component
+    assert link.system is None
+    assert link.absence(T0) == "no heartbeat of a vehicle yet"
+    link.receive(T0, Speaker(3).alive())
+    link.receive(T0, Speaker(4).alive(mode=ardurover.HOLD))
+    assert (link.system, link.mode, link.armed) == (3, ardurover.GUIDED, True)
+    assert link.absence(T0) == ""
+    assert link.strangers == {4: ardurover.TYPE_GROUND_ROVER}
+
+
+def test_a_vehicle_with_another_id_is_noted_not_taken() -> None:
+    link = Link(LinkSettings(system=3))
+    link.receive(T0, Speaker(4).alive())
+    assert link.system is None
+    assert link.absence(T0) == "no vehicle with system id 3 here, but with 4 (ground rover)"
+    assert link.setpoint(0.1, 0.0) == b""
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "problem"),
+    [
+        (10, 3, ""),
+        (11, 3, ""),
+        (2, 3, "is a quadrotor (MAV_TYPE 2), not a rover"),
+        (99, 3, "is a vehicle of another kind (MAV_TYPE 99), not a rover"),
+        (10, 12, "runs PX4 (MAV_AUTOPILOT 12), not ArduPilot"),
+    ],
+)
+def test_only_a_rover_of_ardupilot_is_driven(kind: int, autopilot: int, problem: str) -> None:
+    link, rover = Link(LinkSettings(datum=HOME, parameters=())), Speaker()
+    link.receive(T0, rover.alive(kind=kind, autopilot=autopilot))
+    assert link.problem == problem
+    assert bool(link.setpoint(0.1, 0.0)) is not bool(problem)
+    assert bool(named(link.tick(T0), "SET_GPS_GLOBAL_ORIGIN")) is not bool(problem)
+
+
+@pytest.mark.parametrize("sender", [(4, 1), (3, 191), (255, 190)])
+def test_what_others_say_changes_nothing(sender: tuple[int, int]) -> None:
+    link, _ = joined()
+    other = Speaker(*sender)
+    link.receive(T0, other.position(1000) + other.yaw(1000) + other.gps_global_origin(47 * 10**7, 8, 0))
+    link.receive(T0, other.ekf_status_report(831, 0, 0, 0, 0, 0) + other.statustext(2, b"PreArm: no"))
+    link.receive(T0, other.heartbeat(18, 8, 0, ardurover.HOLD, 4, 3))
+    assert [*link.take_positions(), *link.take_attitudes(), *link.take_texts()] == []
+    assert link.origin is link.ekf is None
+    assert (link.mode, link.armed) == (ardurover.GUIDED, True)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"system": 255},
+        {"system": 0},
+        {"own_system": 255},
+        {"own_component": 1},
+        {"own_component": 0},
+        {"state_rate_hz": 0.0},
+        {"state_rate_hz": nan},
+        {"token": -1},
+    ],
+)
+def test_an_identity_that_is_anothers_is_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        LinkSettings(**settings)
+
+
+def test_a_heartbeat_grows_old() -> None:
+    link, _ = joined()
+    assert link.connected(T0 + 2 * NS_PER_S)
+    assert not link.connected(T0 + 3 * NS_PER_S)
+    assert link.absence(T0 + 4 * NS_PER_S) == "no heartbeat of the vehicle for 4.0 s"
+
+
+# What it sends by itself.
+
+
+def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_tick() -> None:
+    link = Link(LinkSettings(token=77, parameters=()))
+    first = named(link.tick(T0), "HEARTBEAT")
+    assert [(m.type, m.autopilot, m.custom_mode) for m in first] == [(18, 8, 77)]
+    sent = run(link, Speaker(), T0 + NS_PER_S, 5.0, "HEARTBEAT")
+    assert [time for time, _ in sent] == pytest.approx([0, 1, 2, 3, 4], abs=0.05)
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for _, m in sent} == {(3, 191)}
+    assert not named(Link(LinkSettings()).tick(T0), "COMMAND_LONG")
+
+
+def test_an_own_system_id_is_kept() -> None:
+    link, _ = joined(LinkSettings(own_system=200, own_component=195))
+    (message,) = named(link.tick(T0), "HEARTBEAT")
+    assert (message.get_srcSystem(), message.get_srcComponent()) == link.own == (200, 195)
+
+
+def test_messages_are_numbered() -> None:
+    link, _ = joined()
+    numbers = [message.get_seq() for message in read(link.tick(T0) + link.setpoint(0.1, 0.0))]
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) > 2
+
+
+def test_timesync_four_times_a_second_bounds_the_clock() -> None:
+    link, rover = joined()
+    sent = run(link, rover, T0, 10.0, "TIMESYNC")
+    assert len(sent) == 40
+    asked = sent[-1][1].ts1
+    assert sent[-1][1].tc1 == 0
+    link.receive(asked + 20 * MS, rover.timesync(70_000 * MS, asked))
+    link.receive(asked + 90 * MS, rover.timesync(71_000 * MS, asked))  # the same again: not believed
+    link.receive(asked + 20 * MS, rover.timesync(72_000 * MS, asked + 1))  # not ours
+    assert link.clock.error_ns == 10 * MS
+    link.receive(asked + 60 * MS, rover.yaw(70_050))
+    (sample,) = link.take_attitudes()
+    assert sample.valid_ns == pytest.approx(asked + 60 * MS, abs=11 * MS)
+
+
+def test_a_timesync_of_others_is_answered() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.timesync(0, 12345))
+    answers = [m for m in named(link.tick(T0 + MS), "TIMESYNC") if m.tc1]
+    assert [(m.tc1, m.ts1) for m in answers] == [(T0 + MS, 12345)]
+    assert not [m for m in named(link.tick(T0 + 2 * MS), "TIMESYNC") if m.tc1]
+
+
+def requests(data: bytes, command: int) -> list[Any]:
+    return [m for m in named(data, "COMMAND_LONG") if m.command == command]
+
+
+def test_message_rates_are_asked_for_one_after_the_other_and_lowered_when_denied() -> None:
+    link, rover = joined()
+    asked, now_ns = [], T0
+    for _ in range(20):
+        for message in requests(link.tick(now_ns), ardurover.CMD_SET_MESSAGE_INTERVAL):
+            asked.append((round(message.param1), round(message.param2)))
+            assert (message.target_system, message.target_component) == (3, 1)
+            denied = message.param1 == ardurover.ATTITUDE and message.param2 < 50_000
+            result = ardurover.RESULT_DENIED if denied else ardurover.RESULT_ACCEPTED
+            link.receive(now_ns + 20 * MS, rover.command_ack(511, result, 0, 0, 3, 191))
+        now_ns += TICK_NS
+    assert asked[:3] == [(30, 40_000), (30, 50_000), (32, 40_000)]
+    assert len(asked) == 7
+    rows = {row.name: row for row in link.streams(now_ns)}
+    assert (rows["ATTITUDE"].granted_hz, rows["LOCAL_POSITION_NED"].granted_hz) == (20.0, 25.0)
+    for index in range(75):
+        now_ns += TICK_NS
+        link.receive(now_ns, rover.position(1000 + 40 * index))
+    assert {r.name: r for r in link.streams(now_ns)}["LOCAL_POSITION_NED"].measured_hz == pytest.approx(25.0)
+
+
+def test_an_unanswered_request_is_repeated_three_times_and_passed_over() -> None:
+    link, rover = joined()
+    sent = [(t, m) for t, m in run(link, rover, T0, 4.0, "COMMAND_LONG") if m.command == 511]
+    assert [(t, round(m.param1), m.confirmation) for t, m in sent] == [
+        (0.0, 30, 0),
+        (1.0, 30, 1),
+        (2.0, 30, 2),
+        (pytest.approx(3.04, abs=0.05), 32, 0),
+    ]
+    assert link.streams(T0 + 4 * NS_PER_S)[0].answer == "no answer"
+
+
+def test_an_answer_to_somebody_else_is_not_ours() -> None:
+    link, rover = joined()
+    link.command_arm(True)
+    link.tick(T0)
+    link.receive(T0, rover.command_ack(400, 0, 0, 0, 255, 190))
+    assert state(link, 400) == "waiting"
+    link.receive(T0, rover.command_ack(400, 4, 0, 0, 3, 191))
+    outcome = link.outcome(400)
+    assert outcome is not None
+    assert (outcome.state, outcome.text) == ("refused", "failed")
+
+
+# Commands.
+
+
+def test_arming_is_asked_three_times_and_never_forced() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.alive(armed=False))
+    link.command_arm(True)
+    sent = []
+    for index in range(150):
+        now_ns = T0 + index * TICK_NS
+        if index % 25 == 0:
+            link.receive(now_ns, rover.alive(armed=False))
+        sent += [(index, m) for m in requests(link.tick(now_ns), 400)]
+    assert [(index, m.param1, m.param2, m.confirmation) for index, m in sent] == [
+        (0, 1.0, 0.0, 0),
+        (25, 1.0, 0.0, 1),
+        (50, 1.0, 0.0, 2),
+    ]
+    assert state(link, 400) == "no answer"
+
+
+def test_an_answer_before_the_question_is_to_an_earlier_one() -> None:
+    link, rover = joined()
+    assert link.outcome(400) is None
+    link.command_arm(False)
+    link.receive(T0, rover.command_ack(400, 0, 0, 0, 3, 191))
+    assert state(link, 400) == "waiting"
+    assert [m.param1 for m in requests(link.tick(T0), 400)] == [0.0]
+    link.receive(T0, rover.command_ack(400, 0, 0, 0, 3, 191))
+    assert state(link, 400) == "accepted"
+
+
+def test_a_command_in_progress_is_waited_for_not_repeated() -> None:
+    link, rover = joined()
+    link.command_arm(True)
+    link.tick(T0)
+    link.receive(T0, rover.command_ack(400, ardurover.RESULT_IN_PROGRESS, 0, 0, 3, 191))
+    assert state(link, 400) == "waiting"
+    link.receive(T0 + 2 * NS_PER_S, rover.alive())
+    assert not requests(link.tick(T0 + 2 * NS_PER_S), 400)
+    link.receive(T0 + 2 * NS_PER_S, rover.command_ack(400, 0, 0, 0, 3, 191))
+    assert state(link, 400) == "accepted"
+
+
+def test_an_order_that_waits_for_the_link_is_forgotten() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.alive(armed=False))
+    later_ns = T0 + 10 * NS_PER_S
+    link.command_arm(True)
+    assert not requests(link.tick(later_ns), 400)
+    link.receive(later_ns, rover.alive(armed=False))
+    assert not requests(link.tick(later_ns), 400)
+
+
+def test_a_request_that_the_link_was_lost_over_is_made_at_once_when_it_is_back() -> None:
+    link, rover = joined()
+    assert requests(link.tick(T0), 511)
+    later_ns = T0 + 10 * NS_PER_S
+    link.tick(later_ns)
+    link.receive(later_ns, rover.alive())
+    assert [m.param1 for m in requests(link.tick(later_ns), 511)] == [ardurover.ATTITUDE]
+
+
+@pytest.mark.parametrize(("mode", "armed"), [(ardurover.HOLD, False), (ardurover.GUIDED, True)])
+def test_an_order_is_not_repeated_after_the_operator_acted(mode: int, armed: bool) -> None:
+    link, rover = joined()
+    link.receive(T0, rover.alive(ardurover.MANUAL, armed=False))
+    link.command_mode(ardurover.GUIDED)
+    link.command_arm(True)
+    sent = link.tick(T0)
+    assert [(m.param1, m.param2) for m in requests(sent, 176)] == [(1.0, 15.0)]
+    assert requests(sent, 400)
+    link.receive(T0 + NS_PER_S, rover.alive(mode, armed))
+    for index in range(100):
+        sent = link.tick(T0 + NS_PER_S + index * TICK_NS)
+        assert not requests(sent, 176)
+        assert not requests(sent, 400)
+
+
+# Setpoints.
+
+
+def test_a_setpoint_is_what_the_facts_give() -> None:
+    link, _ = joined()
+    (message,) = read(link.setpoint(-0.5, 0.25))
+    assert (message.target_system, message.target_component) == (3, 1)
+    assert (message.coordinate_frame, message.type_mask) == (8, 0x5C7)
+    assert (message.vx, message.vy, message.vz) == (-0.5, 0.0, 0.0)
+    assert message.yaw_rate == -0.25  # clockwise seen from above: FRD
+
+
+@pytest.mark.parametrize("wrong", [nan, inf, -inf, 1e39, 31.0])
+def test_a_setpoint_that_is_not_finite_or_beyond_sense_is_never_sent(wrong: float) -> None:
+    link, _ = joined()
+    assert link.setpoint(wrong, 0.0) == b""
+    assert link.setpoint(0.0, wrong) == b""
+    assert link.counts.total() == 2
+
+
+# Reports.
+
+
+def test_reports_are_kept_with_their_units() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.ekf_status_report(831, 0.1, 0.2, nan, 0.4, 0.0))
+    link.receive(T0, rover.gps_raw_int(0, 6, 0, 0, 0, 87, 0, 0, 0, 14))
+    bits = ardurover.SENSOR_PREARM_CHECK
+    link.receive(T0, rover.sys_status(bits, bits, 0, 0, 12600, 0, 88, 0, 0, 0, 0, 0, 0))
+    link.receive(
+        T0, rover.autopilot_version(0, 0x040507FF, 0, 0, 0, b"1a2b3c4d", bytes(8), bytes(8), 0, 0, 0)
+    )
+    assert link.ekf == (T0, 831, pytest.approx(0.1), pytest.approx(0.2), inf, pytest.approx(0.4))
+    assert link.gps == (T0, ardurover.GPS_RTK_FIXED, 14, 0.87)
+    assert link.battery == (12.6, 88)
+    assert link.prearm_ok is False
+    assert link.firmware == "4.5.7 (1a2b3c4d)"
+    link.receive(T0, rover.sys_status(bits, 0, bits, 0, 65535, 0, -1, 0, 0, 0, 0, 0, 0))
+    link.receive(T0, rover.gps_raw_int(0, 1, 0, 0, 0, 65535, 0, 0, 0, 255))
+    assert link.battery == (None, None)
+    assert link.prearm_ok is None
+    assert link.gps == (T0, ardurover.GPS_NO_FIX, 0, None)
+
+
+def test_samples_come_in_order_once_and_finite() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.position(1000, 1.0) + rover.position(1040, 2.0))
+    link.receive(T0 + MS, rover.position(1040, 9.0) + rover.position(1000, 9.0) + rover.position(1080, nan))
+    assert [(s.stamp_ms, s.arrival_ns, s.north) for s in link.take_positions()] == [
+        (1000, T0, 1.0),
+        (1040, T0, 2.0),
+    ]
+    assert link.take_positions() == []
+    assert link.counts == {"out of order": 2, "not finite": 1}
+
+
+def test_a_long_text_is_joined_and_a_lost_end_waited_for_one_second() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.statustext(4, b"a" * 50, 7, 0) + rover.statustext(6, b"short"))
+    link.receive(T0, rover.statustext(4, b"b\x07c", 7, 1))
+    assert [(t.severity, t.text) for t in link.take_texts()] == [(6, "short"), (4, "a" * 50 + "bc")]
+    link.receive(T0, rover.statustext(4, b"d" * 50, 8, 0))
+    link.tick(T0 + NS_PER_S)
+    assert link.take_texts() == []
+    link.tick(T0 + NS_PER_S + 1)
+    assert [t.text for t in link.take_texts()] == ["d" * 50]
+    link.receive(T0, rover.statustext(4, b"end", 9, 2))
+    assert [t.text for t in link.take_texts()] == ["...end"]
+
+
+def test_texts_without_end_stay_bounded() -> None:
+    link, rover = joined()
+    for chunk in range(100):
+        link.receive(T0, rover.statustext(4, b"x" * 50, 1, chunk))
+    assert [len(text.text) for text in link.take_texts()] == [1000, *[3 + 950] * 4]
+    for number in range(2, 102):
+        link.receive(T0, rover.statustext(4, b"x" * 50, number, 0))
+    assert 90 <= len(link.take_texts()) < 100
+    for _ in range(1000):
+        link.receive(T0, rover.statustext(4, b"x"))
+    assert len(link.take_texts()) == 256
+
+
+def test_a_text_with_a_chunk_lost_is_told_in_parts() -> None:
+    link, rover = joined()
+    link.receive(T0, rover.statustext(4, b"a" * 50, 7, 0) + rover.statustext(4, b"c", 7, 2))
+    assert [text.text for text in link.take_texts()] == ["a" * 50, "...c"]
+
+
+def test_parameters_are_read_and_what_is_missing_is_said() -> None:
+    link, rover = joined(LinkSettings(parameters=("FS_ACTION", "MAV_SYSID", "WP_SPEED")))
+    asked = {m.param_id for _, m in run(link, rover, T0, 1.0, "PARAM_REQUEST_READ")}
+    assert asked == {"FS_ACTION", "MAV_SYSID", "WP_SPEED"}
+    link.receive(T0, rover.param_value(b"FS_ACTION", 2.0, 9, 900, 5))
+    link.receive(T0, rover.param_value(b"WP_SPEED", nan, 9, 900, 6))
+    link.receive(T0, rover.param_error(3, 191, b"MAV_SYSID", -1, 1))
+    assert link.parameters == {"FS_ACTION": 2.0, "MAV_SYSID": None}
+    assert not link.parameters_done
+    link.receive(T0, rover.param_value(b"WP_SPEED", 3.0, 9, 900, 6))
+    assert link.parameters_done
+    assert link.parameter(("MAV_SYSID", "WP_SPEED")) == 3.0
+
+
+# The origin.
+
+
+def test_the_datum_is_offered_once_a_second_until_an_origin_is_told() -> None:
+    link, rover = joined(LinkSettings(datum=HOME, parameters=()))
+    offered = run(link, rover, T0, 3.0, "SET_GPS_GLOBAL_ORIGIN")
+    assert [time for time, _ in offered] == pytest.approx([0, 1, 2], abs=0.05)
+    assert {(m.target_system, m.latitude, m.longitude, m.altitude) for _, m in offered} == {
+        (3, 473977000, 85456000, 500000)
+    }
+    link.receive(T0, rover.gps_global_origin(473977001, 85456000, 501000))
+    assert link.origin_ours
+    assert run(link, rover, T0 + 3 * NS_PER_S, 65.0, "SET_GPS_GLOBAL_ORIGIN") == []
+    link.receive(T0, rover.gps_global_origin(473977100, 85456000, 500000))
+    assert link.origin == Geodetic(47.39771, 8.5456, 500.0)
+    assert not link.origin_ours
+
+
+@pytest.mark.parametrize("settings", [{"set_origin": False, "datum": HOME}, {"datum": None}])
+def test_no_origin_is_offered_unless_wished(settings: dict[str, Any]) -> None:
+    link, rover = joined(LinkSettings(parameters=(), **settings))
+    assert run(link, rover, T0, 3.0, "SET_GPS_GLOBAL_ORIGIN") == []
+
+
+@pytest.mark.parametrize("place", [(0, 0), (910_000_000, 0), (1, 1_900_000_000)])
+def test_an_origin_that_is_no_place_is_not_believed(place: tuple[int, int]) -> None:
+    link, rover = joined()
+    link.receive(T0, rover.gps_global_origin(*place, 0))
+    assert link.origin is None
+
+
+def test_messages_of_no_use_are_skipped_unread() -> None:
+    link, rover = joined()
+    useless = bytearray(rover.vfr_hud(0, 0, 0, 0, 0, 0))
+    useless[-1] ^= 1
+    link.receive(T0, bytes(useless) + rover.alive(ardurover.HOLD))
+    assert link.mode == ardurover.HOLD
+    assert not link.counts
+    broken = bytearray(rover.alive())
+    broken[-1] ^= 1
+    link.receive(T0, bytes(broken))
+    assert link.counts == {"bad data": 1}
+    assert link.mode == ardurover.HOLD
+
+
+# Beginning anew.
+
+
+def known(settings: LinkSettings | None = None) -> tuple[Link, Speaker]:
+    link, rover = joined(settings)
+    link.receive(
+        T0, rover.position(60_000) + rover.yaw(60_000) + rover.gps_global_origin(473977001, 85456000, 0)
+    )
+    link.receive(T0, rover.gps_raw_int(0, 3, 0, 0, 0, 87, 0, 0, 0, 14))
+    for index in range(20):
+        now_ns = T0 + index * TICK_NS
+        if requests(link.tick(now_ns), 511):
+            link.receive(now_ns, rover.command_ack(511, 0, 0, 0, 3, 191))
+    assert all(row.granted_hz for row in link.streams(T0))
+    return link, rover
+
+
+@pytest.mark.parametrize("by", ["stamp", "timesync"])
+def test_after_a_reboot_nothing_is_believed_and_all_is_asked_again(by: str) -> None:
+    link, rover = known()
+    epoch, now_ns = link.epoch, T0 + NS_PER_S
+    if by == "stamp":
+        link.receive(now_ns, rover.position(1500))
+    else:
+        asked = named(link.tick(now_ns), "TIMESYNC")[0].ts1
+        link.receive(now_ns, rover.timesync(1500 * MS, asked))
+    assert link.epoch == epoch + 1
+    assert (link.heartbeat_ns, link.mode, link.armed, link.origin, link.gps) == (
+        None,
+        None,
+        False,
+        None,
+        None,
+    )
+    assert [s.stamp_ms for s in link.take_positions()] == ([1500] if by == "stamp" else [])
+    assert link.take_attitudes() == []
+    assert link.system == 3
+    link.receive(now_ns, rover.alive(ardurover.HOLD, armed=False))
+    sent = link.tick(now_ns)
+    assert requests(sent, 511)
+    assert link.mode == ardurover.HOLD
+    link.receive(now_ns + TICK_NS, rover.position(1540))
+    assert link.epoch == epoch + 1
+
+
+def test_after_a_reboot_the_parameters_are_read_again() -> None:
+    link, rover = known(LinkSettings(parameters=("WP_SPEED",)))
+    link.receive(T0, rover.param_value(b"WP_SPEED", 3.0, 9, 900, 6))
+    assert link.parameters_done
+    link.receive(T0 + NS_PER_S, rover.position(1500) + rover.alive())
+    assert link.parameters == {}
+    assert [m.param_id for m in named(link.tick(T0 + NS_PER_S), "PARAM_REQUEST_READ")] == ["WP_SPEED"]
+
+
+def test_a_message_that_is_merely_late_is_no_reboot() -> None:
+    link, rover = known()
+    link.receive(T0 + NS_PER_S, rover.position(59_500))
+    assert (link.epoch, link.mode) == (0, ardurover.GUIDED)
+
+
+def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> None:
+    link, rover = known()
+    asked = named(link.tick(T0 + NS_PER_S), "TIMESYNC")[0].ts1
+    link.receive(asked + 20 * MS, rover.timesync(61_000 * MS, asked))
+    assert link.clock.error_ns is not None
+    link.receive(T0, rover.alive()[:9])  # half a message
+    link.restart()
+    assert (link.epoch, link.system, link.heartbeat_ns, link.mode, link.armed) == (1, None, None, None, False)
+    assert link.setpoint(0.1, 0.0) == b""
+    assert link.clock.error_ns is None
+    assert not requests(link.tick(T0 + NS_PER_S), 511)
+    link.receive(T0 + NS_PER_S, Speaker(5).alive(ardurover.HOLD))
+    assert (link.system, link.mode) == (5, ardurover.HOLD)
+    sent = link.tick(T0 + NS_PER_S)
+    assert requests(sent, 511)
+    assert {m.get_srcSystem() for m in read(sent)} == {5}
+
+
+# Others on the link.
+
+
+def test_a_ground_station_may_be_there_another_bridge_may_not() -> None:
+    link, _ = joined(LinkSettings(token=77))
+    link.receive(T0, Speaker(255, 190).heartbeat(6, 8, 0, 0, 4, 3))
+    link.receive(T0, Speaker(3, 154).heartbeat(26, 8, 0, 0, 4, 3))  # a gimbal
+    link.receive(T0, Speaker(3, 193).heartbeat(30, 8, 0, 0, 4, 3))  # a camera
+    link.receive(T0, Speaker(3, 158).heartbeat(18, 8, 0, 0, 4, 3))  # a peripheral's controller
+    link.receive(T0, Speaker(4, 191).heartbeat(18, 8, 0, 0, 4, 3))  # the bridge of another vehicle
+    assert link.ground_stations(T0) == [(255, 190)]
+    assert link.another_bridge(T0) == ""
+    link.receive(T0, Speaker(3, 192).heartbeat(18, 8, 0, 0, 4, 3))
+    assert link.another_bridge(T0) == (
+        "another onboard controller is on this vehicle (system 3, component 192)"
+    )
+    later_ns = T0 + 5 * NS_PER_S + 1
+    assert link.another_bridge(later_ns) == ""
+    assert link.ground_stations(later_ns) == []
+
+
+def test_an_echo_is_not_another_bridge_a_twin_is() -> None:
+    link, _ = joined(LinkSettings(token=77))
+    link.receive(T0, link.tick(T0))
+    assert link.another_bridge(T0) == ""
+    link.receive(T0, Speaker(3, 191).heartbeat(18, 8, 0, 78, 4, 3))
+    assert "this bridge's own identity" in link.another_bridge(T0)
+
+
+def test_a_twin_that_is_only_heard_asking_for_the_time_is_found() -> None:
+    link, rover = joined(LinkSettings(token=77))
+    sent = link.tick(T0)
+    assert named(sent, "TIMESYNC")
+    link.restart()
+    link.receive(T0, rover.alive() + sent)  # an echo, even over a restart
+    link.receive(T0, Speaker(255, 190).timesync(0, 5) + Speaker(3, 193).timesync(0, 6))
+    assert link.another_bridge(T0) == ""
+    link.receive(T0, Speaker(3, 191).timesync(0, 12345))
+    assert "this bridge's own identity" in link.another_bridge(T0)
+    assert not [m for m in named(link.tick(T0), "TIMESYNC") if m.tc1]  # only the vehicle is answered
+
+
+def test_who_is_there_stays_bounded() -> None:
+    link, _ = joined()
+    for system in range(4, 250):
+        link.receive(T0, Speaker(system, 1).alive() + Speaker(system, 191).heartbeat(18, 8, 0, 0, 4, 3))
+    assert len(link.strangers) <= 32
+    link.receive(T0 + 6 * NS_PER_S, Speaker(3, 192).heartbeat(18, 8, 0, 0, 4, 3))
+    assert link.another_bridge(T0 + 6 * NS_PER_S)
+
+
+# Signing.
+
+SIGNED_NS = (EPOCH_S + 10**8) * NS_PER_S
+
+
+def signed(system: int = 3, key: bytes = KEY, stamp_ns: int = SIGNED_NS) -> Speaker:
+    speaker = Speaker(system)
+    speaker.mav.signing.secret_key = key
+    speaker.mav.signing.sign_outgoing = True
+    speaker.mav.signing.timestamp = (stamp_ns - EPOCH_S * NS_PER_S) // 10_000
+    return speaker
+
+
+@pytest.fixture
+def signing_link(tmp_path: Path) -> Any:
+    stamps = Timestamps(tmp_path / "stamp", SIGNED_NS)
+    yield Link(LinkSettings(signing=Signing(KEY, stamps), parameters=()))
+    stamps.close()
+
+
+def test_with_a_key_only_signed_messages_count(signing_link: Link) -> None:
+    link = signing_link
+    link.receive(T0, Speaker(3).alive())
+    assert link.absence(T0) == "what comes is not signed: give the vehicle this signing key"
+    link.receive(T0, signed(key=bytes(32)).alive())
+    assert link.system is None
+    link.receive(T0, signed().alive())
+    assert link.system == 3
+    assert (link.signed, link.bad_signatures, link.unsigned_refused) == (1, 1, 1)
+
+
+def test_what_is_sent_is_signed_with_growing_stamps(signing_link: Link) -> None:
+    link = signing_link
+    link.receive(SIGNED_NS, signed().alive())
+    sent = [
+        link.tick(SIGNED_NS),
+        link.setpoint(0.1, 0.0),
+        link.tick(SIGNED_NS + TICK_NS),
+        link.setpoint(0.1, 0),
+    ]
+    reader = dialect.MAVLink(None)
+    reader.signing.secret_key = KEY
+    messages = [m for data in sent for m in reader.parse_buffer(data) or []]  # raises on a stamp used twice
+    assert len(messages) >= 5
+    assert all(m.get_signed() for m in messages)
+
+
+def test_a_message_is_not_taken_twice_nor_from_long_ago(signing_link: Link) -> None:
+    link = signing_link
+    old = signed(stamp_ns=SIGNED_NS - 61 * NS_PER_S).alive()
+    link.receive(T0, old)
+    assert link.system is None
+    data = signed().alive()
+    link.receive(T0, data)
+    link.receive(T0, data)
+    assert (link.signed, link.bad_signatures) == (1, 2)
+
+
+def test_a_forged_stamp_does_not_shut_the_vehicle_out(signing_link: Link) -> None:
+    link = signing_link
+    forged = bytearray(signed(stamp_ns=SIGNED_NS + 10**18).alive())
+    forged[-1] ^= 1
+    link.receive(T0, bytes(forged))
+    link.receive(T0, signed().alive())
+    assert link.system == 3
+
+
+def test_without_a_key_it_is_known_whether_the_vehicle_signs() -> None:
+    link, _ = joined()
+    assert not link.vehicle_signs
+    link.receive(T0, signed().alive())
+    assert link.vehicle_signs
+    assert link.unsigned_refused == 0

@@ -1,0 +1,135 @@
+"""Message rates: asked one at a time, the next lower on refusal, again when they are not kept."""
+
+from __future__ import annotations
+
+from agent.clock import NS_PER_S
+from bridges.mavlink import ardurover
+from bridges.mavlink.streams import Streams, Wanted, wanted_messages
+
+ATTITUDE = Wanted(ardurover.ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
+GPS = Wanted(ardurover.GPS_RAW_INT, "GPS_RAW_INT", (1.0,))
+
+
+def feed(streams: Streams, message: int, since_ns: int, until_ns: int, rate_hz: float) -> None:
+    count = round((until_ns - since_ns) / NS_PER_S * rate_hz)
+    for index in range(1, count + 1):
+        streams.heard(message, since_ns + round(index * NS_PER_S / rate_hz))
+
+
+def test_one_request_at_a_time_in_whole_microseconds() -> None:
+    streams = Streams((ATTITUDE, GPS))
+    assert streams.ask(0) == (ardurover.ATTITUDE, 40_000)
+    assert streams.ask(0) is None
+    streams.answered(5, ardurover.RESULT_ACCEPTED)
+    assert streams.ask(5) == (ardurover.GPS_RAW_INT, 1_000_000)
+    streams.answered(9, ardurover.RESULT_ACCEPTED)
+    assert streams.ask(9) is None
+
+
+def test_a_refused_rate_is_lowered_until_one_is_granted() -> None:
+    streams = Streams((ATTITUDE,))
+    asked = []
+    for result in (ardurover.RESULT_DENIED, ardurover.RESULT_FAILED, ardurover.RESULT_ACCEPTED):
+        wanted = streams.ask(0)
+        assert wanted is not None
+        asked.append(wanted[1])
+        streams.answered(0, result)
+    assert asked == [40_000, 50_000, 80_000]
+    (row,) = streams.rows(0)
+    assert (row.asked_hz, row.granted_hz, row.answer) == (25.0, 12.5, "accepted")
+
+
+def test_what_is_refused_for_good_is_not_asked_again() -> None:
+    streams = Streams((GPS,))
+    assert streams.ask(0)
+    streams.answered(0, ardurover.RESULT_DENIED)
+    assert streams.ask(3600 * NS_PER_S) is None
+    assert streams.rows(0)[0].answer == "denied"
+    assert streams.rows(0)[0].granted_hz is None
+
+
+def test_without_an_answer_it_is_asked_again_later() -> None:
+    streams = Streams((GPS,))
+    assert streams.ask(0)
+    streams.answered(0, None)
+    assert streams.rows(0)[0].answer == "no answer"
+    assert streams.ask(9 * NS_PER_S) is None
+    assert streams.ask(10 * NS_PER_S)
+
+
+def test_temporarily_rejected_is_asked_again_at_the_same_rate() -> None:
+    streams = Streams((ATTITUDE,))
+    first = streams.ask(0)
+    streams.answered(0, ardurover.RESULT_TEMPORARILY_REJECTED)
+    assert streams.ask(NS_PER_S) is None
+    assert streams.ask(2 * NS_PER_S) == first
+
+
+def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
+    streams = Streams((ATTITUDE,))
+    assert streams.ask(0)
+    streams.answered(0, ardurover.RESULT_ACCEPTED)
+    feed(streams, ardurover.ATTITUDE, 0, 10 * NS_PER_S, 25.0)
+    assert streams.ask(10 * NS_PER_S) is None
+    row = streams.rows(10 * NS_PER_S)[0]
+    assert abs(row.measured_hz - 25.0) < 0.5
+
+
+def test_what_came_before_it_was_granted_does_not_count() -> None:
+    streams = Streams((ATTITUDE,))
+    feed(streams, ardurover.ATTITUDE, 0, 3 * NS_PER_S, 1.0)
+    assert streams.ask(3 * NS_PER_S)
+    streams.answered(3 * NS_PER_S, ardurover.RESULT_ACCEPTED)
+    feed(streams, ardurover.ATTITUDE, 3 * NS_PER_S, 4 * NS_PER_S, 25.0)
+    assert abs(streams.rows(4 * NS_PER_S)[0].measured_hz - 25.0) < 0.5
+
+
+def test_less_than_seven_tenths_for_three_seconds_is_asked_again_ever_more_rarely() -> None:
+    streams = Streams((ATTITUDE,))
+    assert streams.ask(0)
+    streams.answered(0, ardurover.RESULT_ACCEPTED)
+    asked, now_ns = [], 0
+    while now_ns < 60 * NS_PER_S:
+        now_ns += NS_PER_S // 10
+        streams.heard(ardurover.ATTITUDE, now_ns)
+        if streams.ask(now_ns) is not None:
+            asked.append(round(now_ns / NS_PER_S))
+            streams.answered(now_ns, ardurover.RESULT_ACCEPTED)
+    assert asked == [3, 9, 18, 33, 60]
+    row = streams.rows(now_ns)[0]
+    assert abs(row.measured_hz - 10.0) < 0.5
+
+
+def test_a_slow_message_is_judged_over_five_of_them() -> None:
+    streams = Streams((GPS,))
+    assert streams.ask(0)
+    streams.answered(0, ardurover.RESULT_ACCEPTED)
+    feed(streams, ardurover.GPS_RAW_INT, 0, 4 * NS_PER_S, 0.5)
+    assert streams.ask(4 * NS_PER_S) is None
+    feed(streams, ardurover.GPS_RAW_INT, 4 * NS_PER_S, 6 * NS_PER_S, 0.5)
+    assert streams.ask(6 * NS_PER_S) is not None
+
+
+def test_a_restart_begins_anew_at_the_first_rate() -> None:
+    streams = Streams((ATTITUDE,))
+    for result in (ardurover.RESULT_DENIED, ardurover.RESULT_ACCEPTED):
+        streams.ask(0)
+        streams.answered(0, result)
+    feed(streams, ardurover.ATTITUDE, 0, 3 * NS_PER_S, 20.0)
+    streams.restart()
+    assert streams.rows(3 * NS_PER_S)[0].measured_hz == 0.0
+    assert streams.ask(3 * NS_PER_S) == (ardurover.ATTITUDE, 40_000)
+
+
+def test_a_withdrawn_request_is_made_again() -> None:
+    streams = Streams((ATTITUDE,))
+    first = streams.ask(0)
+    streams.cancelled()
+    streams.answered(0, None)  # too late to mean anything
+    assert streams.ask(0) == first
+
+
+def test_rates_tried_are_below_the_one_wanted() -> None:
+    rates = {entry.name: entry.rates_hz for entry in wanted_messages(12.5)}
+    assert rates["ATTITUDE"] == rates["LOCAL_POSITION_NED"] == (12.5, 10.0, 5.0)
+    assert rates["HEARTBEAT"] == (5.0,)

@@ -1,0 +1,431 @@
+"""Connections as the loop sees them: never waited for, opened again, one program at a time, said clearly."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from agent.clock import NS_PER_S
+from bridges.mavlink import channels, exclusive
+from bridges.mavlink import transport as transport_module
+from bridges.mavlink.channels import PEER_NS, Tcp, UdpIn
+from bridges.mavlink.connection import parse_connection
+from bridges.mavlink.exclusive import Hold, InUse
+from bridges.mavlink.transport import Transport, open_transport
+
+LOCALHOST = "127.0.0.1"
+
+
+@pytest.fixture(autouse=True)
+def own_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exclusive.tempfile, "tempdir", str(tmp_path))
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Waits for what another thread does; a test that waits in vain is ended by pytest's timeout."""
+    pause = threading.Event()
+    while not condition():
+        pause.wait(0.001)
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[str], Transport]]:
+    transports = []
+
+    def open_(connection: str) -> Transport:
+        ticks = count(1)
+        transports.append(open_transport(connection, 57600, lambda: next(ticks)))
+        return transports[-1]
+
+    yield open_
+    for transport in transports:
+        transport.close()
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server((LOCALHOST, 0)) as server:
+        yield server
+
+
+@pytest.fixture
+def vehicle() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind((LOCALHOST, 0))
+        yield sock
+
+
+def received(transport: Transport) -> bytes:
+    out: list[tuple[int, bytes]] = []
+    until(lambda: out.extend(transport.receive()) or out)
+    return b"".join(data for _, data in out)
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as sock:
+        sock.bind((LOCALHOST, 0))
+        return int(sock.getsockname()[1])
+
+
+def test_no_connection_string_is_an_error_at_once() -> None:
+    with pytest.raises(ValueError, match="is not a connection"):
+        open_transport("simulator", 57600, lambda: 0)
+
+
+# TCP.
+
+
+def test_tcp_carries_bytes_both_ways_each_with_its_time(
+    opened: Callable[[str], Transport], listener: socket.socket
+) -> None:
+    transport = opened(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}")
+    peer, _ = listener.accept()
+    with peer:
+        until(lambda: transport.epoch)
+        assert transport.trouble == ""
+        peer.sendall(b"one")
+        first: list[tuple[int, bytes]] = []
+        until(lambda: first.extend(transport.receive()) or first)
+        assert first == [(1, b"one")]
+        transport.send(b"two")
+        assert peer.recv(10) == b"two"
+        assert transport.dropped == 0
+        transport.send(b"")
+        assert transport.dropped == 0
+
+
+def test_a_lost_tcp_connection_is_opened_again_and_counted(
+    opened: Callable[[str], Transport], listener: socket.socket
+) -> None:
+    transport = opened(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}")
+    for epoch in (1, 2, 3):
+        peer, _ = listener.accept()
+        until(lambda epoch=epoch: transport.epoch == epoch)
+        peer.sendall(b"hello %d" % epoch)
+        assert received(transport) == b"hello %d" % epoch
+        peer.close()
+        until(lambda: transport.trouble)
+        assert "the vehicle closed the connection" in transport.trouble
+
+
+def test_what_came_before_is_not_taken_for_the_new_session(
+    opened: Callable[[str], Transport], listener: socket.socket
+) -> None:
+    transport = opened(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}")
+    peer, _ = listener.accept()
+    peer.sendall(b"old")
+    peer.close()
+    peer, _ = listener.accept()
+    with peer:
+        until(lambda: transport.epoch == 2)
+        peer.sendall(b"new")
+        assert received(transport) == b"new"
+
+
+def test_nobody_there_is_told_and_tried_again(opened: Callable[[str], Transport]) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    transport = opened(f"tcp:{LOCALHOST}:{port}")
+    until(lambda: "cannot open" in transport.trouble)
+    assert transport.trouble == f"cannot open tcp:{LOCALHOST}:{port}: connection refused"
+    transport.send(b"lost")
+    assert transport.dropped == 1
+    with socket.create_server((LOCALHOST, port)) as server:
+        peer, _ = server.accept()
+        peer.close()
+
+
+def test_an_unknown_host_is_told(opened: Callable[[str], Transport], monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_values: object, **_options: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(channels.socket, "getaddrinfo", unknown)
+    transport = opened("tcp:rover-3.local:5760")
+    until(lambda: "cannot open" in transport.trouble)
+    assert "cannot find the host rover-3.local" in transport.trouble
+
+
+def test_a_peer_that_does_not_read_holds_nobody_up_and_gets_whole_messages(listener: socket.socket) -> None:
+    channel = Tcp(parse_connection(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}"))
+    peer, _ = listener.accept()
+    message = bytes(range(65)) * 15  # of an odd size, so that the last one is cut somewhere
+    taken = 0
+    while channel.write(message):
+        taken += 1
+    assert not channel.write(message)
+    got = b""
+    with peer:
+        peer.settimeout(10.0)
+        while len(got) < taken * len(message):
+            got += peer.recv(65536)
+            channel.write(message[:0])  # what was begun is finished first
+        assert got == message * taken
+    channel.close()
+
+
+def test_a_message_that_was_begun_is_finished_before_the_next() -> None:
+    class Narrow(channels._Stream):
+        room = 3
+        out = b""
+
+        def _put(self, data: bytes) -> int:
+            self.out += data[: self.room]
+            return min(self.room, len(data))
+
+    channel = Narrow()
+    assert channel.write(b"abcdefghij")
+    channel.room = 4
+    assert not channel.write(b"KL")
+    channel.room = 100
+    assert channel.write(b"MN")
+    assert channel.out == b"abcdefghijMN"
+
+
+def test_a_send_that_fails_has_the_connection_opened_again_once(
+    opened: Callable[[str], Transport], listener: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits = count()
+    monkeypatch.setattr(transport_module.select, "select", _counted(select.select, waits))
+    transport = opened(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}")
+    peer, _ = listener.accept()
+    until(lambda: transport.epoch)
+
+    def fail(*_: object) -> int:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Tcp, "_put", fail)
+        transport.send(b"lost")
+    until(lambda: transport.trouble)
+    assert transport.trouble.endswith("broken pipe")
+    assert peer.recv(10) == b""
+    peer.close()
+    peer, _ = listener.accept()
+    with peer:
+        until(lambda: transport.epoch == 2)
+        for _ in range(20):
+            peer.sendall(b"new")
+            assert received(transport) == b"new"
+    assert transport.dropped == 1
+    assert next(waits) < 100  # it waits; it does not go round and round
+
+
+def _counted(wait: Callable[..., object], calls: count[int]) -> Callable[..., object]:
+    def counted(*values: object) -> object:
+        next(calls)
+        return wait(*values)
+
+    return counted
+
+
+def test_close_gives_the_connection_back(opened: Callable[[str], Transport], listener: socket.socket) -> None:
+    transport = opened(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}")
+    peer, _ = listener.accept()
+    until(lambda: transport.epoch)
+    transport.close()
+    transport.close()
+    assert peer.recv(10) == b""
+    peer.close()
+    transport.send(b"x")
+    assert transport.dropped == 1
+
+
+# UDP.
+
+
+def test_udpout_sends_first_and_hears_only_that_address(
+    opened: Callable[[str], Transport], vehicle: socket.socket
+) -> None:
+    transport = opened(f"udpout:{LOCALHOST}:{vehicle.getsockname()[1]}")
+    until(lambda: transport.epoch)
+    transport.send(b"hello")
+    data, address = vehicle.recvfrom(100)
+    assert data == b"hello"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"not me", address)
+    vehicle.sendto(b"me", address)
+    assert received(transport) == b"me"
+
+
+def test_udpout_to_nobody_is_told_and_goes_on(opened: Callable[[str], Transport]) -> None:
+    transport = opened(f"udpout:{LOCALHOST}:{free_port(socket.SOCK_DGRAM)}")
+    until(lambda: transport.epoch)
+
+    def refused() -> bool:
+        transport.send(b"x")
+        return "connection refused" in transport.note
+
+    until(refused)
+    assert transport.trouble == ""
+    assert transport.epoch == 1
+
+
+def test_udpin_answers_the_first_it_heard_until_that_is_silent() -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    channel = UdpIn(parse_connection(f"udpin:{LOCALHOST}:{port}"))
+    one, two = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    try:
+        assert not channel.write(b"nobody was heard")
+        one.sendto(b"one", (LOCALHOST, port))
+        assert channel.read(0) == b"one"
+        two.sendto(b"two", (LOCALHOST, port))
+        assert channel.read(PEER_NS - 1) == b""
+        assert "sends here too: ignored" in channel.note
+        assert channel.write(b"command")
+        assert one.recv(100) == b"command"
+        two.sendto(b"two", (LOCALHOST, port))
+        assert channel.read(PEER_NS) == b"two"
+        assert channel.note == ""
+        assert channel.write(b"command")
+        assert two.recv(100) == b"command"
+        one.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            one.recv(100)
+        assert channel.read(PEER_NS + NS_PER_S) == b""
+    finally:
+        one.close()
+        two.close()
+        channel.close()
+
+
+def test_a_udp_port_of_another_program_is_told(
+    opened: Callable[[str], Transport], vehicle: socket.socket
+) -> None:
+    port = vehicle.getsockname()[1]
+    transport = opened(f"udpin:{LOCALHOST}:{port}")
+    until(lambda: "cannot open" in transport.trouble)
+    assert transport.trouble.endswith(f"port {port} is in use by another program")
+    vehicle.close()
+    until(lambda: transport.epoch)
+    assert transport.trouble == ""
+
+
+def test_a_udp_port_is_not_shared_even_with_its_like() -> None:
+    connection = parse_connection(f"udpin:{LOCALHOST}:{free_port(socket.SOCK_DGRAM)}")
+    channel = UdpIn(connection)
+    with pytest.raises(OSError, match="in use by another program"):
+        UdpIn(connection)
+    channel.close()
+
+
+# Serial.
+
+
+@pytest.fixture
+def wire() -> Iterator[tuple[int, str]]:
+    """A serial line: the vehicle's end as a handle, ours as a device."""
+    master, slave = os.openpty()
+    device = os.ttyname(slave)
+    os.close(slave)
+    yield master, device
+    with contextlib.suppress(OSError):  # a test may have closed it
+        os.close(master)
+
+
+def test_serial_carries_bytes_both_ways_and_notices_that_the_device_is_gone(
+    opened: Callable[[str], Transport], wire: tuple[int, str]
+) -> None:
+    master, device = wire
+    transport = opened(device)
+    until(lambda: transport.epoch)
+    os.write(master, b"\xfd\x0a\x0d\x11\x13")  # nothing is translated or taken for flow control
+    assert received(transport) == b"\xfd\x0a\x0d\x11\x13"
+    transport.send(b"\xfd\x0a\x0d\x11\x13")
+    assert os.read(master, 100) == b"\xfd\x0a\x0d\x11\x13"
+    os.close(master)
+    until(lambda: transport.trouble)
+    assert transport.trouble == f"{device}: the device is gone" or "no such device" in transport.trouble
+
+
+def test_a_serial_device_that_cannot_be_opened_is_told(
+    opened: Callable[[str], Transport], tmp_path: Path
+) -> None:
+    missing = opened(str(tmp_path / "none"))
+    until(lambda: "cannot open" in missing.trouble)
+    assert missing.trouble.endswith("there is no such device: is it plugged in?")
+
+
+def test_why_a_serial_device_cannot_be_opened() -> None:
+    assert "dialout" in channels._why_not("/dev/null", errno.EACCES, "")
+    assert channels._why_not("/dev/null", errno.EBUSY, "") == "another program has it open"
+    assert "another program" in channels._why_not("/dev/null", None, "Could not exclusively lock port")
+
+
+def test_a_full_serial_line_drops_rather_than_delays(wire: tuple[int, str]) -> None:
+    channel = channels.Serial(parse_connection(wire[1]), 57600)
+    sent = 0
+    while channel.write(bytes(100)):
+        sent += 100
+    assert 0 < sent < 100_000
+    channel.close()
+
+
+def test_without_pyserial_it_is_said_what_to_install(
+    opened: Callable[[str], Transport], wire: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "serial", None)
+    transport = opened(wire[1])
+    until(lambda: "cannot open" in transport.trouble)
+    assert "pip install 'handfast[rover]'" in transport.trouble
+
+
+# One program at a time.
+
+
+def test_two_bridges_cannot_use_one_connection(
+    opened: Callable[[str], Transport], listener: socket.socket
+) -> None:
+    port = listener.getsockname()[1]
+    first = opened(f"tcp:{LOCALHOST}:{port}")
+    until(lambda: first.epoch)
+    second = opened(f"tcp:localhost:{port}")
+    until(lambda: "cannot open" in second.trouble)
+    assert second.trouble.endswith(f"another handfast program uses it (process {os.getpid()})")
+    first.close()
+    until(lambda: second.epoch)
+    assert second.trouble == ""
+
+
+def test_the_lock_is_of_the_device_whatever_it_is_called(tmp_path: Path) -> None:
+    device = tmp_path / "ttyACM0"
+    device.touch()
+    (tmp_path / "by-id").symlink_to(device)
+    hold = Hold(parse_connection(str(device)))
+    with pytest.raises(InUse):
+        Hold(parse_connection(str(tmp_path / "by-id")))
+    other = Hold(parse_connection("udpin:0.0.0.0:14550"))
+    hold.close()
+    other.close()
+
+
+def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
+    code = (
+        "import os\n"
+        "import tempfile\n"
+        f"tempfile.tempdir = {str(tmp_path)!r}\n"
+        "from bridges.mavlink.connection import parse_connection\n"
+        "from bridges.mavlink.exclusive import Hold\n"
+        "Hold(parse_connection('udpin:0.0.0.0:14550'))\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=False)
+    assert killed.returncode == -9
+    Hold(parse_connection("udpin:0.0.0.0:14550")).close()
+
+
+def test_a_lock_folder_that_others_may_write_to_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / f"handfast-{os.getuid()}"
+    folder.mkdir()
+    folder.chmod(0o777)
+    with pytest.raises(OSError, match="only this user may write to"):
+        exclusive.Hold(parse_connection("udpin:0.0.0.0:14550"))

@@ -1,0 +1,94 @@
+"""A fleet on this machine: ports, and where simulated rovers stand."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+
+import pytest
+
+from agent.fleet import Fleet, digest, load_fleet, parse_fleet, to_dict
+from bridges.mavlink.frames import Geodetic, geodetic_to_world
+from bridges.mavlink.rover_settings import parse_home
+from deploy import ports
+from deploy.arguments import FLEETS
+from deploy.placing import place, vehicle
+
+
+@pytest.fixture
+def rovers() -> Fleet:
+    return load_fleet(FLEETS / "rovers.toml", ["robot.2.mavlink.connection=tcp:10.0.0.5:5760"])
+
+
+def options(fleet: Fleet, robot: int) -> dict[str, str]:
+    told = vehicle(fleet, robot, 7777).arguments
+    return dict(each.removeprefix("--").partition("=")[::2] for each in told)
+
+
+def test_bridges_and_rovers_meet_on_ports_behind_those_of_the_fleet(rovers: Fleet) -> None:
+    placed, taken, vehicles = place(rovers)
+    taken.close()
+    base = placed.network.base_port
+    links = [robot.mavlink.connection for robot in placed.robots if robot.mavlink is not None]
+    first = base + 2 * 6
+    assert links == [
+        f"udpin:127.0.0.1:{first}",
+        "tcp:10.0.0.5:5760",
+        *(f"udpin:127.0.0.1:{first + k}" for k in range(1, 5)),
+    ]
+    assert [each.robot for each in vehicles] == [1, 3, 4, 5, 6], "none for a real vehicle"
+    for each, link in zip(vehicles, [links[0], *links[2:]], strict=True):
+        assert f"--connect={str(link).replace('udpin', 'udp')}" in each.arguments
+        assert each.ground_station == str(link).replace("udpin", "tcp")
+        assert f"--listen={each.ground_station}" in each.arguments
+    assert str(vehicles[1]) == (
+        f"robot 3's simulated rover: ground stations connect to tcp:127.0.0.1:{first + 1}"
+    )
+
+
+def test_the_rest_of_the_file_is_as_it_was_and_can_be_read_again(rovers: Fleet) -> None:
+    import tomli_w
+
+    placed, taken, _ = place(rovers)
+    taken.close()
+    back = tuple(
+        replace(mine, mavlink=its.mavlink) for mine, its in zip(placed.robots, rovers.robots, strict=True)
+    )
+    assert replace(placed, robots=back, network=rovers.network) == rovers
+    assert digest(parse_fleet(tomli_w.dumps(to_dict(placed)), source="placed")) == digest(placed)
+
+
+def test_a_fleet_without_vehicles_has_none() -> None:
+    fleet = load_fleet(FLEETS / "pair.toml")
+    placed, taken, vehicles = place(fleet)
+    taken.close()
+    assert (placed.robots, vehicles) == (fleet.robots, ())
+
+
+@pytest.mark.parametrize("heading_deg", ["0", "90", "-135", "30"])
+def test_a_rover_starts_where_its_robot_does(heading_deg: str) -> None:
+    fleet = load_fleet(FLEETS / "rovers.toml", [f"robot.4.heading_rad={heading_deg}deg"])
+    home, yaw = parse_home(options(fleet, 4)["home"])
+    assert fleet.datum is not None
+    datum = Geodetic(fleet.datum.latitude_deg, fleet.datum.longitude_deg, fleet.datum.altitude_m)
+    assert geodetic_to_world(datum, home) == pytest.approx((3.0, 6.0), abs=1e-3)
+    assert home.altitude_m == 584.0
+    # A compass counts clockwise from north.
+    compass = (90.0 - float(heading_deg)) % 360.0
+    assert yaw * 57.29577951308232 % 360.0 == pytest.approx(compass, abs=1e-4)
+
+
+def test_rovers_differ_by_their_number_and_luck() -> None:
+    fleet = load_fleet(FLEETS / "rovers.toml", ["robot.5.mavlink.system=77", "fleet.seed=9"])
+    assert [options(fleet, robot)["system"] for robot in (1, 5, 6)] == ["1", "77", "6"]
+    assert len({options(fleet, robot)["seed"] for robot in fleet.ids}) == 6
+    assert options(fleet, 1)["seed"] != options(load_fleet(FLEETS / "rovers.toml"), 1)["seed"]
+    assert {"warm", "hand-over"} <= options(fleet, 1).keys()
+
+
+def test_a_port_that_only_udp_uses_is_not_free() -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        number = other.getsockname()[1]
+        assert not ports._free("127.0.0.1", number)
+    assert ports._free("127.0.0.1", number)

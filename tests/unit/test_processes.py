@@ -1,0 +1,119 @@
+"""Which processes a fleet on this machine has, and what each is told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.fleet import Fleet, load_fleet
+from agent.hand import Pose
+from deploy import processes
+from deploy.arguments import FLEETS
+from deploy.placing import Vehicle
+from deploy.process_faults import Action
+from deploy.processes import Processes
+
+POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)
+
+
+class Child:
+    """Takes the place of a process: remembers what was done to it."""
+
+    def __init__(self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path) -> None:
+        self.robot, self.role, self.module, self.arguments, self.log = robot, role, module, arguments, log
+        self.name = f"robot {robot}'s {role}"
+        self.how: str | None = None
+        started.append(self)
+
+    def ended(self) -> str | None:
+        return self.how
+
+    def kill(self) -> None:
+        self.how = "killed by SIGKILL"
+
+    def wait(self, timeout_s: float) -> bool:
+        return True
+
+
+started: list[Child] = []
+ended: list[list[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def no_real_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    started.clear()
+    ended.clear()
+
+    def end_all(children: Any, timeout_s: float) -> list[Child]:
+        ended.append([child.name for child in children])
+        return []
+
+    monkeypatch.setattr(processes, "Child", Child)
+    monkeypatch.setattr(processes, "end_all", end_all)
+
+
+def mixed() -> Fleet:
+    return load_fleet(FLEETS / "pair.toml", [
+        "robot.2.plant=mavlink", "robot.2.mavlink.connection=udpin:127.0.0.1:9",
+        "datum.latitude_deg=1", "datum.longitude_deg=2",
+    ])  # fmt: skip
+
+
+def running(**options: Any) -> Processes:
+    vehicles = [Vehicle(2, ("--system=2",), "tcp:127.0.0.1:9")]
+    made = Processes(mixed(), Path("fleet.toml"), Path, vehicles, **options)
+    made.start()
+    return made
+
+
+def test_each_robot_has_an_agent_and_a_plant_and_a_simulated_rover_where_it_has_one() -> None:
+    made = running()
+    assert [(child.robot, child.role, child.module) for child in started] == [
+        (2, "vehicle", "bridges.mavlink.rover_server"),
+        (1, "agent", "agent"),
+        (1, "plant", "plant"),
+        (2, "agent", "agent"),
+        (2, "plant", "bridges.mavlink"),
+    ]
+    assert started[0].arguments == ("--system=2",)
+    assert started[4].arguments == ["--fleet", "fleet.toml", "--robot", "2"]
+    assert started[0].log == Path("robot-2-vehicle.log")
+    assert (2, "vehicle") not in made.names, "it is not on the bus"
+    assert list(made.names.values())[3] == "robot 2's plant"
+
+
+def test_only_those_that_are_wanted_are_started() -> None:
+    made = running(processes=[(2, "plant")])
+    assert [(child.robot, child.role) for child in started] == [(2, "vehicle"), (2, "plant")]
+    assert list(made.names) == [(2, "plant")]
+
+
+def restart(made: Processes, robot: int) -> Child:
+    for what in ("kill", "start"):
+        assert made.carry_out(Action(1.0, robot, "plant", what, "rule"), POSE)
+    return started[-1]
+
+
+def test_only_a_simulated_body_is_told_where_to_stand_again() -> None:
+    made = running()
+    assert restart(made, 1).arguments[-1] == "--pose=1.5,-2.0,0.5"
+    again = restart(made, 2)
+    assert (again.module, again.arguments) == ("bridges.mavlink", ["--fleet", "fleet.toml", "--robot", "2"])
+    assert [child.role for child in started].count("vehicle") == 1, "its rover goes on"
+    assert made.deaths() == []
+
+
+def test_the_death_of_a_rover_is_told_once() -> None:
+    made = running()
+    started[0].how = "exit status 1"
+    assert [(child.name, how) for child, how in made.deaths()] == [("robot 2's vehicle", "exit status 1")]
+    assert made.deaths() == []
+
+
+def test_rovers_end_after_their_bridges() -> None:
+    running().end(1.0)
+    assert [len(names) for names in ended] == [4, 1]
+    assert ended[1] == ["robot 2's vehicle"]

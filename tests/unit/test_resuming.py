@@ -1,0 +1,81 @@
+"""Leave to drive again: who gets it, and what became of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.fleet import load_fleet
+from agent.messages import PlantState, Status
+from deploy.arguments import FLEETS
+from deploy.resuming import Resuming, unknown
+
+ROVERS = load_fleet(FLEETS / "rovers.toml")
+T0 = 1_800_000_000 * NS_PER_S
+
+
+def say(
+    resuming: Resuming, robot: int, state: str, *, healthy: bool = True, obeying: bool = True, note: str = ""
+) -> None:
+    status = Status(robot, 1, T0, state, note, 1, (), (), (), ())
+    plant = PlantState(robot, 1, T0, *[0.0] * 7, obeying, healthy, obeying, note)
+    resuming.feed(keys.status("rovers", robot), status)
+    resuming.feed(keys.plant_state("rovers", robot), plant)
+
+
+def test_the_message_names_those_that_are_meant() -> None:
+    assert Resuming(ROVERS, [3], T0).message == (T0 // 1_000_000, T0, (3,))
+    every = Resuming(ROVERS, [], T0)
+    assert every.message.robots == ()
+    assert every.robots == ROVERS.ids
+    assert Resuming(ROVERS, [], T0 + 2_000_000).message.version > every.message.version
+
+
+def test_done_when_all_that_are_meant_run() -> None:
+    resuming = Resuming(ROVERS, [2, 3], T0)
+    say(resuming, 2, "running")
+    assert not resuming.done
+    say(resuming, 3, "released", obeying=False, note="mode MANUAL, not GUIDED")
+    assert not resuming.done
+    assert resuming.outcome(2) == "robot 2: running"
+    assert resuming.outcome(3) == (
+        "robot 3: still released: mode MANUAL, not GUIDED: its operator must give it back first"
+    )
+    say(resuming, 3, "running")
+    assert resuming.done
+
+
+def test_an_agent_that_has_not_heard_yet_that_its_body_left_does_not_count() -> None:
+    resuming = Resuming(ROVERS, [3], T0)
+    say(resuming, 3, "running", obeying=False, note="disarmed")
+    assert not resuming.done
+
+
+@pytest.mark.parametrize(
+    ("state", "healthy", "note", "told"),
+    [
+        ("fault", False, "waiting for its GPS", "robot 3: fault: waiting for its GPS"),
+        ("stopped", True, "the mission is over", "robot 3: stopped: the mission is over"),
+        ("ready", True, "", "robot 3: ready"),
+    ],
+)
+def test_other_reasons_are_told(state: str, healthy: bool, note: str, told: str) -> None:
+    resuming = Resuming(ROVERS, [3], T0)
+    say(resuming, 3, state, healthy=healthy, note=note)
+    assert not resuming.done
+    assert resuming.outcome(3) == told
+
+
+def test_silence_is_told() -> None:
+    resuming = Resuming(ROVERS, [3], T0)
+    assert resuming.outcome(3) == "robot 3: nothing heard from its agent"
+    resuming.feed(keys.status("rovers", 4), Status(3, 1, T0, "running", "", 1, (), (), (), ()))
+    assert resuming.outcome(3) == "robot 3: nothing heard from its agent", "on another robot's key"
+    resuming.feed(keys.status("rovers", 3), Status(3, 1, T0, "running", "", 1, (), (), (), ()))
+    assert resuming.outcome(3) == "robot 3: nothing heard from its plant"
+
+
+def test_robots_that_are_not_there_are_named() -> None:
+    assert unknown(ROVERS, [1, 6]) == ""
+    assert unknown(ROVERS, [9, 1, 7]) == "there is no robot 7, 9 in rovers; there are: 1, 2, 3, 4, 5, 6"
