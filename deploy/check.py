@@ -21,6 +21,7 @@ from agent.fleet_sections import Robot
 from agent.formation import FormationError, Geometry
 from agent.trajectory import make_trajectory
 from deploy.check_faults import check_faults
+from deploy.check_vehicles import check_vehicles
 from deploy.finding import Finding
 from deploy.stability import (
     SETTLED,
@@ -74,6 +75,7 @@ def check(fleet: Fleet) -> list[Finding]:
     findings += _gains(fleet)
     findings += _motion(fleet, geometry)
     findings += _noise(fleet)
+    findings += check_vehicles(fleet)
     findings += check_faults(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])
 

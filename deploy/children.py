@@ -23,23 +23,19 @@ class Child:
 
     Args:
         robot: the robot's id.
-        role: ``agent`` or ``plant``.
+        role: ``agent``, ``plant`` or ``vehicle``.
         module: what ``python -m`` runs.
-        fleet_file: the resolved fleet file.
+        arguments: what it is told.
         log: where its output goes, after what is there.
-        more: further arguments.
     """
 
-    def __init__(
-        self, robot: int, role: str, module: str, fleet_file: Path, log: Path, more: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path) -> None:
         self.robot, self.role, self.log = robot, role, log
         self.name = f"robot {robot}'s {role}"
-        # -P: a folder called `agent` in the working directory must not be taken for the package.
-        command = [sys.executable, "-P", "-m", module, "--fleet", str(fleet_file), "--robot", str(robot)]
         with open(log, "ab") as output:
             self._process = subprocess.Popen(
-                [*command, "--exit-with-parent", *more],
+                # -P: a folder called `agent` in the working directory must not be taken for the package.
+                [sys.executable, "-P", "-m", module, *arguments, "--exit-with-parent"],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,

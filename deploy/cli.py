@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, FleetError
-from deploy import faults_command, sweep_command
+from deploy import faults_command, preflight_command, resume_command, sweep_command
 from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
 from deploy.interrupt import Interrupt
 from deploy.version import handfast_version
@@ -20,13 +20,18 @@ if TYPE_CHECKING:
     from deploy.runfolder import RunFolder
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+ROVER_SIMULATOR: Final = "rover-simulator"
+ROVER_PACKAGES: Final = ("pymap3d", "serial")
 TEMPLATE: Final = Path(__file__).parent / "template.toml"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status (see `--help`)."""
+    arguments = sys.argv[1:] if argv is None else list(argv)
     try:
-        options = _parser().parse_args(argv)
+        if arguments[:1] == [ROVER_SIMULATOR]:
+            return _rover_simulator(arguments[1:])
+        options = _parser().parse_args(arguments)
         result: int = options.command(options)
         return result
     except (FleetError, InputError) as error:
@@ -35,9 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("agent", "plant", "bridges", "deploy"):
             raise
+        whose, extra = ("rovers'", "rover") if error.name in ROVER_PACKAGES else ("operator's", "operator")
         print(
-            f"handfast: this needs the package {error.name}: install the operator's extra, "
-            "pip install 'handfast[operator]'",
+            f"handfast: this needs the package {error.name}: install the {whose} extra, "
+            f"pip install 'handfast[{extra}]'",
             file=sys.stderr,
         )
         return BAD_INPUT
@@ -82,8 +88,12 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
     sub = add("check", _check, "say what the fleet will do and all that is wrong with it")
     fleet_arguments(sub)
+    preflight_command.add_parser(commands)
+    resume_command.add_parser(commands)
     sweep_command.add_parser(commands)
     faults_command.add_parser(commands)
+    # Its options are its own: `main` hands them on before they are looked at here.
+    commands.add_parser(ROVER_SIMULATOR, help="an ArduPilot Rover to try bridges with, over UDP and TCP")
     sub = add("report", _report, "rebuild figures, metrics and report of a run from its recording")
     sub.add_argument("folder", metavar="RUN", help="the run's folder")
     sub = add("export", _export, "write a run's data as tables")
@@ -127,7 +137,8 @@ def _refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
 def _run(options: argparse.Namespace) -> int:
     from agent.bus import BusError
     from deploy.live import make_view
-    from deploy.local import LocalRun, place
+    from deploy.local import LocalRun
+    from deploy.placing import place
     from deploy.ports import NoPortsError
     from deploy.recorder import RecordingError
 
@@ -136,12 +147,12 @@ def _run(options: argparse.Namespace) -> int:
         fleet = load(options)
         _refuse_errors(options, fleet)
         try:
-            fleet, ports = place(fleet)
+            fleet, ports, vehicles = place(fleet)
         except NoPortsError as error:
             raise InputError(str(error)) from None
         folder = _folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
-        run = LocalRun(fleet, folder, view, interrupt)
+        run = LocalRun(fleet, folder, view, interrupt, vehicles)
         try:
             with view:
                 run.run()
@@ -174,6 +185,8 @@ def _simulate(options: argparse.Namespace) -> int:
                 watch.feed(key, message)
 
         def progress(time_s: float) -> bool:
+            for sentence in watch.news(time_s):
+                view.say(sentence)
             view.show(watch.picture(time_s))
             return interrupt.count == 0
 
@@ -264,6 +277,12 @@ def _export(options: argparse.Namespace) -> int:
     except (RecordingError, ExportError) as error:
         raise InputError(str(error)) from None
     return PASSED
+
+
+def _rover_simulator(arguments: Sequence[str]) -> int:
+    from bridges.mavlink.rover_server import main as serve
+
+    return serve(arguments)
 
 
 def _new(options: argparse.Namespace) -> int:

@@ -11,12 +11,12 @@ import numpy as np
 from agent import formation, trajectory
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
-from agent.fleet_sections import ControlSection
+from agent.fleet_sections import SIMULATOR, ControlSection
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
 from deploy.fault_words import defaults, described, words
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
-from deploy.wording import some
+from deploy.wording import robots, some
 
 FAULTS_SHOWN: Final = 12
 
@@ -44,6 +44,7 @@ def describe(fleet: Fleet) -> str:
     lines.append(f"  law: {_describe_law(fleet.control)}")
     lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
     lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
+    lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines.append(f"  network: {fleet.network.address}, ports from {fleet.network.base_port} up")
     return "\n".join(lines)
@@ -103,6 +104,31 @@ def _describe_trajectory(fleet: Fleet) -> str:
         f"{max((leg.speed for leg in legs), default=0.0):.3g} m/s, corners passed within {max(cuts):.2g} m, "
         f"at rest after {trajectory.duration(section):.4g} s"
     )
+
+
+def _describe_vehicles(fleet: Fleet) -> Iterator[str]:
+    datum = fleet.datum
+    if datum is not None:
+        yield (
+            f"datum: x = 0, y = 0 is at {datum.latitude_deg:.7f}, {datum.longitude_deg:.7f}, "
+            f"{datum.altitude_m:g} m above the sea"
+        )
+    links = {robot.id: robot.mavlink for robot in fleet.robots if robot.plant == "mavlink" and robot.mavlink}
+    simulated = [robot for robot, link in links.items() if link.connection == SIMULATOR]
+    if simulated:
+        yield f"vehicles: {robots(simulated)}, ArduPilot Rovers that are simulated on this machine"
+    for robot, link in links.items():
+        if robot not in simulated:
+            speed = f" at {link.baud} baud" if str(link.connection).startswith("/") else ""
+            signed = ", signed" if link.signing_key is not None else ""
+            yield f"vehicle: robot {robot}, an ArduPilot Rover on {link.connection}{speed}{signed}"
+    for arms, who in (
+        (False, "their operators put them into GUIDED and arm them"),
+        (True, "their bridges put them into GUIDED and arm them, by themselves"),
+    ):
+        ids = [robot for robot, link in links.items() if link.arm is arms]
+        if ids:
+            yield f"arming of {robots(ids)}: {who}"
 
 
 def _describe_faults(fleet: Fleet) -> Iterator[str]:

@@ -34,6 +34,7 @@ Columns = dict[str, Column]
 _PLANT: Final = {
     "x_m": "x", "y_m": "y", "heading_rad": "heading", "speed_mps": "speed", "yaw_rate_radps": "yaw_rate",
     "force_n": "force", "torque_nm": "torque", "driving": "driving", "healthy": "healthy",
+    "obeying": "obeying",
 }  # fmt: skip
 _HAND: Final = {
     "following": "following", "x_m": "x", "y_m": "y", "vx_mps": "vx", "vy_mps": "vy",
@@ -42,7 +43,7 @@ _HAND: Final = {
 }  # fmt: skip
 _WRENCH: Final = {"force_n": "force", "torque_nm": "torque", "brake": "brake"}
 _MULTIPLIER: Final = {"neighbour": "neighbour", "multiplier": "value"}
-_FLAGS: Final = frozenset({"driving", "healthy", "following", "brake"})
+_FLAGS: Final = frozenset({"driving", "healthy", "obeying", "following", "brake"})
 _WHAT: Final = {
     "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED, "held": HELD,
     "range": RANGE, "overflow": OVERFLOW,

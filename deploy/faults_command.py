@@ -6,25 +6,18 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from math import isinf
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from agent.clock import NS_PER_S
-from agent.fleet import Fleet, FleetError, load_fleet, read_text
+from agent.fleet import Fleet, read_text
 from deploy.arguments import InputError, scenario_path
+from deploy.running import DONE, FAILED, INTERRUPTED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from agent.fault_settings import Rule
     from agent.schema import Entry
-    from deploy.faults_session import Session
+    from deploy.faults_session import FaultsSession
     from deploy.interrupt import Interrupt
-
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-CONNECT_S: Final = 3.0
-"""Receivers that are not there by then are named and left out."""
-
-
-class NoAnswerError(Exception):
-    """The fleet cannot be reached; the text is one clear message."""
 
 
 def add_parser(commands: Any) -> None:
@@ -35,9 +28,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "faults",
         help=text,
-        description=f"{text[0].upper()}{text[1:]}. FLEET is the name of a fleet that runs on this machine, "
-        "the folder of its run, or a fleet file. Exit status: 0 all agents and plants did as told; 1 some "
-        "did not; 2 bad input; 130 after Ctrl-C before the end.",
+        description=f"{text[0].upper()}{text[1:]}. {MEANING} Exit status: 0 all agents and plants did as "
+        "told; 1 some did not; 2 bad input; 130 after Ctrl-C before the end.",
     )
     actions = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
@@ -45,7 +37,7 @@ def add_parser(commands: Any) -> None:
         sub: argparse.ArgumentParser = actions.add_parser(
             name, help=text, description=f"{text[0].upper()}{text[1:]}."
         )
-        sub.set_defaults(command=_handled(command))
+        sub.set_defaults(command=handled(command))
         sub.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
         return sub
 
@@ -72,7 +64,7 @@ def add_parser(commands: Any) -> None:
     sub.add_argument("--author", metavar="WHO", help="only theirs, as `show` names them")
     text = "write the fates of a run's messages as a scenario, which gives them the same fates again"
     replay = actions.add_parser("replay", help=text, description=f"{text[0].upper()}{text[1:]}.")
-    replay.set_defaults(command=_handled(_replay))
+    replay.set_defaults(command=handled(_replay))
     replay.add_argument("folder", metavar="RUN", help="the run's folder; the scenario goes to the output")
 
 
@@ -92,31 +84,6 @@ def _dest(key: str) -> str:
     return f"rule.{key}"
 
 
-def _handled(command: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    def handled(options: argparse.Namespace) -> int:
-        from agent.bus import BusError
-        from deploy.live_rules import LiveRulesError
-        from deploy.ports import NoPortsError
-        from deploy.registry import NotRunningError
-
-        try:
-            return command(options)
-        except (FleetError, NotRunningError, NoPortsError, LiveRulesError, InputError) as error:
-            print(f"handfast: {error}", file=sys.stderr)
-            return BAD_INPUT
-        except (BusError, NoAnswerError) as error:
-            print(f"handfast: {error}", file=sys.stderr)
-            return FAILED
-
-    return handled
-
-
-def _fleet(options: argparse.Namespace) -> Fleet:
-    from deploy.registry import find
-
-    return load_fleet(find(options.fleet))
-
-
 def _replay(options: argparse.Namespace) -> int:
     from deploy.recorder import RecordingError
     from deploy.replay import write_scenario
@@ -134,7 +101,7 @@ def _replay(options: argparse.Namespace) -> int:
 def _set(options: argparse.Namespace) -> int:
     from deploy.live_rules import rule_of_options
 
-    fleet = _fleet(options)
+    fleet = running_fleet(options.fleet)
     given = {
         name.removeprefix("rule."): value
         for name, value in vars(options).items()
@@ -146,7 +113,7 @@ def _set(options: argparse.Namespace) -> int:
 def _apply(options: argparse.Namespace) -> int:
     from deploy.live_rules import rules_of_scenario
 
-    fleet = _fleet(options)
+    fleet = running_fleet(options.fleet)
     path = scenario_path(options.file)
     rules = rules_of_scenario(read_text(path, "scenario"), path.name, fleet.ids)
     return _put(fleet, rules, stay=options.stay)
@@ -174,33 +141,12 @@ def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     return FAILED if putting.cleared or putting.missing else DONE
 
 
-def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> Session:
-    """A session in which all receivers are there, or as many as came.
+def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSession:
+    """A session in which all receivers are there, or as many as came; raises as `connected`."""
+    from deploy.faults_session import FaultsSession
+    from deploy.session import connected
 
-    Raises:
-        NoAnswerError: there is none.
-        agent.bus.BusError: the bus cannot be opened.
-    """
-    from deploy.faults_session import Session
-
-    session = Session(fleet)
-    try:
-        everybody = session.wait(
-            lambda: (
-                len(session.alive) == len(session.receivers)
-                or (interrupt is not None and interrupt.count > 0)
-            ),
-            CONNECT_S,
-        )
-        if not everybody and not session.alive:
-            raise NoAnswerError(
-                f"fleet {fleet.fleet.name} does not answer: none of its {len(session.receivers)} agents and "
-                f"plants is there ({fleet.agent_endpoint(fleet.ids[0])} and so on); is it running?"
-            )
-    except BaseException:
-        session.close()
-        raise
-    return session
+    return connected(FaultsSession(fleet), interrupt)
 
 
 # ---------------------------------------------------------------------- show and clear
@@ -211,7 +157,7 @@ def _show(options: argparse.Namespace) -> int:
     from deploy.fault_words import defaults
     from deploy.faults_putting import ECHO_S, names
 
-    fleet = _fleet(options)
+    fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:
         session.wait(lambda: False, ECHO_S)
         now_ns = session.now_ns()
@@ -259,7 +205,7 @@ def _line_of(rule: Rule, time_s: float | None) -> str:
 def _clear(options: argparse.Namespace) -> int:
     from deploy.faults_putting import NothingToClearError, clear, names
 
-    fleet = _fleet(options)
+    fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:
         try:
             authors, left = clear(session, options.author)

@@ -35,7 +35,7 @@ class NothingToClearError(LookupError):
 
 
 class Operator(Protocol):
-    """What is needed of a session with a fleet (`deploy.faults_session.Session`)."""
+    """What is needed of a session with a fleet (`deploy.faults_session.FaultsSession`)."""
 
     @property
     def fleet(self) -> Fleet: ...

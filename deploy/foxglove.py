@@ -133,11 +133,11 @@ class Scene:
         self._next_ns: int | None = None
 
     def update(self, now_ns: int, state: PlantState) -> Iterator[tuple[str, str, bytes]]:
-        """Take one pose; yields (key, schema name, JSON) when a picture is due.
+        """Take one pose, if it may be used; yields (key, schema name, JSON) when a picture is due.
 
         now_ns: the time of the recording, that of reception.
         """
-        if state.robot not in self._offset:
+        if state.robot not in self._offset or not state.healthy:
             return
         self._latest[state.robot] = state
         if self._next_ns is not None and now_ns < self._next_ns:

@@ -31,11 +31,14 @@ from deploy.live_faults import Held, shown
 STYLES: Final = {
     State.RUNNING.value: "green",
     State.HOLDING.value: "yellow",
+    State.RELEASED.value: "bold yellow",
     State.FAULT.value: "bold red",
     State.WAITING.value: "dim",
 }
 ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
+REASONS_MAX: Final = 3
+"""Released robots whose reasons are in the line that sums up; of more only the numbers."""
 FAULTS_MAX: Final = 4
 """Faults that are named; of more only the number is said."""
 
@@ -90,6 +93,7 @@ class Watch:
         self._always = () if everywhere is None else (words(everywhere),)
         self._held = Held(fleet)
         self._epoch_ns: int | None = None
+        self._released: set[int] = set()
 
     def begin(self, epoch_ns: int) -> None:
         """Told of the mission: live faults, which count in wall time, are shown from now on."""
@@ -104,6 +108,19 @@ class Watch:
             _keep_newest(self.statuses, message)
         elif type(message) is Faults:
             self._held.feed(key, message)
+
+    def news(self, time_s: float | None) -> list[str]:
+        """Sentences for the robots that their operators took, or that drive again, since the last call."""
+        at = "" if time_s is None else f"{time_s:.1f} s: "
+        out = []
+        for robot, status in self.statuses.items():
+            if status.state == State.RELEASED.value and robot not in self._released:
+                self._released.add(robot)
+                out.append(f"{at}robot {robot} is released: {status.reason}")
+            elif status.state != State.RELEASED.value and robot in self._released:
+                self._released.discard(robot)
+                out.append(f"{at}robot {robot} is back: {status.state}")
+        return out
 
     def states(self) -> dict[int, str]:
         """Every robot's state, "" of one that has said nothing yet."""
@@ -273,7 +290,12 @@ def summary(picture: Picture) -> str:
     for robot, about in picture.robots.items():
         states.setdefault(about.state or "silent", []).append(robot)
     for state, robots in states.items():
-        parts.append(f"all {state}" if len(states) == 1 else f"{state}: {', '.join(map(str, robots))}")
+        shown = [str(robot) for robot in robots]
+        if state == State.RELEASED.value and len(robots) <= REASONS_MAX:
+            shown = [f"{robot} ({picture.robots[robot].reason})" for robot in robots]
+        elif len(states) == 1:
+            shown = []
+        parts.append(f"{state}: {', '.join(shown)}" if shown else f"all {state}")
     # Both of a pair see it: the one whose clock is behind says it.
     ahead = {robot: about for robot, about in picture.robots.items() if about.clock and about.clock[1] > 0.0}
     if ahead:

@@ -11,13 +11,14 @@ from agent.faults import named
 from agent.messages import RULES_MAX
 from agent.scenario import ScenarioError, parse_scenario
 from agent.schema import Entry, Reader, entries, plain
+from deploy.arguments import InputError
 from deploy.fault_words import defaults
 
 NOT_LIVE: Final = (*ACTION_FIELDS, *CLOCK_FIELDS)
 """Fields of a rule that a running fleet cannot take."""
 
 
-class LiveRulesError(ValueError):
+class LiveRulesError(InputError):
     """Rules that cannot be sent; the text is one clear message, of a line for each problem."""
 
 

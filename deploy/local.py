@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Final
 
 from agent import keys
@@ -19,13 +19,14 @@ from agent.node import FIRST_ROUND, next_tick_ns
 from agent.supervision import State
 from deploy.interrupt import Interrupt
 from deploy.live import View, Watch, fleet_time_s
-from deploy.ports import Reservation
+from deploy.placing import Vehicle
 from deploy.process_faults import WORDS, Action, actions
 from deploy.processes import Processes
+from deploy.readiness import in_words, waits
 from deploy.registry import Registration
 from deploy.runfolder import RunFolder
+from deploy.vehicle_checks import VehicleChecks
 
-ADDRESS: Final = "127.0.0.1"
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
 MISSION_PERIOD_NS: Final = NS_PER_S // 2
@@ -33,33 +34,37 @@ EPOCH_AHEAD_NS: Final = NS_PER_S // 2
 """The mission is out this long before the epoch: every agent has it by then."""
 READY_TIMEOUT_S: Final = 10.0
 READY_TIMEOUT_PER_CHILD_S: Final = 0.5
+VEHICLES_TIMEOUT_S: Final = 120.0
+"""So long for vehicles: one that was just switched on takes 40 s, and its operator has to arm it."""
+WAITS_PERIOD_S: Final = 5.0
+"""How often it is said what is waited for."""
 STOP_TIMEOUT_S: Final = 2.0
 INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
 END_TIMEOUT_S: Final = 0.4
 RECORDER_INBOX: Final = 65_536
 
 
-def place(fleet: Fleet) -> tuple[Fleet, Reservation]:
-    """`fleet` on this machine's loopback, on ports that are free; they stay reserved until given back.
-
-    Raises:
-        deploy.ports.NoPortsError: when there are none.
-    """
-    ports = Reservation(ADDRESS, fleet.network.base_port, 2 * len(fleet.robots))
-    return replace(fleet, network=replace(fleet.network, address=ADDRESS, base_port=ports.base)), ports
-
-
 class LocalRun:
-    """One run: starts the processes of `fleet` (resolved and placed), drives it and ends it.
+    """One run: starts the processes of `fleet` (resolved and placed, with these simulated rovers), drives it
+    and ends it.
 
     After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
     """
 
-    def __init__(self, fleet: Fleet, folder: RunFolder, view: View, interrupt: Interrupt) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        folder: RunFolder,
+        view: View,
+        interrupt: Interrupt,
+        vehicles: Sequence[Vehicle] = (),
+    ) -> None:
         self._fleet, self._folder, self._view, self._interrupt = fleet, folder, view, interrupt
         self._clock = RealClock()
         self._watch = Watch(fleet, resolve(fleet))
-        self._processes = Processes(fleet, folder)
+        self._vehicles = vehicles
+        self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles)
+        self._checks = VehicleChecks(fleet)
         self._states: dict[int, PlantState] = {}
         """The latest state of each plant that is up."""
         self._truths: dict[int, PlantState] = {}
@@ -102,6 +107,8 @@ class LocalRun:
             f"{self._fleet.network.base_port + 2 * count - 1}"
         )
         self._processes.start()
+        for vehicle in self._vehicles:
+            self._view.say(str(vehicle))
 
     def _operate(self, bus: Bus) -> None:
         name = self._fleet.fleet.name
@@ -124,25 +131,40 @@ class LocalRun:
         }
         begun = time.monotonic()
         timeout_s = READY_TIMEOUT_S + READY_TIMEOUT_PER_CHILD_S * len(expected)
+        timeout_s = max(timeout_s, VEHICLES_TIMEOUT_S if self._checks.robots else 0.0)
         alive = False
+        say_due_s = WAITS_PERIOD_S
         while self._step(bus):
             presence.update()
             missing = [name for key, name in expected.items() if key not in presence.alive]
+            waited_s = time.monotonic() - begun
             if not missing and not alive:
                 alive = True
-                self._view.say(f"all {len(expected)} processes alive after {time.monotonic() - begun:.2f} s")
-            states = self._watch.states()
-            if alive and all(state == State.READY.value for state in states.values()):
-                return True
-            if time.monotonic() - begun > timeout_s:
-                what = missing or [
-                    f"robot {robot} ({self._watch.statuses[robot].reason if state else 'nothing heard'})"
-                    for robot, state in states.items()
-                    if state != State.READY.value
-                ]
-                self._fail(f"Not ready within {timeout_s:.0f} s: {', '.join(what)}.")
+                self._view.say(f"all {len(expected)} processes alive after {waited_s:.2f} s")
+            now_ns = self._clock.now_ns()
+            refusals = self._checks.refusals(now_ns)
+            if refusals:
+                self._fail(f"Not started: {'; '.join(refusals)}.")
                 return False
+            ready = all(state == State.READY.value for state in self._watch.states().values())
+            if alive and ready and self._checks.complete(now_ns):
+                for warning in self._checks.warnings():
+                    self._view.say(f"warning: {warning}")
+                return True
+            if waited_s > timeout_s:
+                self._fail(f"Not ready within {timeout_s:.0f} s: {self._waits(missing)}.")
+                return False
+            if waited_s >= say_due_s:
+                say_due_s += WAITS_PERIOD_S
+                self._view.say(f"waiting after {waited_s:.0f} s: {self._waits(missing)}")
         return False
+
+    def _waits(self, missing: Sequence[str]) -> str:
+        """What keeps the fleet from starting."""
+        if missing:
+            return ", ".join(missing)
+        found = waits(self._fleet.ids, self._watch.statuses, self._states)
+        return in_words(found) if found else in_words(self._checks.waits())
 
     def _drive(self, bus: Bus) -> None:
         period_ns = self._fleet.period_ns
@@ -205,6 +227,8 @@ class LocalRun:
         """Waits a moment, takes what came, does what rules order; False when the run has to end."""
         time.sleep(min(POLL_S, max(0.0, self._until_next_s())))
         self._collect(bus)
+        for sentence in self._watch.news(fleet_time_s(self._clock.now_ns(), self._epoch_ns)):
+            self._view.say(sentence)
         while self._until_next_s() <= 0.0:
             self._carry_out(self._todo.pop())
             self._collect(bus)
@@ -223,6 +247,7 @@ class LocalRun:
             message = self._folder.record(now_ns, key, payload)
             if message is not None:
                 self._watch.feed(key, message)
+                self._checks.feed(now_ns, key, message)
                 self._locate(key, message)
 
     def _locate(self, key: str, message: Message) -> None:

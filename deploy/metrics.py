@@ -33,7 +33,8 @@ GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 MESSAGES: Final = ("sent", "received", "lost", "delayed", "duplicated", "corrupted", "rejected")
 _REJECTED: Final = "rejected."
-_GOOD_STATES: Final = (State.RUNNING.value, State.STOPPING.value, State.STOPPED.value)
+_GOOD_STATES: Final = (State.RUNNING.value, State.STOPPING.value, State.STOPPED.value, State.RELEASED.value)
+"""Of a robot at the end of its drive. Its operator may take it whenever he likes: that is a warning."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def compute(
         *_unsettled(a, recording.ids),
     ]
     # The law keeps neighbours apart and says nothing about others: not its failure, but not to be hidden.
-    warnings = [f"{warning}." for warning in recording.warnings]
+    warnings = [f"{warning}." for warning in recording.warnings] + _releases(recording)
     for sentence in _unsafe(without, safe_m, "share no edge"):
         warnings.append(f"{sentence} The law keeps apart only robots that share an edge.")
     for gap in _gaps(recording):
@@ -309,6 +310,22 @@ def _states(recording: Recording) -> list[str]:
             State.HOLDING.value: "it braked because a neighbour was silent for too long",
         }.get(state, "it did not drive")
         out.append(f"Robot {robot} ended the drive in state {state}: {meaning}{why}.")
+    return out
+
+
+def _releases(recording: Recording) -> list[str]:
+    """Sentences for the times in which robots were their operators'."""
+    out = []
+    for robot, data in recording.robots.items():
+        for start_s, end_s, reason in data.status.periods(State.RELEASED.value):
+            if start_s >= recording.end_s:
+                continue
+            until = "the end" if end_s is None or end_s >= recording.end_s else f"{end_s:.1f} s"
+            why = f" ({reason})" if reason else ""
+            out.append(
+                f"Robot {robot} was released to its operator from {start_s:.1f} s to {until}{why}: it did "
+                "not follow the law then."
+            )
     return out
 
 

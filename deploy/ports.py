@@ -38,10 +38,12 @@ def private_folder() -> Path:
 
 
 def _free(address: str, port: int) -> bool:
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    """Whether nobody has the port, for TCP or UDP."""
+    with socket.socket() as stream, socket.socket(type=socket.SOCK_DGRAM) as datagram:
+        stream.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((address, port))
+            stream.bind((address, port))
+            datagram.bind((address, port))
         except OSError:
             return False
     return True

@@ -1,45 +1,75 @@
-"""The processes of one local run: all agents and plants of a fleet, and what a scenario does to them."""
+"""The processes of a fleet on this machine: agents, plants and simulated rovers, and what a scenario does
+to them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
 from agent.fleet import Fleet
 from agent.hand import Pose
 from agent.keys import ROLES
 from deploy.children import Child, end_all
+from deploy.placing import Vehicle
 from deploy.process_faults import Action, Process
-from deploy.runfolder import RunFolder
 
-MODULES: Final = {"unicycle": "plant"}
+MODULES: Final = {"unicycle": "plant", "mavlink": "bridges.mavlink"}
 """Kind of plant -> module that hosts it."""
+VEHICLE: Final = "vehicle"
+"""Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""
+VEHICLE_MODULE: Final = "bridges.mavlink.rover_server"
 
 
 class Processes:
-    """Every agent and plant of `fleet` (resolved and placed) as a child; logs go to the run's folder."""
+    """Processes of `fleet` (resolved and placed) as children.
 
-    def __init__(self, fleet: Fleet, folder: RunFolder) -> None:
-        self._fleet, self._folder = fleet, folder
+    Args:
+        fleet_file: what they read.
+        log: from a name to the path of a log.
+        vehicles: the fleet's simulated rovers.
+        processes: which are wanted; all agents and plants unless given.
+    """
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        fleet_file: Path,
+        log: Callable[[str], Path],
+        vehicles: Sequence[Vehicle] = (),
+        processes: Sequence[Process] | None = None,
+    ) -> None:
+        self._fleet, self._fleet_file, self._log, self._vehicles = fleet, fleet_file, log, vehicles
+        self._wanted = (
+            [(robot, role) for robot in fleet.ids for role in ROLES] if processes is None else processes
+        )
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
         self._dead: set[Process] = set()
 
     def start(self) -> None:
-        for robot in self._fleet.ids:
-            for role in ROLES:
-                self._start(robot, role, None)
+        for vehicle in self._vehicles:
+            self._run(vehicle.robot, VEHICLE, VEHICLE_MODULE, vehicle.arguments)
+        for robot, role in self._wanted:
+            self._start(robot, role, None)
 
     def _start(self, robot: int, role: str, pose: Pose | None) -> None:
-        module = "agent" if role == "agent" else MODULES[self._fleet.robot(robot).plant]
-        # A simulated body that stands again, where it was.
-        more = [] if pose is None else [f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}"]
-        log = self._folder.log(f"robot-{robot}-{role}.log")
-        self._children[robot, role] = Child(robot, role, module, self._folder.fleet_file, log, more)
+        kind = self._fleet.robot(robot).plant
+        module = "agent" if role == "agent" else MODULES[kind]
+        arguments = ["--fleet", str(self._fleet_file), "--robot", str(robot)]
+        if role == "plant" and kind == "unicycle" and pose is not None:
+            # A simulated body stands again, where it was. A vehicle goes on by itself.
+            arguments.append(f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}")
+        self._run(robot, role, module, arguments)
+
+    def _run(self, robot: int, role: str, module: str, arguments: Sequence[str]) -> None:
+        log = self._log(f"robot-{robot}-{role}.log")
+        self._children[robot, role] = Child(robot, role, module, arguments, log)
 
     @property
     def names(self) -> dict[Process, str]:
-        """Every process's name, in the order of the start."""
-        return {process: child.name for process, child in self._children.items()}
+        """The name of every process that is on the bus, in the order of the start."""
+        return {process: self._children[process].name for process in self._wanted}
 
     def up(self, robot: int, role: str) -> bool:
         """Whether a process should run: it has neither been killed by a rule nor died."""
@@ -59,7 +89,7 @@ class Processes:
             child.wait(10.0)  # the kernel's own work: its port is free after it
             self._killed.add(process)
         elif action.what == "start":
-            self._start(*process, pose if action.role == "plant" else None)
+            self._start(*process, pose)
             self._killed.discard(process)
         elif action.what == "stop":
             child.pause()
@@ -85,5 +115,8 @@ class Processes:
     def end(self, timeout_s: float) -> list[Child]:
         """Ends all; returns those that had to be killed."""
         expected = self._killed | self._dead
-        stubborn = end_all(self._children.values(), timeout_s)
+        # Vehicles last: bridges may still have to stop them.
+        rovers = {process: child for process, child in self._children.items() if child.role == VEHICLE}
+        others = [child for process, child in self._children.items() if process not in rovers]
+        stubborn = [*end_all(others, timeout_s), *end_all(rovers.values(), timeout_s)]
         return [child for child in stubborn if (child.robot, child.role) not in expected]

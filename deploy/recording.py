@@ -19,6 +19,7 @@ from agent import keys
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.messages import (
+    Checks,
     Event,
     Faults,
     HandState,
@@ -26,6 +27,7 @@ from agent.messages import (
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
     Stop,
     Wrench,
@@ -49,7 +51,7 @@ FLEET_NAME: Final = "fleet.toml"
 CLOCK_TOLERANCE_NS: Final = 60_000_000_000
 _RUN_NS_MAX: Final = 12 * 3600 * 10**9
 """For so long after the start a clock that drifts on purpose is told from garbage."""
-_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace)
+_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks)
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,12 @@ class RobotData:
     wrench: Table
     status: StatusTable
 
-    @property
+    @cached_property
     def body(self) -> Table:
-        """Where the body was, as well as that is known: the truth when recorded, else the measurement."""
-        return self.truth if len(self.truth) else self.plant
+        """Where the body was, as well as that is known: the truth when recorded, else the measurement.
+        Without what its plant itself said is not to be used."""
+        table = self.truth if len(self.truth) else self.plant
+        return table.only(table["healthy"] > 0.0)
 
 
 class LiveFaults(NamedTuple):
@@ -232,6 +236,10 @@ class RunData:
             }
         self._mission_key, self._stop_key = keys.mission(prefix), keys.stop(prefix)
         self._events_key = keys.events(prefix)
+        self._told: Mapping[str, type[Message]] = {keys.resume(prefix): Resume} | {
+            keys.checks(prefix, robot): Checks for robot in self._plant
+        }
+        """What is recorded for those who read it there, and nothing is made of."""
         self._traced = {
             key: robot
             for robot in self._plant
@@ -265,7 +273,7 @@ class RunData:
             )
         elif type(message) is Event and key == self._events_key:
             self.events.append(message)
-        else:
+        elif self._told.get(key) is not type(message):
             self.foreign += 1
 
     def _is_ours(self, key: str, trace: LinkTrace) -> bool:

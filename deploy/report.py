@@ -122,6 +122,11 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
             "A robot in state <em>holding</em> heard nothing from a neighbour for longer than "
             "<code>control.prediction_horizon_s</code>: look at the links between them."
         )
+    if State.RELEASED.value in states:
+        out.append(
+            "A robot in state <em>released</em> was its operator's, who gives it back by the mode GUIDED, "
+            "armed; then <code>handfast resume</code> lets it drive on."
+        )
     if least["edge"] is not None and least["edge"] < safe:
         if found["law"] == "paper":
             out.append(

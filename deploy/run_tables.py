@@ -10,11 +10,14 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.messages import HandState, Message, Status
 from deploy.link_data import Clock, Floats, Ints, true_ns
 
-PLANT_COLUMNS: Final = ("x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy")
+PLANT_COLUMNS: Final = (
+    "x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy", "obeying",
+)  # fmt: skip
 HAND_COLUMNS: Final = (
     "following", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x", "constraint_y",
 )  # fmt: skip
@@ -48,6 +51,13 @@ class Table:
 
     def __getitem__(self, name: str) -> Floats:
         return self.values[:, self.names.index(name)]
+
+    def only(self, wanted: NDArray[np.bool_]) -> Table:
+        """The rows where `wanted` (n,) is True; this table when all are."""
+        if wanted.all():
+            return self
+        stamps, sequences = (each[wanted] if len(each) else each for each in (self.stamps_ns, self.sequences))
+        return Table(self.names, self.t[wanted], self.values[wanted], stamps, sequences)
 
 
 @dataclass(frozen=True)
@@ -100,6 +110,21 @@ class StatusTable:
             return None
         index = max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
         return self.states[index], self.reasons[index]
+
+    def periods(self, state: str) -> list[tuple[float, float | None, str]]:
+        """Times in a state: (start s, end s or None when it lasted to the last status, first reason).
+
+        Every change of state is told at once, so a period ends with the first status that tells of another.
+        """
+        out: list[tuple[float, float | None, str]] = []
+        before = ""
+        for t, now, reason in zip(self.t.tolist(), self.states, self.reasons, strict=True):
+            if now == state and before != state:
+                out.append((t, None, reason))
+            elif now != state and before == state:
+                out[-1] = out[-1][0], t, out[-1][2]
+            before = now
+        return out
 
 
 class Rows:

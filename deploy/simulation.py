@@ -25,8 +25,8 @@ from agent.messages import Event, Mission, encode
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.supervision import State
 from deploy.process_faults import Action, Process, actions
+from deploy.simulated_bodies import Bodies
 from plant.node import PlantNode
-from plant.unicycle import Unicycle, from_fleet
 
 LATENCY_NS: Final = 100_000
 WARM_UP_PERIODS: Final = 10
@@ -107,7 +107,7 @@ class Simulation:
     """Every agent and plant of `fleet` in virtual time.
 
     Args:
-        fleet: resolved (`agent.formation.resolved`); every plant simulated.
+        fleet: resolved (`agent.formation.resolved`). Every body is simulated, whatever its connection.
         sink: told of every message, (time of arrival ns, key, payload).
 
     Attributes:
@@ -125,15 +125,15 @@ class Simulation:
         self._sink = sink
         plan = FaultPlan(fleet)
         self._rules = plan.file_rules()
-        clocks = {robot: LocalTime(*plan.clock(robot)) for robot in fleet.ids}
+        clocks = self._clocks = {robot: LocalTime(*plan.clock(robot)) for robot in fleet.ids}
         # No clock may show a time before 0.
         behind_ns = max(0, *(-clock.skew_ns for clock in clocks.values()))
         self.now_ns = next_tick_ns(behind_ns - 1, fleet.period_ns, 0)
         self.epoch_ns = self.now_ns + WARM_UP_PERIODS * fleet.period_ns
         self._duration_ns = 0
-        self._bodies: dict[int, Unicycle] = {}
+        self._bodies = Bodies(fleet)
         self.agents = [Agent(fleet, robot) for robot in fleet.ids]
-        self.plants = [self._plant(robot, None) for robot in fleet.ids]
+        self.plants = [self._plant(robot) for robot in fleet.ids]
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
         nodes += [("agent", node.robot, node) for node in self.agents]
         self._hosts = [_Host(node, clocks[robot], self.now_ns) for _, robot, node in nodes]
@@ -147,9 +147,9 @@ class Simulation:
         self._todo: list[tuple[int, int, Callable[[], None]]] = []
         self._planned = self._events = 0
 
-    def _plant(self, robot: int, at: tuple[float, float, float] | None) -> PlantNode:
-        self._bodies[robot] = from_fleet(self.fleet, robot, at)
-        return PlantNode(self.fleet, robot, self._bodies[robot])
+    def _plant(self, robot: int) -> PlantNode:
+        body = self._bodies.make(robot, self._clocks[robot].local_ns(self.now_ns))
+        return PlantNode(self.fleet, robot, body)
 
     # ------------------------------------------------------------------ the bus and the ticks
 
@@ -215,13 +215,12 @@ class Simulation:
             self._sink(self.now_ns, keys.events(self.fleet.fleet.name), encode(event))
 
     def _again(self, robot: int, role: str) -> Node:
-        """A new node in the place of one that is gone; a body stands where it was, at rest."""
+        """A new node in the place of one that is gone."""
         index = self.fleet.ids.index(robot)
         if role == "agent":
             self.agents[index] = Agent(self.fleet, robot)
             return self.agents[index]
-        x, y, heading, _, _ = self._bodies[robot].pose
-        self.plants[index] = self._plant(robot, (x, y, heading))
+        self.plants[index] = self._plant(robot)
         return self.plants[index]
 
     # ------------------------------------------------------------------ the mission

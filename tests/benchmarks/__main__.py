@@ -28,6 +28,8 @@ NAMES: Final = (
     "links",
     "robustness",
     "random_starts",
+    "step_response",
+    "bridge",
 )
 LOAD_QUIET: Final = 0.5
 

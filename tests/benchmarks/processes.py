@@ -24,7 +24,7 @@ from agent.messages import Malformed, Mission, PlantState, Status, decode, encod
 from agent.node import next_tick_ns
 from agent.supervision import State
 from deploy.children import ONE_THREAD
-from deploy.local import place
+from deploy.placing import place
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ROLES: Final = ("agent", "plant")
@@ -284,7 +284,7 @@ def measure(
         drive: send a mission and wait until it is driven, as real agents do.
     """
     folder.mkdir(parents=True)
-    fleet, ports = place(fleet)
+    fleet, ports, _ = place(fleet)
     try:
         fleet_file = folder / "fleet.toml"
         fleet_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")

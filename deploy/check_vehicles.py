@@ -1,0 +1,228 @@
+"""What would go wrong with real vehicles (`plant = "mavlink"`): connections, limits, timeouts, bodies.
+
+Many vehicles share what is found: one finding names them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import sqrt
+from typing import Final, NamedTuple
+
+from agent import trajectory
+from agent.fleet import Fleet
+from agent.fleet_sections import SIMULATOR, MavlinkSection, Robot
+from bridges.mavlink.connection import BY_ID, Connection, parse_connection
+from deploy.finding import Finding, Level
+from deploy.wording import robots
+
+RATE_MAX_HZ: Final = 50.0
+"""ArduPilot Rover's own loop: it takes nothing faster."""
+PLANT_TIMEOUT_MIN_S: Final = 0.3
+"""Telemetry of 25 Hz over a radio or WiFi has gaps this long now and then."""
+WRENCH_TIMEOUT_MAX_S: Final = 0.3
+HAND_OFFSET_MIN_M: Final = 0.2
+"""A heading that is 0.1 s late by the vehicle's own lags swings with a shorter one."""
+GYRATION_M: Final = (0.05, 2.0)
+"""Radius of gyration, sqrt(J / m), of what drives on wheels."""
+SPEED_SHARE: Final = 0.8
+"""Share of a vehicle's speed that the trajectory may take: the rest is to form up with."""
+HERE: Final = ("127.0.0.1", "localhost", "::1")
+SIMULATOR_DATUM: Final = (-35.36326, 149.16523)
+"""Where ArduPilot's own simulator starts, degrees."""
+
+
+class _Vehicle(NamedTuple):
+    row: int
+    robot: Robot
+    link: MavlinkSection
+    connection: Connection | None
+    """None of one that is simulated."""
+
+    @property
+    def real(self) -> bool:
+        """Whether it is no simulation on this machine."""
+        return self.connection is not None and self.connection.host not in HERE
+
+    @property
+    def networked(self) -> bool:
+        """Whether others on a network may reach it."""
+        return self.real and self.connection is not None and self.connection.kind != "serial"
+
+
+def check_vehicles(fleet: Fleet) -> list[Finding]:
+    """All findings; none for a fleet without vehicles."""
+    vehicles = []
+    for row, robot in enumerate(fleet.robots, 1):
+        link = robot.mavlink
+        if robot.plant == "mavlink" and link is not None and link.connection is not None:
+            at = None if link.connection == SIMULATOR else parse_connection(link.connection)
+            vehicles.append(_Vehicle(row, robot, link, at))
+    if not vehicles:
+        return []
+    return [
+        *_links(fleet, vehicles),
+        *_limits(fleet, vehicles),
+        *_bodies(fleet, vehicles),
+        *_times(fleet),
+    ]
+
+
+def _shared(
+    level: Level, field: str, vehicles: list[_Vehicle], wrong: Callable[[_Vehicle], bool], text: str
+) -> Iterator[Finding]:
+    """One finding for all vehicles that have the same thing wrong; `{who}` in `text` names them."""
+    found = [vehicle for vehicle in vehicles if wrong(vehicle)]
+    if found:
+        who = robots([vehicle.robot.id for vehicle in found])
+        yield Finding(level, f"robot[{found[0].row}].{field}", text.replace("{who}", who))
+
+
+def _links(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
+    listeners: dict[int, _Vehicle] = {}
+    for vehicle in vehicles:
+        at = vehicle.connection
+        if at is None or at.kind != "udpin":
+            continue
+        first = listeners.setdefault(at.port, vehicle)
+        if first is not vehicle:
+            yield Finding(
+                "error",
+                f"robot[{vehicle.row}].mavlink.connection",
+                f"waits on UDP port {at.port}, as robot {first.robot.id} does: each vehicle needs a port "
+                "of its own",
+            )
+    yield from _shared(
+        "warning",
+        "mavlink.connection",
+        vehicles,
+        lambda vehicle: vehicle.connection is not None and not vehicle.connection.by_id,
+        "the serial port of {who} is not named by its id: after the next start it may be another vehicle's; "
+        f"take the name below {BY_ID} (ls -l {BY_ID})",
+    )
+    yield from _shared(
+        "warning",
+        "mavlink.signing_key",
+        vehicles,
+        lambda vehicle: vehicle.networked and vehicle.link.signing_key is None,
+        "{who}: messages over the network are not signed: whoever reaches the vehicle can drive it "
+        "(docs/rovers.md)",
+    )
+    yield from _shared(
+        "warning",
+        "mavlink.arm",
+        vehicles,
+        lambda vehicle: vehicle.link.arm,
+        "the bridge arms {who} by itself: they may move as soon as a run begins, with nobody at them having "
+        "said so",
+    )
+    datum = fleet.datum
+    if (
+        any(vehicle.real for vehicle in vehicles)
+        and datum is not None
+        and abs(datum.latitude_deg - SIMULATOR_DATUM[0]) < 1e-4
+        and abs(datum.longitude_deg - SIMULATOR_DATUM[1]) < 1e-4
+    ):
+        yield Finding(
+            "warning",
+            "datum",
+            "lies where ArduPilot's own simulator starts: is that meant? Real vehicles need the place on "
+            "their own field that x = 0, y = 0 stands for",
+        )
+
+
+def _limits(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
+    most = fleet.control.max_acceleration
+    weakest = min(vehicles, key=lambda vehicle: vehicle.link.max_acceleration)
+    if most > weakest.link.max_acceleration:
+        yield Finding(
+            "warning",
+            "control.max_acceleration",
+            f"{most:.4g} m/s2 is more than the bridge asks of robot {weakest.robot.id}, "
+            f"{weakest.link.max_acceleration:.4g} m/s2: the law reckons with what does not come; take at "
+            f"most {weakest.link.max_acceleration:.4g}",
+        )
+    try:
+        speed = trajectory.maximum_speed(fleet.trajectory)
+    except ValueError:
+        return  # said by deploy.check
+    slowest = min(vehicles, key=lambda vehicle: vehicle.link.max_speed_mps)
+    limit = slowest.link.max_speed_mps
+    if speed >= SPEED_SHARE * limit:
+        yield Finding(
+            "error" if speed >= limit else "warning",
+            f"robot[{slowest.row}].mavlink.max_speed_mps",
+            f"the trajectory takes {speed:.3g} m/s of robot {slowest.robot.id}'s {limit:.3g} m/s: "
+            + ("it cannot follow" if speed >= limit else "little is left to form up with")
+            + f"; drive at {SPEED_SHARE * limit:.3g} m/s or less, or allow it more",
+        )
+
+
+def _bodies(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
+    safe = fleet.formation.safe_distance_m
+    longest = max(vehicles, key=lambda vehicle: vehicle.robot.hand_offset_m)
+    if safe < 2.0 * longest.robot.hand_offset_m:
+        yield Finding(
+            "warning",
+            "formation.safe_distance_m",
+            f"{safe:.4g} m is kept between hand points, which are up to {longest.robot.hand_offset_m:.4g} m "
+            "ahead of the axles: two vehicles back to back may touch; take more than "
+            f"{2.0 * longest.robot.hand_offset_m:.4g} m and the length of a vehicle",
+        )
+    yield from _shared(
+        "warning",
+        "hand_offset_m",
+        vehicles,
+        lambda vehicle: vehicle.robot.hand_offset_m < HAND_OFFSET_MIN_M,
+        f"of {{who}} is below {HAND_OFFSET_MIN_M:g} m: a real vehicle's heading, late by its lags, swings "
+        "with so short a lever; 0.4 m is measured to be good",
+    )
+    least, largest = GYRATION_M
+    yield from _shared(
+        "warning",
+        "inertia_kgm2",
+        vehicles,
+        lambda vehicle: not least < sqrt(vehicle.robot.inertia_kgm2 / vehicle.robot.mass_kg) < largest,
+        "mass_kg and inertia_kgm2 of {who} do not belong to one body: about m (a^2 + b^2) / 12 is right for "
+        "a vehicle a long and b wide",
+    )
+    yield from _shared(
+        "warning",
+        "position_noise_m",
+        vehicles,
+        lambda vehicle: (
+            max(
+                vehicle.robot.position_noise_m,
+                vehicle.robot.heading_noise_rad,
+                vehicle.robot.speed_noise_mps,
+                vehicle.robot.yaw_rate_noise_radps,
+            )
+            > 0.0
+        ),
+        "{who}: noise is added on purpose to what a vehicle measures, on top of its own; leave *_noise_* out",
+    )
+
+
+def _times(fleet: Fleet) -> Iterator[Finding]:
+    control, rate = fleet.control, fleet.fleet.rate_hz
+    if rate > RATE_MAX_HZ:
+        yield Finding(
+            "warning",
+            "fleet.rate_hz",
+            f"{rate:.4g} Hz is faster than a vehicle's own loop, {RATE_MAX_HZ:g} Hz, and its telemetry: 20 "
+            "Hz is measured to be good",
+        )
+    if control.plant_timeout_s < PLANT_TIMEOUT_MIN_S:
+        yield Finding(
+            "warning",
+            "control.plant_timeout_s",
+            f"{control.plant_timeout_s:.4g} s: telemetry has gaps this long now and then, and each would "
+            f"stop the robot; take {PLANT_TIMEOUT_MIN_S:g} s or more",
+        )
+    if control.wrench_timeout_s > WRENCH_TIMEOUT_MAX_S:
+        yield Finding(
+            "warning",
+            "control.wrench_timeout_s",
+            f"{control.wrench_timeout_s:.4g} s: for so long a vehicle drives on by itself when its agent is "
+            f"gone; take {WRENCH_TIMEOUT_MAX_S:g} s or less",
+        )

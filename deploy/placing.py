@@ -1,0 +1,106 @@
+"""A fleet on this machine: which ports its processes have, and where simulated rovers stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+from agent.fleet import Fleet
+from agent.fleet_sections import SIMULATOR, Robot
+from deploy.ports import Reservation
+
+ADDRESS: Final = "127.0.0.1"
+SYSTEM_MAX: Final = 250
+"""Largest MAVLink system id that a simulated rover is given; ground stations have those above."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """One simulated rover, which the same machine runs beside its bridge.
+
+    Attributes:
+        robot: whose vehicle it is.
+        arguments: what `bridges.mavlink.rover_server` is to be told.
+        ground_station: where a ground station reaches it, as pymavlink writes it.
+    """
+
+    robot: int
+    arguments: tuple[str, ...]
+    ground_station: str
+
+    def __str__(self) -> str:
+        return f"robot {self.robot}'s simulated rover: ground stations connect to {self.ground_station}"
+
+
+class Placed(NamedTuple):
+    """A fleet on this machine: as its processes read it, its ports (reserved until given back), and its
+    simulated rovers."""
+
+    fleet: Fleet
+    ports: Reservation
+    vehicles: tuple[Vehicle, ...]
+
+
+def place(fleet: Fleet) -> Placed:
+    """`fleet` on this machine's loopback, on ports that are free.
+
+    Where a robot's connection is "simulator", the placed fleet names the port of a simulated rover instead,
+    so a bridge knows of no simulators.
+
+    Raises:
+        deploy.ports.NoPortsError: when there are none.
+    """
+    simulated = [robot.id for robot in fleet.robots if is_simulated(robot)]
+    of_processes = 2 * len(fleet.robots)
+    ports = Reservation(ADDRESS, fleet.network.base_port, of_processes + len(simulated))
+    numbers = {robot: ports.base + of_processes + k for k, robot in enumerate(simulated)}
+    placed = replace(
+        fleet,
+        network=replace(fleet.network, address=ADDRESS, base_port=ports.base),
+        robots=tuple(connected(robot, numbers.get(robot.id)) for robot in fleet.robots),
+    )
+    return Placed(placed, ports, tuple(vehicle(fleet, robot, port) for robot, port in numbers.items()))
+
+
+def is_simulated(robot: Robot) -> bool:
+    """Whether its body is a rover that has to be simulated."""
+    return robot.plant == "mavlink" and robot.mavlink is not None and robot.mavlink.connection == SIMULATOR
+
+
+def connected(robot: Robot, port: int | None) -> Robot:
+    """`robot` with its bridge listening on a port of this machine; as it is without one."""
+    if port is None or robot.mavlink is None:
+        return robot
+    return replace(robot, mavlink=replace(robot.mavlink, connection=f"udpin:{ADDRESS}:{port}"))
+
+
+def vehicle(fleet: Fleet, robot: int, port: int) -> Vehicle:
+    """The simulated rover of one robot of `fleet` (with a datum), where its robot starts.
+
+    It sends to the bridge at UDP `port` of this machine, and takes a ground station on TCP `port`. So a
+    bridge that starts again hears it at once, and a second one on the same vehicle finds the port taken.
+    """
+    # Here: a fleet without vehicles needs no geodesy.
+    from bridges.mavlink.frames import Geodetic, world_to_geodetic, yaw_degrees, yaw_from_heading
+
+    about, datum = fleet.robot(robot), fleet.datum
+    assert datum is not None
+    at = world_to_geodetic(
+        Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m), about.x_m, about.y_m
+    )
+    yaw_deg = yaw_degrees(yaw_from_heading(about.heading_rad))
+    system = about.mavlink.system if about.mavlink is not None else None
+    ground_station = f"tcp:{ADDRESS}:{port}"
+    return Vehicle(
+        robot,
+        (
+            f"--connect=udp:{ADDRESS}:{port}",
+            f"--listen={ground_station}",
+            f"--system={system or (robot - 1) % SYSTEM_MAX + 1}",
+            f"--home={at.latitude_deg:.9f},{at.longitude_deg:.9f},{at.altitude_m:.3f},{yaw_deg:.6f}",
+            f"--seed={fleet.fleet.seed * 10_000 + robot}",
+            "--warm",
+            "--hand-over",
+        ),
+        ground_station,
+    )

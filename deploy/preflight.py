@@ -1,0 +1,185 @@
+"""The vehicles of a fleet before a drive: their bridges run for a while, and tell what they find."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+import tomli_w
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from agent import keys
+from agent.bus import Bus
+from agent.clock import RealClock
+from agent.fleet import Fleet, to_dict
+from agent.messages import Malformed, decode
+from deploy.interrupt import Interrupt
+from deploy.placing import Vehicle
+from deploy.processes import VEHICLE, Processes
+from deploy.runfolder import FLEET_FILE
+from deploy.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
+
+TIMEOUT_S: Final = 20.0
+"""A vehicle that has not told all by then is looked at as it is."""
+POLL_S: Final = 0.04
+END_TIMEOUT_S: Final = 2.0
+STYLES: Final = {OK: "green", WARNING: "yellow", BLOCKING: "bold red"}
+HEADINGS: Final = ("line", "level", "found", "what to do")
+SIMULATED: Final = "simulated: nothing to check"
+
+Found = dict[int, list[Line]]
+"""The lines of each robot, in the fleet's order; of a simulated one there are none."""
+
+
+class Preflight:
+    """Starts the bridges of `fleet` (resolved and placed, with these simulated rovers), and no agents."""
+
+    def __init__(self, fleet: Fleet, vehicles: Sequence[Vehicle], interrupt: Interrupt) -> None:
+        self._fleet, self._vehicles, self._interrupt = fleet, vehicles, interrupt
+        self._checks = VehicleChecks(fleet)
+        self._clock = RealClock()
+        self._died: dict[int, Line] = {}
+
+    def run(self) -> Found:
+        """What the vehicles tell; ends early when interrupted. Whatever happens, no process is left.
+
+        Raises:
+            agent.bus.BusError: the operator's session cannot be opened.
+        """
+        robots = self._checks.robots
+        if robots:
+            with tempfile.TemporaryDirectory(prefix="handfast-preflight-") as name:
+                folder = Path(name)
+                fleet_file = folder / FLEET_FILE
+                fleet_file.write_text(tomli_w.dumps(to_dict(unarmed(self._fleet))), encoding="utf-8")
+                wanted = [(robot, "plant") for robot in robots]
+                processes = Processes(
+                    self._fleet, fleet_file, lambda log: folder / log, self._vehicles, wanted
+                )
+                try:
+                    processes.start()
+                    self._look(processes)
+                finally:
+                    processes.end(END_TIMEOUT_S)
+        return {robot: self._lines(robot) for robot in self._fleet.ids}
+
+    def _lines(self, robot: int) -> list[Line]:
+        if robot in self._died:
+            return [self._died[robot]]
+        lines = list(self._checks.lines(robot))
+        if robot in self._checks.robots and not lines:
+            lines = [Line("bridge", BLOCKING, f"said nothing within {TIMEOUT_S:.0f} s", "see its machine")]
+        return lines
+
+    def _look(self, processes: Processes) -> None:
+        robots, name = self._checks.robots, self._fleet.fleet.name
+        with Bus(listen=[], connect=[self._fleet.plant_endpoint(robot) for robot in robots]) as bus:
+            bus.subscribe(keys.checks(name, "*"), 32 * len(robots))
+            deadline = time.monotonic() + TIMEOUT_S
+            while time.monotonic() < deadline and not self._interrupt.count:
+                time.sleep(POLL_S)
+                now_ns = self._clock.now_ns()
+                for key, payload in bus.drain():
+                    try:
+                        message = decode(payload)
+                    except Malformed:
+                        continue
+                    self._checks.feed(now_ns, key, message)
+                for child, how in processes.deaths():
+                    self._died[child.robot] = death(child.role, how, child.last_lines())
+                if self._checks.complete(now_ns, without=self._died):
+                    return
+
+
+def unarmed(fleet: Fleet) -> Fleet:
+    """`fleet` with bridges that arm nothing: looking at a vehicle must not make it able to move."""
+    return replace(
+        fleet,
+        robots=tuple(
+            replace(robot, mavlink=robot.mavlink and replace(robot.mavlink, arm=False))
+            for robot in fleet.robots
+        ),
+    )
+
+
+def death(role: str, how: str, last_lines: Sequence[str]) -> Line:
+    """The line for a bridge or a simulated rover that ended."""
+    words = f": {last_lines[-1]}" if last_lines else ""
+    who = "the simulated rover" if role == VEHICLE else "it"
+    return Line("bridge", BLOCKING, f"{who} ended ({how}){words}", "correct the fleet file, or what it names")
+
+
+def passed(found: Found) -> bool:
+    """Whether nothing blocks."""
+    return all(line.level != BLOCKING for lines in found.values() for line in lines)
+
+
+def show(found: Found, stream: TextIO) -> None:
+    """One table for each vehicle: with colours on a terminal, in plain columns elsewhere."""
+    console = Console(file=stream) if stream.isatty() else None
+    simulated = [robot for robot, lines in found.items() if not lines]
+    for robot, lines in found.items():
+        if not lines:
+            continue
+        if console is None:
+            print(f"robot {robot}\n" + "\n".join(columns(lines)), file=stream)
+        else:
+            console.print(_table(robot, lines))
+    for robot in simulated:
+        print(f"robot {robot}  {SIMULATED}", file=stream)
+    print(summary(found), file=stream)
+
+
+def _table(robot: int, lines: Sequence[Line]) -> Table:
+    table = Table(title=f"robot {robot}", title_justify="left", box=None, pad_edge=False)
+    for heading in HEADINGS:
+        table.add_column(heading, overflow="fold")
+    for line in lines:
+        # As texts: [datum] is no markup.
+        style = STYLES[line.level]
+        table.add_row(Text(line.name), Text(line.level, style), Text(line.found), Text(line.advice))
+    return table
+
+
+def columns(lines: Sequence[Line]) -> list[str]:
+    """The lines as text in columns, with their headings."""
+    rows = [HEADINGS, *lines]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
+    return [
+        "  " + "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def summary(found: Found) -> str:
+    """The verdict in one line."""
+    blocking = {robot: _names(lines, BLOCKING) for robot, lines in found.items() if _names(lines, BLOCKING)}
+    warnings = sum(len(_names(lines, WARNING)) for lines in found.values())
+    if blocking:
+        text = "; ".join(f"robot {robot}: {', '.join(names)}" for robot, names in blocking.items())
+        return f"BLOCKED: {text}"
+    return "CLEAR" + (f", with {warnings} warning{'s' * (warnings > 1)}" if warnings else "")
+
+
+def _names(lines: Sequence[Line], level: str) -> list[str]:
+    return [line.name for line in lines if line.level == level]
+
+
+def to_json(fleet: str, found: Found) -> str:
+    """All of it for other programs."""
+    content: dict[str, Any] = {
+        "fleet": fleet,
+        "passed": passed(found),
+        "robots": [
+            {"robot": robot, "simulated": not lines, "lines": [line._asdict() for line in lines]}
+            for robot, lines in found.items()
+        ],
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False)

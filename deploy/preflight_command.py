@@ -1,0 +1,55 @@
+"""The command ``handfast preflight``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from deploy.arguments import InputError, fleet_arguments, load
+from deploy.interrupt import Interrupt
+
+CLEAR, BLOCKED, INTERRUPTED = 0, 1, 130
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "look at the vehicles of a fleet before a drive: what is well, what is not, what to do"
+    parser = commands.add_parser(
+        "preflight",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}. Bridges run for it, and end with it; nothing is armed or "
+        "driven. Exit status: 0 nothing blocks; 1 something does; 2 bad input; 130 after Ctrl-C.",
+    )
+    fleet_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="as JSON, for other programs")
+    parser.set_defaults(command=_preflight)
+
+
+def _preflight(options: argparse.Namespace) -> int:
+    from agent.bus import BusError
+    from deploy.placing import place
+    from deploy.ports import NoPortsError
+    from deploy.preflight import Preflight, passed, show, to_json
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        try:
+            placed, ports, vehicles = place(fleet)
+        except NoPortsError as error:
+            raise InputError(str(error)) from None
+        try:
+            found = Preflight(placed, vehicles, interrupt).run()
+        except BusError as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return BLOCKED
+        finally:
+            ports.close()
+    if interrupt.count:
+        return INTERRUPTED
+    if options.json:
+        print(to_json(fleet.fleet.name, found))
+    else:
+        show(found, sys.stdout)
+    return CLEAR if passed(found) else BLOCKED

@@ -1,0 +1,45 @@
+"""The command ``handfast resume``: leave to drive again for robots of a fleet that is running."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from deploy.arguments import InputError
+from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "let robots drive on that their operators took over and gave back"
+    parser = commands.add_parser(
+        "resume",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}. {MEANING} An operator gives a robot back by GUIDED mode, "
+        "armed. Exit status: 0 all that are meant are running; 1 some are not; 2 bad input.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
+    parser.add_argument(
+        "--robot",
+        dest="robots",
+        type=int,
+        action="append",
+        default=[],
+        metavar="N",
+        help="only this one, repeatedly (default: all)",
+    )
+    parser.set_defaults(command=handled(_resume))
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from deploy.resume_session import resume
+    from deploy.resuming import unknown
+
+    fleet = running_fleet(options.fleet)
+    wrong = unknown(fleet, options.robots)
+    if wrong:
+        raise InputError(wrong)
+    resuming = resume(fleet, sorted(set(options.robots)))
+    for robot in resuming.robots:
+        print(resuming.outcome(robot))
+    return DONE if resuming.done else FAILED

@@ -1,0 +1,47 @@
+"""What commands for a fleet that is running have in common: how it is found, and how failures are said."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+from agent.fleet import Fleet, FleetError, load_fleet
+from deploy.arguments import InputError
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+MEANING = "FLEET is the name of a fleet that runs on this machine, the folder of its run, or a fleet file."
+
+Command = Callable[[argparse.Namespace], int]
+
+
+class NoAnswerError(Exception):
+    """The fleet cannot be reached; the text is one clear message."""
+
+
+def running_fleet(what: str) -> Fleet:
+    """The fleet that is meant, as its processes read it; raises as `deploy.registry.find`."""
+    from deploy.registry import find
+
+    return load_fleet(find(what))
+
+
+def handled(command: Command) -> Command:
+    """`command`, with what may go wrong with a running fleet said in one line."""
+
+    def run(options: argparse.Namespace) -> int:
+        # Here: opening the bus takes its time, and most commands do not.
+        from agent.bus import BusError
+        from deploy.ports import NoPortsError
+        from deploy.registry import NotRunningError
+
+        try:
+            return command(options)
+        except (FleetError, NotRunningError, NoPortsError, InputError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return BAD_INPUT
+        except (BusError, NoAnswerError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return FAILED
+
+    return run

@@ -1,0 +1,130 @@
+"""An operator's session with a fleet that is running: who is there, and what they say."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, TypeVar
+
+from agent import keys
+from agent.bus import Bus
+from agent.clock import RealClock
+from agent.fleet import Fleet
+from agent.messages import Malformed, Message, decode
+from deploy.interrupt import Interrupt
+from deploy.live_faults import Receiver, receivers
+from deploy.running import NoAnswerError
+
+CONNECT_S: Final = 3.0
+"""Processes that are not there by then are named and left out."""
+POLL_S: Final = 0.02
+
+
+class Session:
+    """On the bus of `fleet`, connected to every agent and plant. A context manager.
+
+    Attributes:
+        bus: what those that build on this subscribe to and publish on.
+        receivers: every agent and plant.
+        alive: those that are there.
+
+    Raises:
+        agent.bus.BusError: the bus cannot be opened.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.fleet: Final = fleet
+        self.receivers: Final = receivers(fleet)
+        self.clock: Final = RealClock()
+        self.alive: set[Receiver] = set()
+        self.bus: Final = Bus(
+            listen=[],
+            connect=[
+                fleet.agent_endpoint(robot) if role == "agent" else fleet.plant_endpoint(robot)
+                for robot, role in self.receivers
+            ],
+        )
+        self._presence = self.bus.watch(keys.alive(fleet.fleet.name, "*", "*"))
+
+    def __enter__(self: S) -> S:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self.bus.close()
+
+    def now_ns(self) -> int:
+        return self.clock.now_ns()
+
+    def feed(self, key: str, message: Message) -> None:
+        """Takes a valid message that came on `key`."""
+
+    def gone(self, receiver: Receiver) -> None:
+        """Told of a process that is not there any more."""
+
+    def collect(self) -> None:
+        """Takes what came."""
+        known = set(self.receivers)
+        for key, here in self._presence.update():
+            receiver = keys.robot_of_alive(key)
+            if receiver in known:
+                if here:
+                    self.alive.add(receiver)
+                else:
+                    self.alive.discard(receiver)
+                    self.gone(receiver)
+        for key, payload in self.bus.drain():
+            try:
+                message = decode(payload)
+            except Malformed:
+                continue
+            self.feed(key, message)
+
+    def wait(self, look: Callable[[], bool], timeout_s: float) -> bool:
+        """Collects until `look` says True; False when it has not within `timeout_s`."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            self.collect()
+            if look():
+                return True
+            if time.monotonic() >= deadline:
+                return False
+            self.pause()
+
+    def pause(self) -> None:
+        """A moment's wait, until something may have come."""
+        time.sleep(POLL_S)
+
+
+S = TypeVar("S", bound=Session)
+
+
+def connected(session: S, interrupt: Interrupt | None = None) -> S:
+    """`session` when all processes of its fleet are there, or as many as came.
+
+    Raises:
+        NoAnswerError: there is none; the session is closed.
+    """
+    fleet = session.fleet
+    try:
+        everybody = session.wait(
+            lambda: (
+                len(session.alive) == len(session.receivers)
+                or (interrupt is not None and interrupt.count > 0)
+            ),
+            CONNECT_S,
+        )
+        if not everybody and not session.alive:
+            raise NoAnswerError(
+                f"fleet {fleet.fleet.name} does not answer: none of its {len(session.receivers)} agents and "
+                f"plants is there ({fleet.agent_endpoint(fleet.ids[0])} and so on); is it running?"
+            )
+    except BaseException:
+        session.close()
+        raise
+    return session

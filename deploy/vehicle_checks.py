@@ -1,0 +1,124 @@
+"""What plants say of their bodies before a drive, gathered and judged (PURE).
+
+A bridge to a vehicle says `agent.messages.Checks` again and again. A blocking line of which it found
+"waiting..." may still become good by itself; any other that stays is a reason not to drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from typing import Final, NamedTuple
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.messages import Checks, Message
+
+SETTLE_NS: Final = 5 * NS_PER_S
+"""A blocking line that stays for so long, while nothing of that vehicle waits any more, is meant: a vehicle's
+own checks follow its estimate by some seconds."""
+WAITING: Final = "waiting"
+OK, WARNING, BLOCKING = "ok", "warning", "blocking"
+
+
+class Line(NamedTuple):
+    """One line: what was looked at, its level, what was found, what to do about it ("" for nothing)."""
+
+    name: str
+    level: str
+    found: str
+    advice: str
+
+    @property
+    def waits(self) -> bool:
+        """Whether it is blocking for now, and may get better by itself."""
+        return self.level == BLOCKING and self.found.startswith(WAITING)
+
+    def said_of(self, robot: int) -> str:
+        """The line in one sentence."""
+        advice = f" ({self.advice})" if self.advice else ""
+        return f"robot {robot}: {self.name}: {self.found}{advice}"
+
+
+class VehicleChecks:
+    """The newest checks of those robots of `fleet` that are vehicles, `robots`.
+
+    Times are those of reception (ns, wall clock).
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.robots: Final = tuple(robot.id for robot in fleet.robots if robot.plant == "mavlink")
+        self._name = fleet.fleet.name
+        self._newest: dict[int, Checks] = {}
+        self._since_ns: dict[tuple[int, str], int] = {}
+        """Since when each line of a robot has been blocking, and nothing of that robot waited."""
+
+    def feed(self, now_ns: int, key: str, message: Message) -> None:
+        """Takes a message that came on `key`; what is no vehicle's checks, or old, is ignored."""
+        if type(message) is not Checks or message.robot not in self.robots:
+            return
+        robot = message.robot
+        before = self._newest.get(robot)
+        if key != keys.checks(self._name, robot) or (before and message.time_ns < before.time_ns):
+            return
+        self._newest[robot] = message
+        waits = any(line.waits for line in self.lines(robot))
+        blocking = [(robot, line.name) for line in self.lines(robot) if line.level == BLOCKING and not waits]
+        for place in [place for place in self._since_ns if place[0] == robot and place not in blocking]:
+            del self._since_ns[place]
+        for place in blocking:
+            self._since_ns.setdefault(place, now_ns)
+
+    def lines(self, robot: int) -> tuple[Line, ...]:
+        """What a robot said last, () before it has said anything."""
+        newest = self._newest.get(robot)
+        return () if newest is None else tuple(Line._make(line) for line in newest.lines)
+
+    def complete(self, now_ns: int, without: Container[int] = ()) -> bool:
+        """Whether all but those of `without` have said what they have to say: nothing waits, and what blocks
+        has stayed."""
+        return all(
+            robot in self._newest and not any(line.waits for line in self.lines(robot))
+            for robot in self.robots
+            if robot not in without
+        ) and all(
+            now_ns - since_ns >= SETTLE_NS
+            for (robot, _), since_ns in self._since_ns.items()
+            if robot not in without
+        )
+
+    def refusals(self, now_ns: int) -> list[str]:
+        """Sentences for the lines over which no drive begins."""
+        return [
+            line.said_of(robot)
+            for robot in self.robots
+            for line in self.lines(robot)
+            if now_ns - self._since_ns.get((robot, line.name), now_ns) >= SETTLE_NS
+        ]
+
+    def waits(self) -> dict[int, str]:
+        """What is still to come, of each robot."""
+        out = {}
+        for robot in self.robots:
+            found = [line.found for line in self.lines(robot) if line.level == BLOCKING]
+            if robot not in self._newest:
+                out[robot] = "its bridge has said nothing yet"
+            elif found:
+                out[robot] = ", ".join(found)
+        return out
+
+    def warnings(self) -> list[str]:
+        """Sentences for what is worth knowing; one that several robots share is said once."""
+        who: dict[Line, list[int]] = {}
+        for robot in self.robots:
+            for line in self.lines(robot):
+                if line.level == WARNING:
+                    who.setdefault(line, []).append(robot)
+        return [_shared(line, ids) for line, ids in who.items()]
+
+
+def _shared(line: Line, ids: Sequence[int]) -> str:
+    if len(ids) == 1:
+        return line.said_of(ids[0])
+    advice = f" ({line.advice})" if line.advice else ""
+    return f"robots {', '.join(map(str, ids))}: {line.name}: {line.found}{advice}"

@@ -1,0 +1,261 @@
+"""Autopilots that are really there, each with the bridge to it in this process, in real time.
+
+`HANDFAST_AUTOPILOTS` names them: connection strings, separated by commas. One as
+``tcp:127.0.0.1:5760+tcp:127.0.0.1:5762`` has a second connection, at which the tests' operator sits; without,
+the operator speaks on the bridge's.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from math import cos, hypot, radians
+from typing import Any, Final, NamedTuple
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolved
+from agent.hand import Pose
+from bridges.mavlink import ardurover, frames
+from bridges.mavlink.backend import MavlinkPlant, session
+from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.link import Link, LinkSettings
+from bridges.mavlink.transport import Transport, open_transport
+from plant.backend import Command, Reading
+from tests.ground_station import Operator
+
+VARIABLE: Final = "HANDFAST_AUTOPILOTS"
+BOOT_S: Final = 120.0
+"""An autopilot has its origin 17 s after it was switched on, and is ready after 40 s; some take longer."""
+BAUD: Final = 57_600
+PERIOD_NS: Final = NS_PER_S // 20
+MASS, INERTIA = 20.0, 1.2
+_EARTH_M: Final = 6_378_137.0
+
+
+class Place(NamedTuple):
+    """One entry of `HANDFAST_AUTOPILOTS`."""
+
+    bridge: str
+    operator: str
+
+
+def places() -> list[Place]:
+    """All entries; none when the variable is not set."""
+    entries = [entry.strip() for entry in os.environ.get(VARIABLE, "").split(",") if entry.strip()]
+    return [Place(bridge, operator) for bridge, _, operator in (entry.partition("+") for entry in entries)]
+
+
+class Tee:
+    """A transport that two share: the bridge has it, and `receive` of `other` gives a copy of what comes."""
+
+    def __init__(self, inner: Transport) -> None:
+        self._inner = inner
+        self._copies: deque[tuple[int, bytes]] = deque(maxlen=10_000)
+        self.sent: deque[tuple[int, bytes]] = deque(maxlen=10_000)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        came = self._inner.receive()
+        self._copies.extend(came)
+        return came
+
+    def send(self, data: bytes) -> None:
+        self.sent.append((time.time_ns(), data))
+        self._inner.send(data)
+
+    def other(self) -> Transport:
+        return _Other(self)  # type: ignore[return-value]  # the rest of it is __getattr__'s
+
+
+class _Other:
+    def __init__(self, tee: Tee) -> None:
+        self._tee = tee
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._tee._inner, name)
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        came = list(self._tee._copies)
+        self._tee._copies.clear()
+        return came
+
+    def send(self, data: bytes) -> None:
+        self._tee._inner.send(data)
+
+    def close(self) -> None:
+        pass
+
+
+class Vehicle:
+    """One autopilot with its bridge and its operator.
+
+    `command` is what the agent would ask for now; `reading` what the bridge said last.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, place: Place, transport: Tee) -> None:
+        self.robot, self.place, self.tee = robot, place, transport
+        self.log: list[str] = []
+        self.link = session(fleet, robot, None, robot)
+        self.plant = MavlinkPlant(fleet, robot, self.link, transport, self.log.append)
+        self.reading: Reading | None = None
+        self.command: Callable[[Reading], Command | None] = lambda _: None
+        second = open_transport(place.operator, BAUD, time.time_ns) if place.operator else transport.other()
+        self.operator = Operator(second, place.bridge, meanwhile=lambda: None)
+
+    def step(self, now_ns: int) -> None:
+        command = None if self.reading is None else self.command(self.reading)
+        self.reading = self.plant.step(now_ns, command)
+        self.operator.poll()
+
+    @property
+    def pose(self) -> Pose:
+        assert self.reading is not None
+        return self.reading.pose
+
+    @property
+    def standing(self) -> bool:
+        return abs(self.pose.speed) < 0.06 and abs(self.pose.yaw_rate) < 0.1
+
+    def told(self) -> str:
+        """All that may say why it does not do what was expected."""
+        return "\n".join(
+            [f"{self.place.bridge}: {self.reading}", *self.log[-20:], *map(str, self.operator.texts)]
+            + [str(check) for check in self.plant.checks(time.time_ns()) if check.level != "ok"]
+        )
+
+    def globally(self) -> tuple[float, float]:
+        """Latitude and longitude (degrees) by GLOBAL_POSITION_INT, which the bridge has no use for."""
+        found = self.operator.latest["GLOBAL_POSITION_INT"]
+        return found.lat * 1e-7, found.lon * 1e-7
+
+
+def metres(start: tuple[float, float], end: tuple[float, float]) -> tuple[float, float]:
+    """East and north from one latitude and longitude to another near by, without the bridge's geodesy."""
+    (latitude, longitude), (latitude2, longitude2) = start, end
+    east = radians(longitude2 - longitude) * _EARTH_M * cos(radians(latitude))
+    return east, radians(latitude2 - latitude) * _EARTH_M
+
+
+class Field:
+    """All of them, and the clock that they run by: nothing happens outside of `tick` and what calls it."""
+
+    def __init__(self, all_places: Sequence[Place]) -> None:
+        transports = [Tee(open_transport(place.bridge, BAUD, time.time_ns)) for place in all_places]
+        self._due_ns = time.time_ns()
+        self.datum = self._survey(transports[0], all_places[0])
+        for transport in transports[1:]:
+            transport.receive()
+        self.fleet = fleet_of(all_places, self.datum)
+        self.vehicles = [
+            Vehicle(self.fleet, robot, place, transport)
+            for robot, (place, transport) in enumerate(zip(all_places, transports, strict=True), 1)
+        ]
+
+    def _survey(self, transport: Tee, place: Place) -> Geodetic:
+        """Where the first one has the origin of its EKF: the datum of all."""
+        link = Link(LinkSettings(set_origin=False))
+        deadline = time.monotonic() + BOOT_S
+        while link.origin is None or link.system is None:
+            now_ns = self._wait()
+            if link.epoch < transport.epoch:
+                link.restart()
+            for arrival_ns, data in transport.receive():
+                link.receive(arrival_ns, data)
+            transport.send(link.tick(now_ns))
+            assert time.monotonic() < deadline, (
+                f"{place.bridge}: {transport.trouble or link.absence(now_ns) or 'no EKF origin'} "
+                f"within {BOOT_S:g} s"
+            )
+        return link.origin
+
+    def _wait(self) -> int:
+        self._due_ns = max(self._due_ns + PERIOD_NS, time.time_ns() - PERIOD_NS)
+        time.sleep(max(0.0, (self._due_ns - time.time_ns()) / NS_PER_S))
+        return time.time_ns()
+
+    def tick(self) -> int:
+        """Waits for the next period and lets every bridge have its tick; returns when it was, ns."""
+        now_ns = self._wait()
+        for vehicle in self.vehicles:
+            vehicle.step(now_ns)
+        return now_ns
+
+    def run(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.tick()
+
+    def until(self, look: Callable[[], Any], what: str, most_s: float) -> float:
+        """Ticks until something is true; returns how long that took, s."""
+        begun = time.monotonic()
+        while not look():
+            assert time.monotonic() < begun + most_s, (
+                f"{what}: not within {most_s:g} s\n" + "\n".join(vehicle.told() for vehicle in self.vehicles)
+            )
+            self.tick()
+        return time.monotonic() - begun
+
+    def operate(self, vehicle: Vehicle, ask: Callable[[Operator], None]) -> None:
+        """The operator of a vehicle does something, while all bridges go on."""
+        vehicle.operator.meanwhile = self.tick
+        try:
+            ask(vehicle.operator)
+        finally:
+            vehicle.operator.meanwhile = lambda: None
+
+    def ready(self, *vehicles: Vehicle) -> None:
+        """Waits until the bridges have these vehicles, and says that they may drive."""
+        for vehicle in vehicles or self.vehicles:
+            vehicle.command = lambda _: None
+            self.until(lambda v=vehicle: v.reading is not None and v.reading.healthy, "healthy", BOOT_S)
+            if vehicle.log and "waiting to be told to resume" in vehicle.plant.authority.why:
+                vehicle.plant.go_ahead(time.time_ns())
+            self.until(lambda v=vehicle: v.reading.obeying and v.standing, "armed, in GUIDED, standing", 60.0)
+            vehicle.plant.go_ahead(time.time_ns())
+
+    def close(self) -> None:
+        """All stand, those that were armed here are disarmed, and connections are given back."""
+        for vehicle in self.vehicles:
+            vehicle.command = lambda _: None
+        if all(vehicle.reading is not None for vehicle in self.vehicles):
+            end = time.monotonic() + 5.0
+            while time.monotonic() < end and not all(vehicle.standing for vehicle in self.vehicles):
+                self.tick()
+        for vehicle in self.vehicles:
+            vehicle.plant.close()
+            vehicle.operator.close()
+
+
+def fleet_of(all_places: Sequence[Place], datum: Geodetic, *more: str) -> Fleet:
+    """A fleet file of them; `arm = true`, since nobody sits at a transmitter here."""
+    lines = ['[fleet]\nname = "autopilots"\nrate_hz = 20', *more]
+    lines.append(
+        f"[datum]\nlatitude_deg = {datum.latitude_deg!r}\nlongitude_deg = {datum.longitude_deg!r}\n"
+        f"altitude_m = {datum.altitude_m!r}"
+    )
+    lines.append(
+        f'[robot_defaults]\nplant = "mavlink"\nmass_kg = {MASS}\ninertia_kgm2 = {INERTIA}\n'
+        f"hand_offset_m = 0.4\n[robot_defaults.mavlink]\narm = true\nbaud = {BAUD}"
+    )
+    if not any("[formation]" in each for each in more):
+        n = len(all_places)
+        edges = [[i, i + 1] for i in range(1, n)]
+        offsets = [[3.0 * k, 0.0] for k in range(n)]
+        lines.append(f"[formation]\nedges = {edges}\noffsets = {offsets}\nsafe_distance_m = 1.0")
+        lines.append('[trajectory]\nkind = "fixed"\npoint_m = [0.0, 0.0]')
+    for robot, place in enumerate(all_places, 1):
+        lines.append(f"[[robot]]\nid = {robot}\nx_m = {3.0 * robot}\ny_m = 0.0")
+        lines.append(f'[robot.mavlink]\nconnection = "{place.bridge}"')
+    return resolved(parse_fleet("\n".join(lines), source=VARIABLE))
+
+
+def distance(one: Pose, other: Pose) -> float:
+    return hypot(one.x - other.x, one.y - other.y)
+
+
+__all__ = ["BOOT_S", "VARIABLE", "Field", "Place", "Vehicle", "ardurover", "distance", "frames", "metres", "places"]

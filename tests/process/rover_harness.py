@@ -1,0 +1,203 @@
+"""Fleets of simulated rovers as real processes, and a link to one that can be cut."""
+
+from __future__ import annotations
+
+import select
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolved
+from agent.messages import Checks, Resume, encode
+from bridges.mavlink.transport import open_transport
+from deploy.arguments import FLEETS
+from deploy.placing import Vehicle, place, vehicle
+from deploy.ports import Reservation
+from tests.ground_station import Operator
+from tests.process.harness import ADDRESS, PATIENCE_S, Robots, environment
+
+BASE_PORT: Final = 24_320
+"""Clear of the ports of the fleets in `tests.process.harness`."""
+VEHICLE: Final = "vehicle"
+PAIR: Final = (
+    "formation.edges=[[1,2]]",
+    "formation.offsets=[[0.0,-1.5],[0.0,1.5]]",
+    "trajectory.start_m=[0.0,0.0]",
+    "robot.1.x_m=-0.5",
+    "robot.1.y_m=-1.6",
+    "robot.2.x_m=-0.4",
+    "robot.2.y_m=1.5",
+    f"network.base_port={BASE_PORT}",
+)
+"""Two of the rovers, 3 m apart and near their places from the start."""
+
+
+def pair_of_rovers(*overrides: str) -> Fleet:
+    """The first two of the bundled fleet of rovers, resolved, under a name of their own."""
+    text = (FLEETS / "rovers.toml").read_text(encoding="utf-8")
+    text = "[[robot]]".join(text.split("[[robot]]")[:3])
+    name = f'fleet.name="t-{time.time_ns() % 10**12}"'
+    return resolved(parse_fleet(text, source="here", overrides=[name, *PAIR, *overrides]))
+
+
+class Relay:
+    """Datagrams from `port` (a vehicle sends there) to `to` and back, while it is not `cut`."""
+
+    def __init__(self, port: int, to: int) -> None:
+        self.cut = False
+        self._to = ADDRESS, to
+        self._near, self._far = (socket.socket(type=socket.SOCK_DGRAM) for _ in range(2))
+        self._near.bind((ADDRESS, port))
+        self._far.bind((ADDRESS, 0))
+        self._wake, self._woken = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        peer: Any = None
+        while True:
+            ready, _, _ = select.select((self._near, self._far, self._woken), (), ())
+            if self._woken in ready:
+                return
+            for here in ready:
+                try:
+                    data, sender = here.recvfrom(65_536)
+                except ConnectionRefusedError:
+                    continue  # nobody was there for the last one
+                if here is self._near:
+                    peer = sender
+                there, to = (self._far, self._to) if here is self._near else (self._near, peer)
+                if not self.cut and to is not None:
+                    there.sendto(data, to)
+
+    def close(self) -> None:
+        self._wake.send(b"x")
+        self._thread.join(5.0)
+        for each in (self._near, self._far, self._wake, self._woken):
+            each.close()
+
+
+class Rovers(Robots):
+    """Agents, bridges and simulated rovers of a fleet as processes.
+
+    `start(robot, "vehicle")` starts a rover, `start(robot, "plant")` the bridge to it.
+    """
+
+    def __init__(self, fleet: Fleet, folder: Path, vehicles: dict[int, Vehicle]) -> None:
+        super().__init__(fleet, folder)
+        self.vehicles = vehicles
+
+    def start(self, robot: int, role: str) -> None:
+        if role == VEHICLE:
+            self.run(robot, role, "bridges.mavlink.rover_server", *self.vehicles[robot].arguments)
+        else:
+            module = "bridges.mavlink" if role == "plant" else role
+            self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot))
+
+    def run(self, robot: int, role: str, module: str, *arguments: str) -> None:
+        """Starts one process; its last words are in `log(robot, role)`."""
+        with open(self.log(robot, role), "ab") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module, *arguments, "--exit-with-parent"],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                env=environment(),
+                start_new_session=True,
+            )
+        self.processes[robot, role] = process
+        self._all.append(process)
+
+    def start_all(self) -> None:
+        for robot in self.fleet.ids:
+            self.start(robot, VEHICLE)
+        super().start_all()
+
+    def operator(self, robot: int) -> Operator:
+        connection = self.vehicles[robot].ground_station
+        return Operator(open_transport(connection, 115_200, time.time_ns), connection)
+
+    def resume(self, *robots: int) -> None:
+        now_ns = time.time_ns()
+        key = keys.resume(self.name)
+        self.bus.declare(key)
+        self.bus.publish(key, encode(Resume(now_ns // 1_000_000, now_ns, robots)))
+
+    def checks(self, robot: int) -> dict[str, tuple[str, str]]:
+        """Level and found, by the name of the line."""
+        found = self.latest.get(keys.checks(self.name, robot))
+        return (
+            {name: (level, text) for name, level, text, _ in found.lines} if isinstance(found, Checks) else {}
+        )
+
+    def wait_with(
+        self, operator: Operator, look: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S
+    ) -> Any:
+        """As `wait`, with a ground station at work."""
+
+        def poll_and_look() -> Any:
+            operator.poll()
+            return look()
+
+        return self.wait(poll_and_look, what, timeout_s)
+
+    def moving(self, robot: int) -> bool:
+        state = self.plant(robot)
+        return state is not None and state.driving and abs(state.speed) > 0.15
+
+    def standing(self, robot: int) -> bool:
+        state = self.plant(robot)
+        return state is not None and state.healthy and not state.driving and abs(state.speed) < 0.06
+
+
+@contextmanager
+def rovers(
+    folder: Path, *overrides: str, relayed: int | None = None
+) -> Iterator[tuple[Rovers, Relay | None]]:
+    """All processes of a pair of rovers, ready for a mission.
+
+    Args:
+        relayed: robot whose vehicle reaches its bridge by a `Relay`.
+    """
+    placed = place(pair_of_rovers(*overrides))
+    fleet, relay, extra = placed.fleet, None, None
+    vehicles = {each.robot: each for each in placed.vehicles}
+    try:
+        if relayed is not None:
+            extra = Reservation(ADDRESS, BASE_PORT + 2048, 1)
+            mavlink_section = fleet.robot(relayed).mavlink
+            assert mavlink_section is not None
+            assert mavlink_section.connection is not None
+            bridge_port = int(mavlink_section.connection.rpartition(":")[2])
+            relay = Relay(extra.base, bridge_port)
+            vehicles[relayed] = vehicle(fleet, relayed, extra.base)
+        with Rovers(fleet, folder, vehicles) as all_rovers:
+            all_rovers.start_all()
+            all_rovers.wait_until_all("ready", 30.0)
+            yield all_rovers, relay
+    finally:
+        if relay is not None:
+            relay.close()
+        if extra is not None:
+            extra.close()
+        placed.ports.close()
+
+
+def cold(each: Vehicle, boot_s: float) -> Vehicle:
+    """The vehicle, switched on anew and handed over by nobody."""
+    kept = [argument for argument in each.arguments if argument not in ("--warm", "--hand-over")]
+    return replace(each, arguments=(*kept, f"--boot={boot_s:g}"))
+
+
+def seconds_since(from_ns: int) -> float:
+    return (time.time_ns() - from_ns) / NS_PER_S

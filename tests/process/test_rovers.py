@@ -1,0 +1,223 @@
+"""Who has a rover, and what becomes of it when something fails: real processes, sockets and kills.
+
+tests/simulation/test_rovers.py and test_rover_fleet.py have more of it, in virtual time.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+from agent.clock import NS_PER_S
+from agent.messages import HandState, PlantState, Status, Wrench
+from bridges.mavlink import ardurover
+from tests.process.harness import measured, no_trouble_in_logs
+from tests.process.rover_harness import Rovers, cold, rovers
+
+BRAKES_S = 0.3
+SLACK_S = 0.1
+"""For the way over the bus, and a machine that is busy."""
+
+
+def all_well(all_rovers: Rovers, *killed: tuple[int, str]) -> None:
+    """Nobody died but those that the test killed, and nobody complained."""
+    gone = {each for each, process in all_rovers.processes.items() if process.poll() is not None}
+    assert gone == set(killed), all_rovers.told()
+    no_trouble_in_logs(all_rovers.folder)
+
+
+def drive(all_rovers: Rovers) -> None:
+    all_rovers.drive()
+    for robot in all_rovers.fleet.ids:
+        all_rovers.wait(lambda robot=robot: all_rovers.moving(robot), f"robot {robot} moves")
+
+
+def test_the_operator_takes_over_gives_back_and_the_fleet_resumes(tmp_path: Path) -> None:
+    with rovers(tmp_path / "r") as (fleet, _), fleet.operator(2) as operator:
+        operator.connect()
+        drive(fleet)
+        since_ns = time.time_ns()
+        operator.set_mode("MANUAL")
+        took, state = fleet.first(since_ns, PlantState, 2, lambda m: not m.obeying, "robot 2 is let go")
+        measured("seconds from the mode's request to the release", took)
+        assert took < 0.3 + SLACK_S
+        assert (state.healthy, state.driving) == (True, False)
+        assert state.note == "its operator has it: mode MANUAL, not GUIDED"
+        _, status = fleet.first(since_ns, Status, 2, lambda m: m.state == "released", "its agent says so")
+        assert status.reason == state.note
+        fleet.first(since_ns, HandState, 2, lambda m: not m.following, "its neighbour is told")
+        released_ns = time.time_ns()
+        fleet.wait_with(operator, lambda: time.time_ns() > released_ns + 2 * NS_PER_S, "time passes")
+        assert {m.state for _, m in fleet.since(since_ns, Status, 1)} == {"running"}
+        assert all(m.driving for _, m in fleet.since(since_ns, PlantState, 1))
+        assert all(m.brake for _, m in fleet.since(released_ns, Wrench, 2))
+
+        operator.set_mode("GUIDED")
+        fleet.wait_with(
+            operator,
+            lambda: "waiting to be told to resume" in getattr(fleet.plant(2), "note", ""),
+            "it waits for leave",
+        )
+        back_ns = time.time_ns()
+        fleet.wait_with(operator, lambda: time.time_ns() > back_ns + NS_PER_S, "time passes")
+        assert fleet.states()[2] == "released"
+        fleet.resume(2)
+        fleet.wait_with(
+            operator, lambda: fleet.states()[2] == "running" and fleet.moving(2), "it drives again"
+        )
+        all_well(fleet)
+
+
+def test_an_agent_that_is_killed(tmp_path: Path) -> None:
+    with rovers(tmp_path / "r") as (fleet, _):
+        drive(fleet)
+        killed_ns = fleet.signal(2, "agent", signal.SIGKILL)
+        took, _ = fleet.first(killed_ns, PlantState, 2, lambda m: not m.driving, "robot 2 brakes")
+        measured("seconds to braking", took)
+        assert took < BRAKES_S + SLACK_S
+        stood, _ = fleet.first(
+            killed_ns, PlantState, 2, lambda m: not m.driving and abs(m.speed) < 0.06, "robot 2 stands"
+        )
+        measured("seconds to standing", stood)
+        assert stood < 2.0 + SLACK_S
+        fleet.start(2, "agent")
+        fleet.wait(lambda: fleet.states()[2] == "running" and fleet.moving(2), "the new agent drives")
+        all_well(fleet)
+
+
+def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
+    with rovers(tmp_path / "r") as (fleet, _), fleet.operator(2) as operator:
+        operator.connect()
+        drive(fleet)
+        killed_ns = fleet.signal(2, "plant", signal.SIGKILL)
+        took, _ = fleet.first(killed_ns, Status, 2, lambda m: m.state == "fault", "its agent says fault")
+        assert took < fleet.fleet.control.plant_timeout_s + BRAKES_S
+        # Nobody brakes the rover: it stops by itself 3 s after the last setpoint.
+        fleet.wait_with(
+            operator,
+            lambda: ardurover.SETPOINT_TIMEOUT_TEXT in operator.texts,
+            "the rover stops by itself",
+            6.0,
+        )
+        assert measured("seconds until it stops", (time.time_ns() - killed_ns) / NS_PER_S) < 3.5
+        fleet.start(2, "plant")
+        begun_ns = time.time_ns()
+        fleet.first(begun_ns, PlantState, 2, lambda m: m.healthy and m.obeying, "the new bridge has it")
+        fleet.wait_with(operator, lambda: fleet.states()[2] == "running" and fleet.moving(2), "it drives on")
+        assert (operator.mode, operator.armed) == (ardurover.GUIDED, True)
+        # The new bridge was not told of the mission, but what it drives it lets go like any.
+        operator.set_mode("HOLD")
+        operator.set_mode("GUIDED")
+        fleet.wait_with(
+            operator,
+            lambda: "waiting to be told to resume" in getattr(fleet.plant(2), "note", ""),
+            "it waits for leave",
+        )
+        all_well(fleet)
+
+
+def test_a_vehicle_that_is_switched_off_and_on(tmp_path: Path) -> None:
+    with rovers(tmp_path / "r") as (fleet, _), fleet.operator(2) as operator:
+        operator.connect()
+        drive(fleet)
+        killed_ns = fleet.signal(2, "vehicle", signal.SIGKILL)
+        fleet.processes[2, "vehicle"].wait()
+        took, status = fleet.first(killed_ns, Status, 2, lambda m: m.state == "fault", "its agent says fault")
+        measured("seconds to fault", took)
+        assert took < 1.0
+        fleet.vehicles[2] = cold(fleet.vehicles[2], 5.0)
+        fleet.start(2, "vehicle")
+        fleet.wait_with(
+            operator,
+            lambda: getattr(fleet.plant(2), "note", "").endswith("mode MANUAL, not GUIDED"),
+            "it is up again",
+        )
+        operator.connect()
+        up_ns = time.time_ns()
+        operator.set_mode("GUIDED")
+        operator.arm()
+        fleet.wait_with(
+            operator,
+            lambda: "waiting to be told to resume" in getattr(fleet.plant(2), "note", ""),
+            "it waits for leave",
+        )
+        fleet.wait_with(operator, lambda: time.time_ns() > up_ns + NS_PER_S, "time passes")
+        assert not any(m.driving for _, m in fleet.since(up_ns, PlantState, 2))
+        fleet.resume()
+        fleet.wait_with(operator, lambda: fleet.states()[2] == "running" and fleet.moving(2), "it drives on")
+        fleet.wait_with(
+            operator,
+            lambda: fleet.checks(2).get("ATTITUDE", ("", ""))[0] == "ok",
+            "its streams were asked for again",
+        )
+        all_well(fleet)
+
+
+def test_a_link_that_is_cut_and_comes_back(tmp_path: Path) -> None:
+    with rovers(tmp_path / "r", relayed=2) as (fleet, relay), fleet.operator(2) as operator:
+        assert relay is not None
+        operator.connect()
+        drive(fleet)
+        cut_ns = time.time_ns()
+        relay.cut = True
+        took, _ = fleet.first(cut_ns, PlantState, 2, lambda m: not m.healthy, "the bridge misses it")
+        measured("seconds to unhealthy", took)
+        assert took < 0.7 + SLACK_S
+        fleet.wait_with(
+            operator, lambda: ardurover.SETPOINT_TIMEOUT_TEXT in operator.texts, "it stops by itself"
+        )
+        fleet.wait_with(operator, lambda: time.time_ns() > cut_ns + 5 * NS_PER_S, "five seconds pass")
+        assert "no heartbeat of the vehicle for" in fleet.plant(2).note
+        relay.cut = False
+        back_ns = time.time_ns()
+        fleet.wait_with(operator, lambda: fleet.states()[2] == "running" and fleet.moving(2), "it drives on")
+        measured("seconds until it drives on", (time.time_ns() - back_ns) / NS_PER_S)
+        all_well(fleet)
+
+
+def test_a_jammed_gps_is_told_and_ends_in_the_operators_hands(tmp_path: Path) -> None:
+    with rovers(tmp_path / "r") as (fleet, _), fleet.operator(2) as operator:
+        operator.connect()
+        drive(fleet)
+        jammed_ns = time.time_ns()
+        operator.set_parameter("SIM_GPS1_JAM", 1.0)
+        took, state = fleet.first(jammed_ns, PlantState, 2, lambda m: not m.healthy, "the bridge knows")
+        measured("seconds to unhealthy", took)
+        assert "GPS" in state.note
+        fleet.wait_with(operator, lambda: operator.mode == ardurover.HOLD, "HOLD", 20.0)
+        assert 13.0 < measured("seconds to HOLD", (time.time_ns() - jammed_ns) / NS_PER_S) < 16.5
+        fleet.wait(lambda: "EKF failsafe" in fleet.log(2, "plant").read_text(), "its words are in the log")
+        assert not fleet.plant(2).obeying
+        assert fleet.states()[2] == "fault"
+        all_well(fleet)
+
+
+def test_second_bridges_on_one_vehicle(tmp_path: Path) -> None:
+    """They report why they do nothing, whichever way they come to the vehicle; the first drives on."""
+    with rovers(tmp_path / "r") as (fleet, _):
+        drive(fleet)
+        seconds = {
+            "same": ([], "another handfast program uses it (process "),
+            "other": (
+                ["--set", f'robot.1.mavlink.connection="{fleet.vehicles[1].ground_station}"'],
+                "another program speaks as system 1, component 191",
+            ),
+        }
+        base_port = fleet.fleet.network.base_port
+        for number, (name, (settings, _)) in enumerate(seconds.items(), 1):
+            # On the bus of a fleet of its own, else it would not come as far as the vehicle.
+            own = ["--set", f"network.base_port={base_port + 1024 * number}", "--set", f'fleet.name="{name}"']
+            arguments = ("--fleet", str(fleet.fleet_file), "--robot", "1", *own, *settings)
+            fleet.run(1, name, "bridges.mavlink", *arguments)
+        for name, (_, says) in seconds.items():
+            log = fleet.log(1, name)
+            fleet.wait(lambda log=log, says=says: says in log.read_text(), f"the second bridge says {says!r}")
+        since_ns = time.time_ns()
+        fleet.wait(lambda: time.time_ns() > since_ns + 2 * NS_PER_S, "time passes")
+        assert all(m.driving for _, m in fleet.since(since_ns, PlantState, 1)), fleet.told()
+        assert fleet.states() == {1: "running", 2: "running"}
+        for name in seconds:
+            assert "it obeys" not in fleet.log(1, name).read_text()
+            assert fleet.end(1, name) == 0
+        all_well(fleet, *((1, name) for name in seconds))

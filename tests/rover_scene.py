@@ -1,0 +1,227 @@
+"""Rovers and bridges in virtual time: several on one vehicle's ports, and all that a bridge sends to it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, load_fleet
+from agent.formation import resolved
+from agent.hand import Pose
+from bridges.mavlink import ardurover, frames
+from bridges.mavlink.backend import MavlinkPlant, datum_of, session
+from bridges.mavlink.rover_settings import Settings
+from bridges.mavlink.rover_simulator import Rover
+from bridges.mavlink.signing import Signing
+from bridges.mavlink.simulated import LATENCY_NS, STEP_NS, rover_settings
+from deploy.arguments import FLEETS
+from plant.backend import Check, Command, Reading
+
+START_NS = 1_800_000_000 * NS_PER_S
+MASS = 20.0
+
+
+def rovers(*overrides: str) -> Fleet:
+    """The bundled fleet of rovers."""
+    return resolved(load_fleet(FLEETS / "rovers.toml", overrides))
+
+
+class Port:
+    """A `bridges.mavlink.transport.Transport` to one port of the rover of a `World`.
+
+    `sent` is (time, bytes) of all that went out; `cut`: nothing passes.
+    """
+
+    def __init__(self, world: World, number: int) -> None:
+        self._world, self._number = world, number
+        self.arriving: deque[tuple[int, bytes]] = deque()
+        self.sent: list[tuple[int, bytes]] = []
+        self.trouble = self.note = ""
+        self.epoch, self.dropped = 1, 0
+        self.cut = False
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        came = []
+        while self.arriving and self.arriving[0][0] <= self._world.now_ns:
+            came.append(self.arriving.popleft())
+        return came
+
+    def send(self, data: bytes) -> None:
+        self.sent.append((self._world.now_ns, data))
+        if not self.cut:
+            self._world.to_rover.append((self._world.now_ns + LATENCY_NS, self._number, data))
+
+    def close(self) -> None:
+        pass
+
+    def messages(self, name: str, since_ns: int = 0) -> list[tuple[int, Any]]:
+        """Those of a name that went out at `since_ns` and later, with their times."""
+        parser = mavlink.MAVLink(None)
+        return [
+            (at_ns, message)
+            for at_ns, data in self.sent
+            if at_ns >= since_ns
+            for message in parser.parse_buffer(data) or ()
+            if message.get_type() == name
+        ]
+
+
+class World:
+    """A rover and its ports; time that only `advance` lets pass."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.now_ns = START_NS
+        self.rover = Rover(settings, START_NS)
+        self.to_rover: deque[tuple[int, int, bytes]] = deque()
+        self.ports = [Port(self, number) for number in range(settings.ports)]
+
+    def advance(self, now_ns: int) -> None:
+        while self.now_ns < now_ns:
+            self.now_ns = min(now_ns, self.now_ns + STEP_NS)
+            while self.to_rover and self.to_rover[0][0] <= self.now_ns:
+                _, number, data = self.to_rover.popleft()
+                self.rover.receive(number, data, self.now_ns)
+            for number, data in self.rover.advance(self.now_ns):
+                if not self.ports[number].cut:
+                    self.ports[number].arriving.append((self.now_ns + LATENCY_NS, data))
+
+
+class Bridge:
+    """A bridge at one port of a world, ticked by the scene."""
+
+    def __init__(
+        self, world: World, number: int, fleet: Fleet, token: int = 0, signing: Signing | None = None
+    ) -> None:
+        self.port, self.number = world.ports[number], number
+        self.log: list[str] = []
+        self.link = session(fleet, 1, signing, token or 1000 + number)
+        self.plant = MavlinkPlant(fleet, 1, self.link, self.port, self.log.append)
+        self.readings: list[Reading] = []
+        self.command: Command | None = None
+        self.born_ns = world.now_ns
+        self.dead = False
+
+    @property
+    def reading(self) -> Reading:
+        return self.readings[-1]
+
+    def step(self, now_ns: int) -> None:
+        if not self.dead:
+            # No two processes' clocks show the same nanosecond.
+            self.readings.append(self.plant.step(now_ns + self.number, self.command))
+
+    def setpoints(self, since_ns: int = 0) -> list[tuple[int, float, float]]:
+        """Time, speed and yaw rate (FLU) of those that it sent at `since_ns` and later."""
+        sent = self.port.messages("SET_POSITION_TARGET_LOCAL_NED", max(since_ns, self.born_ns))
+        return [(at_ns, m.vx, frames.yaw_rate(m.yaw_rate)) for at_ns, m in sent]
+
+    def go_ahead(self) -> None:
+        self.plant.go_ahead(self.readings[-1].time_ns)
+
+    def check(self, name: str) -> Check:
+        """The preflight line of that name."""
+        checks = self.plant.checks(self.readings[-1].time_ns)
+        found = [check for check in checks if check.name == name]
+        assert found, f"no line {name}: {checks}"
+        return found[0]
+
+    @property
+    def blocking(self) -> dict[str, str]:
+        """Found, by the name of each blocking line."""
+        checks = self.plant.checks(self.readings[-1].time_ns)
+        return {check.name: check.found for check in checks if check.level == "blocking"}
+
+
+class Scene:
+    """Robot 1 of the rovers and its bridge at port 0; the operator is whoever calls the rover's methods.
+
+    Args:
+        overrides: of the fleet file.
+        signing: of the bridge.
+        settings: of the simulated rover, where they differ from `rover_settings`.
+    """
+
+    def __init__(self, *overrides: str, signing: Signing | None = None, **settings: Any) -> None:
+        self.fleet = rovers(*overrides)
+        self.world = World(replace(rover_settings(self.fleet, 1), **settings))
+        self.rover = self.world.rover
+        self.bridges = [Bridge(self.world, 0, self.fleet, signing=signing)]
+        self._datum = datum_of(self.fleet)
+
+    @property
+    def bridge(self) -> Bridge:
+        return self.bridges[0]
+
+    @property
+    def now_ns(self) -> int:
+        return self.world.now_ns
+
+    @property
+    def time(self) -> float:
+        return (self.now_ns - START_NS) / NS_PER_S
+
+    @property
+    def pose(self) -> Pose:
+        """Where the rover really is, W."""
+        x, y = frames.geodetic_to_world(self._datum, self.rover.place)
+        return Pose(
+            x,
+            y,
+            frames.heading_from_yaw(self.rover.yaw),
+            self.rover.speed,
+            frames.yaw_rate(self.rover.yaw_rate),
+        )
+
+    def tick(self) -> None:
+        """One period of the fleet."""
+        self.world.advance(self.now_ns + self.fleet.period_ns)
+        for bridge in self.bridges:
+            bridge.step(self.now_ns)
+
+    def run(self, seconds: float, each: Callable[[], object] | None = None) -> None:
+        """Lets time pass; `each` is called after every tick."""
+        end_ns = self.now_ns + round(seconds * NS_PER_S)
+        while self.now_ns < end_ns:
+            self.tick()
+            if each is not None:
+                each()
+
+    def until(self, condition: Callable[[], object], most_s: float = 60.0) -> float:
+        """Runs until something is true; how long that took, s."""
+        begun = self.time
+        if not self.bridge.readings:
+            self.tick()
+        while not condition():
+            assert self.time < begun + most_s, (
+                f"not within {most_s} s: {self.bridge.reading}, {self.rover.mode}, {self.bridge.log}"
+            )
+            self.tick()
+        return self.time - begun
+
+    def drive(self, speed: float = 0.5) -> None:
+        """Waits until the rover obeys, gives the mission, and brings it to a speed."""
+        self.until(lambda: self.bridge.reading.obeying)
+        self.bridge.go_ahead()
+        self.bridge.command = Command(MASS * 0.4 * (1.0 if speed > 0.0 else -1.0), 0.0)
+        self.until(lambda: abs(self.bridge.reading.pose.speed) >= abs(speed) - 1e-9)
+        self.bridge.command = Command(0.0, 0.0)
+        self.until(lambda: abs(self.rover.speed) >= 0.9 * abs(speed))
+
+    def say(self, message: Any, port: int = 1, system: int = 255, component: int = 190) -> None:
+        """A ground station, or whoever, sends by a port."""
+        self.world.ports[port].send(message.pack(mavlink.MAVLink(None, system, component)))
+
+
+def heartbeat(kind: int = mavlink.MAV_TYPE_GCS, autopilot: int = ardurover.AUTOPILOT_INVALID) -> Any:
+    """As a ground station sends."""
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, ardurover.STATE_ACTIVE, 3)
+
+
+def set_mode(mode: int) -> Any:
+    """SET_MODE, as most ground stations do it."""
+    return mavlink.MAVLink_set_mode_message(1, ardurover.FLAG_CUSTOM_MODE, mode)
