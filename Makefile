@@ -55,13 +55,14 @@ docs: $(VENV)/.dev ## write the reference of the fleet file
 	$(PY) -m deploy.fleet_reference
 
 # Keeps the pinned versions that still satisfy pyproject.toml; `make lock UPGRADE=1` takes the newest.
-# operator.txt and core.txt are constrained by lock.txt, so the three files always agree.
+# The others are constrained by lock.txt, so that all four files always agree.
 UV_COMPILE = $(VENV)/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest \
 	--generate-hashes --no-build --no-annotate --no-emit-index-url --no-emit-find-links \
 	--custom-compile-command 'make lock' pyproject.toml
 lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions)
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) --all-extras --group pyproject.toml:build -o requirements/lock.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra operator --group pyproject.toml:build -o requirements/operator.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover -o requirements/rover.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt -o requirements/core.txt
 
 setup: $(VENV)/.dev ## make .venv with everything a developer needs

@@ -232,7 +232,7 @@ class MavlinkSection:
         "The vehicle's MAVLink system id (`SYSID_THISMAV`, `MAV_SYSID`). Left out: the first rover that is "
         "heard; give it where a link carries several, as that to a MAVLink router does.",
         ge=1,
-        le=255,
+        le=254,
         example="1",
     )
     own_system: int | None = setting(

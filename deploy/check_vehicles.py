@@ -109,6 +109,14 @@ def _links(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
         "(docs/rovers.md)",
     )
     yield from _shared(
+        "error",
+        "mavlink.signing_key",
+        vehicles,
+        lambda vehicle: vehicle.connection is None and vehicle.link.signing_key is not None,
+        "{who}: simulated rovers are started without a key, and what is not signed would be refused: leave "
+        "signing_key out",
+    )
+    yield from _shared(
         "warning",
         "mavlink.arm",
         vehicles,

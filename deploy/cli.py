@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, FleetError
-from deploy import faults_command, preflight_command, resume_command, sweep_command
+from deploy import (
+    faults_command,
+    new_command,
+    preflight_command,
+    resume_command,
+    signing_command,
+    sweep_command,
+)
 from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
 from deploy.interrupt import Interrupt
 from deploy.version import handfast_version
@@ -22,7 +29,6 @@ if TYPE_CHECKING:
 PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 ROVER_SIMULATOR: Final = "rover-simulator"
 ROVER_PACKAGES: Final = ("pymap3d", "serial")
-TEMPLATE: Final = Path(__file__).parent / "template.toml"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -90,6 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     fleet_arguments(sub)
     preflight_command.add_parser(commands)
     resume_command.add_parser(commands)
+    signing_command.add_parser(commands)
     sweep_command.add_parser(commands)
     faults_command.add_parser(commands)
     # Its options are its own: `main` hands them on before they are looked at here.
@@ -100,8 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", metavar="RUN", help="the run's folder")
     sub.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), parquet or json")
     sub.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
-    sub = add("new", _new, "write a commented fleet file to start from")
-    sub.add_argument("name", metavar="NAME", help="the fleet's name; NAME.toml is written")
+    new_command.add_parser(commands)
     return parser
 
 
@@ -283,23 +289,6 @@ def _rover_simulator(arguments: Sequence[str]) -> int:
     from bridges.mavlink.rover_server import main as serve
 
     return serve(arguments)
-
-
-def _new(options: argparse.Namespace) -> int:
-    path = Path(f"{options.name}.toml")
-    text = TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
-    from agent.fleet import parse_fleet
-
-    parse_fleet(text, source=str(path))  # a bad name is refused here, with the reason
-    try:
-        with open(path, "x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise InputError(f"{path} exists already: name another fleet, or remove it") from None
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from None
-    print(f"wrote {path}; next: handfast check {path}")
-    return PASSED
 
 
 if __name__ == "__main__":

@@ -40,6 +40,8 @@ WAITS_PERIOD_S: Final = 5.0
 """How often it is said what is waited for."""
 STOP_TIMEOUT_S: Final = 2.0
 INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
+VEHICLES_STOP_TIMEOUT_S: Final = 4.0
+"""A rover takes seconds to come to rest. Its bridge stays for that, also after Ctrl-C; a second one ends it."""
 END_TIMEOUT_S: Final = 0.4
 RECORDER_INBOX: Final = 65_536
 
@@ -204,7 +206,10 @@ class LocalRun:
         hurried = self._interrupt.count > 0
         if hurried:
             self._view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
-        deadline = time.monotonic() + (INTERRUPT_STOP_TIMEOUT_S if hurried else STOP_TIMEOUT_S)
+        timeout_s = INTERRUPT_STOP_TIMEOUT_S if hurried else STOP_TIMEOUT_S
+        if self._checks.robots:
+            timeout_s = VEHICLES_STOP_TIMEOUT_S
+        deadline = time.monotonic() + timeout_s
         why = "interrupted" if hurried else "; ".join(self.reasons) or "the run is over"
         now_ns = self._clock.now_ns()
         stop = Stop(max(self._version, now_ns // 1_000_000), now_ns, why[:100])

@@ -10,8 +10,6 @@ from agent.fleet_sections import SIMULATOR, Robot
 from deploy.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
-SYSTEM_MAX: Final = 250
-"""Largest MAVLink system id that a simulated rover is given; ground stations have those above."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,24 +79,20 @@ def vehicle(fleet: Fleet, robot: int, port: int) -> Vehicle:
     bridge that starts again hears it at once, and a second one on the same vehicle finds the port taken.
     """
     # Here: a fleet without vehicles needs no geodesy.
-    from bridges.mavlink.frames import Geodetic, world_to_geodetic, yaw_degrees, yaw_from_heading
+    from bridges.mavlink.frames import yaw_degrees
+    from bridges.mavlink.rover_settings import settings_of
 
-    about, datum = fleet.robot(robot), fleet.datum
-    assert datum is not None
-    at = world_to_geodetic(
-        Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m), about.x_m, about.y_m
-    )
-    yaw_deg = yaw_degrees(yaw_from_heading(about.heading_rad))
-    system = about.mavlink.system if about.mavlink is not None else None
+    settings = settings_of(fleet, robot)
+    at, yaw_deg = settings.home, yaw_degrees(settings.yaw)
     ground_station = f"tcp:{ADDRESS}:{port}"
     return Vehicle(
         robot,
         (
             f"--connect=udp:{ADDRESS}:{port}",
             f"--listen={ground_station}",
-            f"--system={system or (robot - 1) % SYSTEM_MAX + 1}",
+            f"--system={settings.system}",
             f"--home={at.latitude_deg:.9f},{at.longitude_deg:.9f},{at.altitude_m:.3f},{yaw_deg:.6f}",
-            f"--seed={fleet.fleet.seed * 10_000 + robot}",
+            f"--seed={settings.seed}",
             "--warm",
             "--hand-over",
         ),

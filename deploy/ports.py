@@ -5,10 +5,9 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
-import stat
-import tempfile
-from pathlib import Path
 from typing import Final
+
+from agent.private_folder import NotPrivateError, private_folder
 
 BLOCK: Final = 128
 """Ports are reserved in blocks of this many."""
@@ -18,23 +17,6 @@ PORT_MAX: Final = 32_767
 
 class NoPortsError(RuntimeError):
     """No run of free ports is left."""
-
-
-def private_folder() -> Path:
-    """Where this user's runs on this machine find each other; nobody else may write there.
-
-    Raises:
-        NoPortsError: the folder is there already, and others may.
-    """
-    folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise NoPortsError(
-            f"{folder} must be a folder of this user that nobody else may write to: remove it, "
-            "or make it so (chmod 700)"
-        )
-    return folder
 
 
 def _free(address: str, port: int) -> bool:
@@ -75,7 +57,10 @@ class Reservation:
         )
 
     def _lock(self, base: int, count: int) -> bool:
-        folder = private_folder()
+        try:
+            folder = private_folder()
+        except NotPrivateError as error:
+            raise NoPortsError(str(error)) from None
         for block in range(base // BLOCK, (base + count - 1) // BLOCK + 1):
             handle = os.open(folder / f"ports-{block}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             self._locks.append(handle)

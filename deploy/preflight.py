@@ -6,7 +6,6 @@ import json
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -26,7 +25,7 @@ from deploy.processes import VEHICLE, Processes
 from deploy.runfolder import FLEET_FILE
 from deploy.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 
-TIMEOUT_S: Final = 20.0
+TIMEOUT_S: Final = 30.0
 """A vehicle that has not told all by then is looked at as it is."""
 POLL_S: Final = 0.04
 END_TIMEOUT_S: Final = 2.0
@@ -58,10 +57,10 @@ class Preflight:
             with tempfile.TemporaryDirectory(prefix="handfast-preflight-") as name:
                 folder = Path(name)
                 fleet_file = folder / FLEET_FILE
-                fleet_file.write_text(tomli_w.dumps(to_dict(unarmed(self._fleet))), encoding="utf-8")
+                fleet_file.write_text(tomli_w.dumps(to_dict(self._fleet)), encoding="utf-8")
                 wanted = [(robot, "plant") for robot in robots]
                 processes = Processes(
-                    self._fleet, fleet_file, lambda log: folder / log, self._vehicles, wanted
+                    self._fleet, fleet_file, lambda log: folder / log, self._vehicles, wanted, look=True
                 )
                 try:
                     processes.start()
@@ -96,17 +95,6 @@ class Preflight:
                     self._died[child.robot] = death(child.role, how, child.last_lines())
                 if self._checks.complete(now_ns, without=self._died):
                     return
-
-
-def unarmed(fleet: Fleet) -> Fleet:
-    """`fleet` with bridges that arm nothing: looking at a vehicle must not make it able to move."""
-    return replace(
-        fleet,
-        robots=tuple(
-            replace(robot, mavlink=robot.mavlink and replace(robot.mavlink, arm=False))
-            for robot in fleet.robots
-        ),
-    )
 
 
 def death(role: str, how: str, last_lines: Sequence[str]) -> Line:

@@ -29,6 +29,7 @@ class Processes:
         log: from a name to the path of a log.
         vehicles: the fleet's simulated rovers.
         processes: which are wanted; all agents and plants unless given.
+        look: bridges arm nothing: looking at a vehicle must not make it able to move.
     """
 
     def __init__(
@@ -38,11 +39,14 @@ class Processes:
         log: Callable[[str], Path],
         vehicles: Sequence[Vehicle] = (),
         processes: Sequence[Process] | None = None,
+        *,
+        look: bool = False,
     ) -> None:
         self._fleet, self._fleet_file, self._log, self._vehicles = fleet, fleet_file, log, vehicles
         self._wanted = (
             [(robot, role) for robot in fleet.ids for role in ROLES] if processes is None else processes
         )
+        self._look = look
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
         self._dead: set[Process] = set()
@@ -60,6 +64,8 @@ class Processes:
         if role == "plant" and kind == "unicycle" and pose is not None:
             # A simulated body stands again, where it was. A vehicle goes on by itself.
             arguments.append(f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}")
+        if role == "plant" and kind == "mavlink" and self._look:
+            arguments.append("--look")
         self._run(robot, role, module, arguments)
 
     def _run(self, robot: int, role: str, module: str, arguments: Sequence[str]) -> None:

@@ -18,8 +18,8 @@ from types import TracebackType
 from typing import Final
 
 from agent.fleet import load_fleet
+from agent.private_folder import private_folder
 from agent.schema import show
-from deploy.ports import private_folder
 from deploy.wording import NAMES_SHOWN
 
 _PREFIX: Final = "run-"

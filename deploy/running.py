@@ -32,12 +32,12 @@ def handled(command: Command) -> Command:
     def run(options: argparse.Namespace) -> int:
         # Here: opening the bus takes its time, and most commands do not.
         from agent.bus import BusError
-        from deploy.ports import NoPortsError
+        from agent.private_folder import NotPrivateError
         from deploy.registry import NotRunningError
 
         try:
             return command(options)
-        except (FleetError, NotRunningError, NoPortsError, InputError) as error:
+        except (FleetError, NotRunningError, NotPrivateError, InputError) as error:
             print(f"handfast: {error}", file=sys.stderr)
             return BAD_INPUT
         except (BusError, NoAnswerError) as error:

@@ -33,7 +33,7 @@ class Operator:
         system: int | None = None,
         meanwhile: Callable[[], object] = lambda: None,
     ) -> None:
-        self._transport, self._name, self._meanwhile = transport, name, meanwhile
+        self._transport, self._name, self.meanwhile = transport, name, meanwhile
         self._codec = mavlink.MAVLink(None, ardurover.SYSTEM_GROUND_STATION, 190)
         self._codec.robust_parsing = True
         self._due = 0.0
@@ -50,6 +50,9 @@ class Operator:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
         self._transport.close()
 
     def send(self, message: Any) -> None:
@@ -91,7 +94,7 @@ class Operator:
 
     def wait(self, look: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
         def poll_and_look() -> Any:
-            self._meanwhile()
+            self.meanwhile()
             self.poll()
             return look()
 
@@ -128,11 +131,9 @@ class Operator:
 
     def set_mode(self, name: str, timeout_s: float = PATIENCE_S) -> None:
         """Asks until the vehicle's heartbeat says that it is in that mode."""
-        mode = ardurover.MODE_NUMBERS[name]
+        mode, custom = ardurover.MODE_NUMBERS[name], ardurover.FLAG_CUSTOM_MODE
         self._again_until(
-            lambda: self.send(
-                mavlink.MAVLink_set_mode_message(self.system, ardurover.FLAG_CUSTOM_MODE, mode)
-            ),
+            lambda: self.send(mavlink.MAVLink_set_mode_message(self.system, custom, mode)),
             lambda: self.mode == mode,
             f"mode {name}",
             timeout_s,

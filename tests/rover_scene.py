@@ -14,11 +14,11 @@ from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.hand import Pose
 from bridges.mavlink import ardurover, frames
-from bridges.mavlink.backend import MavlinkPlant, datum_of, session
-from bridges.mavlink.rover_settings import Settings
+from bridges.mavlink.backend import MavlinkPlant, session
+from bridges.mavlink.rover_settings import Settings, settings_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.signing import Signing
-from bridges.mavlink.simulated import LATENCY_NS, STEP_NS, rover_settings
+from bridges.mavlink.simulated import LATENCY_NS, STEP_NS
 from deploy.arguments import FLEETS
 from plant.backend import Check, Command, Reading
 
@@ -112,8 +112,8 @@ class Bridge:
 
     def step(self, now_ns: int) -> None:
         if not self.dead:
-            # No two processes' clocks show the same nanosecond.
-            self.readings.append(self.plant.step(now_ns + self.number, self.command))
+            # No two processes tick within the same microsecond.
+            self.readings.append(self.plant.step(now_ns + 7_000 * self.number, self.command))
 
     def setpoints(self, since_ns: int = 0) -> list[tuple[int, float, float]]:
         """Time, speed and yaw rate (FLU) of those that it sent at `since_ns` and later."""
@@ -148,10 +148,10 @@ class Scene:
 
     def __init__(self, *overrides: str, signing: Signing | None = None, **settings: Any) -> None:
         self.fleet = rovers(*overrides)
-        self.world = World(replace(rover_settings(self.fleet, 1), **settings))
+        self.world = World(replace(settings_of(self.fleet, 1), **settings))
         self.rover = self.world.rover
         self.bridges = [Bridge(self.world, 0, self.fleet, signing=signing)]
-        self._datum = datum_of(self.fleet)
+        self._datum = frames.datum_of(self.fleet)
 
     @property
     def bridge(self) -> Bridge:

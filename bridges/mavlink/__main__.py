@@ -1,24 +1,34 @@
-"""``python -m bridges.mavlink --fleet FILE --robot ID``: the bridge to one rover, as a process."""
+"""``python -m bridges.mavlink --fleet FILE --robot ID [--look]``: the bridge to one rover, as a process.
+
+With ``--look`` it only looks: it arms nothing, whatever the fleet file says.
+"""
 
 from __future__ import annotations
 
+import argparse
 import secrets
 import sys
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
+from typing import Final
 
 from agent.clock import Clock
 from agent.fleet import Fleet
-from agent.fleet_sections import SIMULATOR, MavlinkSection
+from agent.fleet_sections import SIMULATOR
 from agent.process import Log, StartError
 from bridges.mavlink.backend import MavlinkPlant, session
-from bridges.mavlink.signing import Signing, SigningError, Timestamps, load_key, state_file
+from bridges.mavlink.signing import SigningError, open_signing
 from bridges.mavlink.transport import open_transport
 from plant.server import main as serve
 
+PROGRAM: Final = "python -m bridges.mavlink"
 
-def make(fleet: Fleet, robot: int, clock: Clock, log: Log) -> MavlinkPlant:
+
+def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False) -> MavlinkPlant:
     """The bridge of a robot, its connection being opened.
+
+    Args:
+        look: it arms nothing.
 
     Raises:
         agent.process.StartError: the fleet file does not say how to reach it, or its key cannot be used.
@@ -32,24 +42,22 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log) -> MavlinkPlant:
             "rover-simulator`, and give its place with --set robot_defaults.mavlink.connection=tcp:HOST:PORT"
         )
     try:
-        signing = _signing(section, f"{fleet.fleet.name}-{robot}", clock)
+        signing = None
+        if section.signing_key is not None:
+            signing = open_signing(fleet.fleet.name, robot, section.signing_key, clock.now_ns())
         link = session(fleet, robot, signing, secrets.randbits(32))
-        transport = open_transport(section.connection, section.baud, clock.now_ns)
+        transport = open_transport(section.connection, section.baud, clock.now_ns, section.system)
     except (SigningError, ValueError) as error:
         raise StartError(str(error)) from None
-    return MavlinkPlant(fleet, robot, link, transport, log)
-
-
-def _signing(section: MavlinkSection, name: str, clock: Clock) -> Signing | None:
-    if section.signing_key is None:
-        return None
-    key = load_key(Path(section.signing_key).expanduser())
-    return Signing(key, Timestamps(state_file(name), clock.now_ns()))
+    return MavlinkPlant(fleet, robot, link, transport, log, look=look)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process; returns its exit status."""
-    return serve(argv, "python -m bridges.mavlink", make)
+    parser = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
+    parser.add_argument("--look", action="store_true")
+    options, rest = parser.parse_known_args(argv)
+    return serve(rest, PROGRAM, partial(make, look=options.look))
 
 
 if __name__ == "__main__":

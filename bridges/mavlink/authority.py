@@ -3,9 +3,9 @@
 The operator always wins. Commands may flow in `Holder.BRIDGE` only. The table `TRANSITIONS` is read from the
 top at every tick, and the first row that applies is taken; nothing else changes the holder but `go_ahead`.
 
-Once the fleet has been told to drive, a vehicle that leaves GUIDED or is disarmed is **released**: at once, and
-for as long as its operator has not given it back (GUIDED, armed) *and* the fleet has then been told to drive
-again, by a new mission or by leave to resume. The bridge never goes back into GUIDED by itself.
+Once the fleet has been told to drive, a vehicle that leaves GUIDED or is disarmed is **released**: at once,
+and for as long as its operator has not given it back (GUIDED, armed) *and* the fleet has then been told to
+drive again, by a new mission or by leave to resume. The bridge never goes back into GUIDED by itself.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Transition(NamedTuple):
 _FREE: Final = frozenset({Holder.NOBODY, Holder.OPERATOR, Holder.BRIDGE})
 
 TRANSITIONS: Final[tuple[Transition, ...]] = (
-    # First, so that a vehicle that was taken while its estimate was bad does not drive off when that is mended.
+    # First, so that a vehicle that was taken while its estimate was bad does not drive off when that is good.
     Transition("taken", _FREE, Holder.RELEASED, lambda s: bool(s.operator) and s.driven),
     # A released vehicle stays released whatever happens to its link: the row for a lost one spares it.
     Transition("lost", _FREE, Holder.NOBODY, lambda s: bool(s.vehicle)),
@@ -78,11 +78,15 @@ class Authority:
         self.why = "waiting for the vehicle"
         self._driven = False
         self._taken = ""
+        self._settled: Holder | None = None  # whom the last situation left as the holder
         self._situation = Situation(self.why, "", "", driven=False)
 
     def step(self, vehicle: str, operator: str, refusal: str = "") -> Transition | None:
         """One tick: see `Situation`. Returns the row that changed the holder, None when none did."""
-        self._situation = situation = Situation(vehicle, operator, refusal, self._driven)
+        situation = Situation(vehicle, operator, refusal, self._driven)
+        if situation == self._situation and self.holder is self._settled:
+            return None  # what did not change the holder then does not now
+        self._situation = situation
         before = self.holder
         row = next((row for row in TRANSITIONS if before in row.sources and row.applies(situation)), None)
         if row is not None:
@@ -90,6 +94,7 @@ class Authority:
         if self.holder is Holder.RELEASED and before is not Holder.RELEASED:
             self._taken = refusal or operator
         self.why = self._reason()
+        self._settled = self.holder if self.holder is before else None
         return row if self.holder is not before else None
 
     def _reason(self) -> str:
@@ -101,7 +106,7 @@ class Authority:
         if self.holder is Holder.RELEASED:
             if situation.operator:
                 return f"its operator has it: {situation.operator}"
-            return f"released ({self._taken}) and given back: waiting to be told to resume"
+            return f"released ({self._taken}), now in GUIDED and armed: waiting to be told to resume"
         return situation.operator
 
     def driving(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import radians
 from typing import Final
 
@@ -12,9 +13,10 @@ from agent.hand import Pose
 from agent.process import Log
 from agent.supervision import REST_SPEED, REST_YAW_RATE
 from bridges.mavlink import ardurover, checks, frames
+from bridges.mavlink.audit import WAITING
 from bridges.mavlink.authority import Authority, Holder
 from bridges.mavlink.estimate import Estimate
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.frames import Geodetic, LocalToWorld
 from bridges.mavlink.link import Link
 from bridges.mavlink.link_settings import LinkSettings
 from bridges.mavlink.rover_dynamics import DEFAULTS, Limits
@@ -30,17 +32,14 @@ BRAKE_AT_REST_NS: Final = NS_PER_S
 BRAKE_NS_MAX: Final = 3 * NS_PER_S
 """Zero setpoints are sent until the vehicle has stood for the first, at most for the second: silence stops it
 then."""
+WATCHED_S: Final = 0.2
+"""What a tick says of the motion holds for no longer: a process that was frozen has not watched the vehicle."""
 LISTEN_NS: Final = 2 * NS_PER_S
 """Another bridge sends its heartbeat once in half of this."""
 CLAIM_PERIOD_NS: Final = 3 * NS_PER_S
 PREARM: Final = ("PreArm: ", "Arm: ")
+_NUMBER: Final = re.compile(r"[0-9.]+")
 _NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def datum_of(fleet: Fleet) -> Geodetic:
-    """The fleet's datum. A fleet with a robot whose plant is `mavlink` has one."""
-    assert fleet.datum is not None
-    return Geodetic(fleet.datum.latitude_deg, fleet.datum.longitude_deg, fleet.datum.altitude_m)
 
 
 def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Link:
@@ -57,7 +56,7 @@ def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Li
             own_component=section.own_component,
             state_rate_hz=section.state_rate_hz,
             set_origin=section.set_origin,
-            datum=datum_of(fleet),
+            datum=frames.datum_of(fleet),
             signing=signing,
             token=token,
         )
@@ -70,16 +69,19 @@ class MavlinkPlant(PlantBackend):
     Args:
         link: the session with it.
         log: takes a line for the log.
+        look: it is there to look only, and arms nothing whatever the fleet file says.
 
     Attributes:
         authority: who has the vehicle.
     """
 
-    def __init__(self, fleet: Fleet, robot: int, link: Link, transport: Transport, log: Log) -> None:
+    def __init__(
+        self, fleet: Fleet, robot: int, link: Link, transport: Transport, log: Log, *, look: bool = False
+    ) -> None:
         body = fleet.robot(robot)
         self._section = section = body.mavlink or MavlinkSection()
         self._start = body.x_m, body.y_m
-        self._datum = datum_of(fleet)
+        self._datum = frames.datum_of(fleet)
         self._link, self._transport, self._log = link, transport, log
         self.authority: Final = Authority()
         bounds = Bounds(section.max_speed_mps, section.max_acceleration, section.max_yaw_rate_radps)
@@ -87,9 +89,12 @@ class MavlinkPlant(PlantBackend):
         self._motion = MotionCheck()
         self._estimate = Estimate()
         self._yaw: float | None = None
+        self._origin: Geodetic | None = None
+        self._to_world: LocalToWorld | None = None
+        self._limits_read = -1
         self._connections, self._lives = transport.epoch, link.epoch
         self._pose = _NOWHERE
-        self._known = False
+        self._known = self._located = False
         self._listening_since_ns: int | None = None
         self._now_ns: int | None = None
         self._driving = False
@@ -98,13 +103,13 @@ class MavlinkPlant(PlantBackend):
         self._commanded_ns: int | None = None
         self._asked = (0.0, 0.0)
         self._refusal = ""
-        self._claiming = section.arm
+        self._claiming = section.arm and not look
         self._claimed_ns: int | None = None
         self._was_guided = self._armed_here = False
         self._prearm = ""
         self._checks: tuple[Check, ...] = ()
         self._checks_due_ns = 0
-        self._said = self._noted = ""
+        self._said = ""
 
     # ------------------------------------------------------------------ one tick
 
@@ -137,18 +142,19 @@ class MavlinkPlant(PlantBackend):
             self._yaw = None
             self._known = self._was_guided = False
         for attitude in link.take_attitudes():
-            valid_ns = link.clock.take(attitude.stamp_ms, attitude.arrival_ns)
             self._yaw = attitude.yaw
             self._estimate.attitude(
-                valid_ns, frames.heading_from_yaw(attitude.yaw), frames.yaw_rate(attitude.rate)
+                attitude.valid_ns, frames.heading_from_yaw(attitude.yaw), frames.yaw_rate(attitude.rate)
             )
-        origin = link.origin
+        if link.origin != self._origin:
+            self._origin = link.origin
+            self._to_world = None if link.origin is None else LocalToWorld(self._datum, link.origin)
         for position in link.take_positions():
-            valid_ns = link.clock.take(position.stamp_ms, position.arrival_ns)
-            if origin is not None and self._yaw is not None:
-                x, y = frames.local_to_world(self._datum, origin, position.north, position.east)
+            # Before its EKF has a position it says (0, 0), and jumps from there when it has one.
+            if self._to_world is not None and self._yaw is not None and self._located:
+                x, y = self._to_world(position.north, position.east)
                 speed = frames.forward_speed(self._yaw, position.v_north, position.v_east)
-                self._estimate.position(valid_ns, x, y, speed)
+                self._estimate.position(position.valid_ns, x, y, speed)
         for text in link.take_texts():
             self._log(f"the vehicle says ({ardurover.severity_name(text.severity)}): {text.text}")
             for mark in PREARM:
@@ -166,13 +172,14 @@ class MavlinkPlant(PlantBackend):
             self._listening_since_ns = None
         elif self._listening_since_ns is None:
             self._listening_since_ns = now_ns
+        unlocated = checks.ekf_trouble(link, now_ns) or checks.origin_trouble(link, self._datum)
+        self._located = not unlocated
         return (
             absence
             or link.problem
             or self._company(now_ns)
             or checks.gps_trouble(link, now_ns)
-            or checks.ekf_trouble(link, now_ns)
-            or checks.origin_trouble(link, self._datum)
+            or unlocated
             or found.note
         )
 
@@ -186,7 +193,7 @@ class MavlinkPlant(PlantBackend):
         other = self._link.another_bridge(now_ns)
         since_ns = self._listening_since_ns
         if not other and since_ns is not None and now_ns - since_ns < LISTEN_NS:
-            return f"{checks.WAITING}other bridges to be heard, if there are any"
+            return f"{WAITING}other bridges to be heard, if there are any"
         return other
 
     @property
@@ -201,9 +208,11 @@ class MavlinkPlant(PlantBackend):
         why = self.authority.why
         if self.authority.holder is Holder.BRIDGE:
             self._claiming = False  # from now on its operator decides
-        if why != self._said and why.split(" for ")[0] != self._said.split(" for ")[0]:
+        said = _NUMBER.sub("", why)  # an age that grows is not news
+        if said != self._said:
+            self._said = said
+            self._checks_due_ns = 0
             self._log(why or "armed and in GUIDED: it obeys")
-        self._said = why
 
     def _claim(self, now_ns: int) -> None:
         """Puts the vehicle into GUIDED and arms it, as the fleet file says that the bridge should."""
@@ -230,7 +239,9 @@ class MavlinkPlant(PlantBackend):
 
     def _drive(self, now_ns: int, dt: float, command: Command | None) -> bytes:
         """The setpoint of this tick; nothing unless the vehicle is the bridge's to command, or to brake."""
-        self._setpoint.vehicle = self._vehicle_limits()
+        if self._limits_read != self._link.parameter_changes:
+            self._limits_read = self._link.parameter_changes
+            self._setpoint.vehicle = self._vehicle_limits()
         surprise = self._estimate.surprise
         obeys = self.authority.holder is Holder.BRIDGE
         if obeys and command is not None:
@@ -243,7 +254,8 @@ class MavlinkPlant(PlantBackend):
         if self._setpoint.note:
             self._log(self._setpoint.note)
         predicted = self._estimate.predicted
-        self._refusal = self._motion.step(dt, self._driving and obeys, predicted, surprise)
+        watched = self._driving and obeys
+        self._refusal = self._motion.step(min(dt, WATCHED_S), watched, predicted, surprise)
         self._estimate.command(now_ns, *self._asked, self._setpoint.vehicle)
         if not self._driving:
             return b""
@@ -290,7 +302,7 @@ class MavlinkPlant(PlantBackend):
         """
         pose = self._pose
         if self._driving and self.authority.holder is Holder.BRIDGE:
-            pose = pose._replace(speed=self._setpoint.speed, yaw_rate=self._setpoint.yaw_rate)
+            pose = Pose(pose.x, pose.y, pose.heading, self._setpoint.speed, self._setpoint.yaw_rate)
         obeying = self.authority.holder is Holder.BRIDGE
         if trouble or not self._known:
             return Reading(now_ns, pose, 0.0, 0.0, False, trouble or "no position yet", obeying)

@@ -7,24 +7,27 @@ itself within seconds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot
+from functools import lru_cache
+from math import hypot
 from typing import Final, NamedTuple
 
 from agent.clock import NS_PER_S
 from agent.fleet_sections import MavlinkSection
 from agent.hand import Pose
-from bridges.mavlink import ardurover
+from bridges.mavlink import ardurover, audit
+from bridges.mavlink.audit import WAITING
 from bridges.mavlink.connection import BY_ID
 from bridges.mavlink.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.link import Link
 from plant.backend import Check
 
-WAITING: Final = "waiting for "
 FIRMWARE_MIN: Final = (4, 3)
 DATUM_FAR_M: Final = 1_000.0
 DATUM_TOO_FAR_M: Final = 10_000.0
 """An EKF's origin this far from the datum is another place than was meant."""
 START_FAR_M: Final = 5.0
+START_TOO_FAR_M: Final = 100.0
+"""A rover so far from its start would cross ground that nobody has thought of."""
 HDOP_MAX: Final = 2.0
 SATELLITES_MIN: Final = 6
 VARIANCE_WARN: Final = 0.5
@@ -43,9 +46,9 @@ BATTERY_MIN_PERCENT: Final = 10
 class Found(NamedTuple):
     """What the bridge knows besides its link, at `now_ns`.
 
-    trouble, note: of its transport. round_trip_s: of TIMESYNC, None while there was no answer. clock: what is
-    wrong with the vehicle's clock, "" nothing. place: where it is (W), None while not known. start: x, y (m, W)
-    of its start in the fleet file. prearm: the last complaint of its pre-arm checks.
+    trouble, note: of its transport. round_trip_s: of TIMESYNC, None while there was no answer. clock: what
+    is wrong with the vehicle's clock, "" nothing. place: where it is (W), None while not known. start: x, y
+    (m, W) of its start in the fleet file. prearm: the last complaint of its pre-arm checks.
     """
 
     now_ns: int
@@ -70,9 +73,9 @@ def checks(link: Link, found: Found, section: MavlinkSection, datum: Geodetic) -
     lines += [_ekf(link, found.now_ns), _gps(link, found.now_ns)]
     lines += [_origin(link, datum), *_place(found), *_rates(link, found.now_ns), _round_trip(found)]
     lines += [
-        *_parameters(link, section),
+        *audit.parameters(link, section),
         *_battery(link),
-        _signing(link, section),
+        _signing(link, section, found),
         *_others(link, found.now_ns),
     ]
     return tuple(lines)
@@ -85,6 +88,8 @@ def _link(link: Link, found: Found, section: MavlinkSection) -> Check:
     absence = link.absence(found.now_ns)
     if absence:
         advice = "is it switched on, and does its telemetry go there?"
+        if link.system is None and (link.unsigned_refused or link.bad_signatures):
+            advice = "`handfast signing` gives it the key, by USB and while it is disarmed"
         return Check("link", "blocking", f"{WAITING}it: {absence} on {where}", advice)
     text = f"system {link.system} on {where}"
     if where.startswith("/dev/") and not where.startswith(BY_ID):
@@ -202,11 +207,17 @@ def _gps(link: Link, now_ns: int) -> Check:
     return Check("GPS", "ok", text)
 
 
+@lru_cache(maxsize=64)  # asked for at every tick, and changes with a reboot at most
+def _apart(datum: Geodetic, place: Geodetic) -> float:
+    """Distance of a place from the datum, m."""
+    return hypot(*geodetic_to_world(datum, place))
+
+
 def origin_trouble(link: Link, datum: Geodetic) -> str:
     """Why the vehicle's frame cannot be brought to the world, "" when it can."""
     if link.origin is None:
         return f"{WAITING}the origin of its EKF"
-    distance = hypot(*geodetic_to_world(datum, link.origin))
+    distance = _apart(datum, link.origin)
     if distance > DATUM_TOO_FAR_M:
         return f"the origin of its EKF is {distance / 1000.0:.0f} km from the datum"
     return ""
@@ -219,7 +230,7 @@ def _origin(link: Link, datum: Geodetic) -> Check:
         return Check(
             "origin", "blocking", trouble, "" if waiting else "correct [datum], or restart the vehicle"
         )
-    distance = hypot(*geodetic_to_world(datum, link.origin))
+    distance = _apart(datum, link.origin)
     whose = "ours" if link.origin_ours else "its own"
     text = f"{distance:.2f} m from the datum ({whose})"
     if distance > DATUM_FAR_M:
@@ -233,7 +244,10 @@ def _place(found: Found) -> Iterator[Check]:
     x, y = found.start
     apart = hypot(found.place.x - x, found.place.y - y)
     text = f"({found.place.x:.2f}, {found.place.y:.2f}) m, {apart:.1f} m from its start in the fleet file"
-    if apart > START_FAR_M:
+    if apart > START_TOO_FAR_M:
+        advice = "bring it there, or correct x_m, y_m or [datum]"
+        yield Check("place", "blocking", text, advice)
+    elif apart > START_FAR_M:
         yield Check("place", "warning", text, "it will drive from where it is: is the way free?")
     else:
         yield Check("place", "ok", text)
@@ -280,67 +294,6 @@ def _round_trip(found: Found) -> Check:
     return Check("round trip", "ok", text)
 
 
-def _parameters(link: Link, section: MavlinkSection) -> Iterator[Check]:
-    """Failsafes that are off or risky, and limits that do not go with those of the fleet file."""
-    if not link.parameters_done:
-        yield Check("parameters", "blocking", f"{WAITING}its parameters")
-        return
-    lines = [*_failsafes(link), *_limits(link, section), *_ids(link, section)]
-    read = sum(value is not None for value in link.parameters.values())
-    if not any(value is not None for value in link.parameters.values()):
-        yield Check("parameters", "warning", "it tells none", "failsafes and limits could not be looked at")
-    elif not lines:
-        yield Check("parameters", "ok", f"{read} read, failsafes on")
-    yield from lines
-
-
-_OFF: Final = (
-    (ardurover.FS_ACTION, "a failsafe does nothing", "set 2 (HOLD)"),
-    (ardurover.FS_THR_ENABLE, "the loss of its remote control goes unnoticed", "set 1"),
-    (
-        ardurover.FS_GCS_ENABLE,
-        "the loss of its ground station goes unnoticed",
-        "set 1 if one is always there",
-    ),
-    (ardurover.FS_EKF_ACTION, "it drives on when its EKF fails", "set 1 (HOLD)"),
-    (ardurover.FS_CRASH_CHECK, "it drives on against an obstacle", "set 1 (HOLD)"),
-    (ardurover.BATT_FS_LOW_ACT, "a low battery goes unnoticed", "set 2 (HOLD) with a battery monitor"),
-)
-
-
-def _failsafes(link: Link) -> Iterator[Check]:
-    for name, means, advice in _OFF:
-        if link.parameters.get(name) == 0.0:
-            yield Check(name, "warning", f"0: {means}", advice)
-    if link.parameters.get("ARMING_CHECK") == 0.0 or link.parameters.get("ARMING_SKIPCHK") not in (None, 0.0):
-        yield Check(
-            "arming checks", "warning", "some or all are off: it arms whatever is wrong", "turn them on"
-        )
-
-
-def _limits(link: Link, section: MavlinkSection) -> Iterator[Check]:
-    for name, unit, scale, ours, field in (
-        (ardurover.WP_SPEED, "m/s", 1.0, section.max_speed_mps, "max_speed_mps"),
-        (ardurover.ATC_ACCEL_MAX, "m/s2", 1.0, section.max_acceleration, "max_acceleration"),
-        (ardurover.ATC_STR_RAT_MAX, "deg/s", degrees(1.0), section.max_yaw_rate_radps, "max_yaw_rate_radps"),
-    ):
-        value = link.parameters.get(name)
-        if value is not None and 0.0 < value < ours * scale * 0.999:
-            text = f"{value:g} {unit} is less than mavlink.{field}, {ours * scale:.3g} {unit}"
-            yield Check(name, "warning", text, f"the vehicle's limit holds: lower {field}, or raise {name}")
-
-
-def _ids(link: Link, section: MavlinkSection) -> Iterator[Check]:
-    own = section.own_system or link.system
-    station = link.parameter(ardurover.GROUND_STATION_ID)
-    if link.parameters.get(ardurover.SYSID_ENFORCE) == 1.0 and own not in (link.system, station):
-        text = f"1: it obeys its ground station {station or 255:g} only, and the bridge is system {own}"
-        yield Check(ardurover.SYSID_ENFORCE, "blocking", text, "leave own_system out")
-    if station is not None and own == station:
-        text = f"its ground station's id {station:g} is the bridge's own: its failsafe would watch the bridge"
-        yield Check("own_system", "warning", text, "leave own_system out")
-
-
 def _battery(link: Link) -> Iterator[Check]:
     battery = link.battery
     if battery is None or (battery.voltage is None and battery.percent is None):
@@ -359,17 +312,24 @@ def _battery(link: Link) -> Iterator[Check]:
         yield Check("battery", "ok", text)
 
 
-def _signing(link: Link, section: MavlinkSection) -> Check:
+def _signing(link: Link, section: MavlinkSection, found: Found) -> Check:
+    if section.signing_key is None and link.vehicle_signs:
+        advice = "name its key in mavlink.signing_key"
+        answers = {stream.answer for stream in link.streams(found.now_ns)}
+        if found.round_trip_s is not None or answers & {"accepted", "denied"}:
+            text = "the vehicle signs, and this port of it takes what is not signed"
+            return Check("signing", "warning", text, advice)
+        if answers == {"waiting"}:
+            return Check("signing", "blocking", f"{WAITING}an answer to what is not signed", advice)
+        return Check("signing", "blocking", "the vehicle signs, and takes nothing that is not signed", advice)
     if section.signing_key is None:
         advice = "whoever reaches its link can drive it: see docs/rovers.md, signing"
         return Check("signing", "warning", "messages are not signed", advice)
+    # With a key a vehicle that does not sign with it is not heard at all: that is the line of the link.
     if link.bad_signatures:
-        text = f"{link.bad_signatures} messages with another key's signature were refused"
-        return Check("signing", "blocking", text, "give vehicle and fleet file the same key")
-    if link.signed:
-        return Check("signing", "ok", "on, the vehicle signs")
-    text = f"the vehicle does not sign ({link.unsigned_refused} unsigned messages refused)"
-    return Check("signing", "blocking", text, "set the key up on the vehicle: handfast signing")
+        text = f"on; refused for another key's or an old signature: {link.bad_signatures} messages"
+        return Check("signing", "warning", text, "somebody else on the link has another key, or repeats them")
+    return Check("signing", "ok", "on, the vehicle signs")
 
 
 def _others(link: Link, now_ns: int) -> Iterator[Check]:
@@ -380,11 +340,6 @@ def _others(link: Link, now_ns: int) -> Iterator[Check]:
     if stations:
         shown = ", ".join(str(system) for system, _ in stations)
         yield Check("ground station", "ok", f"system {shown}")
-    if link.strangers and section_unclear(link):
+    if link.strangers and link.settings.system is None:
         shown = ", ".join(str(system) for system in sorted(link.strangers))
         yield Check("other vehicles", "warning", f"systems {shown} on the same link", "give mavlink.system")
-
-
-def section_unclear(link: Link) -> bool:
-    """Whether the fleet file does not say which of several vehicles on a link is meant."""
-    return link.settings.system is None

@@ -71,6 +71,7 @@ class Prediction:
     def __init__(self) -> None:
         self._rover = RoverDynamics()
         self._past: deque[tuple[int, Motion]] = deque()
+        self._found: dict[int, Motion] = {}  # by time, until the model goes on: each is asked for repeatedly
         self._asked = (0.0, 0.0)
         self._limits = DEFAULTS
 
@@ -89,6 +90,7 @@ class Prediction:
                 self._past.clear()
             else:
                 self._rover.step(min(dt, STEP_MAX_S), *self._asked, limits=self._limits)
+        self._found.clear()
         rover = self._rover  # its north and clockwise are x and counter-clockwise here: the model has no hand
         self._past.append((now_ns, Motion(rover.north, rover.east, rover.yaw, rover.speed, rover.yaw_rate)))
         while self._past[0][0] < now_ns - KEPT_NS:
@@ -96,6 +98,12 @@ class Prediction:
 
     def at(self, time_ns: int) -> Motion:
         """The model at a time; beyond what is known as at its end."""
+        found = self._found.get(time_ns)
+        if found is None:
+            found = self._found[time_ns] = self._between(time_ns)
+        return found
+
+    def _between(self, time_ns: int) -> Motion:
         past = self._past
         if not past:
             return Motion(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -105,7 +113,14 @@ class Prediction:
         for before in reversed(past):
             if before[0] <= time_ns:
                 share = (time_ns - before[0]) / (after[0] - before[0])
-                return Motion(*(a + share * (b - a) for a, b in zip(before[1], after[1], strict=True)))
+                a, b = before[1], after[1]
+                return Motion(
+                    a.x + share * (b.x - a.x),
+                    a.y + share * (b.y - a.y),
+                    a.heading + share * (b.heading - a.heading),
+                    a.speed + share * (b.speed - a.speed),
+                    a.yaw_rate + share * (b.yaw_rate - a.yaw_rate),
+                )
             after = before
         return after[1]
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-import stat
-import tempfile
 from hashlib import sha256
-from pathlib import Path
 
+from agent.private_folder import private_folder
 from bridges.mavlink.connection import Connection
 
 
@@ -17,22 +15,14 @@ class InUse(OSError):
     """Another process has it; the text names that process."""
 
 
-def _folder() -> Path:
-    """A folder that nobody else may write to, or names in it would be anybody's to take."""
-    folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise OSError(f"{folder} must be a folder that only this user may write to: remove it")
-    return folder
-
-
-def _name(connection: Connection) -> str:
+def _name(connection: Connection, system: int | None) -> str:
     """The same for all ways to write one connection, as far as can be told."""
     if connection.kind == "serial":
         text = os.path.realpath(connection.device)
     else:
         text = connection.text.replace(":localhost:", ":127.0.0.1:")
+        if connection.kind != "udpin" and system is not None:
+            text += f"-system-{system}"
     readable = re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-")[-60:]
     return f"{readable}-{sha256(text.encode()).hexdigest()[:8]}.lock"
 
@@ -40,13 +30,17 @@ def _name(connection: Connection) -> str:
 class Hold:
     """A connection held until `close`, or until the process ends, however it ends.
 
+    Args:
+        system: which vehicle behind it is meant, where that is said. A router serves several bridges at one
+            place, each for a vehicle of its own; a serial port or a listening one can be had once only.
+
     Raises:
         InUse: another bridge has it.
         OSError: there is no private folder for locks.
     """
 
-    def __init__(self, connection: Connection) -> None:
-        path = _folder() / _name(connection)
+    def __init__(self, connection: Connection, system: int | None = None) -> None:
+        path = private_folder() / _name(connection, system)
         self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -18,9 +18,13 @@ from typing import Final, NamedTuple
 
 from pymap3d import enu2geodetic, geodetic2enu
 
+from agent.fleet import Fleet
+
 METRES_PER_DEGREE: Final = 0.011131884502145034e7
 """Of latitude, in ArduPilot's arithmetic (``LOCATION_SCALING_FACTOR``)."""
 _LONGITUDE_SCALE_MIN: Final = 0.01
+ANCHOR_M: Final = 10.0
+"""How far from where it was taken the linear form of `LocalToWorld` is used."""
 
 
 class Geodetic(NamedTuple):
@@ -29,6 +33,12 @@ class Geodetic(NamedTuple):
     latitude_deg: float
     longitude_deg: float
     altitude_m: float = 0.0
+
+
+def datum_of(fleet: Fleet) -> Geodetic:
+    """The fleet's datum. A fleet with a robot whose plant is `mavlink` has one."""
+    assert fleet.datum is not None
+    return Geodetic(fleet.datum.latitude_deg, fleet.datum.longitude_deg, fleet.datum.altitude_m)
 
 
 def _longitude_scale(latitude_deg: float) -> float:
@@ -75,6 +85,39 @@ def world_to_geodetic(datum: Geodetic, x: float, y: float) -> Geodetic:
 def local_to_world(datum: Geodetic, origin: Geodetic, north: float, east: float) -> tuple[float, float]:
     """x and y (m, W) of what a vehicle has `north` and `east` (m) of its EKF origin."""
     return geodetic_to_world(datum, local_to_geodetic(origin, north, east))
+
+
+class LocalToWorld:
+    """`local_to_world` of one vehicle's places, cheaply: linear about an anchor that follows the vehicle.
+
+    Within `ANCHOR_M` of the anchor that is off by `ANCHOR_M`^2 / the Earth's radius, times the tangent of the
+    latitude: 0.02 mm at middle ones, 1 mm 100 km from a pole.
+    """
+
+    def __init__(self, datum: Geodetic, origin: Geodetic) -> None:
+        self._datum, self._origin = datum, origin
+        self._anchor(0.0, 0.0)
+
+    def _anchor(self, north: float, east: float) -> None:
+        def place(north: float, east: float) -> tuple[float, float]:
+            return local_to_world(self._datum, self._origin, north, east)
+
+        self._north, self._east = north, east
+        self._x, self._y = place(north, east)
+        (x, y), (back_x, back_y) = place(north + ANCHOR_M, east), place(north - ANCHOR_M, east)
+        self._x_north, self._y_north = 0.5 * (x - back_x) / ANCHOR_M, 0.5 * (y - back_y) / ANCHOR_M
+        (x, y), (back_x, back_y) = place(north, east + ANCHOR_M), place(north, east - ANCHOR_M)
+        self._x_east, self._y_east = 0.5 * (x - back_x) / ANCHOR_M, 0.5 * (y - back_y) / ANCHOR_M
+
+    def __call__(self, north: float, east: float) -> tuple[float, float]:
+        """x and y (m, W) of what the vehicle has `north` and `east` (m) of its EKF origin."""
+        if not (abs(north - self._north) <= ANCHOR_M and abs(east - self._east) <= ANCHOR_M):
+            self._anchor(north, east)
+        north, east = north - self._north, east - self._east
+        return (
+            self._x + self._x_north * north + self._x_east * east,
+            self._y + self._y_north * north + self._y_east * east,
+        )
 
 
 def world_to_local(datum: Geodetic, origin: Geodetic, x: float, y: float) -> tuple[float, float]:

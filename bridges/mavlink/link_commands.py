@@ -48,6 +48,11 @@ class Commands:
         self._pending.clear()
         self._outcomes.clear()
 
+    @property
+    def waiting(self) -> bool:
+        """Whether any is under way."""
+        return bool(self._pending)
+
     def give(self, command: int, *values: float) -> None:
         """Asks for a command with up to seven values, in place of an earlier one of that number."""
         padded = (*values, *([0.0] * (7 - len(values))))

@@ -37,6 +37,7 @@ class Receiver:
             known against it.
         heartbeat_ns: arrival of its last heartbeat; None: none since the (re)start of link or vehicle.
         mode: custom mode (`ardurover.mode_name`), None while unknown. armed: whether it may move.
+        vehicle_signs: whether its last heartbeat was signed, with whatever key, though none may be known.
         epoch: grows with each restart of the connection or of the vehicle.
         clock: its boot clock against ours.
         ekf, gps, status: the last reports, None before the first.
@@ -92,6 +93,7 @@ class Receiver:
         self.heartbeat_ns: int | None = None
         self.mode: int | None = None
         self.armed = False
+        self.vehicle_signs = False
         self.firmware = ""
         self.ekf: Ekf | None = None
         self.gps: Gps | None = None
@@ -183,6 +185,7 @@ class Receiver:
         if armed != self.armed or (mode != self.mode and mode != ardurover.GUIDED):
             self._commands.no_more(ardurover.CMD_COMPONENT_ARM_DISARM)
         self.mode, self.armed = mode, armed
+        self.vehicle_signs = bool(message.get_header().incompat_flags & dialect.MAVLINK_IFLAG_SIGNED)
 
     def _valid_ns(self, message: Any, arrival_ns: int) -> int | None:
         """The wall time of a message with a stamp; None for one that is not newer than the last."""

@@ -18,6 +18,7 @@ AUDITED: Final = (
     *ardurover.SYSTEM_ID,
     *ardurover.GROUND_STATION_ID,
     ardurover.SYSID_ENFORCE,
+    ardurover.MAV_OPTIONS,
     ardurover.SCHED_LOOP_RATE,
     ardurover.FS_ACTION,
     ardurover.FS_TIMEOUT,
@@ -47,16 +48,19 @@ class Parameters:
     Attributes:
         values: by name; None for one that the vehicle does not have: it leaves such a request unanswered
             (or, newest firmware, says so). One that is still being asked for is missing.
+        changes: grows whenever a value may have changed.
     """
 
     def __init__(self, names: Sequence[str] = AUDITED) -> None:
         self._names = tuple(dict.fromkeys(names))
         self.values: dict[str, float | None] = {}
+        self.changes = 0
         self.restart()
 
     def restart(self) -> None:
         """Reads everything anew."""
         self.values.clear()
+        self.changes += 1
         self._tries = dict.fromkeys(self._names, 0)
         self._waiting: dict[str, int] = {}
         self._last_ns: int | None = None
@@ -76,6 +80,8 @@ class Parameters:
 
     def ask(self, now_ns: int) -> str | None:
         """The name to ask for now, at most one in 0.1 s; None when there is nothing to do."""
+        if self.done:
+            return None
         for name, sent_ns in list(self._waiting.items()):
             if now_ns - sent_ns >= PATIENCE_NS:
                 del self._waiting[name]
@@ -112,5 +118,6 @@ class Parameters:
             self._settle(name)
 
     def _settle(self, name: str) -> None:
+        self.changes += 1
         self._tries.pop(name, None)
         self._waiting.pop(name, None)

@@ -7,10 +7,14 @@ from dataclasses import dataclass, field
 from math import isfinite, radians
 from typing import Final, Literal
 
+from agent.fleet import Fleet
+from agent.fleet_sections import Robot
 from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading
 
 SIGNING_KEY_BYTES: Final = 32
+SYSTEM_MAX: Final = 250
+"""Largest system id that a fleet's simulated rover is given; ground stations have those above."""
 DEFAULT_HOME: Final = Geodetic(-35.363262, 149.165237, 584.0)
 """Where ArduPilot's own simulator stands when it is not told otherwise."""
 
@@ -104,6 +108,25 @@ class Settings:
             raise SettingsError("a rover needs at least one port")
         for name, value in self.parameters.items():
             check_parameter(name, value)
+
+
+def system_of(robot: Robot) -> int:
+    """System id of a simulated rover: one for each robot, so that a ground station can watch several."""
+    wanted = robot.mavlink.system if robot.mavlink is not None else None
+    return wanted or (robot.id - 1) % SYSTEM_MAX + 1
+
+
+def settings_of(fleet: Fleet, robot: int) -> Settings:
+    """A simulated rover where the fleet file has this robot start, on for a while and handed over."""
+    body = fleet.robot(robot)
+    return Settings(
+        system=system_of(body),
+        home=world_to_geodetic(datum_of(fleet), body.x_m, body.y_m),
+        yaw=yaw_from_heading(body.heading_rad),
+        boot="warm",
+        hand_over=True,
+        seed=fleet.fleet.seed * 10_000 + robot,
+    )
 
 
 def check_parameter(name: str, value: float) -> None:

@@ -172,6 +172,21 @@ class Signing:
     link_id: int = 0
 
 
+def open_signing(fleet: str, robot: int, key_file: str, now_ns: int) -> Signing:
+    """What a robot's bridge signs with.
+
+    Args:
+        fleet: its name.
+        key_file: as the fleet file has it; `~` is the user's home.
+        now_ns: the present, wall time.
+
+    Raises:
+        SigningError: the key cannot be used, or the timestamp not be kept.
+    """
+    key = load_key(Path(key_file).expanduser())
+    return Signing(key, Timestamps(state_file(f"{fleet}-{robot}"), now_ns))
+
+
 def _steps(now_ns: int) -> int:
     return max(0, now_ns // _NS_PER_STEP - EPOCH_S * STEPS_PER_S)
 

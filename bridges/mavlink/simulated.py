@@ -9,8 +9,8 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.hand import Pose
 from bridges.mavlink import frames
-from bridges.mavlink.backend import MavlinkPlant, datum_of, session
-from bridges.mavlink.rover_settings import Settings
+from bridges.mavlink.backend import MavlinkPlant, session
+from bridges.mavlink.rover_settings import settings_of
 from bridges.mavlink.rover_simulator import Rover
 from plant.backend import Check, Command, PlantBackend, Reading
 
@@ -18,19 +18,6 @@ LATENCY_NS: Final = 2_000_000
 """One way, between bridge and vehicle: as over a network on one machine."""
 STEP_NS: Final = NS_PER_S // 200
 """The vehicle is looked at this often, so that what it sends arrives when it was sent."""
-
-
-def rover_settings(fleet: Fleet, robot: int) -> Settings:
-    """A simulated rover where the fleet file has this robot start, switched on a while ago and handed over."""
-    body = fleet.robot(robot)
-    return Settings(
-        system=(body.mavlink.system if body.mavlink is not None else None) or 1,
-        home=frames.world_to_geodetic(datum_of(fleet), body.x_m, body.y_m),
-        yaw=frames.yaw_from_heading(body.heading_rad),
-        boot="warm",
-        hand_over=True,
-        seed=fleet.fleet.seed * 10_000 + robot,
-    )
 
 
 class MemoryTransport:
@@ -87,8 +74,8 @@ class SimulatedRoverPlant(PlantBackend):
     """
 
     def __init__(self, fleet: Fleet, robot: int, now_ns: int, rover: Rover | None = None) -> None:
-        self.rover: Final = rover if rover is not None else Rover(rover_settings(fleet, robot), now_ns)
-        self._datum = datum_of(fleet)
+        self.rover: Final = rover if rover is not None else Rover(settings_of(fleet, robot), now_ns)
+        self._datum = frames.datum_of(fleet)
         self.transport: Final = MemoryTransport(self.rover, now_ns)
         self.log: list[str] = []
         link = session(fleet, robot, signing=None, token=robot)

@@ -87,17 +87,15 @@ class _Stream:
         return max(WINDOW_NS, round(_WINDOW_MESSAGES / self.rate_hz * NS_PER_S))
 
     def measured_hz(self, now_ns: int) -> float:
-        since_ns = now_ns - self.window_ns
-        count, first_ns = 0, now_ns
-        for arrival_ns in reversed(self.arrivals):
-            if arrival_ns <= since_ns:
-                break
-            count, first_ns = count + 1, arrival_ns
-        if count < 2 or (now_ns - self.arrivals[-1]) * self.rate_hz > 2 * NS_PER_S:
-            return count * NS_PER_S / self.window_ns
-        if self.arrivals[-1] <= first_ns:
+        arrivals, window_ns = self.arrivals, self.window_ns
+        while arrivals and arrivals[0] <= now_ns - window_ns:
+            arrivals.popleft()
+        count = len(arrivals)
+        if count < 2 or (now_ns - arrivals[-1]) * self.rate_hz > 2 * NS_PER_S:
+            return count * NS_PER_S / window_ns
+        if arrivals[-1] <= arrivals[0]:
             return 0.0  # all in one lump
-        return (count - 1) * NS_PER_S / (self.arrivals[-1] - first_ns)
+        return (count - 1) * NS_PER_S / (arrivals[-1] - arrivals[0])
 
     def look(self, now_ns: int) -> None:
         """Has it asked for again when less comes than was granted."""

@@ -68,11 +68,13 @@ class ThreadedTransport:
         clock: wall time in ns, called from that thread.
     """
 
-    def __init__(self, connection: Connection, baud: int, clock: Callable[[], int]) -> None:
+    def __init__(
+        self, connection: Connection, baud: int, clock: Callable[[], int], system: int | None = None
+    ) -> None:
         self.trouble = f"{connection.text} is being opened"
         self.epoch = 0
         self.dropped = 0
-        self._connection, self._baud, self._clock = connection, baud, clock
+        self._connection, self._baud, self._clock, self._system = connection, baud, clock, system
         self._queue: deque[tuple[int, bytes]] = deque(maxlen=QUEUE_MAX)
         self._lock = threading.Lock()  # never held while anything waits
         self._channel: Channel | None = None
@@ -89,10 +91,13 @@ class ThreadedTransport:
         return "" if channel is None else channel.note
 
     def receive(self) -> list[tuple[int, bytes]]:
+        # The thread adds meanwhile, or begins anew with none: then fewer come than there were.
         out: list[tuple[int, bytes]] = []
-        with contextlib.suppress(IndexError):  # the thread only adds
-            while len(out) < QUEUE_MAX:
+        for _ in range(len(self._queue)):
+            try:
                 out.append(self._queue.popleft())
+            except IndexError:
+                break
         return out
 
     def send(self, data: bytes) -> None:
@@ -125,7 +130,7 @@ class ThreadedTransport:
         while not self._closing.is_set():
             try:
                 if hold is None:
-                    hold = Hold(self._connection)
+                    hold = Hold(self._connection, self._system)
                 channel = open_channel(self._connection, self._baud)
             except OSError as error:
                 self.trouble = f"cannot open {self._connection.text}: {_reason(error)}"
@@ -147,14 +152,15 @@ class ThreadedTransport:
         self.trouble = ""
         self.epoch += 1
         came = False
+        handle, waker = channel.fileno(), self._wake_read.fileno()
         try:
             while not self._closing.is_set():
-                ready, _, _ = select.select((channel.fileno(), self._wake_read.fileno()), (), ())
-                if self._wake_read.fileno() in ready:
+                ready, _, _ = select.select((handle, waker), (), ())
+                if waker in ready:
                     self._wake_read.recv(64)
                 if self._failure is not None:
                     raise self._failure
-                if channel.fileno() not in ready:
+                if handle not in ready:
                     continue
                 now_ns = self._clock()
                 data = channel.read(now_ns)
@@ -175,14 +181,17 @@ def _reason(error: OSError) -> str:
     return text[:1].lower() + text[1:]
 
 
-def open_transport(connection: str, baud: int, clock: Callable[[], int]) -> Transport:
+def open_transport(
+    connection: str, baud: int, clock: Callable[[], int], system: int | None = None
+) -> Transport:
     """Begins to open a connection (`connection.parse_connection`) and returns at once.
 
     Args:
         baud: of a serial device.
         clock: wall time in ns, called from the reader's thread.
+        system: the vehicle that is meant, where several are behind one connection (`exclusive.Hold`).
 
     Raises:
         ValueError: it is no connection string.
     """
-    return ThreadedTransport(parse_connection(connection), baud, clock)
+    return ThreadedTransport(parse_connection(connection), baud, clock, system)

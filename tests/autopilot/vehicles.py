@@ -11,14 +11,15 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from math import cos, hypot, radians
+from math import cos, radians
 from typing import Any, Final, NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.hand import Pose
-from bridges.mavlink import ardurover, frames
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.link import Link, LinkSettings
@@ -31,7 +32,7 @@ BOOT_S: Final = 120.0
 """An autopilot has its origin 17 s after it was switched on, and is ready after 40 s; some take longer."""
 BAUD: Final = 57_600
 PERIOD_NS: Final = NS_PER_S // 20
-MASS, INERTIA = 20.0, 1.2
+MASS, INERTIA, HAND_M = 20.0, 1.2, 0.4
 _EARTH_M: Final = 6_378_137.0
 
 
@@ -49,11 +50,11 @@ def places() -> list[Place]:
 
 
 class Tee:
-    """A transport that two share: the bridge has it, and `receive` of `other` gives a copy of what comes."""
+    """The bridge's transport, which others can share."""
 
     def __init__(self, inner: Transport) -> None:
         self._inner = inner
-        self._copies: deque[tuple[int, bytes]] = deque(maxlen=10_000)
+        self._others: list[_Other] = []
         self.sent: deque[tuple[int, bytes]] = deque(maxlen=10_000)
 
     def __getattr__(self, name: str) -> Any:
@@ -61,7 +62,8 @@ class Tee:
 
     def receive(self) -> list[tuple[int, bytes]]:
         came = self._inner.receive()
-        self._copies.extend(came)
+        for other in self._others:
+            other.copies.extend(came)
         return came
 
     def send(self, data: bytes) -> None:
@@ -69,23 +71,32 @@ class Tee:
         self._inner.send(data)
 
     def other(self) -> Transport:
-        return _Other(self)  # type: ignore[return-value]  # the rest of it is __getattr__'s
+        """For somebody else on this connection: gets a copy of what comes from now on, and sends besides."""
+        found = _Other(self._inner)
+        self._others.append(found)
+        return found  # type: ignore[return-value]  # the rest of it is __getattr__'s
+
+    def sent_names(self) -> list[tuple[int, list[str]]]:
+        """The names of the messages that the bridge has sent, with the time."""
+        parser = mavlink.MAVLink(None)
+        return [(at_ns, [m.get_type() for m in parser.parse_buffer(data) or ()]) for at_ns, data in self.sent]
 
 
 class _Other:
-    def __init__(self, tee: Tee) -> None:
-        self._tee = tee
+    def __init__(self, inner: Transport) -> None:
+        self._inner = inner
+        self.copies: deque[tuple[int, bytes]] = deque(maxlen=10_000)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._tee._inner, name)
+        return getattr(self._inner, name)
 
     def receive(self) -> list[tuple[int, bytes]]:
-        came = list(self._tee._copies)
-        self._tee._copies.clear()
+        came = list(self.copies)
+        self.copies.clear()
         return came
 
     def send(self, data: bytes) -> None:
-        self._tee._inner.send(data)
+        self._inner.send(data)
 
     def close(self) -> None:
         pass
@@ -161,7 +172,7 @@ class Field:
         link = Link(LinkSettings(set_origin=False))
         deadline = time.monotonic() + BOOT_S
         while link.origin is None or link.system is None:
-            now_ns = self._wait()
+            now_ns = self.wait()
             if link.epoch < transport.epoch:
                 link.restart()
             for arrival_ns, data in transport.receive():
@@ -173,14 +184,15 @@ class Field:
             )
         return link.origin
 
-    def _wait(self) -> int:
+    def wait(self) -> int:
+        """Waits for the next period; returns when it began, ns."""
         self._due_ns = max(self._due_ns + PERIOD_NS, time.time_ns() - PERIOD_NS)
         time.sleep(max(0.0, (self._due_ns - time.time_ns()) / NS_PER_S))
         return time.time_ns()
 
     def tick(self) -> int:
         """Waits for the next period and lets every bridge have its tick; returns when it was, ns."""
-        now_ns = self._wait()
+        now_ns = self.wait()
         for vehicle in self.vehicles:
             vehicle.step(now_ns)
         return now_ns
@@ -194,8 +206,8 @@ class Field:
         """Ticks until something is true; returns how long that took, s."""
         begun = time.monotonic()
         while not look():
-            assert time.monotonic() < begun + most_s, (
-                f"{what}: not within {most_s:g} s\n" + "\n".join(vehicle.told() for vehicle in self.vehicles)
+            assert time.monotonic() < begun + most_s, f"{what}: not within {most_s:g} s\n" + "\n".join(
+                vehicle.told() for vehicle in self.vehicles
             )
             self.tick()
         return time.monotonic() - begun
@@ -231,31 +243,47 @@ class Field:
             vehicle.operator.close()
 
 
-def fleet_of(all_places: Sequence[Place], datum: Geodetic, *more: str) -> Fleet:
-    """A fleet file of them; `arm = true`, since nobody sits at a transmitter here."""
-    lines = ['[fleet]\nname = "autopilots"\nrate_hz = 20', *more]
-    lines.append(
-        f"[datum]\nlatitude_deg = {datum.latitude_deg!r}\nlongitude_deg = {datum.longitude_deg!r}\n"
-        f"altitude_m = {datum.altitude_m!r}"
+def fleet_of(
+    all_places: Sequence[Place],
+    datum: Geodetic,
+    formation: str = "",
+    starts: Sequence[tuple[float, float]] = (),
+) -> Fleet:
+    """A fleet file of them; `arm = true`, since nobody sits at a transmitter here.
+
+    Args:
+        formation: the tables [formation], [control] and [trajectory]; none: one that nobody drives.
+        starts: x, y (m, W) of each.
+    """
+    n = len(all_places)
+    ids = range(1, n + 1)
+    starts = starts or [(3.0 * robot, 0.0) for robot in ids]
+    # A fleet has two robots at least: alone, a vehicle gets a second one that nobody runs.
+    phantom = "" if n > 1 else f'[[robot]]\nid = 2\nplant = "unicycle"\nx_m = {starts[0][0] + 3.0}\ny_m = 0.0'
+    count = max(n, 2)
+    formation = formation or (
+        f"[formation]\nedges = {[[i, i + 1] for i in range(1, count)]}\nsafe_distance_m = 1.0\n"
+        f"offsets = {[[3.0 * k, 0.0] for k in range(count)]}"
     )
-    lines.append(
-        f'[robot_defaults]\nplant = "mavlink"\nmass_kg = {MASS}\ninertia_kgm2 = {INERTIA}\n'
-        f"hand_offset_m = 0.4\n[robot_defaults.mavlink]\narm = true\nbaud = {BAUD}"
-    )
-    if not any("[formation]" in each for each in more):
-        n = len(all_places)
-        edges = [[i, i + 1] for i in range(1, n)]
-        offsets = [[3.0 * k, 0.0] for k in range(n)]
-        lines.append(f"[formation]\nedges = {edges}\noffsets = {offsets}\nsafe_distance_m = 1.0")
-        lines.append('[trajectory]\nkind = "fixed"\npoint_m = [0.0, 0.0]')
-    for robot, place in enumerate(all_places, 1):
-        lines.append(f"[[robot]]\nid = {robot}\nx_m = {3.0 * robot}\ny_m = 0.0")
-        lines.append(f'[robot.mavlink]\nconnection = "{place.bridge}"')
-    return resolved(parse_fleet("\n".join(lines), source=VARIABLE))
-
-
-def distance(one: Pose, other: Pose) -> float:
-    return hypot(one.x - other.x, one.y - other.y)
-
-
-__all__ = ["BOOT_S", "VARIABLE", "Field", "Place", "Vehicle", "ardurover", "distance", "frames", "metres", "places"]
+    robots = [
+        f'[[robot]]\nid = {robot}\nx_m = {x!r}\ny_m = {y!r}\n[robot.mavlink]\nconnection = "{place.bridge}"'
+        for robot, (x, y), place in zip(ids, starts, all_places, strict=True)
+    ]
+    text = f"""
+[fleet]
+name = "autopilots"
+rate_hz = {NS_PER_S // PERIOD_NS}
+[datum]
+latitude_deg = {datum.latitude_deg!r}
+longitude_deg = {datum.longitude_deg!r}
+altitude_m = {datum.altitude_m!r}
+[robot_defaults]
+plant = "mavlink"
+mass_kg = {MASS}
+inertia_kgm2 = {INERTIA}
+hand_offset_m = {HAND_M}
+[robot_defaults.mavlink]
+arm = true
+baud = {BAUD}
+"""
+    return resolved(parse_fleet("\n".join([text, formation, *robots, phantom]), source=VARIABLE))

@@ -29,6 +29,7 @@ NAMES: Final = (
     "robustness",
     "random_starts",
     "step_response",
+    "rovers",
     "bridge",
 )
 LOAD_QUIET: Final = 0.5

@@ -219,6 +219,48 @@ def test_it_ends_with_its_parent(tmp_path: Path) -> None:
     assert "the process that started it is gone" in (tmp_path / "stderr").read_text()
 
 
+HANDFAST = (sys.executable, "-P", "-m", "deploy.cli")
+
+
+def signing(folder: Path, port: int | str, *arguments: str) -> tuple[list[str], dict[str, str]]:
+    """`handfast signing` for robot 1 of the rovers, which is at that TCP port or connection."""
+    connection = f"tcp:{ADDRESS}:{port}" if isinstance(port, int) else port
+    command = [
+        *(*HANDFAST, "signing", "rovers", "--robot=1", *arguments),
+        f"--set=robot.1.mavlink.connection={connection}",
+        f"--set=robot.1.mavlink.signing_key={folder / 'keys' / 'one'}",
+    ]
+    return command, {**environment(), "XDG_STATE_HOME": str(folder / "state")}
+
+
+def test_it_is_given_a_key_by_the_command_and_signs(start: Callable[..., Simulator], tmp_path: Path) -> None:
+    simulator = start(f"--listen=tcp:{ADDRESS}:0", f"--listen=tcp:{ADDRESS}:0", "--warm")
+    simulator.wait_for(lambda: simulator.said.count("listens on tcp") == 2, "two ports")
+    first, second = map(int, re.findall(r"listens on tcp:.*:(\d+)", simulator.said))
+    for port, what in ((first, "signs with its key from now on"), (second, "had its key already, and signs")):
+        command, variables = signing(tmp_path, port, "--make-keys")
+        ended = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=60.0)
+        assert ended.returncode == 0, ended
+        assert ended.stdout.splitlines()[-1] == f"robot 1: {what} (system 1)"
+        assert ended.stderr.startswith("The keys cross the links in clear")
+        assert len(ended.stderr.splitlines()) == 1
+    assert "rover 1: signs from now on" in simulator.said
+
+
+def test_giving_keys_ends_with_ctrl_c(tmp_path: Path) -> None:
+    command, variables = signing(tmp_path, f"tcp:{ADDRESS}:9", "--make-keys")
+    with subprocess.Popen(
+        command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        assert process.stdout is not None
+        process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10.0) == 130
+        assert process.stdout.readlines()[-1].startswith("robot 1: NOT DONE: interrupted")
+        assert process.stderr.read() == ""
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

@@ -16,7 +16,7 @@ from agent.formation import resolved
 from agent.messages import Checks, HandState, PlantState, Resume, Status, Wrench, decode, encode
 from agent.supervision import State
 from bridges.mavlink import frames
-from bridges.mavlink.backend import datum_of
+from bridges.mavlink.frames import datum_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.simulated import SimulatedRoverPlant
 from deploy.arguments import FLEETS
@@ -56,6 +56,9 @@ class Run:
             self.fleet, lambda at, key, data: self.said.append((at, key, decode(data)))
         )
         assert self.simulation.start(round(duration_s * NS_PER_S)), self.simulation.reasons
+
+    def _hear(self, time_ns: int, key: str, payload: bytes) -> None:
+        self.said.append((time_ns, key, decode(payload)))
 
     @property
     def now_ns(self) -> int:

@@ -5,6 +5,7 @@ tests/process/test_rovers.py has some of this with real processes, sockets and k
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import hypot, inf, nan, pi
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.clock import NS_PER_S
 from agent.supervision import REST_SPEED, REST_YAW_RATE
 from bridges.mavlink import ardurover, frames
-from bridges.mavlink.backend import datum_of
+from bridges.mavlink.frames import datum_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.signing import Signing, Timestamps
 from plant.backend import Command
@@ -86,7 +87,7 @@ def test_given_back_it_stays_released_until_the_fleet_is_told_to_resume() -> Non
     assert scene.rover.set_mode("GUIDED")
     bridge.command = GO
     scene.run(5.0)
-    assert bridge.reading.note.endswith("given back: waiting to be told to resume")
+    assert bridge.reading.note.endswith("now in GUIDED and armed: waiting to be told to resume")
     assert not bridge.reading.obeying
     assert bridge.setpoints(back_ns) == []
     bridge.go_ahead()
@@ -204,6 +205,15 @@ def test_told_to_arm_it_claims_the_rover_once_and_never_from_its_operator() -> N
     assert (scene.rover.mode, scene.rover.armed) == ("MANUAL", False)
 
 
+def test_told_to_arm_it_arms_once_though_no_mission_came_yet() -> None:
+    scene = Scene(ARM, hand_over=False)
+    scene.until(lambda: scene.bridge.reading.obeying)
+    scene.rover.disarm()
+    scene.run(10.0)
+    assert (scene.rover.mode, scene.rover.armed) == ("GUIDED", False)
+    assert scene.bridge.reading.note == "disarmed"
+
+
 def test_told_to_arm_it_leaves_a_rover_alone_that_somebody_drives() -> None:
     scene = Scene(ARM, hand_over=False)
     scene.rover.arm()
@@ -220,16 +230,16 @@ def test_told_to_arm_it_gives_up_when_the_operator_leaves_guided_before_it_is_ar
     assert any("asked no more" in line for line in scene.bridge.log)
 
 
-def test_what_it_armed_it_disarms_at_its_end_and_nothing_else() -> None:
-    for overrides, armed in (((ARM,), False), ((), True)):
-        scene = Scene(*overrides, hand_over=not overrides)
-        scene.drive()
-        scene.bridge.command = None
-        scene.until(lambda: abs(scene.bridge.reading.pose.speed) < 0.06)
-        scene.bridge.plant.close()
-        scene.bridge.dead = True
-        scene.run(0.2)
-        assert scene.rover.armed is armed
+@pytest.mark.parametrize("armed_here", [True, False])
+def test_what_it_armed_it_disarms_at_its_end_and_nothing_else(armed_here: bool) -> None:
+    scene = Scene(*([ARM] if armed_here else []), hand_over=not armed_here)
+    scene.drive()
+    scene.bridge.command = None
+    scene.until(lambda: abs(scene.bridge.reading.pose.speed) < 0.06)
+    scene.bridge.plant.close()
+    scene.bridge.dead = True
+    scene.run(0.2)
+    assert scene.rover.armed is not armed_here
 
 
 # ---------------------------------------------------------------------- wrenches
@@ -276,7 +286,7 @@ def test_enormous_wrenches_stay_within_the_limits_of_the_fleet_file() -> None:
     sent = scene.bridge.setpoints(since_ns)
     assert max(speed for _, speed, _ in sent) == pytest.approx(0.7)
     assert min(rate for _, _, rate in sent) == pytest.approx(-0.5)
-    steps = [b[1] - a[1] for a, b in zip(sent, sent[1:], strict=False)]
+    steps = [b[1] - a[1] for a, b in pairwise(sent)]
     # The lead of 0.15 s comes on top, once.
     assert max(steps[3:]) <= 0.8 * 0.05 + 1e-6
 
@@ -361,6 +371,21 @@ def test_when_the_bridge_dies_the_rover_stands_and_a_new_one_drives_on() -> None
     took = scene.until(lambda: scene.rover.speed > 0.2, 10.0)
     assert took < 5.0
     assert scene.bridge.reading.obeying
+
+
+@pytest.mark.parametrize("frozen_s", [1.0, 6.0])
+def test_a_bridge_that_was_frozen_drives_on(frozen_s: float) -> None:
+    """The vehicle goes on for 3 s meanwhile, and then stands: that is no disobedience."""
+    scene = Scene()
+    scene.drive()
+    scene.bridge.dead = True
+    scene.run(frozen_s)
+    scene.bridge.dead = False
+    scene.bridge.command = None  # the last wrench is old when it wakes
+    scene.run(0.1)
+    scene.bridge.command = GO
+    scene.until(lambda: scene.rover.speed > 0.3, 5.0)
+    assert not any("does not follow" in line for line in scene.bridge.log)
 
 
 def test_two_bridges_at_two_ports_the_later_one_keeps_off() -> None:
@@ -503,6 +528,12 @@ def test_a_connection_that_was_opened_again_waits_for_a_fresh_heartbeat() -> Non
     bridge.command = GO
     scene.tick()
     assert not bridge.reading.healthy
+    bridge.port.cut = True
+    bridge.port.arriving.clear()
+    bridge.port.epoch += 1
+    scene.run(1.0)
+    assert "no heartbeat" in bridge.reading.note
+    bridge.port.cut = False
     scene.until(lambda: bridge.reading.obeying, 5.0)
     before = [each for each in bridge.setpoints(since_ns + 1) if each[0] < scene.now_ns]
     assert {speed for _, speed, _ in before} <= {0.0}, "braking, from the first heartbeat on"

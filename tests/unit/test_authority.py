@@ -158,7 +158,7 @@ def test_commands_flow_only_when_all_is_well_and_never_again_without_leave(
     for vehicle, operator, told in steps:
         authority.step(vehicle, operator)
         if authority.holder is Holder.BRIDGE:
-            assert not (vehicle or operator or latched)
+            assert (vehicle, operator, latched) == ("", "", False)
             assert authority.why == ""
         else:
             assert authority.why

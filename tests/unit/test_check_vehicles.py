@@ -80,6 +80,10 @@ def test_signed_links_are_fine() -> None:
     assert set(found("robot.3.mavlink.connection=udpin:0.0.0.0:14550", key)) == {"datum"}
 
 
+def test_a_simulated_rover_cannot_have_a_key() -> None:
+    assert found("robot.3.mavlink.signing_key=/tmp/key")["robot[3].mavlink.signing_key"].level == "error"
+
+
 def test_the_simulators_datum_with_vehicles_outside_is_asked_about() -> None:
     serial = "robot.3.mavlink.connection=/dev/serial/by-id/x"
     assert found(serial)["datum"].level == "warning"

@@ -427,7 +427,7 @@ def test_a_robot_whose_body_was_not_handed_over_waits_with_the_reason():
 
 
 def test_a_plant_that_starts_again_while_its_operator_had_the_body_does_not_end_the_release():
-    """A new bridge finds GUIDED and armed and obeys: that the operator had it meanwhile only the agent knows."""
+    """A new bridge finds GUIDED and armed: that the operator had it meanwhile only the agent knows."""
     bench = Bench()
     bench.drive()
     bench.plant = TAKEN

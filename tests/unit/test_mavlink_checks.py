@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.clock import NS_PER_S
 from agent.fleet_sections import MavlinkSection
 from bridges.mavlink import ardurover, checks, frames
-from bridges.mavlink.backend import datum_of
 from bridges.mavlink.checks import Found
 from plant.backend import Check
 from tests.rover_scene import Scene, heartbeat
@@ -35,7 +34,7 @@ class Looked:
 
     def lines(self, **found: Any) -> Sequence[Check]:
         return checks.checks(
-            self.link, self.found._replace(**found), self.section, datum_of(self.scene.fleet)
+            self.link, self.found._replace(**found), self.section, frames.datum_of(self.scene.fleet)
         )
 
     def line(self, name: str, **found: Any) -> Check:
@@ -158,7 +157,7 @@ def test_ekf_and_gps() -> None:
 @pytest.mark.parametrize(("metres", "level"), [(40.0, "ok"), (1_500.0, "warning"), (15_000.0, "blocking")])
 def test_how_far_its_origin_may_be_from_the_datum(metres: float, level: str) -> None:
     looked = Looked()
-    looked.link.origin = frames.world_to_geodetic(datum_of(looked.scene.fleet), metres, 0.0)
+    looked.link.origin = frames.world_to_geodetic(frames.datum_of(looked.scene.fleet), metres, 0.0)
     line = looked.line("origin")
     assert line.level == level
     assert line.found.startswith(

@@ -127,7 +127,12 @@ def test_only_a_rover_of_ardupilot_is_driven(kind: int, autopilot: int, problem:
     link.receive(T0, rover.alive(kind=kind, autopilot=autopilot))
     assert link.problem == problem
     assert bool(link.setpoint(0.1, 0.0)) is not bool(problem)
-    assert bool(named(link.tick(T0), "SET_GPS_GLOBAL_ORIGIN")) is not bool(problem)
+    link.command_arm(True)
+    link.command_mode(ardurover.GUIDED)
+    sent = link.tick(T0)
+    for command in (ardurover.CMD_COMPONENT_ARM_DISARM, ardurover.CMD_DO_SET_MODE):
+        assert bool(requests(sent, command)) is not bool(problem)
+    assert bool(named(sent, "SET_GPS_GLOBAL_ORIGIN")) is not bool(problem)
 
 
 @pytest.mark.parametrize("sender", [(4, 1), (3, 191), (255, 190)])

@@ -9,6 +9,7 @@ import select
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from itertools import count
@@ -29,7 +30,7 @@ LOCALHOST = "127.0.0.1"
 
 @pytest.fixture(autouse=True)
 def own_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exclusive.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
 
 def until(condition: Callable[[], object]) -> None:
@@ -408,6 +409,19 @@ def test_the_lock_is_of_the_device_whatever_it_is_called(tmp_path: Path) -> None
     other.close()
 
 
+def test_a_router_serves_one_bridge_for_each_vehicle_behind_it() -> None:
+    router = parse_connection("tcp:127.0.0.1:5790")
+    first, second = Hold(router, 1), Hold(router, 2)
+    with pytest.raises(InUse):
+        Hold(router, 2)
+    waiting = parse_connection("udpin:0.0.0.0:14550")
+    port = Hold(waiting, 1)
+    with pytest.raises(InUse):
+        Hold(waiting, 2)
+    for hold in (first, second, port):
+        hold.close()
+
+
 def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
     code = (
         "import os\n"
@@ -427,5 +441,5 @@ def test_a_lock_folder_that_others_may_write_to_is_refused(tmp_path: Path) -> No
     folder = tmp_path / f"handfast-{os.getuid()}"
     folder.mkdir()
     folder.chmod(0o777)
-    with pytest.raises(OSError, match="only this user may write to"):
+    with pytest.raises(OSError, match="nobody else may write to"):
         exclusive.Hold(parse_connection("udpin:0.0.0.0:14550"))

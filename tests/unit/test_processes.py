@@ -117,3 +117,11 @@ def test_rovers_end_after_their_bridges() -> None:
     running().end(1.0)
     assert [len(names) for names in ended] == [4, 1]
     assert ended[1] == ["robot 2's vehicle"]
+
+
+def test_bridges_that_only_look_are_told_so() -> None:
+    made = running(processes=[(1, "plant"), (2, "plant")], look=True)
+    arguments = {child.robot: child.arguments for child in started if child.role == "plant"}
+    assert "--look" not in arguments[1], "a simulated body has nothing to arm"
+    assert arguments[2][-1] == "--look"
+    assert restart(made, 2).arguments[-1] == "--look"

@@ -11,7 +11,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import load_fleet
 from agent.messages import Checks, PlantState, Status
 from deploy.arguments import FLEETS
-from deploy.preflight import Found, columns, death, passed, show, summary, to_json, unarmed
+from deploy.preflight import Found, columns, death, passed, show, summary, to_json
 from deploy.readiness import in_words, waits
 from deploy.vehicle_checks import SETTLE_NS, Line, VehicleChecks
 
@@ -237,9 +237,3 @@ def test_a_bridge_that_died_is_a_blocking_line_with_its_last_words() -> None:
     assert line.level == "blocking"
     assert line.found == "it ended (exit status 2): robot 3 plant: key: no such file"
     assert "simulated rover" in death("vehicle", "killed by SIGKILL", []).found
-
-
-def test_looking_at_vehicles_never_arms_them() -> None:
-    fleet = load_fleet(FLEETS / "rovers.toml", ["robot_defaults.mavlink.arm=true"])
-    assert [robot.mavlink.arm for robot in fleet.robots if robot.mavlink] == [True] * 6
-    assert [robot.mavlink.arm for robot in unarmed(fleet).robots if robot.mavlink] == [False] * 6

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.ports import NoPortsError, private_folder
+from agent.private_folder import NotPrivateError, private_folder
 
 
 def test_the_folder_is_made_for_this_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,7 +24,7 @@ def test_a_folder_that_others_may_write_to_is_not_trusted(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     folder = private_folder()
     folder.chmod(0o777)
-    with pytest.raises(NoPortsError, match="nobody else may write to"):
+    with pytest.raises(NotPrivateError, match="nobody else may write to"):
         private_folder()
 
 
@@ -32,5 +32,5 @@ def test_a_link_to_elsewhere_is_not_trusted(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / f"handfast-{os.getuid()}").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(NoPortsError):
+    with pytest.raises(NotPrivateError):
         private_folder()

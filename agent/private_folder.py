@@ -1,0 +1,29 @@
+"""The folder on this machine in which one user's processes find each other: locks, lists, no secrets."""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+
+class NotPrivateError(OSError):
+    """The folder is there already, and others may write to it; the text says what to do."""
+
+
+def private_folder() -> Path:
+    """The folder, made if need be. Nobody else may write there, or names in it would be anybody's to take.
+
+    Raises:
+        NotPrivateError: somebody else may.
+    """
+    folder = Path(tempfile.gettempdir()) / f"handfast-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise NotPrivateError(
+            f"{folder} must be a folder of this user that nobody else may write to: remove it, "
+            "or make it so (chmod 700)"
+        )
+    return folder

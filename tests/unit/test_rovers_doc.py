@@ -1,0 +1,48 @@
+"""docs/rovers.md: its fleet file drives, and the tests that it names are there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from agent.fleet import Fleet, parse_fleet
+from bridges.mavlink.parameters import AUDITED
+from deploy.check import check
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "rovers.md").read_text(encoding="utf-8")
+
+
+def fleet(*overrides: str) -> Fleet:
+    (block,) = re.findall(r"^```toml\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+    return parse_fleet(block, source="docs/rovers.md", overrides=overrides)
+
+
+def test_its_fleet_file_is_sound_but_for_signing() -> None:
+    found = check(fleet())
+    assert [finding.place for finding in found] == ["robot[1].mavlink.signing_key"]
+    assert [robot.plant for robot in fleet().robots] == ["mavlink", "mavlink"]
+
+
+def test_one_rover_can_be_tried_with_a_simulated_partner() -> None:
+    alone = fleet("robot.2.plant=unicycle")
+    assert [robot.plant for robot in alone.robots] == ["mavlink", "unicycle"]
+    assert {finding.level for finding in check(alone)} <= {"info", "warning"}
+
+
+def test_the_tests_that_it_names_exist() -> None:
+    named = set(re.findall(r"`(test_\w+)`", TEXT))
+    assert len(named) > 15
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    missing = sorted(name for name in named if f"def {name}(" not in tests)
+    assert not missing
+
+
+def test_the_parameters_in_bold_are_those_that_are_read() -> None:
+    rows = re.findall(r"^\| ((?:\*\*|`).*?) \|", TEXT.split("## Parameters")[1].split("## ")[0], re.MULTILINE)
+    bold = {name for row in rows for name in re.findall(r"\*\*`(\w+)`\*\*", row)}
+    assert bold
+    assert bold <= set(AUDITED)
+    other = {name for row in rows for name in re.findall(r"(?<!\*)`([A-Z]\w+)`(?!\*)", row)}
+    # Those in brackets are newer names of what is in bold.
+    assert {name for name in other if name in AUDITED} <= {"MAV_SYSID", "MAV_GCS_SYSID", "ARMING_SKIPCHK"}

@@ -1,0 +1,382 @@
+"""Keys given to simulated rovers in virtual time, and what preflight says of signing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from agent.clock import NS_PER_S
+from agent.fleet_sections import MavlinkSection
+from bridges.mavlink import ardurover
+from bridges.mavlink.rover_settings import settings_of
+from bridges.mavlink.signing import Signing, Timestamps, make_key, open_signing
+from bridges.mavlink.signing_setup import (
+    CONFIRM_NS,
+    GIVEN_MOST,
+    PERIOD_NS,
+    VEHICLE_NS,
+    Outcome,
+    SigningSetup,
+    give_keys,
+    setup_settings,
+)
+from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
+
+KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
+
+
+def signed_beat(key: bytes) -> bytes:
+    """A ground station's heartbeat."""
+    station = mavlink.MAVLink(None, 255, 190)
+    station.signing.secret_key, station.signing.sign_outgoing = key, True
+    return bytes(heartbeat().pack(station))
+
+
+class Bench:
+    """A setup at one port of a rover that is switched on and disarmed, unless `settings` say otherwise."""
+
+    def __init__(
+        self, folder: Path, *, port: int = 0, system: int | None = None, stamps_ns: int = 0, **settings: Any
+    ) -> None:
+        common = replace(settings_of(rovers(), 1), hand_over=False, ports=2)
+        self.world = World(replace(common, **settings))
+        self.rover = self.world.rover
+        self.port = self.world.ports[port]
+        self.stamps = Timestamps(folder / "stamp", START_NS + stamps_ns)
+        settings = setup_settings(MavlinkSection(system=system), token=7)
+        self.setup = SigningSetup(settings, Signing(KEY, self.stamps), self.port)
+
+    def run(self, each: Callable[[], object] = lambda: None) -> Outcome:
+        """Until there is an outcome; `each` is called after every step."""
+        while self.setup.outcome is None:
+            assert self.time < 60.0
+            self.world.advance(self.world.now_ns + PERIOD_NS)
+            self.setup.step(self.world.now_ns)
+            each()
+        return self.setup.outcome
+
+    @property
+    def time(self) -> float:
+        return (self.world.now_ns - START_NS) / NS_PER_S
+
+    @property
+    def given(self) -> list[Any]:
+        """The SETUP_SIGNING messages that were sent."""
+        return [message for _, message in self.port.messages("SETUP_SIGNING")]
+
+
+MakeBench = Callable[..., Bench]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[MakeBench]:
+    made: list[Bench] = []
+
+    def make(**settings: Any) -> Bench:
+        made.append(Bench(tmp_path, **settings))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.setup.close()
+
+
+@pytest.mark.parametrize("port", [0, 1])
+def test_a_disarmed_rover_is_given_the_key_and_signs_with_it(bench: MakeBench, port: int) -> None:
+    made = bench(port=port)
+    assert made.run() == Outcome(True, "signs with its key from now on (system 1)")
+    (given,) = made.given
+    assert bytes(given.secret_key) == KEY
+    assert (given.target_system, given.target_component) == (1, 1)
+    assert made.stamps.latest >= given.initial_timestamp > (made.world.now_ns - START_NS) // 10_000
+    assert made.rover.take_log().count("signs from now on") == 1
+    assert made.time < 6.0
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_one_that_has_the_key_is_not_given_it_again(bench: MakeBench, armed: bool) -> None:
+    made = bench(port=1, signing_key=KEY, hand_over=armed)
+    assert made.run() == Outcome(True, "had its key already, and signs (system 1)")
+    assert made.given == []
+
+
+def test_one_whose_signing_time_is_behind_learns_ours(bench: MakeBench) -> None:
+    """More than a minute: what it signs is too old at first, though it has the key."""
+    made = bench(port=1, signing_key=KEY, stamps_ns=100 * NS_PER_S)
+    assert made.run() == Outcome(True, "had its key already, and signs (system 1)")
+
+
+def test_one_that_learns_it_late_is_not_taken_for_one_with_another_key(bench: MakeBench) -> None:
+    made = bench(port=1, signing_key=KEY, stamps_ns=100 * NS_PER_S)
+
+    def lose_what_is_sent() -> None:
+        if made.time < 3.2:
+            made.world.to_rover.clear()
+
+    assert made.run(lose_what_is_sent).done
+    assert made.time > 3.2
+
+
+@pytest.mark.parametrize("port", [0, 1])
+def test_one_with_another_key_keeps_it(bench: MakeBench, port: int) -> None:
+    made = bench(port=port, signing_key=OTHER_KEY)
+    outcome = made.run()
+    assert not outcome.done
+    assert "signs with another key" in outcome.text
+    assert made.given == []
+
+
+def test_an_armed_one_is_refused(bench: MakeBench) -> None:
+    made = bench(hand_over=True)
+    outcome = made.run()
+    assert not outcome.done
+    assert "disarm it first" in outcome.text
+    assert made.given == []
+
+
+def test_no_rover_is_given_no_key(bench: MakeBench) -> None:
+    made = bench(vehicle_type=ardurover.TYPE_QUADROTOR)
+    outcome = made.run()
+    assert outcome == Outcome(False, "it is a quadrotor (MAV_TYPE 2), not a rover: given no key")
+    assert made.given == []
+
+
+@pytest.mark.parametrize("system", [None, 1])
+def test_of_several_on_a_link_the_one_that_is_named(bench: MakeBench, system: int | None) -> None:
+    made = bench(system=system)
+    other = mavlink.MAVLink(None, 9, 1)
+
+    def speak() -> None:
+        beat = heartbeat(mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+        made.port.arriving.append((made.world.now_ns, beat.pack(other)))
+
+    outcome = made.run(speak)
+    assert outcome.done is (system is not None)
+    assert bool(made.given) is (system is not None)
+    if system is None:
+        assert outcome.text == "systems 1, 9 are on this link: say which is meant, with mavlink.system"
+
+
+@pytest.mark.parametrize("settings", [{"hand_over": True}, {"signing_key": KEY}], ids=["armed", "has_it"])
+def test_nothing_is_said_of_a_vehicle_before_the_others_were_heard(
+    bench: MakeBench, settings: dict[str, Any]
+) -> None:
+    made = bench(**settings)
+    other = mavlink.MAVLink(None, 9, 1)
+    beat = heartbeat(mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+
+    def speak_late() -> None:
+        if made.time > 1.8:
+            made.port.arriving.append((made.world.now_ns, beat.pack(other)))
+
+    assert made.run(speak_late).text.startswith("systems 1, 9 are on this link")
+
+
+def test_a_signature_of_somebody_else_is_not_the_vehicles(bench: MakeBench) -> None:
+    """A ground station that signs for other vehicles, passed on by a router."""
+    made = bench(system=1)
+    beat = signed_beat(OTHER_KEY)
+    outcome = made.run(lambda: made.port.arriving.append((made.world.now_ns, beat)))
+    assert outcome == Outcome(True, "signs with its key from now on (system 1)")
+
+
+def test_a_lost_message_is_sent_again(bench: MakeBench) -> None:
+    made = bench()
+
+    def lose_the_first() -> None:
+        made.port.cut = not made.given and made.time > 1.5
+
+    assert made.run(lose_the_first).done
+    assert len(made.given) == 2
+
+
+def test_one_that_does_not_sign_is_told(bench: MakeBench) -> None:
+    made = bench()
+    outcome = made.run(made.world.to_rover.clear)
+    assert not outcome.done
+    assert outcome.text.startswith("it was given the key and does not sign with it: ")
+    assert len(made.given) == GIVEN_MOST
+    assert made.time < 4.0 + CONFIRM_NS / NS_PER_S
+
+
+def test_what_it_says_about_it_is_told(bench: MakeBench) -> None:
+    """Armed by its operator in the moment in which it was given the key."""
+    made = bench()
+
+    def arm() -> None:
+        if made.given and not made.rover.armed:
+            assert made.rover.set_mode("GUIDED")
+            assert made.rover.arm()
+
+    outcome = made.run(arm)
+    assert not outcome.done
+    assert "but says: ERROR: Won't setup signing when armed" in outcome.text
+
+
+def test_an_answer_that_is_kept_back_is_told_and_no_failure(bench: MakeBench) -> None:
+    made = bench()
+    heard: list[str] = []
+
+    def deafen_once_it_has_the_key() -> None:
+        heard.extend(made.rover.take_log())
+        if "signs from now on" in heard:
+            made.world.to_rover.clear()
+
+    outcome = made.run(deafen_once_it_has_the_key)
+    assert outcome.done
+    assert "has answered nothing yet" in outcome.text
+
+
+def test_silence_and_a_closed_connection_are_told(bench: MakeBench) -> None:
+    made = bench()
+    made.port.cut = True
+    assert made.run() == Outcome(False, "no heartbeat of a vehicle yet")
+    assert made.time == pytest.approx(VEHICLE_NS / NS_PER_S, abs=0.1)
+    closed = bench()
+    closed.port.cut, closed.port.trouble = True, "cannot open tcp:1.2.3.4:5760: connection refused"
+    assert closed.run() == Outcome(False, closed.port.trouble)
+
+
+def test_a_connection_that_was_opened_again_is_listened_to_anew(bench: MakeBench) -> None:
+    made = bench()
+
+    def reopen() -> None:
+        if 1.0 < made.time < 1.05:
+            made.port.epoch += 1
+
+    assert made.run(reopen).done
+    (first, *_) = made.port.messages("SETUP_SIGNING")
+    assert (first[0] - START_NS) / NS_PER_S > 3.0
+
+
+class Ticking:
+    """A clock by which time passes only while somebody sleeps."""
+
+    def __init__(self, worlds: list[World]) -> None:
+        self._worlds = worlds
+
+    def now_ns(self) -> int:
+        return self._worlds[0].now_ns
+
+    def sleep_until(self, time_ns: int) -> None:
+        for world in self._worlds:
+            world.advance(time_ns)
+
+    def begin(self, epoch_ns: int) -> None:
+        pass
+
+
+def test_all_go_side_by_side_and_each_is_told_once(bench: MakeBench) -> None:
+    good, armed = bench(), bench(hand_over=True)
+    told: list[tuple[int, bool]] = []
+    clock = Ticking([good.world, armed.world])
+    give_keys(
+        {4: good.setup, 5: armed.setup},
+        clock,
+        lambda: False,
+        lambda robot, outcome: told.append((robot, outcome.done)),
+    )
+    assert sorted(told) == [(4, True), (5, False)]
+    assert good.time < 6.0
+
+
+def test_an_interrupt_ends_it(bench: MakeBench) -> None:
+    made = bench()
+    made.port.cut = True
+    clock = Ticking([made.world])
+    give_keys({1: made.setup}, clock, lambda: made.time > 1.0, lambda *_: pytest.fail("no outcome"))
+    assert made.setup.outcome is None
+    assert made.time < 1.2
+
+
+def test_a_key_in_the_users_home_and_the_timestamps_of_the_bridge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    key = make_key(tmp_path / "key")
+    signing = open_signing("rovers", 3, "~/key", START_NS)
+    signing.timestamps.close()
+    assert signing.key == key
+    assert (tmp_path / "state" / "handfast" / "signing-rovers-3").is_file()
+
+
+# ---------------------------------------------------------------------- what preflight says
+
+
+MakeScene = Callable[..., Scene]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[MakeScene]:
+    """A bridge, with `key` or none, at one port of a rover with `vehicle_key` or none."""
+    stamps: list[Timestamps] = []
+
+    def make(key: bytes, vehicle_key: bytes, port: int = 0) -> Scene:
+        file = ['robot.1.mavlink.signing_key="/nowhere"'] if key else []
+        made = Scene(*file, ports=2, signing_key=vehicle_key)
+        signing = None
+        if key:
+            stamps.append(Timestamps(tmp_path / "bridge", START_NS))
+            signing = Signing(key, stamps[-1])
+        made.bridges[:] = [Bridge(made.world, port, made.fleet, signing=signing)]
+        return made
+
+    yield make
+    for each in stamps:
+        each.close()
+
+
+def test_a_bridge_without_a_key_is_told_that_the_vehicle_takes_nothing_unsigned(scene: MakeScene) -> None:
+    made = scene(b"", KEY, port=1)
+    made.run(1.5)
+    first = made.bridge.check("signing")
+    assert (first.level, first.found) == ("blocking", "waiting for an answer to what is not signed")
+    made.run(8.0)
+    line = made.bridge.check("signing")
+    assert (line.level, line.found) == (
+        "blocking",
+        "the vehicle signs, and takes nothing that is not signed",
+    )
+    assert line.advice == "name its key in mavlink.signing_key"
+
+
+def test_on_the_first_serial_port_it_may_do_without(scene: MakeScene) -> None:
+    made = scene(b"", KEY)
+    made.run(3.0)
+    line = made.bridge.check("signing")
+    assert (line.level, line.advice) == ("warning", "name its key in mavlink.signing_key")
+    assert "takes what is not signed" in line.found
+
+
+@pytest.mark.parametrize("vehicle_key", [b"", OTHER_KEY], ids=["unsigned", "another_key"])
+def test_a_vehicle_without_the_key_is_one_for_this_command(scene: MakeScene, vehicle_key: bytes) -> None:
+    made = scene(KEY, vehicle_key)
+    made.run(3.0)
+    line = made.bridge.check("link")
+    assert line.level == "blocking"
+    assert "handfast signing" in line.advice
+
+
+def test_a_stray_signature_does_not_count_against_the_vehicle(scene: MakeScene) -> None:
+    made = scene(KEY, KEY)
+    made.run(3.0)
+    assert made.bridge.check("signing").level == "ok"
+    made.bridge.port.arriving.append((made.now_ns, signed_beat(OTHER_KEY)))
+    made.run(1.0)
+    line = made.bridge.check("signing")
+    assert line.level == "warning"
+    assert line.found == "on; refused for another key's or an old signature: 1 messages"
+
+
+def test_a_station_that_signs_is_not_a_vehicle_that_signs(scene: MakeScene) -> None:
+    made = scene(b"", b"")
+    made.run(3.0)
+    made.bridge.port.arriving.append((made.now_ns, signed_beat(OTHER_KEY)))
+    made.run(1.0)
+    assert made.bridge.check("signing").found == "messages are not signed"
