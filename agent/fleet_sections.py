@@ -209,6 +209,7 @@ SHARED_LINKS: Final = ("tcp:", "udpout:")
 """What a connection begins with that several bridges may have, each to a vehicle of its own."""
 LINK_FIELDS: Final = ("connection", "baud", "signing_key")
 """Fields of `MavlinkSection` that only say how its own computer reaches a vehicle."""
+_HOST: Final = r"([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])"
 _PORT: Final = r"([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"
 
 
@@ -221,7 +222,7 @@ class MavlinkSection:
         "Where the vehicle is, as pymavlink writes it: `udpin:HOST:PORT` (it sends to this port), "
         "`udpout:HOST:PORT`, `tcp:HOST:PORT`, or a serial port, best by its id. `simulator`: `run` and "
         '`preflight` start a simulated rover. Each robot with `plant = "mavlink"` needs one.',
-        pattern=rf"simulator|(udpin|udpout|udp|tcp):[A-Za-z0-9.-]{{1,253}}:{_PORT}|/dev/[^\s,]{{1,200}}",
+        pattern=rf"simulator|(udpin|udpout|udp|tcp):{_HOST}:{_PORT}|/dev/[^\s,]{{1,200}}",
         pattern_says='"simulator", "udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT" or a serial port '
         'such as "/dev/serial/by-id/usb-ArduPilot..."',
         example='"udpin:0.0.0.0:14550"',

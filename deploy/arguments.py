@@ -8,6 +8,7 @@ from typing import Final
 
 from agent.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet_sections import LAWS
+from deploy.wording import some
 
 FLEETS: Final = Path(__file__).parent / "fleets"
 SCENARIOS: Final = Path(__file__).parent / "scenarios"
@@ -119,3 +120,30 @@ def fleet_text(path: Path, scenario: Path | None = None) -> str:
     tables = fleet_tables(text, str(path))
     add_scenario(tables, read_text(scenario, "scenario"), str(scenario))
     return tomli_w.dumps(tables)
+
+
+def robots_argument(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--robot N``, which may be given many times, as `options.robots`."""
+    parser.add_argument(
+        "--robot",
+        dest="robots",
+        type=int,
+        action="append",
+        default=[],
+        metavar="N",
+        help="only this one, repeatedly (default: all)",
+    )
+
+
+def robots_named(fleet: Fleet, options: argparse.Namespace) -> tuple[int, ...]:
+    """The robots that the options name, ascending; () for all.
+
+    Raises:
+        InputError: there is no such robot.
+    """
+    strangers = sorted(set(options.robots) - set(fleet.ids))
+    if strangers:
+        raise InputError(
+            f"there is no robot {some(strangers)} in {fleet.fleet.name}; there are: {some(fleet.ids)}"
+        )
+    return tuple(sorted(set(options.robots)))

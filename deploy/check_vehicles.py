@@ -21,6 +21,7 @@ RATE_MAX_HZ: Final = 50.0
 PLANT_TIMEOUT_MIN_S: Final = 0.3
 """Telemetry of 25 Hz over a radio or WiFi has gaps this long now and then."""
 WRENCH_TIMEOUT_MAX_S: Final = 0.3
+"""From the last wrench of an agent that is gone to the brake, at most."""
 HAND_OFFSET_MIN_M: Final = 0.2
 """A heading that is 0.1 s late by the vehicle's own lags swings with a shorter one."""
 GYRATION_M: Final = (0.05, 2.0)
@@ -227,10 +228,12 @@ def _times(fleet: Fleet) -> Iterator[Finding]:
             f"{control.plant_timeout_s:.4g} s: telemetry has gaps this long now and then, and each would "
             f"stop the robot; take {PLANT_TIMEOUT_MIN_S:g} s or more",
         )
-    if control.wrench_timeout_s > WRENCH_TIMEOUT_MAX_S:
+    # Noticed at the next tick: a period comes on top.
+    most = WRENCH_TIMEOUT_MAX_S - 1.0 / rate
+    if control.wrench_timeout_s > most + 1e-9:
         yield Finding(
             "warning",
             "control.wrench_timeout_s",
-            f"{control.wrench_timeout_s:.4g} s: for so long a vehicle drives on by itself when its agent is "
-            f"gone; take {WRENCH_TIMEOUT_MAX_S:g} s or less",
+            f"{control.wrench_timeout_s:.4g} s, and up to a period more: for so long a vehicle drives on by "
+            f"itself when its agent is gone; take {max(most, 2.0 / rate):.3g} s",
         )

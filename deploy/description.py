@@ -122,13 +122,21 @@ def _describe_vehicles(fleet: Fleet) -> Iterator[str]:
             speed = f" at {link.baud} baud" if str(link.connection).startswith("/") else ""
             signed = ", signed" if link.signing_key is not None else ""
             yield f"vehicle: robot {robot}, an ArduPilot Rover on {link.connection}{speed}{signed}"
-    for arms, who in (
-        (False, "their operators put them into GUIDED and arm them"),
-        (True, "their bridges put them into GUIDED and arm them, by themselves"),
+    for arms, who, alone in (
+        (
+            False,
+            "their operators put them into GUIDED and arm them",
+            "its operator puts it into GUIDED and arms it",
+        ),
+        (
+            True,
+            "their bridges put them into GUIDED and arm them, by themselves",
+            "its bridge puts it into GUIDED and arms it, by itself",
+        ),
     ):
-        ids = [robot for robot, link in links.items() if link.arm is arms]
+        ids = [robot for robot, link in links.items() if link.arm is arms and robot not in simulated]
         if ids:
-            yield f"arming of {robots(ids)}: {who}"
+            yield f"arming of {robots(ids)}: {who if len(ids) > 1 else alone}"
 
 
 def _describe_faults(fleet: Fleet) -> Iterator[str]:

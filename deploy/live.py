@@ -35,6 +35,9 @@ STYLES: Final = {
     State.FAULT.value: "bold red",
     State.WAITING.value: "dim",
 }
+BACK: Final = (State.READY.value, State.RUNNING.value, State.HOLDING.value)
+"""States of a robot that its operator has given back. One whose plant was lost meanwhile is not, as yet."""
+OVER: Final = (State.STOPPING.value, State.STOPPED.value)
 ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
@@ -117,9 +120,11 @@ class Watch:
             if status.state == State.RELEASED.value and robot not in self._released:
                 self._released.add(robot)
                 out.append(f"{at}robot {robot} is released: {status.reason}")
-            elif status.state != State.RELEASED.value and robot in self._released:
+            elif status.state in BACK and robot in self._released:
                 self._released.discard(robot)
                 out.append(f"{at}robot {robot} is back: {status.state}")
+            elif status.state in OVER:
+                self._released.discard(robot)
         return out
 
     def states(self) -> dict[int, str]:

@@ -41,8 +41,10 @@ WAITS_PERIOD_S: Final = 5.0
 STOP_TIMEOUT_S: Final = 2.0
 INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
 VEHICLES_STOP_TIMEOUT_S: Final = 4.0
-"""A rover takes seconds to come to rest. Its bridge stays for that, also after Ctrl-C; a second one ends it."""
+"""A rover takes seconds to rest: its bridge stays for that, also after Ctrl-C; a second Ctrl-C ends it."""
 END_TIMEOUT_S: Final = 0.4
+VEHICLES_END_TIMEOUT_S: Final = 2.0
+"""A bridge that is just opening its connection takes longer to let go of it."""
 RECORDER_INBOX: Final = 65_536
 
 
@@ -99,7 +101,8 @@ class LocalRun:
             ):
                 self._operate(bus)
         finally:
-            for child in self._processes.end(END_TIMEOUT_S):
+            timeout_s = VEHICLES_END_TIMEOUT_S if self._checks.robots else END_TIMEOUT_S
+            for child in self._processes.end(timeout_s):
                 self._view.say(f"{child.name} did not end when asked and was killed")
 
     def _start(self) -> None:

@@ -25,8 +25,10 @@ from deploy.processes import VEHICLE, Processes
 from deploy.runfolder import FLEET_FILE
 from deploy.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 
-TIMEOUT_S: Final = 30.0
-"""A vehicle that has not told all by then is looked at as it is."""
+TIMEOUT_S: Final = 20.0
+"""A vehicle that has said nothing by then is not there."""
+BOOT_TIMEOUT_S: Final = 60.0
+"""One that was just switched on takes 40 s; by then it is looked at as it is."""
 POLL_S: Final = 0.04
 END_TIMEOUT_S: Final = 2.0
 STYLES: Final = {OK: "green", WARNING: "yellow", BLOCKING: "bold red"}
@@ -81,8 +83,11 @@ class Preflight:
         robots, name = self._checks.robots, self._fleet.fleet.name
         with Bus(listen=[], connect=[self._fleet.plant_endpoint(robot) for robot in robots]) as bus:
             bus.subscribe(keys.checks(name, "*"), 32 * len(robots))
-            deadline = time.monotonic() + TIMEOUT_S
-            while time.monotonic() < deadline and not self._interrupt.count:
+            begun = time.monotonic()
+            while not self._interrupt.count:
+                waited_s = time.monotonic() - begun
+                if waited_s > (BOOT_TIMEOUT_S if self._checks.booting(self._died) else TIMEOUT_S):
+                    return
                 time.sleep(POLL_S)
                 now_ns = self._clock.now_ns()
                 for key, payload in bus.drain():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from deploy.arguments import InputError
+from deploy.arguments import robots_argument, robots_named
 from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 
 
@@ -19,27 +19,15 @@ def add_parser(commands: Any) -> None:
         "armed. Exit status: 0 all that are meant are running; 1 some are not; 2 bad input.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
-    parser.add_argument(
-        "--robot",
-        dest="robots",
-        type=int,
-        action="append",
-        default=[],
-        metavar="N",
-        help="only this one, repeatedly (default: all)",
-    )
+    robots_argument(parser)
     parser.set_defaults(command=handled(_resume))
 
 
 def _resume(options: argparse.Namespace) -> int:
     from deploy.resume_session import resume
-    from deploy.resuming import unknown
 
     fleet = running_fleet(options.fleet)
-    wrong = unknown(fleet, options.robots)
-    if wrong:
-        raise InputError(wrong)
-    resuming = resume(fleet, sorted(set(options.robots)))
+    resuming = resume(fleet, robots_named(fleet, options))
     for robot in resuming.robots:
         print(resuming.outcome(robot))
     return DONE if resuming.done else FAILED

@@ -9,7 +9,9 @@ from agent import keys
 from agent.fleet import Fleet
 from agent.messages import Message, PlantState, Resume, Status
 from agent.supervision import State
-from deploy.wording import some
+
+TOLD: Final = "waiting to be told to resume"
+"""How the note of a plant ends that lacks nothing but this leave."""
 
 
 class Resuming:
@@ -62,17 +64,11 @@ class Resuming:
             silent = "its agent" if status is None else "its plant"
             return f"robot {robot}: nothing heard from {silent}"
         if plant.healthy and not plant.obeying:
-            return (
-                f"robot {robot}: still released: {plant.note or 'its body does not obey'}: its operator must "
-                "give it back first"
-            )
+            note = plant.note or "its body does not obey"
+            if note.endswith(TOLD):
+                why = "it has had a later leave: is this machine's clock behind that of another operator?"
+            else:
+                why = "its operator must give it back first"
+            return f"robot {robot}: still released: {note}: {why}"
         why = status.reason if plant.healthy else plant.note or status.reason
         return f"robot {robot}: {status.state}" + (f": {why}" if why else "")
-
-
-def unknown(fleet: Fleet, robots: Sequence[int]) -> str:
-    """What is wrong with the robots that were named, "" when nothing is."""
-    strangers = sorted(set(robots) - set(fleet.ids))
-    if not strangers:
-        return ""
-    return f"there is no robot {some(strangers)} in {fleet.fleet.name}; there are: {some(fleet.ids)}"

@@ -11,10 +11,15 @@ from typing import Any, Final
 
 from agent.fleet import Fleet
 from agent.fleet_sections import Robot
-from deploy.arguments import InputError, fleet_arguments, load_unresolved
+from deploy.arguments import (
+    InputError,
+    fleet_arguments,
+    load_unresolved,
+    robots_argument,
+    robots_named,
+)
 from deploy.interrupt import Interrupt
 from deploy.placing import is_simulated
-from deploy.resuming import unknown
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 IN_CLEAR: Final = (
@@ -40,15 +45,7 @@ def add_parser(commands: Any) -> None:
         "input; 130 after Ctrl-C.",
     )
     fleet_arguments(parser)
-    parser.add_argument(
-        "--robot",
-        dest="robots",
-        type=int,
-        action="append",
-        default=[],
-        metavar="N",
-        help="only this one, repeatedly (default: all)",
-    )
+    robots_argument(parser)
     parser.add_argument(
         "--make-keys", action="store_true", help="make the key files that are not there; never over one"
     )
@@ -59,10 +56,8 @@ def _signing(options: argparse.Namespace) -> int:
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load_unresolved(options)
-        wrong = unknown(fleet, options.robots)
-        if wrong:
-            raise InputError(wrong)
-        robots = [robot for robot in fleet.robots if not options.robots or robot.id in options.robots]
+        named = robots_named(fleet, options)
+        robots = [robot for robot in fleet.robots if not named or robot.id in named]
         signing = [robot for robot in robots if has_key(robot)]
         if not signing:
             raise InputError(

@@ -12,13 +12,13 @@ from typing import Final, NamedTuple
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet
-from agent.messages import Checks, Message
+from agent.messages import LEVELS, Checks, Message
+from plant.backend import WAITING
 
 SETTLE_NS: Final = 5 * NS_PER_S
 """A blocking line that stays for so long, while nothing of that vehicle waits any more, is meant: a vehicle's
 own checks follow its estimate by some seconds."""
-WAITING: Final = "waiting"
-OK, WARNING, BLOCKING = "ok", "warning", "blocking"
+OK, WARNING, BLOCKING = LEVELS
 
 
 class Line(NamedTuple):
@@ -84,6 +84,14 @@ class VehicleChecks:
         ) and all(
             now_ns - since_ns >= SETTLE_NS
             for (robot, _), since_ns in self._since_ns.items()
+            if robot not in without
+        )
+
+    def booting(self, without: Container[int] = ()) -> bool:
+        """Whether a vehicle is there, but waits for something of its own."""
+        return any(
+            len(self.lines(robot)) > 1 and any(line.waits for line in self.lines(robot))
+            for robot in self.robots
             if robot not in without
         )
 

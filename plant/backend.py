@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from agent.hand import Pose
 
@@ -33,6 +33,10 @@ class Reading(NamedTuple):
     obeying: bool = True
 
 
+WAITING: Final = "waiting for "
+"""How `Check.found` begins of what is blocking now and may become good by itself."""
+
+
 class Check(NamedTuple):
     """One thing to know of a body before it drives: a line of `agent.messages.Checks`.
 
@@ -59,7 +63,7 @@ class PlantBackend(Protocol):
         """Lets go of the body, which is left braking."""
         ...
 
-    def go_ahead(self, now_ns: int) -> None:
+    def go_ahead(self) -> None:
         """The fleet was told to drive: by a new mission, or by leave to resume.
 
         A body that its operator has taken away and given back obeys again only after this.

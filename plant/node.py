@@ -125,10 +125,10 @@ class PlantNode:
                     reason = None
         elif type(message) is Mission:
             if key == self._key_mission:
-                reason = self._accept_mission(message, now_ns)
+                reason = self._accept_mission(message)
         elif type(message) is Resume:
             if key == self._key_resume:
-                reason = self._accept_resume(message, now_ns)
+                reason = self._accept_resume(message)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
@@ -142,22 +142,22 @@ class PlantNode:
         self._wrench = wrench
         return None
 
-    def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
+    def _accept_mission(self, mission: Mission) -> str | None:
         if mission.digest != self._digest:
             return "digest"
         if mission.version > self._mission_version:
             self._mission_version = mission.version
             self._numbers.begin(mission.epoch_ns)
             self._reception.begin(mission.epoch_ns)
-            self._backend.go_ahead(now_ns)
+            self._backend.go_ahead()
         return None
 
-    def _accept_resume(self, resume: Resume, now_ns: int) -> str | None:
+    def _accept_resume(self, resume: Resume) -> str | None:
         if resume.version < self._resume_version:
             return "out_of_order"
         if resume.version > self._resume_version and (not resume.robots or self.robot in resume.robots):
             self._resume_version = resume.version
-            self._backend.go_ahead(now_ns)
+            self._backend.go_ahead()
         return None
 
     def _arrive(self, now_ns: int) -> None:

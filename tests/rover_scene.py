@@ -42,6 +42,7 @@ class Port:
         self.arriving: deque[tuple[int, bytes]] = deque()
         self.sent: list[tuple[int, bytes]] = []
         self.trouble = self.note = ""
+        self.waits = True
         self.epoch, self.dropped = 1, 0
         self.cut = False
 
@@ -121,7 +122,7 @@ class Bridge:
         return [(at_ns, m.vx, frames.yaw_rate(m.yaw_rate)) for at_ns, m in sent]
 
     def go_ahead(self) -> None:
-        self.plant.go_ahead(self.readings[-1].time_ns)
+        self.plant.go_ahead()
 
     def check(self, name: str) -> Check:
         """The preflight line of that name."""

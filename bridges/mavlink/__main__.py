@@ -16,15 +16,15 @@ from agent.clock import Clock
 from agent.fleet import Fleet
 from agent.fleet_sections import SIMULATOR
 from agent.process import Log, StartError
-from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.signing import SigningError, open_signing
 from bridges.mavlink.transport import open_transport
+from plant.backend import PlantBackend
 from plant.server import main as serve
 
 PROGRAM: Final = "python -m bridges.mavlink"
 
 
-def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False) -> MavlinkPlant:
+def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False) -> PlantBackend:
     """The bridge of a robot, its connection being opened.
 
     Args:
@@ -41,6 +41,11 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
             "its connection is a simulator, which only `handfast run` starts; start one with `handfast "
             "rover-simulator`, and give its place with --set robot_defaults.mavlink.connection=tcp:HOST:PORT"
         )
+    try:
+        # Here: it may be that the packages of a vehicle's machine are not there, which needs one clear line.
+        from bridges.mavlink.backend import MavlinkPlant, session
+    except ModuleNotFoundError as error:
+        raise StartError(f"it needs the package {error.name}: pip install 'handfast[rover]'") from None
     try:
         signing = None
         if section.signing_key is not None:

@@ -9,10 +9,7 @@ from typing import Final
 from agent.fleet_sections import MavlinkSection
 from bridges.mavlink import ardurover
 from bridges.mavlink.link import Link
-from plant.backend import Check
-
-WAITING: Final = "waiting for "
-"""How the text of a line begins that may change by itself."""
+from plant.backend import WAITING, Check
 
 
 def parameters(link: Link, section: MavlinkSection) -> Iterator[Check]:
@@ -22,32 +19,53 @@ def parameters(link: Link, section: MavlinkSection) -> Iterator[Check]:
         return
     lines = [*_failsafes(link), *_limits(link, section), *_ids(link, section)]
     read = sum(value is not None for value in link.parameters.values())
-    if not any(value is not None for value in link.parameters.values()):
+    untold = [name for name in _FAILSAFES if link.parameters.get(name) is None]
+    if not read:
         yield Check("parameters", "warning", "it tells none", "failsafes and limits could not be looked at")
+    elif untold:
+        text = f"{', '.join(untold)} not told"
+        yield Check("parameters", "warning", text, "look at these failsafes with its ground station")
     elif not lines:
         yield Check("parameters", "ok", f"{read} read, failsafes on")
     yield from lines
 
 
-_OFF: Final = (
-    (ardurover.FS_ACTION, "a failsafe does nothing", "set 2 (HOLD)"),
-    (ardurover.FS_THR_ENABLE, "the loss of its remote control goes unnoticed", "set 1"),
+_HOMEWARD: Final = "it drives home by itself then, through its neighbours"
+_GOES_HOME: Final = (1.0, 3.0, 4.0)
+"""RTL and the two of SmartRTL, in FS_ACTION and BATT_FS_*_ACT alike."""
+_RISKY: Final = (
+    (ardurover.FS_ACTION, (0.0,), "a failsafe does nothing", "set 2 (HOLD)"),
+    (ardurover.FS_ACTION, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
+    (ardurover.FS_THR_ENABLE, (0.0,), "the loss of its remote control goes unnoticed", "set 1"),
     (
         ardurover.FS_GCS_ENABLE,
+        (0.0,),
         "the loss of its ground station goes unnoticed",
         "set 1 if one is always there",
     ),
-    (ardurover.FS_EKF_ACTION, "it drives on when its EKF fails", "set 1 (HOLD)"),
-    (ardurover.FS_CRASH_CHECK, "it drives on against an obstacle", "set 1 (HOLD)"),
-    (ardurover.BATT_FS_LOW_ACT, "a low battery goes unnoticed", "set 2 (HOLD) with a battery monitor"),
+    # 2 only reports.
+    (ardurover.FS_EKF_ACTION, (0.0, 2.0), "it drives on when its EKF fails", "set 1 (HOLD)"),
+    (ardurover.FS_EKF_THRESH, (0.0,), "that its EKF fails goes unnoticed", "set 0.8"),
+    (ardurover.FS_CRASH_CHECK, (0.0,), "it drives on against an obstacle", "set 1 (HOLD)"),
+    (
+        ardurover.BATT_FS_LOW_ACT,
+        (0.0,),
+        "a low battery goes unnoticed",
+        "set 2 (HOLD) with a battery monitor",
+    ),
+    (ardurover.BATT_FS_LOW_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
+    (ardurover.BATT_FS_CRT_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
 )
+_FAILSAFES: Final = tuple(dict.fromkeys(name for name, *_ in _RISKY))
 
 
 def _failsafes(link: Link) -> Iterator[Check]:
-    for name, means, advice in _OFF:
-        if link.parameters.get(name) == 0.0:
-            yield Check(name, "warning", f"0: {means}", advice)
-    if link.parameters.get("ARMING_CHECK") == 0.0 or link.parameters.get("ARMING_SKIPCHK") not in (None, 0.0):
+    for name, values, means, advice in _RISKY:
+        value = link.parameters.get(name)
+        if value in values:
+            yield Check(name, "warning", f"{value:g}: {means}", advice)
+    checked, skipped = link.parameters.get("ARMING_CHECK"), link.parameters.get("ARMING_SKIPCHK")
+    if skipped or (checked is not None and not int(checked) & 1):  # bit 0: all of them
         yield Check(
             "arming checks", "warning", "some or all are off: it arms whatever is wrong", "turn them on"
         )

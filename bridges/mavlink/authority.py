@@ -65,6 +65,11 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
 )
 
 
+def _given_back(operator: str) -> str:
+    """What is said of a vehicle that was taken because of `operator`, and is GUIDED and armed again."""
+    return f"its operator has given it back (it was: {operator})"
+
+
 class Authority:
     """Whether commands may flow.
 
@@ -92,7 +97,7 @@ class Authority:
         if row is not None:
             self.holder = row.target
         if self.holder is Holder.RELEASED and before is not Holder.RELEASED:
-            self._taken = refusal or operator
+            self._taken = refusal or _given_back(operator)
         self.why = self._reason()
         self._settled = self.holder if self.holder is before else None
         return row if self.holder is not before else None
@@ -106,7 +111,7 @@ class Authority:
         if self.holder is Holder.RELEASED:
             if situation.operator:
                 return f"its operator has it: {situation.operator}"
-            return f"released ({self._taken}), now in GUIDED and armed: waiting to be told to resume"
+            return f"{self._taken}: waiting to be told to resume"
         return situation.operator
 
     def driving(self) -> None:
@@ -121,5 +126,5 @@ class Authority:
             if given_back:
                 self.holder = Holder.NOBODY  # the next step finds who has it
         elif self._situation.operator:
-            self._taken, self.holder = self._situation.operator, Holder.RELEASED
+            self._taken, self.holder = _given_back(self._situation.operator), Holder.RELEASED
         return given_back

@@ -13,7 +13,6 @@ from agent.hand import Pose
 from agent.process import Log
 from agent.supervision import REST_SPEED, REST_YAW_RATE
 from bridges.mavlink import ardurover, checks, frames
-from bridges.mavlink.audit import WAITING
 from bridges.mavlink.authority import Authority, Holder
 from bridges.mavlink.estimate import Estimate
 from bridges.mavlink.frames import Geodetic, LocalToWorld
@@ -23,7 +22,7 @@ from bridges.mavlink.rover_dynamics import DEFAULTS, Limits
 from bridges.mavlink.setpoint import Bounds, MotionCheck, Setpoint
 from bridges.mavlink.signing import Signing
 from bridges.mavlink.transport import Transport
-from plant.backend import Check, Command, PlantBackend, Reading
+from plant.backend import WAITING, Check, Command, PlantBackend, Reading
 
 CHECKS_PERIOD_NS: Final = NS_PER_S // 2
 COMMAND_PERIOD_NS: Final = NS_PER_S // 50 - NS_PER_S // 1000
@@ -33,10 +32,11 @@ BRAKE_NS_MAX: Final = 3 * NS_PER_S
 """Zero setpoints are sent until the vehicle has stood for the first, at most for the second: silence stops it
 then."""
 WATCHED_S: Final = 0.2
-"""What a tick says of the motion holds for no longer: a process that was frozen has not watched the vehicle."""
+"""What a tick says of the motion holds for no longer: a process that was frozen has watched nothing."""
 LISTEN_NS: Final = 2 * NS_PER_S
 """Another bridge sends its heartbeat once in half of this."""
 CLAIM_PERIOD_NS: Final = 3 * NS_PER_S
+DISARMED: Final = "disarmed"
 PREARM: Final = ("PreArm: ", "Arm: ")
 _NUMBER: Final = re.compile(r"[0-9.]+")
 _NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -61,6 +61,14 @@ def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Li
             token=token,
         )
     )
+
+
+def _operators(said: tuple[int | None, bool]) -> str:
+    """What makes a vehicle its operator's, of the mode and arming that it said; "" when nothing does."""
+    mode, armed = said
+    if mode != ardurover.GUIDED:
+        return f"mode {ardurover.mode_name(mode) if mode is not None else 'unknown'}, not GUIDED"
+    return "" if armed else DISARMED
 
 
 class MavlinkPlant(PlantBackend):
@@ -106,6 +114,7 @@ class MavlinkPlant(PlantBackend):
         self._claiming = section.arm and not look
         self._claimed_ns: int | None = None
         self._was_guided = self._armed_here = False
+        self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
         self._checks: tuple[Check, ...] = ()
         self._checks_due_ns = 0
@@ -119,10 +128,11 @@ class MavlinkPlant(PlantBackend):
         self._now_ns = now_ns
         self._listen()
         trouble = self._locate(now_ns)
-        self.authority.step(trouble, self._operator if self._link.connected(now_ns) else "", self._refusal)
+        operator = self._operator if self._link.connected(now_ns) else ""
+        self.authority.step(trouble, operator or self._interlude, self._refusal)
         self._say_who_has_it()
-        if self._claiming and not trouble:
-            self._claim(now_ns)
+        if self._claiming:
+            self._claim(now_ns, trouble)
         out = self._drive(now_ns, dt, command) + self._link.tick(now_ns)
         if out:
             self._transport.send(out)
@@ -136,11 +146,13 @@ class MavlinkPlant(PlantBackend):
             link.restart()
         for arrival_ns, data in self._transport.receive():
             link.receive(arrival_ns, data)
+        self._interlude = next(filter(None, map(_operators, link.take_modes())), "")
         if self._lives != link.epoch:
             self._lives = link.epoch
             self._estimate.forget()
             self._yaw = None
-            self._known = self._was_guided = False
+            self._known = self._located = self._was_guided = False
+            self._prearm = ""
         for attitude in link.take_attitudes():
             self._yaw = attitude.yaw
             self._estimate.attitude(
@@ -167,7 +179,7 @@ class MavlinkPlant(PlantBackend):
         if found.healthy:
             self._pose, self._known = found.pose, True
         link = self._link
-        absence = self._transport.trouble or link.absence(now_ns)
+        absence = self._trouble or link.absence(now_ns)
         if absence:
             self._listening_since_ns = None
         elif self._listening_since_ns is None:
@@ -182,6 +194,12 @@ class MavlinkPlant(PlantBackend):
             or unlocated
             or found.note
         )
+
+    @property
+    def _trouble(self) -> str:
+        """Of the connection, "" when it is open."""
+        trouble = self._transport.trouble
+        return f"{WAITING}it: {trouble}" if trouble and self._transport.waits else trouble
 
     def _company(self, now_ns: int) -> str:
         """Which other bridge keeps this one from driving; it listens for a while before it believes in none.
@@ -199,23 +217,25 @@ class MavlinkPlant(PlantBackend):
     @property
     def _operator(self) -> str:
         """What the vehicle's operator has still to do, or has undone; "" when it is in GUIDED and armed."""
-        mode = self._link.mode
-        if mode != ardurover.GUIDED:
-            return f"mode {ardurover.mode_name(mode) if mode is not None else 'unknown'}, not GUIDED"
-        return "" if self._link.armed else "disarmed"
+        return _operators((self._link.mode, self._link.armed))
 
     def _say_who_has_it(self) -> None:
         why = self.authority.why
         if self.authority.holder is Holder.BRIDGE:
             self._claiming = False  # from now on its operator decides
-        said = _NUMBER.sub("", why)  # an age that grows is not news
+        elif self.authority.holder is Holder.RELEASED and not self._link.armed:
+            self._armed_here = False  # whoever arms it from now on is its operator
+        said = why and _NUMBER.sub("", why)  # an age that grows is not news
         if said != self._said:
             self._said = said
             self._checks_due_ns = 0
             self._log(why or "armed and in GUIDED: it obeys")
 
-    def _claim(self, now_ns: int) -> None:
-        """Puts the vehicle into GUIDED and arms it, as the fleet file says that the bridge should."""
+    def _claim(self, now_ns: int, trouble: str) -> None:
+        """Puts the vehicle into GUIDED and arms it, as the fleet file says that the bridge should.
+
+        What its operator does counts while there is trouble, too; nothing is asked for then.
+        """
         link = self._link
         if link.mode == ardurover.GUIDED:
             self._was_guided = True
@@ -224,7 +244,7 @@ class MavlinkPlant(PlantBackend):
             self._log("its operator has taken it out of GUIDED again: it is asked no more")
             return
         due = self._claimed_ns is None or now_ns - self._claimed_ns >= CLAIM_PERIOD_NS
-        if self.authority.holder is not Holder.OPERATOR or not due:
+        if trouble or self.authority.holder is not Holder.OPERATOR or not due:
             return
         if link.mode == ardurover.GUIDED:
             self._log("arming it (mavlink.arm = true)")
@@ -244,10 +264,12 @@ class MavlinkPlant(PlantBackend):
             self._setpoint.vehicle = self._vehicle_limits()
         surprise = self._estimate.surprise
         obeys = self.authority.holder is Holder.BRIDGE
+        taken = self._operator or self._interlude
         if obeys and command is not None:
             self.authority.driving()
             self._driving, self._braking_since_ns = True, None
-        elif self._driving and (self._operator or not self._still_braking(now_ns)):
+        # Disarmed in GUIDED it is told to stand: armed anew, it would take up what it was told last.
+        elif self._driving and (taken not in ("", DISARMED) or not self._still_braking(now_ns)):
             self._driving = False
         wanted = command if obeys else None
         self._asked = self._setpoint.step(dt, wanted, self._pose, surprise)
@@ -312,7 +334,7 @@ class MavlinkPlant(PlantBackend):
 
     # ------------------------------------------------------------------ before and after
 
-    def go_ahead(self, now_ns: int) -> None:
+    def go_ahead(self) -> None:
         """See `PlantBackend.go_ahead`."""
         was = self.authority.holder
         if not self.authority.go_ahead():
@@ -328,7 +350,7 @@ class MavlinkPlant(PlantBackend):
             trip_ns = link.clock.round_trip_ns
             found = checks.Found(
                 now_ns,
-                self._transport.trouble,
+                self._trouble,
                 self._transport.note,
                 None if trip_ns is None else trip_ns / NS_PER_S,
                 link.clock.note,

@@ -80,8 +80,8 @@ class BootClock:
     def take(self, stamp_ms: int, arrival_ns: int) -> int:
         """Takes a message's stamp (ms since boot); returns its wall time (ns), never after its arrival."""
         vehicle_ns = stamp_ms * _NS_PER_MS + self._wraps_ns
-        if self._latest_ns is not None and vehicle_ns < self._latest_ns - _WRAP_NS // 2:
-            self._wraps_ns += _WRAP_NS  # after 49.7 days
+        while self._latest_ns is not None and vehicle_ns < self._latest_ns - _WRAP_NS // 2:
+            self._wraps_ns += _WRAP_NS  # every 49.7 days; an exchange may tell of several
             vehicle_ns += _WRAP_NS
         self._see(vehicle_ns)
         self._advance(arrival_ns)

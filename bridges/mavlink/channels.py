@@ -11,9 +11,10 @@ import termios
 from typing import Any, Final, Protocol
 
 from agent.clock import NS_PER_S
-from bridges.mavlink.connection import Connection
+from bridges.mavlink.connection import Connection, Unusable
 
 READ_BYTES: Final = 8192
+NO_DEVICE: Final = "there is no such device: is it plugged in?"
 PEER_NS: Final = 3 * NS_PER_S
 """The sender a waiting UDP port listens to may be silent this long before another takes its place."""
 TCP_QUEUE_BYTES: Final = 16384
@@ -51,9 +52,13 @@ class Channel(Protocol):
 
 def _addresses(connection: Connection, kind: socket.SocketKind, flags: int = 0) -> list[Any]:
     try:
-        return socket.getaddrinfo(connection.host, connection.port, type=kind, flags=flags)
+        found = socket.getaddrinfo(connection.host, connection.port, type=kind, flags=flags)
     except socket.gaierror as error:
         raise OSError(f"cannot find the host {connection.host}: {(error.strerror or '').lower()}") from None
+    except UnicodeError:
+        raise Unusable(f"{connection.host} cannot be the name of a host") from None
+    # `localhost` is two places: vehicles and routers are at that of IPv4, to which pymavlink keeps.
+    return sorted(found, key=lambda entry: entry[0] != socket.AF_INET)
 
 
 def _would_wait(error: OSError) -> bool:
@@ -75,11 +80,11 @@ class UdpIn:
         except OSError as error:
             self._socket.close()
             if error.errno == errno.EADDRINUSE:
-                raise OSError(f"port {connection.port} is in use by another program") from None
+                raise Unusable(f"port {connection.port} is in use by another program") from None
             raise
         self.note = ""
         self._peer: Any = None
-        self._heard_ns = 0
+        self._heard_ns = self._stranger_ns = 0
 
     def fileno(self) -> int:
         return self._socket.fileno()
@@ -94,8 +99,11 @@ class UdpIn:
         if sender != self._peer:
             if self._peer is not None and 0 <= now_ns - self._heard_ns < PEER_NS:
                 self.note = f"{sender[0]}:{sender[1]} sends here too: ignored"
+                self._stranger_ns = now_ns
                 return b""
             self._peer, self.note = sender, ""
+        elif self.note and now_ns - self._stranger_ns >= PEER_NS:
+            self.note = ""
         self._heard_ns = now_ns
         return data
 
@@ -228,14 +236,15 @@ class Serial(_Stream):
         try:
             import serial
         except ModuleNotFoundError:
-            raise OSError("serial devices need pyserial: pip install 'handfast[rover]'") from None
+            raise Unusable("serial devices need pyserial: pip install 'handfast[rover]'") from None
         self._baud = baud
         try:
             self._port = serial.Serial(connection.device, baud, timeout=0, exclusive=True)
         except serial.SerialException as error:
-            raise OSError(_why_not(connection.device, error.errno, str(error))) from None
+            why = _why_not(connection.device, error.errno, str(error))
+            raise (OSError if why == NO_DEVICE else Unusable)(why) from None
         except ValueError:
-            raise OSError(f"it cannot be set to {baud} baud") from None
+            raise Unusable(f"it cannot be set to {baud} baud") from None
         self._handle = self._port.fileno()
         with contextlib.suppress(OSError):  # pyserial's lock keeps only those out who ask for it
             fcntl.ioctl(self._handle, termios.TIOCEXCL)
@@ -273,7 +282,7 @@ def _why_not(device: str, number: int | None, text: str) -> str:
     if number == errno.EACCES:
         return "permission denied: add this user to the group of the device (dialout), and log in again"
     if number == errno.ENOENT or not os.path.exists(device):
-        return "there is no such device: is it plugged in?"
+        return NO_DEVICE
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text:
         return "another program has it open"
     return text if number is None else os.strerror(number).lower()

@@ -15,11 +15,11 @@ from agent.clock import NS_PER_S
 from agent.fleet_sections import MavlinkSection
 from agent.hand import Pose
 from bridges.mavlink import ardurover, audit
-from bridges.mavlink.audit import WAITING
 from bridges.mavlink.connection import BY_ID
 from bridges.mavlink.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.link import Link
-from plant.backend import Check
+from bridges.mavlink.link_reports import Ekf
+from plant.backend import WAITING, Check
 
 FIRMWARE_MIN: Final = (4, 3)
 DATUM_FAR_M: Final = 1_000.0
@@ -32,7 +32,7 @@ HDOP_MAX: Final = 2.0
 SATELLITES_MIN: Final = 6
 VARIANCE_WARN: Final = 0.5
 VARIANCE_MAX: Final = 0.8
-"""ArduPilot's own FS_EKF_THRESH."""
+"""ArduPilot's own FS_EKF_THRESH, where it does not tell."""
 REPORTED_NS: Final = 5 * NS_PER_S
 """What EKF and GPS said longer ago holds no more: both are asked for once a second at least."""
 RATE_SHARE: Final = 0.8
@@ -159,9 +159,21 @@ def ekf_trouble(link: Link, now_ns: int) -> str:
             ardurover.EKF_POS_HORIZ_ABS: "position on the earth",
         }
         return f"{WAITING}its EKF to have {', '.join(name for flag, name in names.items() if missing & flag)}"
-    worst = max(ekf.velocity_variance, ekf.position_variance, ekf.compass_variance)
-    if worst > VARIANCE_MAX:
-        return f"its EKF is inconsistent: a variance of {worst:.2f}, at most {VARIANCE_MAX:g} is good"
+    return _inconsistency(ekf, link.parameter(ardurover.FS_EKF_THRESH) or VARIANCE_MAX)
+
+
+def _inconsistency(ekf: Ekf, most: float) -> str:
+    """ArduPilot's own rule for its EKF failsafe: two of three variances beyond the threshold `most`, or that
+    of the velocity beyond twice it. A compass alone may be upset by the current of a motor."""
+    variances = {
+        "velocity": ekf.velocity_variance,
+        "position": ekf.position_variance,
+        "compass": ekf.compass_variance,
+    }
+    beyond = {name: variance for name, variance in variances.items() if not variance < most}
+    if len(beyond) > 1 or not ekf.velocity_variance < 2.0 * most:
+        said = ", ".join(f"{name} {variance:.2f}" for name, variance in beyond.items())
+        return f"its EKF is inconsistent: variances {said}, below {most:g} is good"
     return ""
 
 

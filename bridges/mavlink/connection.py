@@ -14,6 +14,11 @@ _PORT_MAX: Final = 65535
 _UNSUPPORTED: Final = ("tcpin", "udpbcast", "mcast", "mcastv6", "wsserver", "ws", "wss")
 
 
+class Unusable(OSError):
+    """A connection that cannot be opened before somebody changes something; the text says what. Any other
+    OSError may end by itself: a vehicle that is not on yet refuses connections, or has no device."""
+
+
 class Connection(NamedTuple):
     """One connection: `host` and `port` of a network one, `device` (a path) of a serial one."""
 
@@ -42,6 +47,8 @@ def parse_connection(text: str) -> Connection:
     Raises:
         ValueError: it is none; the text says what would be right.
     """
+    if not text.isprintable():
+        raise ValueError(f"{text!r} is not a connection; write {FORMS}")
     if text.startswith("/"):
         return Connection("serial", device=text)
     kind, colon, place = text.partition(":")

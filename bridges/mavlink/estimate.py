@@ -49,11 +49,9 @@ class Motion(NamedTuple):
 
 
 class Estimated(NamedTuple):
-    """Pose (W) at the time asked for; `age_s` of the older of the two samples behind it; when it must not be
-    driven by, `healthy` is False and `note` says why."""
+    """Pose (W) at the time asked for; `healthy` is False when it must not be driven by: `note` says why."""
 
     pose: Pose
-    age_s: float
     healthy: bool
     note: str
 
@@ -217,15 +215,14 @@ class Estimate:
         """The pose (W) at a time near the newest samples; the speed and yaw rate are the likely true ones."""
         if self._position is None or self._attitude is None:
             missing = "position" if self._position is None else "attitude"
-            return Estimated(Pose(0.0, 0.0, 0.0, 0.0, 0.0), 0.0, False, f"no {missing} from the vehicle yet")
+            return Estimated(Pose(0.0, 0.0, 0.0, 0.0, 0.0), False, f"no {missing} from the vehicle yet")
         self.prediction.advance(now_ns)
         heading = self._heading_at(now_ns)
         x, y = self._carried(self._position, self._heading_at(self._position[0]), now_ns)
         model, surprise = self.prediction.at(now_ns), self.surprise
         pose = Pose(x, y, wrapped(heading), model.speed + surprise.speed, model.yaw_rate + surprise.yaw_rate)
-        age_s = (now_ns - min(self._position[0], self._attitude[0])) / NS_PER_S
         note = self._trouble(now_ns)
-        return Estimated(pose, age_s, not note, note)
+        return Estimated(pose, not note, note)
 
     def _trouble(self, now_ns: int) -> str:
         assert self._position is not None

@@ -8,10 +8,10 @@ import re
 from hashlib import sha256
 
 from agent.private_folder import private_folder
-from bridges.mavlink.connection import Connection
+from bridges.mavlink.connection import Connection, Unusable
 
 
-class InUse(OSError):
+class InUse(Unusable):
     """Another process has it; the text names that process."""
 
 

@@ -150,11 +150,6 @@ def forward_speed(yaw: float, v_north: float, v_east: float) -> float:
     return v_north * cos(yaw) + v_east * sin(yaw)
 
 
-def sideways_speed(yaw: float, v_north: float, v_east: float) -> float:
-    """Speed to the left (m/s, FLU) of a velocity in NED: slip, for a rover."""
-    return v_north * sin(yaw) - v_east * cos(yaw)
-
-
 def yaw_degrees(yaw: float) -> float:
     """A yaw in degrees from 0 to 360, as people read a compass."""
     return degrees(yaw) % 360.0 % 360.0  # a tiny negative one is 360.0 after the first

@@ -31,7 +31,7 @@ TIMESYNC_PERIOD_NS: Final = NS_PER_S // 4
 ORIGIN_PERIOD_NS: Final = NS_PER_S
 ORIGIN_AGAIN_NS: Final = 30 * NS_PER_S
 VERSION_PERIOD_NS: Final = 2 * NS_PER_S
-LOOK_PERIOD_NS: Final = NS_PER_S // 10
+LOOK_PERIOD_NS: Final = NS_PER_S // 4
 """When all is known and granted, it is only looked at so often whether that still holds."""
 TOKEN_NS: Final = 65536
 """So much of the token goes into a question for the time: 66 us at most."""
@@ -134,7 +134,8 @@ class Link(Receiver):
         vehicles = self._others.vehicles(now_ns)
         if vehicles:
             heard = ", ".join(f"{o.system} ({ardurover.TYPE_NAMES.get(o.type, o.type)})" for o in vehicles)
-            return f"no vehicle with system id {self.settings.system} here, but with {heard}"
+            meant = self.settings.system or f"from 1 to {ardurover.SYSTEM_GROUND_STATION - 1}"
+            return f"no vehicle with system id {meant} here, but with {heard}"
         if self.unsigned_refused:
             return "what comes is not signed: give the vehicle this signing key"
         if self.bad_signatures:
@@ -169,6 +170,11 @@ class Link(Receiver):
     def take_attitudes(self) -> list[AttitudeSample]:
         """The samples since the last call, in order of their stamps."""
         return _emptied(self._attitudes)
+
+    def take_modes(self) -> list[tuple[int | None, bool]]:
+        """Mode and whether it is armed, as its heartbeats since the last call said, each change once. Not
+        only the last: an operator who took the vehicle and gave it back meanwhile has had it."""
+        return _emptied(self._modes)
 
     def take_texts(self) -> list[Text]:
         """What the vehicle said since the last call."""
@@ -260,7 +266,9 @@ class Link(Receiver):
         return b"".join(map(self._codec.encoded, messages))
 
     def _requests(self, now_ns: int, system: int) -> list[Any]:
-        settled = not self._commands.waiting and self._audit.done and self.firmware and self.origin is not None
+        settled = (
+            not self._commands.waiting and self._audit.done and self.firmware and self.origin is not None
+        )
         if settled and not self._is_due("look", now_ns, LOOK_PERIOD_NS):
             return []
         component = ardurover.COMPONENT_AUTOPILOT

@@ -24,6 +24,7 @@ TIMESYNC_KEPT: Final = 16
 OWN_TIMES_KEPT: Final = 64
 """Own questions of the last 16 s: an echo of one is nobody else's."""
 _TIME_MAX: Final = 2**62
+_STAMPS: Final = 2**32
 
 
 class Receiver:
@@ -31,7 +32,8 @@ class Receiver:
     vehicle's autopilot (component 1) change them. No bytes make any method raise.
 
     Attributes:
-        system: the vehicle's id, None until its heartbeat came. `type` MAV_TYPE, `autopilot` MAV_AUTOPILOT.
+        system: the vehicle's id, 1 to 254, None until its heartbeat came. `type` MAV_TYPE, `autopilot`
+            MAV_AUTOPILOT.
         firmware: its version, "" while unknown.
         problem: why it is not to be driven, as "is a quadrotor (MAV_TYPE 2), not a rover"; "" when nothing is
             known against it.
@@ -75,6 +77,7 @@ class Receiver:
         self._positions: deque[PositionSample] = deque(maxlen=QUEUE_MAX)
         self._attitudes: deque[AttitudeSample] = deque(maxlen=QUEUE_MAX)
         self._texts: deque[Text] = deque(maxlen=QUEUE_MAX)
+        self._modes: deque[tuple[int | None, bool]] = deque(maxlen=QUEUE_MAX)
         self._asked: deque[int] = deque(maxlen=TIMESYNC_KEPT)
         self._own_times: deque[int] = deque(maxlen=OWN_TIMES_KEPT)
         self._replies: deque[int] = deque(maxlen=4)
@@ -128,13 +131,14 @@ class Receiver:
     def receive(self, arrival_ns: int, data: bytes) -> None:
         """Takes bytes and when they came."""
         for message in self._codec.parse(data):
-            number = message.get_msgId()  # STATUSTEXT has a field `id`
+            header = message.get_header()
+            number = header.msgId
             handler = self._handlers.get(number)
             if handler is None:
                 if number == dialect.MAVLINK_MSG_ID_BAD_DATA:
                     self.counts["bad data"] += 1
                 continue
-            sender = message.get_srcSystem(), message.get_srcComponent()
+            sender = header.srcSystem, header.srcComponent
             if number == dialect.MAVLINK_MSG_ID_HEARTBEAT:
                 self._on_any_heartbeat(arrival_ns, message, sender)
             elif number == dialect.MAVLINK_MSG_ID_TIMESYNC and not message.tc1:
@@ -161,7 +165,8 @@ class Receiver:
             and message.autopilot != ardurover.AUTOPILOT_INVALID
             and message.type != ardurover.TYPE_GCS
         )
-        if autopilot and self.system is None and self.settings.system in (None, system):
+        meant = self.settings.system in (None, system) and 1 <= system < ardurover.SYSTEM_GROUND_STATION
+        if autopilot and self.system is None and meant:
             self.system = system
             if self.settings.own_system is None:
                 self._codec.srcSystem = system
@@ -185,6 +190,8 @@ class Receiver:
         if armed != self.armed or (mode != self.mode and mode != ardurover.GUIDED):
             self._commands.no_more(ardurover.CMD_COMPONENT_ARM_DISARM)
         self.mode, self.armed = mode, armed
+        if not self._modes or self._modes[-1] != (mode, armed):
+            self._modes.append((mode, armed))
         self.vehicle_signs = bool(message.get_header().incompat_flags & dialect.MAVLINK_IFLAG_SIGNED)
 
     def _valid_ns(self, message: Any, arrival_ns: int) -> int | None:
@@ -192,11 +199,12 @@ class Receiver:
         reboots = self.clock.reboots
         valid_ns = self.clock.take(message.time_boot_ms, arrival_ns)
         self._look_for_reboot(reboots)
-        number = message.get_msgId()
-        if message.time_boot_ms <= self._stamps.get(number, -1):
+        number, stamp_ms = message.get_msgId(), message.time_boot_ms
+        # The stamp wraps every 49.7 days: what is behind by less than half of that is late.
+        if (self._stamps.get(number, stamp_ms - 1) - stamp_ms) % _STAMPS < _STAMPS // 2:
             self.counts["out of order"] += 1
             return None
-        self._stamps[number] = message.time_boot_ms
+        self._stamps[number] = stamp_ms
         return valid_ns
 
     def _look_for_reboot(self, reboots: int) -> None:

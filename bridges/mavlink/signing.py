@@ -23,6 +23,8 @@ STEPS_PER_S: Final = 100_000
 AHEAD: Final = 20 * STEPS_PER_S
 """What is stored is so far ahead of what is used. Less than a minute: a vehicle refuses others that are a
 minute behind what it has seen."""
+LEFT_AHEAD: Final = STEPS_PER_S
+"""The same for what is stored in the end: messages signed since `Timestamps.next` was asked last."""
 _NS_PER_STEP: Final = 10_000
 _MAX: Final = 2**48 - 1
 _FILE_MAX: Final = 256
@@ -144,10 +146,15 @@ class Timestamps:
         return self._last
 
     def close(self) -> None:
-        """Ends the thread; what is stored stays ahead of what was used."""
+        """Ends the thread; what is stored stays ahead of what was used, but by little: a bridge that is
+        started again and again must not run away from the clock of others who sign.
+        """
         self._ended = True
         self._wake.set()
         self._thread.join(1.0)
+        if not self._thread.is_alive():
+            with contextlib.suppress(OSError):
+                _write(self._path, min(self._stored, self._last + LEFT_AHEAD))
 
     def _keep(self) -> None:
         while not self._ended:

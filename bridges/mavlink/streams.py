@@ -20,7 +20,7 @@ KEPT_PART: Final = 0.7
 WINDOW_NS: Final = 3 * NS_PER_S
 _WINDOW_MESSAGES: Final = 5
 _BACK_OFF_MAX_NS: Final = 30 * NS_PER_S
-_REPEAT_NS: Final = 10 * NS_PER_S
+_REPEAT_NS: Final = 3 * NS_PER_S
 _REJECTED_NS: Final = 2 * NS_PER_S
 _KEPT: Final = 256
 

@@ -15,8 +15,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
 
+from agent.private_folder import NotPrivateError
 from bridges.mavlink.channels import Channel, open_channel
-from bridges.mavlink.connection import Connection, parse_connection
+from bridges.mavlink.connection import Connection, Unusable, parse_connection
 from bridges.mavlink.exclusive import Hold
 
 RETRY_S: Final = 0.2
@@ -31,6 +32,7 @@ class Transport(Protocol):
 
     Attributes:
         trouble: why there is none, "" while there is one. Changes at any time.
+        waits: whether that may end by itself; else somebody has to change something first.
         epoch: how often it was opened: when it has grown, the session starts afresh (`Link.restart`).
         note: something odd that does not keep it from working, "" when nothing is.
         dropped: how many `send`s went nowhere.
@@ -38,6 +40,9 @@ class Transport(Protocol):
 
     @property
     def trouble(self) -> str: ...
+
+    @property
+    def waits(self) -> bool: ...
 
     @property
     def epoch(self) -> int: ...
@@ -72,6 +77,7 @@ class ThreadedTransport:
         self, connection: Connection, baud: int, clock: Callable[[], int], system: int | None = None
     ) -> None:
         self.trouble = f"{connection.text} is being opened"
+        self.waits = True
         self.epoch = 0
         self.dropped = 0
         self._connection, self._baud, self._clock, self._system = connection, baud, clock, system
@@ -133,7 +139,11 @@ class ThreadedTransport:
                     hold = Hold(self._connection, self._system)
                 channel = open_channel(self._connection, self._baud)
             except OSError as error:
+                self.waits = not isinstance(error, Unusable | NotPrivateError)
                 self.trouble = f"cannot open {self._connection.text}: {_reason(error)}"
+            except Exception as error:  # this thread must not end without a word
+                self.waits = False
+                self.trouble = f"cannot open {self._connection.text}: {type(error).__name__}: {error}"
             else:
                 if self._read(channel):
                     pause_s = RETRY_S
@@ -168,6 +178,7 @@ class ThreadedTransport:
                     self._queue.append((now_ns, data))
                     came = True
         except OSError as error:
+            self.waits = True
             self.trouble = f"{self._connection.text}: {_reason(error)}"
         finally:
             with self._lock:

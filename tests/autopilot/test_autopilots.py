@@ -300,7 +300,7 @@ def test_the_operator_wins_and_gives_back_and_it_waits_for_leave(field: Field, v
     assert not vehicle.reading.obeying
     assert hypot(vehicle.pose.x - place.x, vehicle.pose.y - place.y) < STILL_M
     assert setpoints(vehicle, since_ns) == 0
-    vehicle.plant.go_ahead(time.time_ns())
+    vehicle.plant.go_ahead()
     field.until(lambda: vehicle.pose.speed > 0.2, "drives again", 5.0)
     vehicle.command = lambda _: None
     field.until(lambda: vehicle.standing, "stands", 5.0)

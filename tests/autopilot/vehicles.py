@@ -11,7 +11,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from math import cos, radians
+from math import cos, radians, sin, sqrt
 from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -20,8 +20,9 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.hand import Pose
+from bridges.mavlink import ardurover
 from bridges.mavlink.backend import MavlinkPlant, session
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.frames import Geodetic, world_to_geodetic
 from bridges.mavlink.link import Link, LinkSettings
 from bridges.mavlink.transport import Transport, open_transport
 from plant.backend import Command, Reading
@@ -31,9 +32,12 @@ VARIABLE: Final = "HANDFAST_AUTOPILOTS"
 BOOT_S: Final = 120.0
 """An autopilot has its origin 17 s after it was switched on, and is ready after 40 s; some take longer."""
 BAUD: Final = 57_600
+OPERATORS_RATE_HZ: Final = 4.0
+DATUM_AWAY_M: Final = (60.0, -80.0)
+"""East and north of the first vehicle's origin."""
 PERIOD_NS: Final = NS_PER_S // 20
 MASS, INERTIA, HAND_M = 20.0, 1.2, 0.4
-_EARTH_M: Final = 6_378_137.0
+_EARTH_M, _E2 = 6_378_137.0, 6.694_379_990_14e-3
 
 
 class Place(NamedTuple):
@@ -118,6 +122,14 @@ class Vehicle:
         second = open_transport(place.operator, BAUD, time.time_ns) if place.operator else transport.other()
         self.operator = Operator(second, place.bridge, meanwhile=lambda: None)
 
+    def ask_operators_streams(self) -> None:
+        """Has it send what the bridge is judged by; on the bridge's connection ATTITUDE comes anyway."""
+        wanted = [mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT]
+        if self.place.operator:
+            wanted.append(mavlink.MAVLINK_MSG_ID_ATTITUDE)
+        for message in wanted:
+            self.operator.command(ardurover.CMD_SET_MESSAGE_INTERVAL, message, 1e6 / OPERATORS_RATE_HZ)
+
     def step(self, now_ns: int) -> None:
         command = None if self.reading is None else self.command(self.reading)
         self.reading = self.plant.step(now_ns, command)
@@ -146,10 +158,13 @@ class Vehicle:
 
 
 def metres(start: tuple[float, float], end: tuple[float, float]) -> tuple[float, float]:
-    """East and north from one latitude and longitude to another near by, without the bridge's geodesy."""
+    """East and north from one latitude and longitude to another near by: by the radii of curvature of WGS 84,
+    without the bridge's geodesy."""
     (latitude, longitude), (latitude2, longitude2) = start, end
-    east = radians(longitude2 - longitude) * _EARTH_M * cos(radians(latitude))
-    return east, radians(latitude2 - latitude) * _EARTH_M
+    middle = radians(0.5 * (latitude + latitude2))
+    flat = 1.0 - _E2 * sin(middle) ** 2
+    east = radians(longitude2 - longitude) * _EARTH_M / sqrt(flat) * cos(middle)
+    return east, radians(latitude2 - latitude) * _EARTH_M * (1.0 - _E2) / flat**1.5
 
 
 class Field:
@@ -158,9 +173,13 @@ class Field:
     def __init__(self, all_places: Sequence[Place]) -> None:
         transports = [Tee(open_transport(place.bridge, BAUD, time.time_ns)) for place in all_places]
         self._due_ns = time.time_ns()
-        self.datum = self._survey(transports[0], all_places[0])
-        for transport in transports[1:]:
-            transport.receive()
+        try:
+            origin = self._survey(transports[0], all_places[0])
+            self.datum = world_to_geodetic(origin, *DATUM_AWAY_M)  # so that no offset is nothing
+        except BaseException:
+            for transport in transports:
+                transport.close()
+            raise
         self.fleet = fleet_of(all_places, self.datum)
         self.vehicles = [
             Vehicle(self.fleet, robot, place, transport)
@@ -168,7 +187,7 @@ class Field:
         ]
 
     def _survey(self, transport: Tee, place: Place) -> Geodetic:
-        """Where the first one has the origin of its EKF: the datum of all."""
+        """Where the first one has the origin of its EKF."""
         link = Link(LinkSettings(set_origin=False))
         deadline = time.monotonic() + BOOT_S
         while link.origin is None or link.system is None:
@@ -224,11 +243,13 @@ class Field:
         """Waits until the bridges have these vehicles, and says that they may drive."""
         for vehicle in vehicles or self.vehicles:
             vehicle.command = lambda _: None
+            self.until(lambda v=vehicle: v.operator.system is not None, "heard by its operator", BOOT_S)
+            vehicle.ask_operators_streams()
             self.until(lambda v=vehicle: v.reading is not None and v.reading.healthy, "healthy", BOOT_S)
             if vehicle.log and "waiting to be told to resume" in vehicle.plant.authority.why:
-                vehicle.plant.go_ahead(time.time_ns())
+                vehicle.plant.go_ahead()
             self.until(lambda v=vehicle: v.reading.obeying and v.standing, "armed, in GUIDED, standing", 60.0)
-            vehicle.plant.go_ahead(time.time_ns())
+            vehicle.plant.go_ahead()
 
     def close(self) -> None:
         """All stand, those that were armed here are disarmed, and connections are given back."""
@@ -257,7 +278,7 @@ def fleet_of(
     """
     n = len(all_places)
     ids = range(1, n + 1)
-    starts = starts or [(3.0 * robot, 0.0) for robot in ids]
+    starts = starts or [(-DATUM_AWAY_M[0] + 3.0 * (robot - 1), -DATUM_AWAY_M[1]) for robot in ids]
     # A fleet has two robots at least: alone, a vehicle gets a second one that nobody runs.
     phantom = "" if n > 1 else f'[[robot]]\nid = 2\nplant = "unicycle"\nx_m = {starts[0][0] + 3.0}\ny_m = 0.0'
     count = max(n, 2)

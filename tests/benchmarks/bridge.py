@@ -185,7 +185,7 @@ def profile(window_s: float) -> tuple[list[str], float]:
             spent_ns += 0 if profiled else took_ns
         if reading.obeying and not obeying:
             obeying = True
-            joined.plant.go_ahead(now_ns)
+            joined.plant.go_ahead()
         if obeying:
             command = Command(
                 body.mass_kg * 0.3 * sin(0.5 * time_s), body.inertia_kgm2 * 0.3 * cos(0.7 * time_s)

@@ -69,7 +69,7 @@ def test_the_operator_takes_over_gives_back_and_the_fleet_resumes(tmp_path: Path
         assert status.reason == state.note
         fleet.first(since_ns, HandState, 2, lambda m: not m.following, "its neighbour is told")
         released_ns = time.time_ns()
-        fleet.wait_with(operator, lambda: time.time_ns() > released_ns + 2 * NS_PER_S, "time passes")
+        fleet.wait_with(operator, lambda: time.time_ns() > released_ns + NS_PER_S, "time passes")
         assert {m.state for _, m in fleet.since(since_ns, Status, 1)} == {"running"}
         assert all(m.driving for _, m in fleet.since(since_ns, PlantState, 1))
         assert all(m.brake for _, m in fleet.since(released_ns, Wrench, 2))
@@ -77,7 +77,7 @@ def test_the_operator_takes_over_gives_back_and_the_fleet_resumes(tmp_path: Path
         operator.set_mode("GUIDED")
         waits_for_leave(fleet, operator)
         back_ns = time.time_ns()
-        fleet.wait_with(operator, lambda: time.time_ns() > back_ns + NS_PER_S, "time passes")
+        fleet.wait_with(operator, lambda: time.time_ns() > back_ns + NS_PER_S // 2, "time passes")
         assert fleet.states()[2] == "released"
         fleet.resume(2)
         drives_again(fleet, operator)
@@ -149,7 +149,7 @@ def test_a_vehicle_that_is_switched_off_and_on(tmp_path: Path) -> None:
         operator.set_mode("GUIDED")
         operator.arm()
         waits_for_leave(fleet, operator)
-        fleet.wait_with(operator, lambda: time.time_ns() > up_ns + NS_PER_S, "time passes")
+        fleet.wait_with(operator, lambda: time.time_ns() > up_ns + NS_PER_S // 2, "time passes")
         assert not any(m.driving for _, m in fleet.since(up_ns, PlantState, 2))
         fleet.resume()
         drives_again(fleet, operator)

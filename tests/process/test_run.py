@@ -8,9 +8,11 @@ import pty
 import re
 import select
 import signal
+import socket
 import termios
 import time
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -252,6 +254,26 @@ def test_ctrl_c_while_waiting_for_a_robot(tmp_path: Path) -> None:
         assert command.wait(2.0) == 130, command.told()
     assert "all 4 processes alive" not in command.err
     assert not assert_complete(tmp_path / "out", report=False)["verdict"]["passed"]
+
+
+def test_ctrl_c_while_a_bridge_connects(tmp_path: Path) -> None:
+    """Opening a TCP connection cannot be cut short: the bridge gets the time to let go of it."""
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as server, ExitStack() as stack:
+        port = server.getsockname()[1]
+        for _ in range(3):  # they fill its queue: whoever comes now waits
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(("127.0.0.1", port))
+        settings = (
+            "robot.1.plant=mavlink", f"robot.1.mavlink.connection=tcp:127.0.0.1:{port}",
+            "datum.latitude_deg=48", "datum.longitude_deg=11",
+        )  # fmt: skip
+        sets = [each for setting in settings for each in ("--set", setting)]
+        with drive(tmp_path, "pair", "--no-report", "--no-check", *sets) as command:
+            command.wait_for_line("all 4 processes alive")
+            command.process.send_signal(signal.SIGINT)
+            assert command.wait(10.0) == 130, command.told()
+    assert "was killed" not in command.err, command.told()
 
 
 def test_ctrl_c_while_it_loads(tmp_path: Path) -> None:

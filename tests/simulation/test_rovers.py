@@ -60,7 +60,11 @@ def test_the_operator_takes_over_within_one_cycle(how: str) -> None:
     assert how.lower() in scene.bridge.reading.note.lower()
     released_ns = scene.now_ns
     scene.run(10.0)
-    assert scene.bridge.setpoints(released_ns) == [], "the tick that hears of it sends nothing, nor any after"
+    sent = scene.bridge.setpoints(released_ns)
+    if how == "disarmed":  # in GUIDED still: armed anew within 3 s it would take up what it was told last
+        assert all((speed, rate) == (0.0, 0.0) for _, speed, rate in sent)
+        sent = scene.bridge.setpoints(released_ns + 4 * NS_PER_S)
+    assert sent == [], "the tick that hears of it sends nothing, nor any after"
 
 
 def test_a_mode_that_is_heard_is_looked_at_before_anything_is_sent() -> None:
@@ -87,7 +91,8 @@ def test_given_back_it_stays_released_until_the_fleet_is_told_to_resume() -> Non
     assert scene.rover.set_mode("GUIDED")
     bridge.command = GO
     scene.run(5.0)
-    assert bridge.reading.note.endswith("now in GUIDED and armed: waiting to be told to resume")
+    assert "has given it back" in bridge.reading.note
+    assert bridge.reading.note.endswith("waiting to be told to resume")
     assert not bridge.reading.obeying
     assert bridge.setpoints(back_ns) == []
     bridge.go_ahead()
@@ -228,6 +233,33 @@ def test_told_to_arm_it_gives_up_when_the_operator_leaves_guided_before_it_is_ar
     scene.run(10.0)
     assert (scene.rover.mode, scene.rover.armed) == ("HOLD", False)
     assert any("asked no more" in line for line in scene.bridge.log)
+
+
+def test_told_to_arm_it_sees_the_operator_leave_guided_while_there_is_trouble() -> None:
+    scene = Scene(ARM, hand_over=False)
+    scene.until(lambda: any("asking for GUIDED" in line for line in scene.bridge.log))
+    scene.bridge.port.trouble = "cannot be opened"
+    scene.run(0.3)
+    assert scene.rover.mode == "GUIDED"
+    scene.rover.set_mode("HOLD")
+    scene.run(0.3)
+    scene.bridge.port.trouble = ""
+    scene.run(10.0)
+    assert (scene.rover.mode, scene.rover.armed) == ("HOLD", False)
+
+
+def test_what_its_operator_armed_anew_it_does_not_disarm_at_its_end() -> None:
+    scene = Scene(ARM, hand_over=False)
+    scene.drive()
+    scene.rover.disarm()
+    scene.run(4.0)  # the vehicle goes on with a setpoint of the last 3 s
+    scene.rover.arm()
+    scene.run(1.0)
+    assert stands(scene)
+    scene.bridge.plant.close()
+    scene.bridge.dead = True
+    scene.run(0.2)
+    assert scene.rover.armed
 
 
 @pytest.mark.parametrize("armed_here", [True, False])
@@ -388,6 +420,27 @@ def test_a_bridge_that_was_frozen_drives_on(frozen_s: float) -> None:
     assert not any("does not follow" in line for line in scene.bridge.log)
 
 
+@pytest.mark.parametrize("how", ["HOLD", "disarmed"])
+def test_taken_and_given_back_while_the_bridge_was_frozen_it_is_released_all_the_same(how: str) -> None:
+    scene = Scene()
+    scene.drive()
+    scene.bridge.dead = True
+    scene.run(0.1)
+    take(scene.rover, how)
+    scene.run(0.3)
+    assert scene.rover.set_mode("GUIDED")
+    scene.rover.arm()
+    scene.run(0.3)
+    scene.bridge.dead = False
+    woken_ns = scene.now_ns
+    scene.bridge.command = GO
+    scene.run(3.0)
+    # What was only disarmed is in GUIDED: it is told to stand, since it may hold on to the last it was told.
+    sent = [asked for _, *asked in scene.bridge.setpoints(woken_ns + 1)]
+    assert sent == ([] if how == "HOLD" else [[0.0, 0.0]] * len(sent))
+    assert "its operator has given it back" in scene.bridge.reading.note
+
+
 def test_two_bridges_at_two_ports_the_later_one_keeps_off() -> None:
     scene = Scene(ports=3)
     scene.drive()
@@ -492,6 +545,18 @@ def test_a_rover_that_reboots_is_released_and_asked_for_everything_again() -> No
     bridge.go_ahead()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
     assert (scene.pose.x, scene.pose.y) == pytest.approx(bridge.reading.pose[:2], abs=0.06)
+
+
+def test_what_kept_it_from_arming_before_a_reboot_is_not_told_of_it_after() -> None:
+    scene = Scene(boot_s=10.0)
+    scene.until(lambda: scene.bridge.reading.obeying)
+    scene.rover._vehicle.say(2, "PreArm: Hardware safety switch")
+    scene.run(0.5)
+    assert any("Hardware safety switch" in line for line in scene.bridge.log)
+    scene.rover.reboot()
+    scene.run(1.0)
+    scene.until(lambda: "arming" in scene.bridge.blocking, 10.0)
+    assert "Hardware" not in scene.bridge.blocking["arming"]
 
 
 def test_a_cut_link_stops_it_and_back_again_it_drives_on_without_a_jump() -> None:

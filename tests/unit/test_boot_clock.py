@@ -162,6 +162,15 @@ def test_the_stamp_wraps_every_49_days():
     assert clock.reboots == 0
 
 
+def test_a_vehicle_that_has_been_up_for_months_has_not_rebooted():
+    clock, vehicle = BootClock(), Vehicle()
+    wall = BOOT_NS + 120 * 86_400 * NS_PER_S
+    clock.exchange(wall - 10 * MS, vehicle.boot_time_ns(wall - 5 * MS), wall)
+    stamp = vehicle.boot_time_ns(wall) // MS % 2**32
+    assert clock.take(stamp, wall + 5 * MS) - wall == pytest.approx(0, abs=6 * MS)
+    assert clock.reboots == 0
+
+
 def test_own_clock_is_set_back_between_exchanges():
     clock, vehicle = BootClock(), Vehicle()
     vehicle.exchange(clock, at(100.0), 2 * MS, 4 * MS)

@@ -64,7 +64,7 @@ def test_each_thing_that_is_unwise_is_a_warning(override: str, place: str, words
         "robot.3.mavlink.connection=tcp:127.0.0.1:5760",
         "fleet.rate_hz=50",
         "control.plant_timeout_s=0.3",
-        "control.wrench_timeout_s=0.3",
+        "control.wrench_timeout_s=0.25",
         "control.max_acceleration=0.8",
         "robot_defaults.mavlink.max_speed_mps=0.45",
         "formation.safe_distance_m=0.8",
@@ -108,7 +108,9 @@ def test_vehicles_and_datum_are_described() -> None:
     text = describe(rovers())
     assert "datum: x = 0, y = 0 is at -35.3632610, 149.1652300, 584 m above the sea" in text
     assert "vehicles: robots 1, 2, 3, 4, 5 and 6, ArduPilot Rovers that are simulated on this machine" in text
-    assert "arming of robots 1, 2, 3, 4, 5 and 6: their operators" in text
+    assert "arming" not in text, "whoever starts simulated rovers has them handed over"
+    text = describe(rovers(*(f"robot.{k}.mavlink.connection=udpin:0.0.0.0:1455{k}" for k in (1, 2))))
+    assert "arming of robots 1 and 2: their operators put them into GUIDED and arm them" in text
     text = describe(
         rovers(
             "robot.3.mavlink.connection=/dev/serial/by-id/x",
@@ -117,5 +119,5 @@ def test_vehicles_and_datum_are_described() -> None:
         )
     )
     assert "vehicle: robot 3, an ArduPilot Rover on /dev/serial/by-id/x at 115200 baud, signed" in text
-    assert "arming of robot 3: their bridges put them into GUIDED and arm them, by themselves" in text
+    assert "arming of robot 3: its bridge puts it into GUIDED and arms it, by itself" in text
     assert "datum" not in describe(load_fleet(FLEETS / "pair.toml"))

@@ -474,7 +474,8 @@ def test_a_simulated_robot_needs_nothing_of_what_a_vehicle_needs() -> None:
     "connection",
     [
         "simulator", "udpin:0.0.0.0:14550", "udpout:192.168.1.7:14550", "udp:127.0.0.1:1",
-        "tcp:rover-1.lan:65535", "/dev/serial/by-id/usb-ArduPilot_Pixhawk1_36-if00", "/dev/ttyACM0",
+        "tcp:rover-1.lan:65535", "tcp:[fd00::7]:5760", "tcp:rover_1:5760",
+        "/dev/serial/by-id/usb-ArduPilot_Pixhawk1_36-if00", "/dev/ttyACM0",
     ],
 )  # fmt: skip
 def test_connections(connection: str) -> None:
@@ -487,7 +488,7 @@ def test_connections(connection: str) -> None:
     [
         "", "simulated", "udpin", "udpin:", "udpin:14550", "udpin:0.0.0.0", "udpin:0.0.0.0:",
         "udpin:0.0.0.0:0", "udpin:0.0.0.0:65536", "udpin:0.0.0.0:99999", "udpin:0.0.0.0:014550",
-        "udpin:0.0.0.0:14550 ", "udpin::14550", "udpin:a b:14550", "UDPIN:0.0.0.0:14550",
+        "udpin:0.0.0.0:14550 ", "udpin::14550", "udpin:::1:14550", "udpin:a b:14550", "UDPIN:0.0.0.0:14550",
         "tcp://10.0.0.1:5760", "/dev/", "/dev/tty ACM0", "/dev/ttyACM0,57600", "ttyACM0", "COM3",
         "serial:/dev/ttyACM0",
     ],

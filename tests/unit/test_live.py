@@ -139,3 +139,25 @@ def test_a_release_and_its_end_are_news_once() -> None:
     told(watched, 2, "running", "", 4)
     assert watched.news(20.0) == ["20.0 s: robot 2 is back: running"]
     assert watched.news(20.0) == []
+
+
+def test_a_released_robot_whose_plant_is_lost_is_not_back_before_it_drives() -> None:
+    watched = watch()
+    told(watched, 2, "released", "mode MANUAL, not GUIDED", 1)
+    watched.news(1.0)
+    for after_ns, state in enumerate(("fault", "waiting"), 2):
+        told(watched, 2, state, "plant silent for 0.60 s", after_ns)
+        assert watched.news(2.0) == []
+    told(watched, 2, "running", "", 4)
+    assert watched.news(3.0) == ["3.0 s: robot 2 is back: running"]
+
+
+def test_a_released_robot_is_not_back_when_the_drive_is_over() -> None:
+    watched = watch()
+    told(watched, 2, "released", "disarmed", 1)
+    watched.news(1.0)
+    for after_ns, state in enumerate(("stopping", "stopped"), 2):
+        told(watched, 2, state, "the mission is over", after_ns)
+        assert watched.news(2.0) == []
+    told(watched, 2, "running", "", 4)  # of the next mission: no news
+    assert watched.news(3.0) == []

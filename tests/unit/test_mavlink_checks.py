@@ -132,9 +132,22 @@ def test_ekf_and_gps() -> None:
         link.ekf = good_ekf._replace(flags=flags)
         assert looked.line("EKF").level == "blocking"
         assert text in looked.line("EKF").found
-    for variance, level in ((0.4, "ok"), (0.6, "warning"), (0.81, "blocking"), (float("inf"), "blocking")):
-        link.ekf = good_ekf._replace(compass_variance=variance)
-        assert looked.line("EKF").level == level, variance
+    inf = float("inf")
+    for velocity, position, compass, level in (
+        (0.1, 0.1, 0.4, "ok"),
+        (0.1, 0.1, 0.6, "warning"),
+        (0.1, 0.1, inf, "warning"),  # the current of its motors: no reason to stop
+        (0.1, 0.81, 0.1, "warning"),
+        (0.81, 0.1, 0.1, "warning"),
+        (1.61, 0.1, 0.1, "blocking"),
+        (0.1, 0.81, 0.81, "blocking"),
+        (0.81, 0.1, 0.81, "blocking"),
+        (float("nan"), 0.1, 0.1, "blocking"),
+    ):
+        link.ekf = good_ekf._replace(
+            velocity_variance=velocity, position_variance=position, compass_variance=compass
+        )
+        assert looked.line("EKF").level == level, (velocity, position, compass)
     link.ekf = good_ekf._replace(arrival_ns=now_ns - 6 * NS_PER_S)
     assert (looked.line("EKF").level, looked.line("EKF").found) == (
         "blocking",
@@ -216,18 +229,25 @@ def test_parameters_are_waited_for() -> None:
     ("parameter", "value", "line"),
     [
         ("FS_ACTION", 0, "FS_ACTION"),
+        ("FS_ACTION", 1, "FS_ACTION"),
+        ("FS_ACTION", 4, "FS_ACTION"),
         ("FS_THR_ENABLE", 0, "FS_THR_ENABLE"),
         ("FS_GCS_ENABLE", 0, "FS_GCS_ENABLE"),
         ("FS_EKF_ACTION", 0, "FS_EKF_ACTION"),
+        ("FS_EKF_ACTION", 2, "FS_EKF_ACTION"),
+        ("FS_EKF_THRESH", 0, "FS_EKF_THRESH"),
         ("FS_CRASH_CHECK", 0, "FS_CRASH_CHECK"),
         ("BATT_FS_LOW_ACT", 0, "BATT_FS_LOW_ACT"),
+        ("BATT_FS_LOW_ACT", 1, "BATT_FS_LOW_ACT"),
+        ("BATT_FS_CRT_ACT", 3, "BATT_FS_CRT_ACT"),
         ("ARMING_CHECK", 0, "arming checks"),
+        ("ARMING_CHECK", 14, "arming checks"),
         ("WP_SPEED", 0.5, "WP_SPEED"),
         ("ATC_ACCEL_MAX", 0.5, "ATC_ACCEL_MAX"),
         ("ATC_STR_RAT_MAX", 50, "ATC_STR_RAT_MAX"),
     ],
 )
-def test_a_failsafe_that_is_off_and_a_limit_that_is_low_are_warned_of(
+def test_a_failsafe_that_is_off_or_risky_and_a_limit_that_is_low_are_warned_of(
     parameter: str, value: float, line: str
 ) -> None:
     looked = Looked(parameters={**SAFE, parameter: float(value)})
@@ -279,3 +299,11 @@ def test_who_else_is_there() -> None:
     assert "5" in scene_lines.line("other vehicles").found
     assert scene_lines.line("other bridges").level == "blocking"
     assert "component 192" in scene_lines.line("other bridges").found
+
+
+def test_failsafes_that_it_does_not_tell_of_are_named() -> None:
+    looked = Looked(parameters=SAFE)
+    assert looked.line("parameters").level == "ok"
+    looked.link._audit.values["FS_EKF_ACTION"] = None
+    line = looked.line("parameters")
+    assert (line.level, line.found) == ("warning", "FS_EKF_ACTION not told")

@@ -30,6 +30,8 @@ def test_what_pymavlink_takes(text: str, expected: Connection) -> None:
     [
         ("", "is not a connection"),
         ("simulator", "is not a connection"),
+        ("/dev/ttyACM0\0", "is not a connection"),
+        ("tcp:rover\0:5760", "is not a connection"),
         ("serial:/dev/ttyACM0", "is not a connection"),
         ("tcpin:0.0.0.0:5760", "tcpin connections are not supported"),
         ("tcp:127.0.0.1", "names no host and port"),

@@ -112,6 +112,18 @@ def test_a_vehicle_with_another_id_is_noted_not_taken() -> None:
     assert link.setpoint(0.1, 0.0) == b""
 
 
+@pytest.mark.parametrize("system", [0, 255])
+def test_a_vehicle_with_an_id_that_is_none_is_not_taken(system: int) -> None:
+    link = Link(LinkSettings())
+    link.receive(T0, Speaker(system).alive())
+    assert link.system is None
+    assert (
+        link.absence(T0) == f"no vehicle with system id from 1 to 254 here, but with {system} (ground rover)"
+    )
+    assert link.own == (1, 191)
+    assert link.setpoint(0.1, 0.0) == b""
+
+
 @pytest.mark.parametrize(
     ("kind", "autopilot", "problem"),
     [
@@ -403,6 +415,15 @@ def test_samples_come_in_order_once_and_finite() -> None:
     ]
     assert link.take_positions() == []
     assert link.counts == {"out of order": 2, "not finite": 1}
+
+
+def test_samples_go_on_when_the_stamp_wraps() -> None:
+    link, rover = joined()
+    for stamp_ms in (2**32 - 40, 2**32 - 80, 0, 40):
+        link.receive(T0, rover.position(stamp_ms))
+    assert [s.stamp_ms for s in link.take_positions()] == [2**32 - 40, 0, 40]
+    assert link.counts == {"out of order": 1}
+    assert link.epoch == 0
 
 
 def test_a_long_text_is_joined_and_a_lost_end_waited_for_one_second() -> None:

@@ -103,8 +103,21 @@ def test_after_a_crash_the_next_process_begins_later_whatever_the_clock_says(tmp
 
 def test_what_is_stored_is_less_than_a_minute_ahead(tmp_path: Path) -> None:
     path = tmp_path / "stamp"
-    Timestamps(path, NOW_NS).close()
+    stamps = Timestamps(path, NOW_NS)
     assert NOW < stored(path) < NOW + 60 * STEPS_PER_S
+    stamps.close()
+
+
+def test_starting_it_again_and_again_does_not_run_away_from_the_clock(tmp_path: Path) -> None:
+    path = tmp_path / "stamp"
+    used = 0
+    for start in range(10):  # preflight, run, stop, and all that once more, in 20 s
+        stamps = Timestamps(path, NOW_NS + 2 * start * 10**9)
+        assert stamps.next(NOW_NS + 2 * start * 10**9) > used
+        used = stamps.next(NOW_NS + (2 * start + 1) * 10**9)
+        stamps.close()
+        assert stored(path) > used
+    assert used < NOW + 21 * STEPS_PER_S
 
 
 def test_a_disk_that_fails_is_told_and_does_not_stop_the_stamps(

@@ -20,7 +20,7 @@ import pytest
 from agent.clock import NS_PER_S
 from bridges.mavlink import channels, exclusive
 from bridges.mavlink import transport as transport_module
-from bridges.mavlink.channels import PEER_NS, Tcp, UdpIn
+from bridges.mavlink.channels import PEER_NS, Tcp, UdpIn, UdpOut
 from bridges.mavlink.connection import parse_connection
 from bridges.mavlink.exclusive import Hold, InUse
 from bridges.mavlink.transport import Transport, open_transport
@@ -139,6 +139,7 @@ def test_nobody_there_is_told_and_tried_again(opened: Callable[[str], Transport]
     transport = opened(f"tcp:{LOCALHOST}:{port}")
     until(lambda: "cannot open" in transport.trouble)
     assert transport.trouble == f"cannot open tcp:{LOCALHOST}:{port}: connection refused"
+    assert transport.waits, "a simulator that is started later is found"
     transport.send(b"lost")
     assert transport.dropped == 1
     with socket.create_server((LOCALHOST, port)) as server:
@@ -154,6 +155,12 @@ def test_an_unknown_host_is_told(opened: Callable[[str], Transport], monkeypatch
     transport = opened("tcp:rover-3.local:5760")
     until(lambda: "cannot open" in transport.trouble)
     assert "cannot find the host rover-3.local" in transport.trouble
+
+
+def test_a_host_that_cannot_be_one_is_told(opened: Callable[[str], Transport]) -> None:
+    transport = opened("udpout:rover-3..local:14550")
+    until(lambda: "cannot open" in transport.trouble)
+    assert transport.trouble.endswith("rover-3..local cannot be the name of a host")
 
 
 def test_a_peer_that_does_not_read_holds_nobody_up_and_gets_whole_messages(listener: socket.socket) -> None:
@@ -258,6 +265,21 @@ def test_udpout_sends_first_and_hears_only_that_address(
     assert received(transport) == b"me"
 
 
+def test_of_both_places_of_a_name_that_of_ipv4_is_taken(
+    vehicle: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = vehicle.getsockname()[1]
+    places = [
+        (socket.AF_INET6, socket.SOCK_DGRAM, 0, "", ("::1", port, 0, 0)),
+        (socket.AF_INET, socket.SOCK_DGRAM, 0, "", (LOCALHOST, port)),
+    ]
+    monkeypatch.setattr(channels.socket, "getaddrinfo", lambda *_, **__: places)
+    channel = UdpOut(parse_connection(f"udpout:localhost:{port}"))
+    channel.write(b"hello")
+    channel.close()
+    assert vehicle.recv(100) == b"hello"
+
+
 def test_udpout_to_nobody_is_told_and_goes_on(opened: Callable[[str], Transport]) -> None:
     transport = opened(f"udpout:{LOCALHOST}:{free_port(socket.SOCK_DGRAM)}")
     until(lambda: transport.epoch)
@@ -293,6 +315,12 @@ def test_udpin_answers_the_first_it_heard_until_that_is_silent() -> None:
         with pytest.raises(BlockingIOError):
             one.recv(100)
         assert channel.read(PEER_NS + NS_PER_S) == b""
+        one.sendto(b"one", (LOCALHOST, port))
+        assert channel.read(2 * PEER_NS - 1) == b""
+        for now_ns, noted in ((2 * PEER_NS, True), (3 * PEER_NS - 1, False)):
+            two.sendto(b"two", (LOCALHOST, port))
+            assert channel.read(now_ns) == b"two"
+            assert bool(channel.note) is noted, "it is told while it goes on"
     finally:
         one.close()
         two.close()
@@ -306,6 +334,7 @@ def test_a_udp_port_of_another_program_is_told(
     transport = opened(f"udpin:{LOCALHOST}:{port}")
     until(lambda: "cannot open" in transport.trouble)
     assert transport.trouble.endswith(f"port {port} is in use by another program")
+    assert not transport.waits
     vehicle.close()
     until(lambda: transport.epoch)
     assert transport.trouble == ""
@@ -354,6 +383,7 @@ def test_a_serial_device_that_cannot_be_opened_is_told(
     missing = opened(str(tmp_path / "none"))
     until(lambda: "cannot open" in missing.trouble)
     assert missing.trouble.endswith("there is no such device: is it plugged in?")
+    assert missing.waits
 
 
 def test_why_a_serial_device_cannot_be_opened() -> None:
@@ -392,6 +422,7 @@ def test_two_bridges_cannot_use_one_connection(
     second = opened(f"tcp:localhost:{port}")
     until(lambda: "cannot open" in second.trouble)
     assert second.trouble.endswith(f"another handfast program uses it (process {os.getpid()})")
+    assert not second.waits
     first.close()
     until(lambda: second.epoch)
     assert second.trouble == ""

@@ -34,3 +34,15 @@ def test_a_link_to_elsewhere_is_not_trusted(tmp_path: Path, monkeypatch: pytest.
     (tmp_path / f"handfast-{os.getuid()}").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(NotPrivateError):
         private_folder()
+
+
+def test_what_is_no_folder_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    place = tmp_path / f"handfast-{os.getuid()}"
+    place.write_text("")
+    with pytest.raises(NotPrivateError, match="remove it"):
+        private_folder()
+    place.unlink()
+    place.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(NotPrivateError, match="remove it"):
+        private_folder()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
+
 import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import load_fleet
 from agent.messages import PlantState, Status
-from deploy.arguments import FLEETS
-from deploy.resuming import Resuming, unknown
+from deploy.arguments import FLEETS, InputError, robots_named
+from deploy.resuming import TOLD, Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")
 T0 = 1_800_000_000 * NS_PER_S
@@ -76,6 +78,26 @@ def test_silence_is_told() -> None:
     assert resuming.outcome(3) == "robot 3: nothing heard from its plant"
 
 
+def named(*robots: int) -> tuple[int, ...]:
+    return robots_named(ROVERS, Namespace(robots=list(robots)))
+
+
 def test_robots_that_are_not_there_are_named() -> None:
-    assert unknown(ROVERS, [1, 6]) == ""
-    assert unknown(ROVERS, [9, 1, 7]) == "there is no robot 7, 9 in rovers; there are: 1, 2, 3, 4, 5, 6"
+    assert named() == ()
+    assert named(6, 1, 6) == (1, 6)
+    with pytest.raises(InputError) as caught:
+        named(9, 1, 7)
+    assert str(caught.value) == "there is no robot 7, 9 in rovers; there are: 1, 2, 3, 4, 5, 6"
+
+
+def test_a_leave_that_came_too_late_is_not_blamed_on_its_operator() -> None:
+    resuming = Resuming(ROVERS, [3], T0)
+    say(
+        resuming,
+        3,
+        "released",
+        obeying=False,
+        note="its operator has given it back (it was: disarmed): " + TOLD,
+    )
+    assert "clock" in resuming.outcome(3)
+    assert "must" not in resuming.outcome(3)

@@ -108,16 +108,18 @@ def test_simulated_rovers_and_those_without_a_key_are_left_alone(run: Run, tmp_p
     assert not path.exists()
 
 
-def test_a_connection_that_is_none_is_bad_input_and_leaves_nothing_open(run: Run, tmp_path: Path) -> None:
+def test_a_timestamp_that_cannot_be_kept_is_bad_input_and_leaves_nothing_open(
+    run: Run, tmp_path: Path
+) -> None:
     """Robot 1's thread has begun by then."""
     path = tmp_path / "key"
+    (tmp_path / "state" / "handfast" / "signing-rovers-2").mkdir(parents=True)
     before = threading.active_count()
     status, _, error = run(
         *(at(robot, f"udpin:127.0.0.1:{port}") for robot, port in ((1, 24_991), (2, 24_992))),
         *(key_of(robot, path) for robot in (1, 2)),
-        "--set=robot.2.mavlink.system=255",
         "--make-keys",
     )
     assert status == 2
-    assert "robot 2: system must be from 1 to 254" in error
+    assert "robot 2: cannot keep the signing timestamp in" in error
     assert threading.active_count() == before

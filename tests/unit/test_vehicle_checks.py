@@ -237,3 +237,15 @@ def test_a_bridge_that_died_is_a_blocking_line_with_its_last_words() -> None:
     assert line.level == "blocking"
     assert line.found == "it ended (exit status 2): robot 3 plant: key: no such file"
     assert "simulated rover" in death("vehicle", "killed by SIGKILL", []).found
+
+
+def test_a_vehicle_that_boots_is_waited_for_and_one_that_is_not_there_is_not() -> None:
+    fleet = Fleet()
+    assert not fleet.checks.booting()
+    fleet.says(2, ("link", "blocking", "waiting for it: no heartbeat of a vehicle yet", "is it on?"))
+    assert not fleet.checks.booting(), "nothing but its link: it is not there"
+    fleet.says(3, LINK, COLD)
+    assert fleet.checks.booting()
+    assert not fleet.checks.booting(without=[3])
+    fleet.says(3, LINK, FAR)
+    assert not fleet.checks.booting(), "that does not mend itself"
