@@ -65,6 +65,7 @@ class PlantNode:
         self._key_checks = keys.checks(name, robot)
         self._digest = digest(fleet)
         self._mission_version = self._resume_version = -1
+        self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
         self._checks_due_ns = self._checks_sequence = 0
         self._reception = Reception(fleet, robot, "plant", {"wrench": (robot,)})
@@ -203,13 +204,20 @@ class PlantNode:
         if not self._measurement.exact:
             out.append((self._key_truth, encode(self._state(sequence, reading, pose, command))))
         checks = self._backend.checks(now_ns)
-        levels = [(check.name, check.level) for check in checks]
-        # Their texts may hold figures that change with every tick: those wait for their second.
-        if checks and (now_ns >= self._checks_due_ns or levels != self._levels):
-            self._levels = levels
+        if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
             out.append((self._key_checks, self._told(checks, now_ns)))
         out += self._reception.outgoing(now_ns, flush=command is None)
         return out
+
+    def _changed(self, checks: Sequence[Check]) -> bool:
+        """Whether they are other lines, or at other levels, than those told last. Their texts may hold
+        figures that change with every tick: those wait for their second.
+        """
+        if checks is self._checks:  # as mostly: a backend makes them less often than it ticks
+            return False
+        self._checks, levels = checks, self._levels
+        self._levels = [(check.name, check.level) for check in checks]
+        return self._levels != levels
 
     def _told(self, checks: Sequence[Check], now_ns: int) -> bytes:
         """The checks as a message that fits: of too many lines the worst, of too much text the beginnings."""

@@ -36,6 +36,8 @@ WATCHED_S: Final = 0.2
 LISTEN_NS: Final = 2 * NS_PER_S
 """Another bridge sends its heartbeat once in half of this."""
 CLAIM_PERIOD_NS: Final = 3 * NS_PER_S
+JUDGED_NS: Final = NS_PER_S // 5
+"""What was found of the vehicle's reports holds until it sends others, but no longer: they age, too."""
 DISARMED: Final = "disarmed"
 PREARM: Final = ("PreArm: ", "Arm: ")
 _NUMBER: Final = re.compile(r"[0-9.]+")
@@ -116,6 +118,9 @@ class MavlinkPlant(PlantBackend):
         self._was_guided = self._armed_here = False
         self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
+        self._judged: tuple[object, ...] = ()  # the reports of which `_unfit` and `_unlocated` speak
+        self._judged_until_ns = 0
+        self._unfit = self._unlocated = ""
         self._checks: tuple[Check, ...] = ()
         self._checks_due_ns = 0
         self._said = ""
@@ -184,16 +189,20 @@ class MavlinkPlant(PlantBackend):
             self._listening_since_ns = None
         elif self._listening_since_ns is None:
             self._listening_since_ns = now_ns
-        unlocated = checks.ekf_trouble(link, now_ns) or checks.origin_trouble(link, self._datum)
-        self._located = not unlocated
+        self._judge(now_ns)
+        self._located = not self._unlocated
         return (
-            absence
-            or link.problem
-            or self._company(now_ns)
-            or checks.gps_trouble(link, now_ns)
-            or unlocated
-            or found.note
+            absence or link.problem or self._company(now_ns) or self._unfit or self._unlocated or found.note
         )
+
+    def _judge(self, now_ns: int) -> None:
+        """What GPS, EKF and origin say against driving; they come once or twice a second, ticks 25 times."""
+        link = self._link
+        reports = link.ekf, link.gps, link.origin, link.parameter_changes
+        if reports != self._judged or now_ns >= self._judged_until_ns:
+            self._judged, self._judged_until_ns = reports, now_ns + JUDGED_NS
+            self._unfit = checks.gps_trouble(link, now_ns)
+            self._unlocated = checks.ekf_trouble(link, now_ns) or checks.origin_trouble(link, self._datum)
 
     @property
     def _trouble(self) -> str:
@@ -264,13 +273,13 @@ class MavlinkPlant(PlantBackend):
             self._setpoint.vehicle = self._vehicle_limits()
         surprise = self._estimate.surprise
         obeys = self.authority.holder is Holder.BRIDGE
-        taken = self._operator or self._interlude
         if obeys and command is not None:
             self.authority.driving()
             self._driving, self._braking_since_ns = True, None
-        # Disarmed in GUIDED it is told to stand: armed anew, it would take up what it was told last.
-        elif self._driving and (taken not in ("", DISARMED) or not self._still_braking(now_ns)):
-            self._driving = False
+        elif self._driving:
+            # Disarmed in GUIDED it is told to stand: armed anew, it would take up what it was told last.
+            taken = (self._operator or self._interlude) not in ("", DISARMED)
+            self._driving = not taken and self._still_braking(now_ns)
         wanted = command if obeys else None
         self._asked = self._setpoint.step(dt, wanted, self._pose, surprise)
         if self._setpoint.note:

@@ -282,7 +282,11 @@ def _rates(link: Link, now_ns: int) -> Iterator[Check]:
                 stream.name, "warning", text, "driven all the same, less closely: raise the link's speed"
             )
         elif stream.granted_hz is not None and stream.granted_hz < stream.asked_hz:
-            advice = f"the vehicle refused more; state_rate_hz = {stream.granted_hz:g} asks for no more"
+            loop_hz = link.parameter(ardurover.SCHED_LOOP_RATE) or ardurover.LOOP_RATE_HZ
+            advice = (
+                f"its SCHED_LOOP_RATE {loop_hz:g} allows {ardurover.STREAM_RATE_PART * loop_hz:g} Hz: take "
+                f"state_rate_hz = {stream.granted_hz:g}"
+            )
             yield Check(stream.name, "warning", text, advice)
         else:
             yield Check(stream.name, "ok", text)

@@ -130,11 +130,12 @@ class _Jump:
         self.note = ""
         self._until_ns = 0
 
-    def take(self, valid_ns: int, found: bool, note: str) -> None:
-        if found:
-            self.note = note
-            self._until_ns = valid_ns + CONSISTENT_NS
-        elif self.note and valid_ns >= self._until_ns:
+    def found(self, valid_ns: int, note: str) -> None:
+        self.note = note
+        self._until_ns = valid_ns + CONSISTENT_NS
+
+    def none(self, valid_ns: int) -> None:
+        if self.note and valid_ns >= self._until_ns:
             self.note = ""
 
 
@@ -172,10 +173,13 @@ class Estimate:
             elif valid_ns <= last[0]:
                 return
             elif self._attitude is not None:
-                expected_x, expected_y = self._carried(last, self._heading_at(last[0]), valid_ns)
+                then, now = self._heading_at(last[0]), self._heading_at(valid_ns)
+                expected_x, expected_y = self._carried(last, then, valid_ns, now)
                 off = hypot(x - expected_x, y - expected_y)
-                limit = JUMP_M + GROWTH * (valid_ns - last[0]) / NS_PER_S
-                self._moved.take(valid_ns, off > limit, f"its position jumped by {off:.2f} m")
+                if off > JUMP_M + GROWTH * (valid_ns - last[0]) / NS_PER_S:
+                    self._moved.found(valid_ns, f"its position jumped by {off:.2f} m")
+                else:
+                    self._moved.none(valid_ns)
         self._position = (valid_ns, x, y, speed)
 
     def attitude(self, valid_ns: int, heading: float, yaw_rate: float) -> None:
@@ -190,8 +194,10 @@ class Estimate:
                 return
             else:
                 off = abs(wrapped(heading - self._heading_at(valid_ns)))
-                limit = JUMP_RAD + GROWTH * (valid_ns - last[0]) / NS_PER_S
-                self._turned.take(valid_ns, off > limit, f"its heading jumped by {degrees(off):.0f} degrees")
+                if off > JUMP_RAD + GROWTH * (valid_ns - last[0]) / NS_PER_S:
+                    self._turned.found(valid_ns, f"its heading jumped by {degrees(off):.0f} degrees")
+                else:
+                    self._turned.none(valid_ns)
         self._attitude = (valid_ns, heading, yaw_rate)
 
     @property
@@ -218,7 +224,7 @@ class Estimate:
             return Estimated(Pose(0.0, 0.0, 0.0, 0.0, 0.0), False, f"no {missing} from the vehicle yet")
         self.prediction.advance(now_ns)
         heading = self._heading_at(now_ns)
-        x, y = self._carried(self._position, self._heading_at(self._position[0]), now_ns)
+        x, y = self._carried(self._position, self._heading_at(self._position[0]), now_ns, heading)
         model, surprise = self.prediction.at(now_ns), self.surprise
         pose = Pose(x, y, wrapped(heading), model.speed + surprise.speed, model.yaw_rate + surprise.yaw_rate)
         note = self._trouble(now_ns)
@@ -251,15 +257,16 @@ class Estimate:
         return heading + now.heading - then.heading + (yaw_rate - then.yaw_rate) * since
 
     def _carried(
-        self, sample: tuple[int, float, float, float], heading: float, time_ns: int
+        self, sample: tuple[int, float, float, float], heading: float, time_ns: int, heading_now: float
     ) -> tuple[float, float]:
-        """A position carried to `time_ns` along the model's path, turned to the heading it had then."""
+        """A position with the heading there, carried to a time with the heading then, along the model's path
+        turned to the first of the two."""
         then_ns, x, y, speed = sample
         then, now = self.prediction.at(then_ns), self.prediction.at(time_ns)
         turn = heading - then.heading
         c, s = cos(turn), sin(turn)
         dx, dy = now.x - then.x, now.y - then.y
-        middle = 0.5 * (heading + self._heading_at(time_ns))
+        middle = 0.5 * (heading + heading_now)
         beyond = (speed - then.speed) * (time_ns - then_ns) / NS_PER_S
         return (
             x + c * dx - s * dy + beyond * cos(middle),

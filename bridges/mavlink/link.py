@@ -122,15 +122,16 @@ class Link(Receiver):
 
     def connected(self, now_ns: int) -> bool:
         """Whether its heartbeat is fresh."""
-        age_ns = self.heartbeat_age_ns(now_ns)
-        return age_ns is not None and age_ns < HEARTBEAT_TIMEOUT_NS
+        heard_ns = self.heartbeat_ns
+        return heard_ns is not None and now_ns - heard_ns < HEARTBEAT_TIMEOUT_NS
 
     def absence(self, now_ns: int) -> str:
         """Why it is not connected, "" when it is."""
+        if self.connected(now_ns):
+            return ""
         age_ns = self.heartbeat_age_ns(now_ns)
         if age_ns is not None:
-            connected = age_ns < HEARTBEAT_TIMEOUT_NS
-            return "" if connected else f"no heartbeat of the vehicle for {age_ns / NS_PER_S:.1f} s"
+            return f"no heartbeat of the vehicle for {age_ns / NS_PER_S:.1f} s"
         vehicles = self._others.vehicles(now_ns)
         if vehicles:
             heard = ", ".join(f"{o.system} ({ardurover.TYPE_NAMES.get(o.type, o.type)})" for o in vehicles)

@@ -196,10 +196,11 @@ class Receiver:
 
     def _valid_ns(self, message: Any, arrival_ns: int) -> int | None:
         """The wall time of a message with a stamp; None for one that is not newer than the last."""
-        reboots = self.clock.reboots
-        valid_ns = self.clock.take(message.time_boot_ms, arrival_ns)
-        self._look_for_reboot(reboots)
-        number, stamp_ms = message.get_msgId(), message.time_boot_ms
+        clock, number, stamp_ms = self.clock, message.get_msgId(), message.time_boot_ms
+        reboots = clock.reboots
+        valid_ns = clock.take(stamp_ms, arrival_ns)
+        if clock.reboots != reboots:
+            self._rebooted()
         # The stamp wraps every 49.7 days: what is behind by less than half of that is late.
         if (self._stamps.get(number, stamp_ms - 1) - stamp_ms) % _STAMPS < _STAMPS // 2:
             self.counts["out of order"] += 1
@@ -207,10 +208,9 @@ class Receiver:
         self._stamps[number] = stamp_ms
         return valid_ns
 
-    def _look_for_reboot(self, reboots: int) -> None:
-        if self.clock.reboots != reboots:
-            self.epoch += 1
-            self._forget_vehicle()
+    def _rebooted(self) -> None:
+        self.epoch += 1
+        self._forget_vehicle()
 
     def _on_position(self, arrival_ns: int, message: Any) -> None:
         valid_ns = self._valid_ns(message, arrival_ns)
@@ -235,7 +235,8 @@ class Receiver:
             self._asked.remove(message.ts1)
             reboots = self.clock.reboots
             self.clock.exchange(message.ts1, message.tc1, arrival_ns)
-            self._look_for_reboot(reboots)
+            if self.clock.reboots != reboots:
+                self._rebooted()
 
     def _on_ekf(self, arrival_ns: int, message: Any) -> None:
         self.ekf = link_reports.ekf(message, arrival_ns)

@@ -214,6 +214,8 @@ class Texts:
 
     def overdue(self, now_ns: int) -> list[Text]:
         """Those whose last chunk does not come."""
+        if not self._open:
+            return []
         late = [n for n, found in self._open.items() if now_ns - found.arrival_ns > _CHUNK_PATIENCE_NS]
         return [self._finish(number) for number in late]
 

@@ -19,6 +19,7 @@ AUDITED: Final = (
     *ardurover.GROUND_STATION_ID,
     ardurover.SYSID_ENFORCE,
     ardurover.MAV_OPTIONS,
+    ardurover.SCHED_LOOP_RATE,
     ardurover.FS_ACTION,
     ardurover.FS_THR_ENABLE,
     ardurover.FS_GCS_ENABLE,

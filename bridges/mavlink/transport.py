@@ -162,21 +162,23 @@ class ThreadedTransport:
         self.trouble = ""
         self.epoch += 1
         came = False
-        handle, waker = channel.fileno(), self._wake_read.fileno()
+        waker = self._wake_read.fileno()
+        poller = select.poll()
+        poller.register(channel.fileno(), select.POLLIN)
+        poller.register(waker, select.POLLIN)
         try:
             while not self._closing.is_set():
-                ready, _, _ = select.select((handle, waker), (), ())
-                if waker in ready:
-                    self._wake_read.recv(64)
-                if self._failure is not None:
-                    raise self._failure
-                if handle not in ready:
-                    continue
-                now_ns = self._clock()
-                data = channel.read(now_ns)
-                if data:
-                    self._queue.append((now_ns, data))
-                    came = True
+                for handle, _ in poller.poll():
+                    if handle == waker:
+                        self._wake_read.recv(64)
+                        if self._failure is not None:
+                            raise self._failure
+                        continue
+                    now_ns = self._clock()
+                    data = channel.read(now_ns)
+                    if data:
+                        self._queue.append((now_ns, data))
+                        came = True
         except OSError as error:
             self.waits = True
             self.trouble = f"{self._connection.text}: {_reason(error)}"

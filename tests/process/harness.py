@@ -348,12 +348,13 @@ class Robots:
         return self.folder / "logs" / f"robot-{robot}-{role}.log"
 
     def start(self, robot: int, role: str) -> None:
+        self.run(robot, role, role, "--fleet", str(self.fleet_file), "--robot", str(robot))
+
+    def run(self, robot: int, role: str, module: str, *arguments: str) -> None:
+        """Starts one process; its last words are in `log(robot, role)`."""
         with open(self.log(robot, role), "ab") as output:
             process = subprocess.Popen(
-                [
-                    *(sys.executable, "-P", "-m", role, "--fleet", str(self.fleet_file)),
-                    *("--robot", str(robot), "--exit-with-parent"),
-                ],
+                [sys.executable, "-P", "-m", module, *arguments, "--exit-with-parent"],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import select
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +22,7 @@ from deploy.arguments import FLEETS
 from deploy.placing import Vehicle, place, vehicle
 from deploy.ports import Reservation
 from tests.ground_station import Operator
-from tests.process.harness import ADDRESS, PATIENCE_S, Robots, environment
+from tests.process.harness import ADDRESS, PATIENCE_S, Robots
 
 BASE_PORT: Final = 24_320
 """Clear of the ports of the fleets in `tests.process.harness`."""
@@ -103,20 +101,6 @@ class Rovers(Robots):
         else:
             module = "bridges.mavlink" if role == "plant" else role
             self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot))
-
-    def run(self, robot: int, role: str, module: str, *arguments: str) -> None:
-        """Starts one process; its last words are in `log(robot, role)`."""
-        with open(self.log(robot, role), "ab") as output:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", module, *arguments, "--exit-with-parent"],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                env=environment(),
-                start_new_session=True,
-            )
-        self.processes[robot, role] = process
-        self._all.append(process)
 
     def start_all(self) -> None:
         for robot in self.fleet.ids:
