@@ -14,6 +14,7 @@ from agent.process import Log
 from agent.supervision import REST_SPEED, REST_YAW_RATE
 from bridges.mavlink import ardurover, checks, frames
 from bridges.mavlink.authority import Authority, Holder
+from bridges.mavlink.claim import Claim
 from bridges.mavlink.estimate import Estimate
 from bridges.mavlink.frames import Geodetic, LocalToWorld
 from bridges.mavlink.link import Link
@@ -35,7 +36,6 @@ WATCHED_S: Final = 0.2
 """What a tick says of the motion holds for no longer: a process that was frozen has watched nothing."""
 LISTEN_NS: Final = 2 * NS_PER_S
 """Another bridge sends its heartbeat once in half of this."""
-CLAIM_PERIOD_NS: Final = 3 * NS_PER_S
 JUDGED_NS: Final = NS_PER_S // 5
 """What was found of the vehicle's reports holds until it sends others, but no longer: they age, too."""
 DISARMED: Final = "disarmed"
@@ -113,9 +113,7 @@ class MavlinkPlant(PlantBackend):
         self._commanded_ns: int | None = None
         self._asked = (0.0, 0.0)
         self._refusal = ""
-        self._claiming = section.arm and not look
-        self._claimed_ns: int | None = None
-        self._was_guided = self._armed_here = False
+        self._claim = Claim(link, log, wanted=section.arm and not look)
         self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
         self._judged: tuple[object, ...] = ()  # the reports of which `_unfit` and `_unlocated` speak
@@ -136,8 +134,7 @@ class MavlinkPlant(PlantBackend):
         operator = self._operator if self._link.connected(now_ns) else ""
         self.authority.step(trouble, operator or self._interlude, self._refusal)
         self._say_who_has_it()
-        if self._claiming:
-            self._claim(now_ns, trouble)
+        self._claim.step(now_ns, self.authority.holder, trouble)
         out = self._drive(now_ns, dt, command) + self._link.tick(now_ns)
         if out:
             self._transport.send(out)
@@ -156,7 +153,8 @@ class MavlinkPlant(PlantBackend):
             self._lives = link.epoch
             self._estimate.forget()
             self._yaw = None
-            self._known = self._located = self._was_guided = False
+            self._known = self._located = False
+            self._claim.begin_again()
             self._prearm = ""
         for attitude in link.take_attitudes():
             self._yaw = attitude.yaw
@@ -230,39 +228,11 @@ class MavlinkPlant(PlantBackend):
 
     def _say_who_has_it(self) -> None:
         why = self.authority.why
-        if self.authority.holder is Holder.BRIDGE:
-            self._claiming = False  # from now on its operator decides
-        elif self.authority.holder is Holder.RELEASED and not self._link.armed:
-            self._armed_here = False  # whoever arms it from now on is its operator
         said = why and _NUMBER.sub("", why)  # an age that grows is not news
         if said != self._said:
             self._said = said
             self._checks_due_ns = 0
             self._log(why or "armed and in GUIDED: it obeys")
-
-    def _claim(self, now_ns: int, trouble: str) -> None:
-        """Puts the vehicle into GUIDED and arms it, as the fleet file says that the bridge should.
-
-        What its operator does counts while there is trouble, too; nothing is asked for then.
-        """
-        link = self._link
-        if link.mode == ardurover.GUIDED:
-            self._was_guided = True
-        elif self._was_guided:
-            self._claiming = False
-            self._log("its operator has taken it out of GUIDED again: it is asked no more")
-            return
-        due = self._claimed_ns is None or now_ns - self._claimed_ns >= CLAIM_PERIOD_NS
-        if trouble or self.authority.holder is not Holder.OPERATOR or not due:
-            return
-        if link.mode == ardurover.GUIDED:
-            self._log("arming it (mavlink.arm = true)")
-            link.command_arm(True)
-            self._armed_here = True
-        elif not link.armed:  # else somebody drives it
-            self._log("asking for GUIDED (mavlink.arm = true)")
-            link.command_mode(ardurover.GUIDED)
-        self._claimed_ns = now_ns
 
     # ------------------------------------------------------------------ commands
 
@@ -374,7 +344,13 @@ class MavlinkPlant(PlantBackend):
         """See `PlantBackend.close`: a vehicle that was armed here, and stands, is disarmed."""
         now_ns = self._now_ns
         standing = abs(self._pose.speed) < REST_SPEED and abs(self._pose.yaw_rate) < REST_YAW_RATE
-        if now_ns is not None and self._armed_here and self._link.armed and standing and not self._operator:
+        if (
+            now_ns is not None
+            and self._claim.armed_here
+            and self._link.armed
+            and standing
+            and not self._operator
+        ):
             self._log("disarming it, as it was armed here")
             self._link.command_arm(False)
             self._transport.send(self._link.tick(now_ns))
