@@ -107,6 +107,14 @@ class Fleet:
         """Robot ids in the file's order: the order of `formation.offsets`."""
         return tuple(robot.id for robot in self.robots)
 
+    @property
+    def is_resolved(self) -> bool:
+        """Whether the formation is written out, as `agent.formation.resolved` does it."""
+        formation = self.formation
+        return (
+            formation.offsets is not None and isinstance(formation.distance_m, tuple) and not formation.assign
+        )
+
     def index(self, robot_id: int) -> int:
         """Position of a robot in the file, from 0. `FleetError` when there is no such robot."""
         for index, robot in enumerate(self.robots):

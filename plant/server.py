@@ -23,6 +23,10 @@ def main(
     """
 
     def start(fleet: Fleet, robot: int, clock: Clock, log: Log) -> Start:
+        if not fleet.is_resolved:  # else without numpy, which takes its time
+            from agent.formation import resolved
+
+            fleet = resolved(fleet)
         backend = make(fleet, robot, clock, log)
         node = PlantNode(fleet, robot, backend)
         return Start(node, [fleet.plant_endpoint(robot)], [fleet.agent_endpoint(robot)], backend.close)

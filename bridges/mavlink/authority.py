@@ -34,7 +34,7 @@ class Situation(NamedTuple):
     vehicle: its link, what kind of vehicle it is, who else commands it.
     operator: its mode and arming: "" means GUIDED and armed, or that nothing is heard of it.
     refusal: what makes the bridge let go of a vehicle that is its own: it does not follow its commands.
-    driven: the fleet has been told to drive since the bridge started, or the bridge has driven.
+    driven: the fleet has been told to drive since the bridge started.
     """
 
     vehicle: str
@@ -114,9 +114,10 @@ class Authority:
             return f"{self._taken}: waiting to be told to resume"
         return situation.operator
 
-    def driving(self) -> None:
-        """A wrench reaches the vehicle. A bridge that started again may not have heard the order to drive."""
-        self._driven = True
+    @property
+    def told(self) -> bool:
+        """Whether the fleet has been told to drive since the bridge started. Before, no wrench counts."""
+        return self._driven
 
     def go_ahead(self) -> bool:
         """The fleet is told to drive. False when this vehicle cannot: its operator has not given it back."""

@@ -39,6 +39,7 @@ LISTEN_NS: Final = 2 * NS_PER_S
 JUDGED_NS: Final = NS_PER_S // 5
 """What was found of the vehicle's reports holds until it sends others, but no longer: they age, too."""
 DISARMED: Final = "disarmed"
+UNTOLD: Final = "its bridge has heard of no mission yet: waiting for one"
 PREARM: Final = ("PreArm: ", "Arm: ")
 _NUMBER: Final = re.compile(r"[0-9.]+")
 _NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -113,6 +114,7 @@ class MavlinkPlant(PlantBackend):
         self._commanded_ns: int | None = None
         self._asked = (0.0, 0.0)
         self._refusal = ""
+        self._untold = False
         self._claim = Claim(link, log, wanted=section.arm and not look)
         self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
@@ -135,6 +137,10 @@ class MavlinkPlant(PlantBackend):
         self.authority.step(trouble, operator or self._interlude, self._refusal)
         self._say_who_has_it()
         self._claim.step(now_ns, self.authority.holder, trouble)
+        # Whose wrench it is, only a mission tells. Until one does, the agent is told of it.
+        self._untold = not self.authority.told and (self._untold or command is not None)
+        if self._untold:
+            command = None
         out = self._drive(now_ns, dt, command) + self._link.tick(now_ns)
         if out:
             self._transport.send(out)
@@ -244,7 +250,6 @@ class MavlinkPlant(PlantBackend):
         surprise = self._estimate.surprise
         obeys = self.authority.holder is Holder.BRIDGE
         if obeys and command is not None:
-            self.authority.driving()
             self._driving, self._braking_since_ns = True, None
         elif self._driving:
             # Disarmed in GUIDED it is told to stand: armed anew, it would take up what it was told last.
@@ -304,21 +309,21 @@ class MavlinkPlant(PlantBackend):
         pose = self._pose
         if self._driving and self.authority.holder is Holder.BRIDGE:
             pose = Pose(pose.x, pose.y, pose.heading, self._setpoint.speed, self._setpoint.yaw_rate)
-        obeying = self.authority.holder is Holder.BRIDGE
+        obeying = self.authority.holder is Holder.BRIDGE and not self._untold
         if trouble or not self._known:
             return Reading(now_ns, pose, 0.0, 0.0, False, trouble or "no position yet", obeying)
-        return Reading(
-            now_ns, pose, self._setpoint.force, self._setpoint.torque, True, self.authority.why, obeying
-        )
+        note = self.authority.why or (UNTOLD if self._untold else "")
+        return Reading(now_ns, pose, self._setpoint.force, self._setpoint.torque, True, note, obeying)
 
     # ------------------------------------------------------------------ before and after
 
     def go_ahead(self) -> None:
         """See `PlantBackend.go_ahead`."""
         was = self.authority.holder
-        if not self.authority.go_ahead():
+        able = self.authority.go_ahead()
+        if not able and self.authority.holder is Holder.RELEASED:
             self._log(f"told to drive, but cannot: {self.authority.why}")
-        elif was is Holder.RELEASED:
+        elif able and was is Holder.RELEASED:
             self._log("told to resume")
 
     def checks(self, now_ns: int) -> tuple[Check, ...]:

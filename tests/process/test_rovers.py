@@ -9,9 +9,11 @@ import signal
 import time
 from pathlib import Path
 
+from agent import keys
 from agent.clock import NS_PER_S
-from agent.messages import HandState, PlantState, Status, Wrench
+from agent.messages import HandState, PlantState, Status, Wrench, encode
 from bridges.mavlink import ardurover
+from bridges.mavlink.backend import UNTOLD
 from tests.ground_station import Operator
 from tests.process.harness import measured, no_trouble_in_logs
 from tests.process.rover_harness import Rovers, cold, rovers
@@ -118,10 +120,12 @@ def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
         assert measured("seconds until it stops", (time.time_ns() - killed_ns) / NS_PER_S) < 3.5
         fleet.start(2, "plant")
         begun_ns = time.time_ns()
-        fleet.first(begun_ns, PlantState, 2, lambda m: m.healthy and m.obeying, "the new bridge has it")
+        # Its agent asks it to drive as soon as it is well. Whose wrench that is, only a mission tells.
+        fleet.first(begun_ns, PlantState, 2, lambda m: m.note == UNTOLD, "the new bridge knows of no mission")
+        assert fleet.mission is not None
+        fleet.bus.publish(keys.mission(fleet.name), encode(fleet.mission))
         drives_again(fleet, operator)
         assert (operator.mode, operator.armed) == (ardurover.GUIDED, True)
-        # The new bridge was not told of the mission, but what it drives it lets go like any.
         operator.set_mode("HOLD")
         operator.set_mode("GUIDED")
         waits_for_leave(fleet, operator)

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.clock import NS_PER_S
 from agent.supervision import REST_SPEED, REST_YAW_RATE
 from bridges.mavlink import ardurover, frames
+from bridges.mavlink.backend import UNTOLD
 from bridges.mavlink.frames import datum_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.signing import Signing, Timestamps
@@ -115,6 +116,9 @@ def test_a_rover_that_was_never_handed_over_is_not_commanded() -> None:
         m for _, m in bridge.port.messages("COMMAND_LONG") if m.command == ardurover.CMD_DO_SET_MODE
     ] == []
     assert scene.rover.arm()
+    scene.run(2.0)
+    assert bridge.setpoints() == [], "the fleet was not told to drive"
+    bridge.go_ahead()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
@@ -130,18 +134,23 @@ def test_a_mission_while_the_operator_drives_does_not_take_the_rover_from_him() 
     assert not scene.bridge.reading.obeying
 
 
-def test_a_bridge_that_missed_the_mission_latches_what_it_drove() -> None:
-    """It was started again in mid-drive: the wrenches tell it that the fleet drives."""
+def test_a_wrench_before_any_mission_is_not_obeyed() -> None:
+    """Of one that started again in mid-drive the vehicle stands until the mission is said again."""
     scene = Scene()
+    scene.until(lambda: scene.bridge.reading.obeying)
     scene.bridge.command = GO
-    scene.until(lambda: scene.rover.speed > 0.3)  # nobody called go_ahead
-    scene.rover.set_mode("MANUAL")
-    scene.run(0.5)
-    scene.rover.set_mode("GUIDED")
-    back_ns = scene.now_ns
     scene.run(3.0)
-    assert scene.bridge.setpoints(back_ns) == []
+    assert scene.bridge.setpoints() == []
+    assert scene.bridge.reading.healthy
     assert not scene.bridge.reading.obeying
+    assert scene.bridge.reading.note == UNTOLD
+    scene.bridge.command = None  # what its agent does about it
+    scene.tick()
+    assert not scene.bridge.reading.obeying, "else it would ask it to drive again"
+    scene.bridge.go_ahead()
+    scene.bridge.command = GO
+    scene.until(lambda: scene.rover.speed > 0.3)
+    assert scene.bridge.reading.obeying
 
 
 def test_taken_and_given_back_while_its_estimate_is_bad_it_is_released_all_the_same() -> None:
@@ -400,6 +409,7 @@ def test_when_the_bridge_dies_the_rover_stands_and_a_new_one_drives_on() -> None
     scene.world.ports[0].arriving.clear()
     scene.bridges[:] = [Bridge(scene.world, 0, scene.fleet, token=77)]
     scene.bridge.command = GO
+    scene.bridge.go_ahead()  # the operator says the mission again to a process that lacks it
     took = scene.until(lambda: scene.rover.speed > 0.2, 10.0)
     assert took < 5.0
     assert scene.bridge.reading.obeying

@@ -102,13 +102,12 @@ def test_a_vehicle_that_was_taken_while_its_estimate_was_bad_is_released() -> No
     assert authority.holder is Holder.RELEASED
 
 
-def test_a_vehicle_that_is_driven_without_an_order_to_is_released_like_any() -> None:
+def test_no_order_to_drive_is_known_before_one_was_given() -> None:
     authority = Authority()
     authority.step("", "")
-    authority.driving()
-    authority.step("", MANUAL)
-    authority.step("", "")
-    assert authority.holder is Holder.RELEASED
+    assert not authority.told
+    authority.go_ahead()
+    assert authority.told
 
 
 def test_an_order_to_drive_while_the_operator_has_it_counts_at_once() -> None:

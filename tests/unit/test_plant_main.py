@@ -1,12 +1,21 @@
-"""`python -m plant --pose`: where a body stands that starts again."""
+"""A plant's process: where a body stands that starts again, and which missions are its own."""
 
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 import pytest
 
+from agent import keys
+from agent.clock import NS_PER_S, RealClock
+from agent.fleet import Fleet, digest, load_fleet
+from agent.formation import resolved
+from agent.messages import Mission, encode
+from deploy.arguments import FLEETS
+from plant import server
 from plant.__main__ import place
+from plant.unicycle import from_fleet
 
 
 def test_three_numbers_to_the_last_bit() -> None:
@@ -18,3 +27,24 @@ def test_three_numbers_to_the_last_bit() -> None:
 def test_anything_else_is_refused(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match=r"^must be X,Y,HEADING in m, m and rad, such as"):
         place(text)
+
+
+@pytest.mark.parametrize("written_out", [False, True])
+def test_a_plant_knows_the_mission_of_its_fleet_however_that_is_written(
+    written_out: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Operators send the digest of the fleet with its formation written out; a file may leave that to us."""
+    fleet = load_fleet(FLEETS / "lattice45.toml")
+    whole = resolved(fleet)
+    assert (fleet.is_resolved, whole.is_resolved) == (False, True)
+    started: list[Any] = []
+    monkeypatch.setattr(server, "process_main", lambda *arguments: started.append(arguments[-1]) or 0)
+
+    def make(given: Fleet, robot: int, *_: object) -> Any:
+        return from_fleet(given, robot)
+
+    server.main([], "python -m plant", make)
+    node = started[0](whole if written_out else fleet, 7, RealClock(), print).node
+    mission = Mission(1, NS_PER_S, 2 * NS_PER_S, NS_PER_S, digest(whole))
+    node.receive(NS_PER_S, keys.mission(fleet.fleet.name), encode(mission))
+    assert not node.rejected
