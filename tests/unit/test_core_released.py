@@ -1,0 +1,244 @@
+"""The agent of a robot whose operator takes its body, and gives it back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import hypot
+from typing import Any
+
+import pytest
+
+from agent.clock import NS_PER_S
+from agent.core import Agent
+from agent.fleet import Fleet, digest
+from agent.hand import Pose, hand
+from agent.messages import (
+    Mission,
+    Resume,
+    Stop,
+    encode,
+)
+from agent.supervision import State
+from plant.backend import Command, PlantBackend, Reading
+from plant.node import PlantNode
+from plant.unicycle import from_fleet
+from tests.unit.agent_bench import (
+    MISSION,
+    PERIOD,
+    RESUME,
+    START,
+    STOP,
+    TIMEOUT_TICKS,
+    Bench,
+    brakes,
+    fleet,
+)
+
+TAKEN: Mapping[str, Any] = {"obeying": False, "driving": False, "note": "mode MANUAL"}
+
+
+def test_a_released_robot_brakes_says_why_and_tells_its_neighbours_where_it_is():
+    bench = Bench()
+    bench.drive()
+    bench.run(5)
+    bench.plant, bench.pose = TAKEN, Pose(0.1, 0.0, 0.0, 0.3, 0.0)
+    out = bench.tick()
+    assert bench.agent.condition == ("released", "mode MANUAL")
+    assert (out.status.state, out.status.reason) == ("released", "mode MANUAL")
+    for each in [out, *bench.run(60)]:  # for longer than any timeout
+        assert brakes(each)
+        assert not each.hand.following
+        assert each.hand.multipliers == ()
+        assert each.hand[8:12] == (0.0, 0.0, 0.0, 0.0)
+        assert each.hand.x == pytest.approx(0.2 + 0.3 * PERIOD / 2 / NS_PER_S, abs=2e-3)
+    bench.plant = {"obeying": False, "note": ""}
+    bench.tick()
+    assert bench.agent.condition == ("released", "its body does not obey")
+    assert bench.counters()["rejected"] == 0
+
+
+def test_a_released_robot_drives_again_once_its_body_obeys_and_begins_with_fresh_multipliers():
+    """What they grew to before says nothing about a formation that an operator has driven about in."""
+    bench = Bench()
+    # Too near, so that the multiplier grows for as long as the robot does as it is told.
+    bench.pose, bench.other = Pose(0.0, 0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0)
+    first = bench.drive().hand.multipliers
+    grown = bench.run(40)[-1].hand.multipliers
+    assert abs(grown[0][1]) > 1.3 * abs(first[0][1]) > 0
+    bench.plant = TAKEN
+    bench.run(3)
+    bench.plant = {}
+    out = bench.tick()
+    assert bench.agent.condition == ("running", "")
+    assert not brakes(out)
+    ((_, again),) = out.hand.multipliers
+    assert abs(again - first[0][1]) < 0.2 * abs(grown[0][1] - first[0][1])
+
+
+def test_a_robot_whose_body_was_not_handed_over_waits_with_the_reason():
+    bench = Bench()
+    bench.plant = TAKEN
+    out = bench.tick()
+    assert bench.agent.condition == ("waiting", "mode MANUAL")
+    assert out.hand is not None
+    bench.mission()
+    for out in bench.run(10):
+        assert bench.agent.condition == ("waiting", "mode MANUAL")
+        assert brakes(out)
+        assert not out.hand.following
+    bench.plant = {}
+    bench.tick()
+    assert bench.state is State.RUNNING
+
+
+def test_a_plant_that_starts_again_while_its_operator_had_the_body_does_not_end_the_release():
+    """A new bridge finds GUIDED and armed: that the operator had it meanwhile only the agent knows."""
+    bench = Bench()
+    bench.drive()
+    bench.plant = TAKEN
+    bench.run(3)
+    bench.pose = None  # its plant is killed
+    bench.run(TIMEOUT_TICKS + 2)
+    assert bench.state is State.FAULT
+    bench.pose, bench.plant = Pose(0.0, 0.0, 0.0, 0.0, 0.0), {}
+    for out in bench.run(30):
+        assert brakes(out)
+        assert not out.hand.following
+    state, reason = bench.agent.condition
+    assert state == "waiting"
+    assert "told to resume" in reason
+    bench.give(RESUME, Resume(1, bench.now, (2,)))  # somebody else's
+    assert brakes(bench.tick())
+    bench.give(RESUME, Resume(2, bench.now, (1,)))
+    assert not brakes(bench.tick())
+    assert bench.state is State.RUNNING
+
+
+def test_a_new_mission_is_leave_to_drive_as_well():
+    bench = Bench()
+    bench.drive()
+    bench.plant = TAKEN
+    bench.run(3)
+    bench.pose = None
+    bench.run(TIMEOUT_TICKS + 2)
+    bench.pose, bench.plant = Pose(0.0, 0.0, 0.0, 0.0, 0.0), {}
+    bench.run(3)
+    bench.mission(version=2)
+    bench.run(4)
+    assert bench.state is State.RUNNING
+
+
+def test_an_agent_that_starts_again_while_its_body_is_taken_waits_for_it():
+    bench = Bench()
+    bench.plant = TAKEN
+    bench.tick()
+    bench.mission(epoch_ns=START - 10 * NS_PER_S)
+    assert all(map(brakes, bench.run(20)))
+    assert bench.agent.condition == ("waiting", "mode MANUAL")
+    bench.plant = {}
+    assert not brakes(bench.tick())
+    assert bench.agent.condition == ("running", "")
+
+
+def test_a_bad_pose_of_a_taken_body_is_a_fault_all_the_same():
+    bench = Bench()
+    bench.drive()
+    bench.plant = TAKEN
+    bench.tick()
+    bench.plant = {**TAKEN, "healthy": False, "note": "no estimate"}
+    assert bench.tick().hand is None
+    assert bench.agent.condition == ("fault", "plant unhealthy: no estimate")
+    bench.plant = TAKEN
+    bench.run(3)
+    assert bench.agent.condition == ("waiting", "mode MANUAL")
+
+
+def test_a_stop_reaches_a_released_robot():
+    bench = Bench()
+    bench.drive()
+    bench.plant = TAKEN
+    bench.tick()
+    bench.give(STOP, Stop(1, bench.now, "lunch"))
+    bench.tick()
+    assert bench.agent.condition == ("stopping", "stop: lunch")
+    bench.tick()
+    bench.plant = {}
+    assert all(map(brakes, bench.run(10)))
+    assert bench.agent.condition == ("stopped", "stop: lunch")
+
+
+def test_leaving_does_not_wait_for_a_body_that_somebody_else_drives():
+    bench = Bench()
+    bench.drive()
+    bench.plant, bench.pose = TAKEN, Pose(0.0, 0.0, 0.0, 0.5, 0.0)
+    bench.tick()
+    assert not bench.agent.done
+    bench.agent.leave()
+    assert brakes(bench.tick())
+    assert bench.agent.done
+
+
+class Lent(PlantBackend):
+    """A simulated body that its operator may take: then it drives ahead at 0.3 m/s, whatever it is asked."""
+
+    def __init__(self, made: Fleet, robot: int) -> None:
+        self._body, self._robot = from_fleet(made, robot), made.robot(robot)
+        self.taken = False
+
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        if self.taken:
+            speed = self.reading.pose.speed
+            command = Command(self._robot.mass_kg * (0.3 - speed) / 0.1, 0.0)
+        self.reading = self._body.step(now_ns, command)
+        taken = self.taken
+        return self.reading._replace(obeying=not taken, note="mode MANUAL" if taken else "")
+
+    def close(self) -> None: ...
+
+
+def test_neighbours_of_a_released_robot_carry_on_about_where_it_really_is():
+    made = fleet("trajectory.kind=hold")
+    bodies = {robot: Lent(made, robot) for robot in made.ids}
+    plants = [PlantNode(made, robot, body) for robot, body in bodies.items()]
+    agents = {robot: Agent(made, robot) for robot in made.ids}
+
+    def tick(nodes: Iterable[PlantNode | Agent], now: int) -> None:
+        out = [each for node in nodes for each in node.tick(now)]
+        for key, payload in out:
+            for node in (*plants, *agents.values()):
+                if key in node.subscriptions:
+                    node.receive(now, key, payload)
+
+    def run(seconds: float, *states: str) -> None:
+        nonlocal now
+        for k in range(round(seconds * 50)):
+            tick(plants, now)
+            tick(agents.values(), now + PERIOD // 2)
+            now += PERIOD
+            if k:
+                assert tuple(agent.state.value for agent in agents.values()) == states
+
+    def distance() -> float:
+        one, other = (hand(body.reading.pose, 0.1) for body in bodies.values())
+        return hypot(one.x - other.x, one.y - other.y)
+
+    now = START
+    for _ in range(3):
+        tick(plants, now)
+        tick(agents.values(), now + PERIOD // 2)
+        now += PERIOD
+    mission = encode(Mission(1, now, now, 60 * NS_PER_S, digest(made)))
+    for node in (*plants, *agents.values()):
+        node.receive(now, MISSION, mission)
+    run(10.0, "running", "running")
+    assert distance() == pytest.approx(1.0, abs=0.01)
+    bodies[1].taken = True
+    before = bodies[2].reading.pose
+    run(4.0, "released", "running")
+    # Pushed towards robot 2, which gives way rather than go on as if its neighbour were where it should be.
+    assert hypot(bodies[2].reading.pose.x - before.x, bodies[2].reading.pose.y - before.y) > 0.3
+    assert distance() > made.formation.safe_distance_m
+    bodies[1].taken = False
+    run(15.0, "running", "running")
+    assert distance() == pytest.approx(1.0, abs=0.01)
+    assert not any(agent.rejected for agent in agents.values())
