@@ -15,6 +15,7 @@ from agent.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
+from agent.leave import AWAITED, Leave
 from agent.messages import (
     FLOAT_MAX,
     TOPICS,
@@ -34,7 +35,7 @@ from agent.messages import (
 from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Numbers, Outgoing
 from agent.reception import Reception
-from agent.supervision import REST_SPEED, REST_YAW_RATE, Conditions, State, step
+from agent.supervision import Conditions, State, at_rest, step
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 HEARD_ROUNDS: Final = 7
@@ -77,7 +78,7 @@ class Agent:
         self._refused_mission = ""
         self._leaving = False
         self._taken = ""
-        self._resume_version = -1
+        self._leave = Leave(robot, self._forget_taking)
         self._numbers = ""
         self._hand_numbers = Numbers(self.period_ns, self.phase_ns)
         self._wrench_numbers = Numbers(self.period_ns, self.phase_ns)
@@ -147,7 +148,7 @@ class Agent:
                 reason = self._accept_stop(message)
         elif type(message) is Resume:
             if key == self._key_resume:
-                reason = self._accept_resume(message)
+                reason = self._leave.accept(message)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
@@ -203,13 +204,8 @@ class Agent:
                 self._stop = None
         return None
 
-    def _accept_resume(self, resume: Resume) -> str | None:
-        if resume.version < self._resume_version:
-            return "out_of_order"
-        if resume.version > self._resume_version and (not resume.robots or self.robot in resume.robots):
-            self._resume_version = resume.version
-            self._taken = ""
-        return None
+    def _forget_taking(self) -> None:
+        self._taken = ""
 
     def _accept_stop(self, stop: Stop) -> str | None:
         # A stop is for all missions up to its version: only a later one ends it, whichever comes first.
@@ -251,7 +247,7 @@ class Agent:
         was = self.state
         if was is State.RELEASED and self._plant_trouble:
             # A plant that starts again cannot know that its operator had the body: this agent does.
-            self._taken = "its plant was lost while its operator had the body: waiting to be told to resume"
+            self._taken = f"its plant was lost while its operator had the body: {AWAITED}"
         if not (was is State.RUNNING and self._all_well(now_ns, ages_ns)):
             conditions = self._conditions(now_ns, ages_ns)
             self.state, row = step(was, conditions)
@@ -336,7 +332,7 @@ class Agent:
     @property
     def _at_rest(self) -> bool:
         plant = self._plant
-        return plant is not None and abs(plant.speed) < REST_SPEED and abs(plant.yaw_rate) < REST_YAW_RATE
+        return plant is not None and at_rest(plant.speed, plant.yaw_rate)
 
     def _drive(self, now_ns: int) -> list[Outgoing]:
         assert self._plant is not None

@@ -163,8 +163,8 @@ class Stop(NamedTuple):
 class Resume(NamedTuple):
     """Operator's leave to drive again, for robots whose body an operator took away and gave back.
 
-    `robots` are their ids, none of them means all. A plant obeys a `version` only once, and only a
-    greater one than before.
+    `robots` are their ids, none of them means all. An agent or plant obeys a `version` only once, and
+    only a greater one than before.
     """
 
     version: int

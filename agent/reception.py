@@ -86,7 +86,7 @@ class Reception:
         A message from the future is delivered, to be refused: waiting for its time, it would keep the
         link's queue from all others.
         """
-        if message[2] > now_ns + FUTURE_NS_MAX:
+        if message.time_ns > now_ns + FUTURE_NS_MAX:
             return True
         return self._links.take(key, payload, topic, message, own_position)
 

@@ -14,6 +14,12 @@ from typing import Final, NamedTuple
 REST_SPEED: Final = 0.06
 """Below this (m/s) a robot stands: an EKF reports up to 0.05 m/s of a rover at rest."""
 REST_YAW_RATE: Final = 0.1
+"""rad/s, likewise."""
+
+
+def at_rest(speed: float, yaw_rate: float) -> bool:
+    """Whether a robot stands, by what is measured of it: m/s, rad/s."""
+    return abs(speed) < REST_SPEED and abs(yaw_rate) < REST_YAW_RATE
 
 
 class State(Enum):

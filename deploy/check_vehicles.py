@@ -29,6 +29,7 @@ GYRATION_M: Final = (0.05, 2.0)
 SPEED_SHARE: Final = 0.8
 """Share of a vehicle's speed that the trajectory may take: the rest is to form up with."""
 HERE: Final = ("127.0.0.1", "localhost", "::1")
+"""Hosts that only this machine reaches."""
 SIMULATOR_DATUM: Final = (-35.36326, 149.16523)
 """Where ArduPilot's own simulator starts, degrees."""
 

@@ -136,7 +136,7 @@ class _Node:
     """One process that receives: which rules it held when, and when it was not there."""
 
     def __init__(self, recording: Recording, robot: int, role: str, plain: FaultPlan) -> None:
-        self._recording, self._robot, self._role = recording, robot, role
+        self._recording, self._robot = recording, robot
         self._epoch_ns = recording.epoch_ns or 0
         held = [each for each in recording.live_faults if (each.robot, each.role) == (robot, role)]
         self._changes, self._plans = _timeline(recording, held, plain)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from agent.messages import PlantState, Status
 from agent.supervision import State
+from deploy.wording import robots
 
 
 def waits(
@@ -36,6 +37,4 @@ def in_words(waits: Mapping[int, str]) -> str:
     who: dict[str, list[int]] = {}
     for robot, why in waits.items():
         who.setdefault(why, []).append(robot)
-    return "; ".join(
-        f"robot{'s' * (len(ids) > 1)} {', '.join(map(str, ids))}: {why}" for why, ids in who.items()
-    )
+    return "; ".join(f"{robots(ids)}: {why}" for why, ids in who.items())

@@ -7,11 +7,9 @@ from typing import Final
 
 from agent import keys
 from agent.fleet import Fleet
+from agent.leave import AWAITED
 from agent.messages import Message, PlantState, Resume, Status
 from agent.supervision import State
-
-TOLD: Final = "waiting to be told to resume"
-"""How the note of a plant ends that lacks nothing but this leave."""
 
 
 class Resuming:
@@ -65,7 +63,7 @@ class Resuming:
             return f"robot {robot}: nothing heard from {silent}"
         if plant.healthy and not plant.obeying:
             note = plant.note or "its body does not obey"
-            if note.endswith(TOLD):
+            if note.endswith(AWAITED):
                 why = "it has had a later leave: is this machine's clock behind that of another operator?"
             else:
                 why = "its operator must give it back first"

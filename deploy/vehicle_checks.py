@@ -6,13 +6,14 @@ A bridge to a vehicle says `agent.messages.Checks` again and again. A blocking l
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container
 from typing import Final, NamedTuple
 
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.messages import LEVELS, Checks, Message
+from deploy.wording import robots
 from plant.backend import WAITING
 
 SETTLE_NS: Final = 5 * NS_PER_S
@@ -34,10 +35,10 @@ class Line(NamedTuple):
         """Whether it is blocking for now, and may get better by itself."""
         return self.level == BLOCKING and self.found.startswith(WAITING)
 
-    def said_of(self, robot: int) -> str:
-        """The line in one sentence."""
+    def said_of(self, *ids: int) -> str:
+        """The line in one sentence, of the robots that it is about."""
         advice = f" ({self.advice})" if self.advice else ""
-        return f"robot {robot}: {self.name}: {self.found}{advice}"
+        return f"{robots(ids)}: {self.name}: {self.found}{advice}"
 
 
 class VehicleChecks:
@@ -122,11 +123,4 @@ class VehicleChecks:
             for line in self.lines(robot):
                 if line.level == WARNING:
                     who.setdefault(line, []).append(robot)
-        return [_shared(line, ids) for line, ids in who.items()]
-
-
-def _shared(line: Line, ids: Sequence[int]) -> str:
-    if len(ids) == 1:
-        return line.said_of(ids[0])
-    advice = f" ({line.advice})" if line.advice else ""
-    return f"robots {', '.join(map(str, ids))}: {line.name}: {line.found}{advice}"
+        return [line.said_of(*ids) for line, ids in who.items()]

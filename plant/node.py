@@ -13,6 +13,7 @@ from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest
 from agent.hand import Pose
+from agent.leave import Leave
 from agent.messages import (
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -34,7 +35,7 @@ from agent.messages import (
 from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Numbers, Outgoing
 from agent.reception import Reception
-from agent.supervision import REST_SPEED, REST_YAW_RATE
+from agent.supervision import at_rest
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 
@@ -64,7 +65,8 @@ class PlantNode:
         self._key_resume = keys.resume(name)
         self._key_checks = keys.checks(name, robot)
         self._digest = digest(fleet)
-        self._mission_version = self._resume_version = -1
+        self._mission_version = -1
+        self._leave = Leave(robot, backend.go_ahead)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
         self._checks_due_ns = self._checks_sequence = 0
@@ -129,7 +131,7 @@ class PlantNode:
                 reason = self._accept_mission(message)
         elif type(message) is Resume:
             if key == self._key_resume:
-                reason = self._accept_resume(message)
+                reason = self._leave.accept(message)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
@@ -150,14 +152,6 @@ class PlantNode:
             self._mission_version = mission.version
             self._numbers.begin(mission.epoch_ns)
             self._reception.begin(mission.epoch_ns)
-            self._backend.go_ahead()
-        return None
-
-    def _accept_resume(self, resume: Resume) -> str | None:
-        if resume.version < self._resume_version:
-            return "out_of_order"
-        if resume.version > self._resume_version and (not resume.robots or self.robot in resume.robots):
-            self._resume_version = resume.version
             self._backend.go_ahead()
         return None
 
@@ -195,7 +189,7 @@ class PlantNode:
         command = self._command(now_ns)
         reading = self._backend.step(now_ns, command)
         pose, self._obeying = reading.pose, reading.obeying
-        self._at_rest = abs(pose.speed) < REST_SPEED and abs(pose.yaw_rate) < REST_YAW_RATE
+        self._at_rest = at_rest(pose.speed, pose.yaw_rate)
         sequence = self._numbers.next(reading.time_ns)
         measured = self._measurement.measured(pose, reading.time_ns, sequence)
         out = []

@@ -14,6 +14,8 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, NamedTuple
 
+from agent.leave import AWAITED
+
 
 class Holder(Enum):
     """Who has the vehicle. The values are for logs."""
@@ -111,7 +113,7 @@ class Authority:
         if self.holder is Holder.RELEASED:
             if situation.operator:
                 return f"its operator has it: {situation.operator}"
-            return f"{self._taken}: waiting to be told to resume"
+            return f"{self._taken}: {AWAITED}"
         return situation.operator
 
     @property

@@ -11,7 +11,7 @@ from agent.fleet import Fleet
 from agent.fleet_sections import MavlinkSection
 from agent.hand import Pose
 from agent.process import Log
-from agent.supervision import REST_SPEED, REST_YAW_RATE
+from agent.supervision import at_rest
 from bridges.mavlink import ardurover, checks, frames
 from bridges.mavlink.authority import Authority, Holder
 from bridges.mavlink.claim import Claim
@@ -112,7 +112,6 @@ class MavlinkPlant(PlantBackend):
         self._braking_since_ns: int | None = None
         self._resting_since_ns: int | None = None
         self._commanded_ns: int | None = None
-        self._asked = (0.0, 0.0)
         self._refusal = ""
         self._untold = False
         self._claim = Claim(link, log, wanted=section.arm and not look)
@@ -256,30 +255,35 @@ class MavlinkPlant(PlantBackend):
             taken = (self._operator or self._interlude) not in ("", DISARMED)
             self._driving = not taken and self._still_braking(now_ns)
         wanted = command if obeys else None
-        self._asked = self._setpoint.step(dt, wanted, self._pose, surprise)
+        asked = self._setpoint.step(dt, wanted, self._pose, surprise)
         if self._setpoint.note:
             self._log(self._setpoint.note)
         predicted = self._estimate.predicted
         watched = self._driving and obeys
         self._refusal = self._motion.step(min(dt, WATCHED_S), watched, predicted, surprise)
-        self._estimate.command(now_ns, *self._asked, self._setpoint.vehicle)
+        self._estimate.command(now_ns, *asked, self._setpoint.vehicle)
         if not self._driving:
             return b""
         if self._commanded_ns is not None and now_ns - self._commanded_ns < COMMAND_PERIOD_NS:
             return b""
         self._commanded_ns = now_ns
-        return self._link.setpoint(*self._asked)
+        return self._link.setpoint(*asked)
 
     def _still_braking(self, now_ns: int) -> bool:
         """False when the vehicle has stood for a while, or had time enough."""
         if self._braking_since_ns is None:
             self._braking_since_ns, self._resting_since_ns = now_ns, None
-        if abs(self._pose.speed) >= REST_SPEED or abs(self._pose.yaw_rate) >= REST_YAW_RATE:
+        if not self._standing:
             self._resting_since_ns = None
         elif self._resting_since_ns is None:
             self._resting_since_ns = now_ns
         rested = self._resting_since_ns is not None and now_ns - self._resting_since_ns >= BRAKE_AT_REST_NS
         return not rested and now_ns - self._braking_since_ns < BRAKE_NS_MAX
+
+    @property
+    def _standing(self) -> bool:
+        """Whether the vehicle is at rest, by the newest pose that was good."""
+        return at_rest(self._pose.speed, self._pose.yaw_rate)
 
     def _vehicle_limits(self) -> Limits:
         """What the vehicle's own parameters allow, as far as they are known."""
@@ -348,17 +352,23 @@ class MavlinkPlant(PlantBackend):
     def close(self) -> None:
         """See `PlantBackend.close`: a vehicle that was armed here, and stands, is disarmed."""
         now_ns = self._now_ns
-        standing = abs(self._pose.speed) < REST_SPEED and abs(self._pose.yaw_rate) < REST_YAW_RATE
         if (
             now_ns is not None
             and self._claim.armed_here
             and self._link.armed
-            and standing
+            and self._standing
             and not self._operator
         ):
             self._log("disarming it, as it was armed here")
             self._link.command_arm(False)
             self._transport.send(self._link.tick(now_ns))
+        odd = dict(self._link.counts) | (
+            {"not sent": self._transport.dropped} if self._transport.dropped else {}
+        )
+        if odd:
+            self._log(
+                f"odd on its link: {', '.join(f'{count} {what}' for what, count in sorted(odd.items()))}"
+            )
         self._transport.close()
         signing = self._link.settings.signing
         if signing is not None:

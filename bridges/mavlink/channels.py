@@ -189,7 +189,7 @@ class Tcp(_Stream):
 
     def __init__(self, connection: Connection) -> None:
         super().__init__()
-        _addresses(connection, socket.SOCK_STREAM)
+        _addresses(connection, socket.SOCK_STREAM)  # for its words about a wrong host: the next tries all
         self._socket = socket.create_connection((connection.host, connection.port), CONNECT_S)
         try:
             self._socket.setblocking(False)

@@ -120,11 +120,6 @@ class LocalToWorld:
         )
 
 
-def world_to_local(datum: Geodetic, origin: Geodetic, x: float, y: float) -> tuple[float, float]:
-    """North and east (m) from a vehicle's EKF origin of x and y (m, W)."""
-    return geodetic_to_local(origin, world_to_geodetic(datum, x, y))
-
-
 def wrapped(angle: float) -> float:
     """The angle within -pi to pi."""
     return remainder(angle, tau)

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridges.mavlink.signing import Signing
+from bridges.mavlink.signing import STEPS_PER_S, Signing
 
 STREAMS_MAX: Final = 64
-NEW_STREAM_BEHIND: Final = 60 * 100_000
+NEW_STREAM_BEHIND: Final = 60 * STEPS_PER_S
 """A stream of signed messages may begin a minute behind the own timestamp (10 us), no more."""
 _BUFFER_KEPT: Final = 4096
 _SIGNATURE: Final = 6

@@ -19,6 +19,7 @@ class LinkSettings:
         own_system: own id; None: the vehicle's. `own_component` likewise the own one.
         state_rate_hz: of ATTITUDE and LOCAL_POSITION_NED.
         set_origin: whether to offer `datum` as the EKF's origin; without a datum nothing is offered.
+        signing: the key that both sides sign with; None: unsigned, and signatures are not looked at.
         token: tells the own heartbeats (`custom_mode`) and questions for the time from those of a bridge that
             speaks as the same system and component. Random; 0: none.
         parameters: names of those to read.

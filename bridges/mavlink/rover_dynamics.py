@@ -15,6 +15,8 @@ from collections import deque
 from math import ceil, cos, inf, radians, sin
 from typing import Final, NamedTuple
 
+from bridges.mavlink import ardurover
+
 GRAVITY: Final = 9.80665
 STEP_S: Final = 0.005
 """Longest step of the integration: the fitted numbers go with it."""
@@ -44,10 +46,10 @@ class Limits(NamedTuple):
     """What a rover's parameters allow: WP_SPEED m/s, ATC_ACCEL_MAX m/s^2, ATC_STR_RAT_MAX rad/s and
     ATC_TURN_MAX_G in g; 0 means no limit, as the autopilot has it."""
 
-    speed: float = 3.0
-    acceleration: float = 1.0
-    yaw_rate: float = radians(120.0)
-    turn_g: float = 0.6
+    speed: float = ardurover.WP_SPEED_MPS
+    acceleration: float = ardurover.ATC_ACCEL_MAX_MPS2
+    yaw_rate: float = radians(ardurover.ATC_STR_RAT_MAX_DPS)
+    turn_g: float = ardurover.ATC_TURN_MAX_G_G
 
 
 DEFAULTS: Final = Limits()

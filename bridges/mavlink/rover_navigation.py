@@ -42,6 +42,7 @@ DRIFT: Final = 0.01
 WANDER: Final = 0.015
 """m by which its position is off, slowly varying."""
 YAW_ERROR: Final = 0.005
+"""rad by which its yaw is off at most, constant over a boot."""
 PHANTOM: Final = (0.035, 0.013)
 """m/s: mean and swing of the speed that it reports at rest."""
 PHANTOM_FADES: Final = 0.25

@@ -10,10 +10,8 @@ from agent.clock import NS_PER_S
 from agent.draws import stream, uniform
 from bridges.mavlink import ardurover
 from bridges.mavlink.rover_telemetry import BUILDERS, DEFAULT_STREAMS, Message
+from bridges.mavlink.signing import timestamp_at
 
-SIGNING_EPOCH_NS: Final = 1_420_070_400 * NS_PER_S
-SIGNING_TICK_NS: Final = 10_000
-"""Timestamps of signatures count these since the start of 2015."""
 DEFAULT_INTERVAL_NS: Final = round(NS_PER_S / ardurover.STREAM_RATE_HZ)
 LATE: Final = 0.02
 """Share of the streamed messages that a busy autopilot sends a loop late."""
@@ -80,7 +78,7 @@ class Port:
     def _set_signing_time(self, now_ns: int) -> None:
         signing = self._mav.signing
         if signing.secret_key is not None:
-            signing.timestamp = max(signing.timestamp, (now_ns - SIGNING_EPOCH_NS) // SIGNING_TICK_NS)
+            signing.timestamp = max(signing.timestamp, timestamp_at(now_ns))
 
     def interval_ns(self, message: int) -> int | None:
         """How often a message is sent; 0: not at all; None: it is not one of this vehicle's."""

@@ -18,6 +18,7 @@ from bridges.mavlink.rover_navigation import Navigation
 from bridges.mavlink.rover_settings import Parameters, Settings
 
 CREEP_M: Final = (0.03, 0.09)
+"""m, least and most, that it creeps while it boots."""
 CREEP_FROM: Final = 0.05
 CREEP_UNTIL: Final = 0.55
 """Of the time to boot: while it creeps."""

@@ -26,6 +26,7 @@ from math import isfinite
 from typing import Final, NamedTuple
 
 from agent.hand import Pose
+from agent.supervision import REST_SPEED
 from bridges.mavlink.estimate import Surprise
 from bridges.mavlink.rover_dynamics import (
     DEFAULTS,
@@ -50,9 +51,8 @@ YAW_RATE_DEAD: Final = 0.15
 SPEED_BAND: Final = 0.5
 YAW_RATE_BAND: Final = 0.8
 """m/s, rad/s: the reference is never further from the estimate."""
-REST_SPEED: Final = 0.06
-REST_YAW_RATE: Final = 0.03
-"""m/s, rad/s: a rover that brakes and is measured slower than this stands."""
+YAW_RATE_NOISE: Final = 0.03
+"""rad/s: a rover that brakes and is measured turning slower than this does not turn."""
 STEP_MAX_S: Final = 0.2
 
 DISAGREES_S: Final = 3.0
@@ -168,7 +168,7 @@ class Setpoint:
         speed = pose.speed if isfinite(pose.speed) else 0.0
         yaw_rate = pose.yaw_rate if isfinite(pose.yaw_rate) else 0.0
         self.speed = self._speed = speed if abs(speed) > REST_SPEED else 0.0
-        self.yaw_rate = self._yaw_rate = yaw_rate if abs(yaw_rate) > REST_YAW_RATE else 0.0
+        self.yaw_rate = self._yaw_rate = yaw_rate if abs(yaw_rate) > YAW_RATE_NOISE else 0.0
         self.force = self.torque = self._acceleration = self._spin = 0.0
 
 

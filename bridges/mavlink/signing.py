@@ -117,7 +117,7 @@ class Timestamps:
         self.trouble = ""
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._last = max(_steps(now_ns), _read(path))
+            self._last = max(timestamp_at(now_ns), _read(path))
             self._stored = self._last + AHEAD
             _write(path, self._stored)
         except OSError as error:
@@ -139,7 +139,7 @@ class Timestamps:
         Args:
             at_least: what signing has come to since: counted on from there. Later than the last one always.
         """
-        self._last = min(_MAX, max(self._last + 1, at_least, _steps(now_ns)))
+        self._last = min(_MAX, max(self._last + 1, at_least, timestamp_at(now_ns)))
         if self._last + AHEAD // 2 > self._wanted:
             self._wanted = self._last + AHEAD
             self._wake.set()
@@ -194,7 +194,8 @@ def open_signing(fleet: str, robot: int, key_file: str, now_ns: int) -> Signing:
     return Signing(key, Timestamps(state_file(f"{fleet}-{robot}"), now_ns))
 
 
-def _steps(now_ns: int) -> int:
+def timestamp_at(now_ns: int) -> int:
+    """The wall time (ns) as signatures count it: 10 us since 2015, 0 before."""
     return max(0, now_ns // _NS_PER_STEP - EPOCH_S * STEPS_PER_S)
 
 

@@ -14,7 +14,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.clock import NS_PER_S
-from agent.supervision import REST_SPEED, REST_YAW_RATE
+from agent.supervision import at_rest
 from bridges.mavlink import ardurover, frames
 from bridges.mavlink.backend import UNTOLD
 from bridges.mavlink.frames import datum_of
@@ -40,7 +40,7 @@ def take(rover: Rover, how: str) -> None:
 
 
 def stands(scene: Scene) -> bool:
-    return abs(scene.rover.speed) < REST_SPEED and abs(scene.rover.yaw_rate) < REST_YAW_RATE
+    return at_rest(scene.rover.speed, scene.rover.yaw_rate)
 
 
 # ---------------------------------------------------------------------- the operator

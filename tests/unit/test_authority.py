@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.leave import AWAITED
 from bridges.mavlink.authority import TRANSITIONS, Authority, Holder
-from deploy.resuming import TOLD
 
 MANUAL = "mode MANUAL, not GUIDED"
 LOST = "no heartbeat for 4 s"
@@ -49,7 +49,7 @@ def test_another_mode_releases_at_once_and_going_back_is_not_enough() -> None:
     assert (authority.holder, authority.why) == (Holder.RELEASED, f"its operator has it: {MANUAL}")
     authority.step("", "")
     assert authority.holder is Holder.RELEASED
-    assert authority.why.endswith(TOLD)
+    assert authority.why.endswith(AWAITED)
     assert MANUAL in authority.why
     assert authority.go_ahead()
     authority.step("", "")

@@ -191,3 +191,14 @@ def test_the_session_is_that_of_the_fleet_file() -> None:
     settings = link.settings
     assert (settings.system, settings.set_origin, settings.token) == (7, False, 5)
     assert settings.datum == datum_of(rovers())
+
+
+def test_what_was_odd_on_its_link_is_in_the_log_at_the_end() -> None:
+    scene = Scene()
+    scene.drive(0.2)
+    scene.bridge.plant.close()
+    assert not any("odd" in line for line in scene.bridge.log)
+    assert scene.bridge.link.setpoint(float("nan"), 0.0) == b""
+    scene.bridge.port.dropped = 3
+    scene.bridge.plant.close()
+    assert scene.bridge.log[-1] == "odd on its link: 3 not sent, 1 setpoint not finite"

@@ -9,9 +9,10 @@ import pytest
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import load_fleet
+from agent.leave import AWAITED
 from agent.messages import PlantState, Status
 from deploy.arguments import FLEETS, InputError, robots_named
-from deploy.resuming import TOLD, Resuming
+from deploy.resuming import Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")
 T0 = 1_800_000_000 * NS_PER_S
@@ -97,7 +98,7 @@ def test_a_leave_that_came_too_late_is_not_blamed_on_its_operator() -> None:
         3,
         "released",
         obeying=False,
-        note="its operator has given it back (it was: disarmed): " + TOLD,
+        note="its operator has given it back (it was: disarmed): " + AWAITED,
     )
     assert "clock" in resuming.outcome(3)
     assert "must" not in resuming.outcome(3)

@@ -139,7 +139,7 @@ def test_warnings_of_many_are_said_once() -> None:
         fleet.says(robot, LINK, OFF)
     fleet.says(4, ("GPS", "warning", "5 satellites", ""))
     assert fleet.checks.warnings() == [
-        "robots 1, 2, 5: FS_GCS_ENABLE: 0: off (set 1)",
+        "robots 1, 2 and 5: FS_GCS_ENABLE: 0: off (set 1)",
         "robot 4: GPS: 5 satellites",
     ]
 
@@ -176,7 +176,7 @@ def test_those_that_only_wait_for_others_are_not_named() -> None:
 
 def test_robots_that_wait_for_the_same_are_named_together() -> None:
     found = {1: "waiting for its GPS", 2: "mode MANUAL, not GUIDED", 4: "waiting for its GPS"}
-    assert in_words(found) == "robots 1, 4: waiting for its GPS; robot 2: mode MANUAL, not GUIDED"
+    assert in_words(found) == "robots 1 and 4: waiting for its GPS; robot 2: mode MANUAL, not GUIDED"
 
 
 # --- the table -----------------------------------------------------------------------------------
