@@ -43,7 +43,6 @@ class Operator:
         self.heard_at = float("-inf")
         self.texts: deque[str] = deque(maxlen=200)
         self.parameters: dict[str, float] = {}
-        self.acks: dict[int, int] = {}
         self.latest: dict[str, Any] = {}
 
     def __enter__(self) -> Operator:
@@ -69,7 +68,7 @@ class Operator:
             self._due = time.monotonic() + 1.0
             self.send(
                 mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_GCS, ardurover.AUTOPILOT_INVALID, 0, 0, 4, 3
+                    mavlink.MAV_TYPE_GCS, ardurover.AUTOPILOT_INVALID, 0, 0, ardurover.STATE_ACTIVE, 3
                 )
             )
 
@@ -89,8 +88,6 @@ class Operator:
             self.texts.append(message.text)
         elif kind == "PARAM_VALUE":
             self.parameters[message.param_id] = message.param_value
-        elif kind == "COMMAND_ACK":
-            self.acks[message.command] = message.result
 
     def wait(self, look: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
         def poll_and_look() -> Any:

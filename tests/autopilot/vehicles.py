@@ -20,6 +20,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.hand import Pose
+from agent.leave import AWAITED
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.frames import Geodetic, world_to_geodetic
@@ -120,7 +121,7 @@ class Vehicle:
         self.reading: Reading | None = None
         self.command: Callable[[Reading], Command | None] = lambda _: None
         second = open_transport(place.operator, BAUD, time.time_ns) if place.operator else transport.other()
-        self.operator = Operator(second, place.bridge, meanwhile=lambda: None)
+        self.operator = Operator(second, place.bridge)
 
     def ask_operators_streams(self) -> None:
         """Has it send what the bridge is judged by; on the bridge's connection ATTITUDE comes anyway."""
@@ -246,7 +247,7 @@ class Field:
             self.until(lambda v=vehicle: v.operator.system is not None, "heard by its operator", BOOT_S)
             vehicle.ask_operators_streams()
             self.until(lambda v=vehicle: v.reading is not None and v.reading.healthy, "healthy", BOOT_S)
-            if vehicle.log and "waiting to be told to resume" in vehicle.plant.authority.why:
+            if AWAITED in vehicle.plant.authority.why:
                 vehicle.plant.go_ahead()
             self.until(lambda v=vehicle: v.reading.obeying and v.standing, "armed, in GUIDED, standing", 60.0)
             vehicle.plant.go_ahead()

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import Checks, Resume, encode
@@ -21,12 +20,12 @@ from bridges.mavlink.transport import open_transport
 from deploy.arguments import FLEETS
 from deploy.placing import Vehicle, place, vehicle
 from deploy.ports import Reservation
+from deploy.processes import MODULES, VEHICLE, VEHICLE_MODULE
 from tests.ground_station import Operator
 from tests.process.harness import ADDRESS, PATIENCE_S, Robots
 
 BASE_PORT: Final = 24_320
 """Clear of the ports of the fleets in `tests.process.harness`."""
-VEHICLE: Final = "vehicle"
 PAIR: Final = (
     "formation.edges=[[1,2]]",
     "formation.offsets=[[0.0,-1.5],[0.0,1.5]]",
@@ -97,9 +96,9 @@ class Rovers(Robots):
 
     def start(self, robot: int, role: str) -> None:
         if role == VEHICLE:
-            self.run(robot, role, "bridges.mavlink.rover_server", *self.vehicles[robot].arguments)
+            self.run(robot, role, VEHICLE_MODULE, *self.vehicles[robot].arguments)
         else:
-            module = "bridges.mavlink" if role == "plant" else role
+            module = MODULES[self.fleet.robot(robot).plant] if role == "plant" else role
             self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot))
 
     def start_all(self) -> None:
@@ -181,7 +180,3 @@ def cold(each: Vehicle, boot_s: float) -> Vehicle:
     """The vehicle, switched on anew and handed over by nobody."""
     kept = [argument for argument in each.arguments if argument not in ("--warm", "--hand-over")]
     return replace(each, arguments=(*kept, f"--boot={boot_s:g}"))
-
-
-def seconds_since(from_ns: int) -> float:
-    return (time.time_ns() - from_ns) / NS_PER_S

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.leave import AWAITED
 from agent.messages import HandState, PlantState, Status, Wrench, encode
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import UNTOLD
@@ -45,7 +46,7 @@ def drives_again(fleet: Rovers, operator: Operator) -> None:
 def waits_for_leave(fleet: Rovers, operator: Operator) -> None:
     fleet.wait_with(
         operator,
-        lambda: "waiting to be told to resume" in getattr(fleet.plant(2), "note", ""),
+        lambda: AWAITED in getattr(fleet.plant(2), "note", ""),
         "robot 2 waits for leave",
     )
 
@@ -111,12 +112,7 @@ def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
         took, _ = fleet.first(killed_ns, Status, 2, lambda m: m.state == "fault", "its agent says fault")
         assert took < fleet.fleet.control.plant_timeout_s + BRAKES_S
         # Nobody brakes the rover: it stops by itself 3 s after the last setpoint.
-        fleet.wait_with(
-            operator,
-            lambda: ardurover.SETPOINT_TIMEOUT_TEXT in operator.texts,
-            "the rover stops by itself",
-            6.0,
-        )
+        stops_by_itself(fleet, operator)
         assert measured("seconds until it stops", (time.time_ns() - killed_ns) / NS_PER_S) < 3.5
         fleet.start(2, "plant")
         begun_ns = time.time_ns()
