@@ -12,10 +12,11 @@ from agent.process import Log, Start, main
 
 
 def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
-    """The agent and its endpoints: of two neighbours, the one with the greater id connects."""
+    """The agent and its endpoints: of any two, the one that is later in the file connects."""
     fleet = resolved(fleet)
     agent = Agent(fleet, robot)
-    connect = [fleet.agent_endpoint(other) for other in fleet.neighbours(robot) if other < robot]
+    # To all, not only to its neighbours: everybody hears everybody's beacons, and peers do not relay.
+    connect = [fleet.agent_endpoint(other) for other in fleet.ids[: fleet.index(robot)]]
     return Start(agent, [fleet.agent_endpoint(robot)], connect)
 
 

@@ -19,6 +19,7 @@ from agent.node import INBOX_SIZE
 PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `messages.BYTES_MAX`, so that most are counted."""
 LEASE_MS: Final = 1000
+OPEN_TIMEOUT_MS: Final = 1000
 TX_QUEUE_SIZE: Final = 16
 RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (handover: app), tx: (handover: app), "
@@ -53,6 +54,8 @@ def _config(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
+        # A frozen process accepts connections but does not answer: nobody waits long for it.
+        "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         # Messages of one tick wait here while Zenoh's thread has not run; its default of 2 lost some.
         "transport/link/tx/queue/size/data": TX_QUEUE_SIZE,
         "transport/shared_memory/enabled": False,
@@ -97,7 +100,7 @@ class Bus:
             if "os error 99" in text or "assign requested address" in text:
                 raise BusError(f"cannot listen on {where}: this machine does not have that address") from None
             raise BusError(f"cannot open the bus on {where}: {text.split(' at ')[0]}") from None
-        self._inboxes: list[tuple[str, Any, int]] = []
+        self._inboxes: dict[str, tuple[str, Any, int]] = {}
         self._publishers: dict[str, Any] = {}
         self._tokens: list[Any] = []
 
@@ -117,7 +120,16 @@ class Bus:
     def subscribe(self, key: str, inbox_size: int = INBOX_SIZE) -> None:
         """Listens to `key`, which may hold wildcards; messages wait for `drain`."""
         subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(inbox_size))
-        self._inboxes.append(("" if "*" in key else key, subscriber, inbox_size))
+        self._inboxes[key] = "" if "*" in key else key, subscriber, inbox_size
+
+    def listen(self, subscriptions: Sequence[str]) -> None:
+        """Listens to exactly these keys, and drains them in this order; what waits on others is lost."""
+        for key in self._inboxes.keys() - set(subscriptions):
+            self._inboxes.pop(key)[1].undeclare()
+        for key in subscriptions:
+            if key not in self._inboxes:
+                self.subscribe(key)
+        self._inboxes = {key: self._inboxes[key] for key in subscriptions}
 
     def announce(self, key: str) -> None:
         """Declares the liveliness token `key`; it goes when this process does."""
@@ -141,7 +153,7 @@ class Bus:
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
-        for key, subscriber, inbox_size in self._inboxes:
+        for key, subscriber, inbox_size in self._inboxes.values():
             for _ in range(inbox_size):  # a flood that comes faster than it is taken must not keep the loop
                 if (sample := subscriber.try_recv()) is None:
                     break

@@ -1,118 +1,198 @@
-"""One robot's control law in time: from its plant's state and its neighbours to a force and a torque.
+"""One robot's control law in time: from its plant's state and the other robots to a force and a torque.
 
 Pure. It knows when a wrench acts: the plant takes it at its next tick and holds it for a period. So
-the law is evaluated for the middle of that interval, with the own body and every neighbour carried
+the law is evaluated for the middle of that interval, with the own body and every other robot carried
 forward to that instant; evaluated there, the sampled loop is of second order in the period
 (docs/theory.md, S1).
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
-from agent import hand, law, neighbours
+from agent import barrier, hand, law
+from agent.avoidance import barrier_rate
 from agent.clock import NS_PER_S
+from agent.course import Course, Edge
+from agent.detour import Blocker, Detour
 from agent.fleet import Fleet
 from agent.formation import Geometry
-from agent.messages import PlantState
-from agent.neighbours import Neighbours
+from agent.messages import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns
-from agent.trajectory import make_trajectory
+from agent.peers import DOUBT_MAX, Peer, Peers
+from agent.plan import Plan
+from agent.prediction import Prediction, approach, constraint_decay
+from agent.surroundings import Surroundings
+
+FRESH_NS: Final = NS_PER_S // 4
+"""A robot that was heard this lately is taken to keep its part of the distance."""
+
+TURN_MAX: Final = 0.12
+"""rad: further than this a body must not turn within a period."""
+
+Vector = tuple[float, float]
+Key = int | str
+"""Of a multiplier: a robot's id for an edge, minus its id where it is only kept away from, the name of a
+boundary with a number."""
 
 
 class Drive(NamedTuple):
     """What one tick of the law gives.
 
-    force (N) and torque (N m) to ask of the plant; the hand now; the navigation force F_n and the
-    constraint force F_c, m/s^2, W.
+    force (N) and torque (N m) to ask of the plant; the navigation force F_n and the
+    constraint force F_c, m/s^2, W; how many constraints acted; what the last stage changed it for.
     """
 
     force: float
     torque: float
-    here: hand.Hand
     navigation_x: float
     navigation_y: float
     constraint_x: float
     constraint_y: float
+    degree: int
+    causes: tuple[str, ...]
+
+
+class _Constraint(NamedTuple):
+    """One constraint at one instant: `other` is None for what stands still."""
+
+    key: Key
+    edge: law.Edges
+    other: Prediction | None
+    degree: int
+    one_sided: bool
+    name: str = ""
 
 
 class Controller:
     """The law of robot `robot`.
 
     Attributes:
-        neighbours: its neighbours; whoever receives their messages gives them to it.
-        multipliers: own copies of lambda, in the order of ``neighbours.ids``.
+        course: where every robot is to be, and who shares an edge.
+        peers: what is known of the others; whoever receives their messages gives them to it.
+        around: what must be kept away from besides.
+        detour: its way round what blocks it.
+        edges: the own edges that count now, with what is known of the robot at the other end.
     """
 
     def __init__(self, fleet: Fleet, geometry: Geometry, robot: int) -> None:
         body, control = fleet.robot(robot), fleet.control
-        index = geometry.ids.index(robot)
-        partners: dict[int, float] = {}
-        degrees: Counter[int] = Counter()
-        for (i, j), distance in zip(geometry.edges.tolist(), geometry.distances.tolist(), strict=True):
-            degrees[i] += 1
-            degrees[j] += 1
-            if index in (i, j):
-                partners[j if i == index else i] = distance
-        columns = sorted(partners, key=lambda other: geometry.ids[other])
-        self._distances = [partners[other] for other in columns]
-        self._degrees = [degrees[index] + degrees[other] for other in columns]
-        self.neighbours: Final = Neighbours(
+        self._robot = robot
+        self._period_ns = fleet.period_ns
+        self.course: Final = Course(fleet, geometry)
+        self.peers: Final = Peers(
             robot,
-            {geometry.ids[other]: geometry.offsets[other].tolist() for other in columns},
             control.c1,
             control.c2,
             fleet.period_ns,
-            decay=neighbours.constraint_decay(control.kd, control.kp),
+            self.course.motion,
+            decay=constraint_decay(control.kd, control.kp),
             predict=control.prediction,
+            most=control.max_speed_mps if fleet.avoidance.enabled else None,
         )
-        self.multipliers = [0.0] * len(columns)
-        self._period_ns = fleet.period_ns
-        self._offset_x, self._offset_y = geometry.offsets[index].tolist()
-        self._trajectory = make_trajectory(fleet.trajectory)
-        self._epoch_ns = 0
-        self._references: dict[int, tuple[float, float, float, float, float, float]] = {}
+        self.around: Final = Surroundings(fleet, robot, self.peers)
+        self.edges: tuple[tuple[Edge, Peer], ...] = ()
+        self._course_edges: tuple[Edge, ...] = ()
+        self.detour: Final = Detour(fleet.period_ns / NS_PER_S)
+        self._multipliers: dict[Key, float] = {}
+        self._blockers: list[Blocker] = []
         self._gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
         self._coupling = control.coupling
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m
         self._acceleration_max = control.max_acceleration
+        self._speed_max = control.max_speed_mps
+        self._barrier_rate, self._margin = barrier_rate(fleet), fleet.avoidance.margin_m
         self._mass, self._inertia, self._reach = body.mass_kg, body.inertia_kgm2, body.hand_offset_m
+        self._yaw_rate_max = TURN_MAX * NS_PER_S / fleet.period_ns
+        self._force_max, self._torque_max = body.max_force_n, body.max_torque_nm
         # Wrenches by the plant tick that takes them: as many as the oldest state to drive by can lack.
         self._sent: dict[int, tuple[float, float]] = {}
         self._sent_max = ceil(control.plant_timeout_s * NS_PER_S / fleet.period_ns) + 2
+        self._planned: Plan | None = None
 
-    def plan(self, epoch_ns: int) -> None:
-        """Sets when the trajectory begins, in wall time (ns)."""
-        self._epoch_ns = epoch_ns
-        self._references.clear()
+    def plan(self, plan: Plan) -> None:
+        """Takes what the fleet is to do."""
+        self.course.take(plan)
+        self.peers.epoch_ns = plan.mission.epoch_ns
 
     def restart(self) -> None:
         """Forgets the multipliers: the robot begins to drive."""
-        self.multipliers = [0.0] * len(self.multipliers)
+        self._multipliers.clear()
+        self._blockers.clear()
+        self.detour.reset()
 
     def acts_from_ns(self, now_ns: int) -> int:
         """When a wrench that is sent now begins to act: at the plant's next tick."""
         return next_tick_ns(now_ns, self._period_ns, 0)
 
-    def drive(self, plant: PlantState, now_ns: int) -> Drive:
-        """The law at the tick `now_ns`. Its numbers may be absurd: look at them before they are sent."""
-        acting_ns = self.acts_from_ns(now_ns) + self._period_ns // 2
+    def acting_ns(self, now_ns: int) -> int:
+        """The middle of the time in which a wrench acts that is sent now: what the law is evaluated for."""
+        return self.acts_from_ns(now_ns) + self._period_ns // 2
+
+    def look(self, now_ns: int) -> None:
+        """Finds who shares an edge at the tick `now_ns`."""
+        time_ns = self.acting_ns(now_ns)
+        active = self.course.active(time_ns)
+        if active is not self._planned:
+            self._planned = active
+            self.around.plan(active)
+        edges = self.course.edges(self._robot, time_ns)
+        if edges is not self._course_edges:
+            self._course_edges = edges
+            self.edges = tuple((edge, self.peers.get(edge.other)) for edge in edges)
+
+    def multipliers(self) -> tuple[tuple[int, float], ...]:
+        """Own copies of lambda that others have copies of: ``(robot, lambda)``, one for each robot."""
+        known = self._multipliers
+        shared = [
+            (abs(key), value)
+            for key, value in known.items()
+            if type(key) is int and (key > 0 or -key not in known)
+        ]
+        return tuple(shared[:NEIGHBOURS_MAX])
+
+    def drive(self, plant: PlantState, now_ns: int, slower: float = 1.0) -> Drive:
+        """The law at the tick `now_ns`. Its numbers may be absurd: look at them before they are sent.
+
+        Args:
+            slower: share of the speed that it would have, for one that has to be careful.
+        """
+        acting_ns = self.acting_ns(now_ns)
         body = self._pose_at(plant, acting_ns)
         own = hand.hand(body, self._reach)
-        x, y, vx, vy, ax, ay = self._reference(acting_ns)
-        ex, ey = own.x - x - self._offset_x, own.y - y - self._offset_y
-        nx = law.navigation_force(ax, ex, own.vx - vx, self._c1, self._c2)
-        ny = law.navigation_force(ay, ey, own.vy - vy, self._c1, self._c2)
-        cx, cy = self._constraint(acting_ns, own, nx, ny) if self._distances else (0.0, 0.0)
+        motion = self.course.motion(self._robot, acting_ns)
+        assert motion is not None  # a robot without a place does not drive
+        x, y, vx, vy, ax, ay = motion
+        ex, ey = own.x - x, own.y - y
+        share = 1.0
+        if self.around.enabled:
+            share = law.saturation(ex, ey, self._c1, self._c2, approach(vx, vy, ex, ey, self._speed_max))
+        nx = law.navigation_force(ax, share * ex, own.vx - vx, self._c1, self._c2)
+        ny = law.navigation_force(ay, share * ey, own.vy - vy, self._c1, self._c2)
+        # (21) aims at this velocity: F_n = rddot_d + c_2 (wanted - v).
+        pull = share * self._c1 / self._c2
+        wanted = vx - pull * ex, vy - pull * ey
+        turned = self.detour.velocity(wanted, (own.vx, own.vy), self._blockers)
+        if turned is not None:
+            # Round corners c_2 would be too slow: the wall is lost, and with it the way.
+            gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
+            nx, ny = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
+        planes: list[barrier.HalfPlane] = []
+        constraints = self._constraints(acting_ns, now_ns, own, nx, ny, planes)
+        cx, cy = self._solve(constraints)
         ux, uy = nx + cx, ny + cy
-        size = hypot(ux, uy)
-        if size > self._acceleration_max:
-            ux, uy = ux * self._acceleration_max / size, uy * self._acceleration_max / size
+        causes: tuple[str, ...] = ()
+        if self.around.enabled:
+            ux, uy, causes = self._last_stage(ux, uy, planes, body, own, (vx, vy), slower)
+        else:
+            size = hypot(ux, uy)
+            if size > self._acceleration_max:
+                ux, uy = ux * self._acceleration_max / size, uy * self._acceleration_max / size
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
-        return Drive(force, torque, self.hand_at(plant, now_ns), nx, ny, cx, cy)
+        force, torque = _within(force, self._force_max), _within(torque, self._torque_max)
+        return Drive(force, torque, nx, ny, cx, cy, len(constraints), causes)
 
     def hand_at(self, plant: PlantState, time_ns: int) -> hand.Hand:
         """Own hand at a wall time after the plant's state, from what acts on the body until then."""
@@ -123,16 +203,6 @@ class Controller:
         self._sent[self.acts_from_ns(now_ns)] = force, torque
         if len(self._sent) > self._sent_max:
             del self._sent[next(iter(self._sent))]
-
-    def _reference(self, time_ns: int) -> tuple[float, float, float, float, float, float]:
-        """The formation's reference point at a wall time; the neighbours' stamps repeat, so it is kept."""
-        known = self._references.get(time_ns)
-        if known is None:
-            if len(self._references) > 32:
-                self._references.clear()
-            known = self._trajectory.at((time_ns - self._epoch_ns) / NS_PER_S)
-            self._references[time_ns] = known
-        return known
 
     def _pose_at(self, plant: PlantState, time_ns: int) -> hand.Pose:
         """Own body at `time_ns`, from a plant state and what acts on the body since.
@@ -153,43 +223,233 @@ class Controller:
             boundary_ns += self._period_ns
         return hand.advance(pose, force, torque, self._mass, self._inertia, (time_ns - since_ns) / NS_PER_S)
 
-    def _constraint(self, time_ns: int, own: hand.Hand, nx: float, ny: float) -> tuple[float, float]:
-        """Own constraint force F_c (32) at `time_ns`, m/s^2; moves the multipliers on by one tick."""
-        others = self.neighbours.predict(time_ns, self._reference, self._epoch_ns)
-        gains = self._gains
-        edges = [
-            law.edges(
-                (own.x - other.position[0], own.y - other.position[1]),
-                (own.vx - other.velocity[0], own.vy - other.velocity[1]),
-                (nx - other.navigation[0], ny - other.navigation[1]),
-                distance,
-                self._safe_distance,
-                gains,
-            )
-            for other, distance in zip(others, self._distances, strict=True)
-        ]
-        if self._coupling == "joint":
-            self.neighbours.average(self.multipliers)
-            cx, cy = self._total(edges)
-            self.multipliers = [
-                law.multipliers_sweep(
-                    edge, multiplier, (cx - other.constraint[0], cy - other.constraint[1]), degrees, gains
-                )
-                for edge, multiplier, other, degrees in zip(
-                    edges, self.multipliers, others, self._degrees, strict=True
-                )
-            ]
-        elif self._coupling == "edge":
-            self.multipliers = [law.multipliers_edge(edge, gains) for edge in edges]
-        else:
-            self.multipliers = [law.multipliers_penalty(edge, gains) for edge in edges]
-        return self._total(edges)
+    # ------------------------------------------------------------------ constraints
 
-    def _total(self, edges: list[law.Edges]) -> tuple[float, float]:
-        """Own constraint force (32) with the multipliers as they are, m/s^2."""
-        cx = cy = 0.0
-        for edge, multiplier in zip(edges, self.multipliers, strict=True):
-            fx, fy = law.forces(edge, multiplier)
-            cx += fx
-            cy += fy
-        return cx, cy
+    def _constraints(
+        self,
+        time_ns: int,
+        now_ns: int,
+        own: hand.Hand,
+        nx: float,
+        ny: float,
+        planes: list[barrier.HalfPlane],
+    ) -> list[_Constraint]:
+        """All constraints on the own hand at `time_ns`; adds to `planes` what the last stage has to keep."""
+        found: list[_Constraint] = []
+        for edge, peer in self.edges:
+            if peer.message is None:
+                continue
+            other = self.peers.predict(peer, time_ns)
+            weight = edge.weight * peer.trust
+            if weight > 0.0:
+                offset = own.x - other.position[0], own.y - other.position[1]
+                constraint = self._constraint(own, nx, ny, other, offset, edge.distance, edge.rate, edge.bend)
+                if weight < 1.0:
+                    constraint = law.weighted(constraint, weight)
+                found.append(_Constraint(peer.robot, constraint, other, peer.degree, False))
+            if self.around.enabled:
+                other = self.peers.whereabouts(peer, time_ns, own.x, own.y)
+                self._keep_away(peer, other, now_ns, own, nx, ny, weight < 1.0, found, planes)
+        for peer in self.around.close:
+            if peer.message is not None:
+                other = self.peers.whereabouts(peer, time_ns, own.x, own.y)
+                self._keep_away(peer, other, now_ns, own, nx, ny, True, found, planes)
+        if self.around.enabled:
+            self._keep_clear(own, nx, ny, found, planes)
+        return found
+
+    def _constraint(
+        self,
+        own: hand.Hand,
+        nx: float,
+        ny: float,
+        other: Prediction,
+        offset: Vector,
+        distance: float,
+        rate: float = 0.0,
+        bend: float = 0.0,
+    ) -> law.Edges:
+        """The law's constraint with a robot. Of a distance that changes, the motion relative to it counts."""
+        velocity = own.vx - other.velocity[0], own.vy - other.velocity[1]
+        navigation = nx - other.navigation[0], ny - other.navigation[1]
+        if rate or bend:
+            scale = 1.0 / max(hypot(*offset), law.DISTANCE_MIN)
+            away = scale * offset[0], scale * offset[1]
+            velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
+            navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
+        return law.edges(
+            offset,
+            velocity,
+            navigation,
+            distance,
+            self._safe_distance,
+            self._gains,
+        )
+
+    def _keep_away(
+        self,
+        peer: Peer,
+        other: Prediction,
+        now_ns: int,
+        own: hand.Hand,
+        nx: float,
+        ny: float,
+        pushes: bool,
+        found: list[_Constraint],
+        planes: list[barrier.HalfPlane],
+    ) -> None:
+        """One-sided constraint (U1) against a robot, if it `pushes`, and its half plane (F3)."""
+        dx, dy = own.x - other.position[0], own.y - other.position[1]
+        rho = hypot(dx, dy)
+        if rho > self.around.sensing:
+            return
+        doubt = peer.doubt(now_ns)
+        if pushes and rho - doubt < self.around.distance:
+            scale = max(rho - doubt, law.DISTANCE_MIN) / max(rho, law.DISTANCE_MIN)
+            constraint = self._constraint(own, nx, ny, other, (dx * scale, dy * scale), self.around.distance)
+            name = f"robot {peer.robot}"
+            found.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
+        message = peer.message
+        shares = (
+            message is not None
+            and message.following
+            and peer.here
+            and now_ns + peer.clock.used_ns - peer.time_ns < FRESH_NS
+        )
+        plane = barrier.keep_apart(
+            f"robot {peer.robot}",
+            (dx, dy),
+            (own.vx, own.vy),
+            other.velocity,
+            self._safe_distance + self._margin + doubt,
+            self._barrier_rate,
+            alone=not shares,
+            other_acceleration=(
+                other.navigation[0] + other.constraint[0],
+                other.navigation[1] + other.constraint[1],
+            ),
+        )
+        if doubt >= DOUBT_MAX:  # where it is, nobody knows: those that are heard come first
+            plane = plane._replace(rank=barrier.UNSURE)
+        planes.append(plane)
+
+    def _keep_clear(
+        self,
+        own: hand.Hand,
+        nx: float,
+        ny: float,
+        found: list[_Constraint],
+        planes: list[barrier.HalfPlane],
+    ) -> None:
+        """The same against obstacles and the geofence, which have no motion of their own."""
+        around = self.around
+        band = around.distance - self._safe_distance
+        boundaries = [(each, around.clearance, band) for each in around.obstacles]
+        if around.fence is not None:
+            boundaries.append((around.fence, 0.0, around.warn))
+        for boundary, clearance, band in boundaries:
+            for near in boundary.near(own.x, own.y, around.sensing):
+                if near.distance < clearance + band and not near.ahead:
+                    # Along the boundary no motion changes the distance: only the part across it counts.
+                    closing = near.nx * own.vx + near.ny * own.vy
+                    room = max(near.distance, law.DISTANCE_MIN)
+                    constraint = law.edges(
+                        (near.nx * room, near.ny * room),
+                        (near.nx * closing, near.ny * closing),
+                        (nx, ny),
+                        clearance + band,
+                        clearance,
+                        self._gains,
+                    )
+                    key = f"{near.name} {near.side}"
+                    found.append(_Constraint(key, constraint, None, 0, True, near.name))
+                planes.append(
+                    barrier.keep_clear(
+                        near.name,
+                        near.distance,
+                        near.nx,
+                        near.ny,
+                        (own.vx, own.vy),
+                        clearance + self._margin,
+                        self._barrier_rate,
+                    )
+                )
+
+    # ------------------------------------------------------------------ multipliers
+
+    def _solve(self, constraints: list[_Constraint]) -> Vector:
+        """Own constraint force F_c (32), m/s^2; moves the multipliers on by one tick."""
+        gains, before = self._gains, self._multipliers
+        values = [before.get(each.key, 0.0) for each in constraints]
+        if self._coupling == "joint":
+            edges = {each.key for each in constraints if not each.one_sided}
+            for k, each in enumerate(constraints):
+                # A robot with an edge that is not quite relied on has two multipliers: the edge's is shared.
+                if type(each.key) is int and (each.key > 0 or -each.key not in edges):
+                    copy = self.peers.take_copy(abs(each.key))
+                    if copy is not None:
+                        values[k] = 0.5 * (values[k] + copy)
+            cx, cy = _total(constraints, values)
+            own_degree = len(constraints)
+            for k, each in enumerate(constraints):
+                other = each.other
+                pull = (cx, cy) if other is None else (cx - other.constraint[0], cy - other.constraint[1])
+                degrees = own_degree + (0 if other is None else max(1, each.degree))
+                values[k] = law.multipliers_sweep(each.edge, values[k], pull, degrees, gains)
+        elif self._coupling == "edge":
+            values = [
+                law.multipliers_edge(each.edge, gains, 1 if each.other is None else 2) for each in constraints
+            ]
+        else:
+            values = [law.multipliers_penalty(each.edge, gains) for each in constraints]
+        for k, each in enumerate(constraints):
+            if each.one_sided:
+                values[k] = law.repelling(values[k])
+        self._multipliers = {each.key: value for each, value in zip(constraints, values, strict=True)}
+        self._blockers = [
+            Blocker(each.edge.normal[0], each.edge.normal[1], each.name, each.other is None)
+            for each in constraints
+            if each.one_sided
+        ]
+        return _total(constraints, values)
+
+    def _last_stage(
+        self,
+        ux: float,
+        uy: float,
+        planes: list[barrier.HalfPlane],
+        body: hand.Pose,
+        own: hand.Hand,
+        reference: Vector,
+        slower: float,
+    ) -> tuple[float, float, tuple[str, ...]]:
+        """What the law asks for, within the limits of motion and of distance (F1)."""
+        most = self._speed_max
+        if slower < 1.0:
+            most = min(most, slower * (hypot(*reference) + SLOW_SPEED))
+        planes += barrier.limit_speed(own.vx, own.vy, most, self._barrier_rate)
+        planes += barrier.limit_actuators(
+            body, self._mass, self._inertia, self._reach, self._force_max, self._torque_max
+        )
+        planes += barrier.limit_turning(body, self._reach, self._yaw_rate_max, 2.0 * self._barrier_rate)
+        ux, uy, causes, _ = barrier.project(ux, uy, planes, self._acceleration_max)
+        return ux, uy, causes
+
+
+SLOW_SPEED: Final = 0.2
+"""One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
+
+
+def _within(value: float, most: float | None) -> float:
+    """What the actuator can give of it: contradicting limits are beyond the last stage."""
+    return value if most is None else max(-most, min(most, value))
+
+
+def _total(constraints: list[_Constraint], values: list[float]) -> Vector:
+    """Own constraint force (32) with these multipliers, m/s^2."""
+    cx = cy = 0.0
+    for each, value in zip(constraints, values, strict=True):
+        fx, fy = law.forces(each.edge, value)
+        cx += fx
+        cy += fy
+    return cx, cy

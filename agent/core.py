@@ -7,20 +7,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import isfinite
+from math import exp, isfinite
 from typing import Final
 
 from agent import hand, keys
 from agent.clock import NS_PER_S
-from agent.controller import Controller
+from agent.controller import Controller, Drive
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
-from agent.leave import AWAITED, Leave
+from agent.gossip import Gossip
+from agent.latch import AWAITED, Latch
 from agent.messages import (
     FLOAT_MAX,
     TOPICS,
+    Ask,
+    Beacon,
     Faults,
     HandState,
+    Heartbeat,
     Malformed,
     Mission,
     PlantState,
@@ -31,19 +35,32 @@ from agent.messages import (
     clipped,
     decode,
     encode,
+    newer,
+    tag,
 )
-from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Numbers, Outgoing
+from agent.peers import FUTURE_NS_MAX
+from agent.plan import PlanError, plan_of
+from agent.prediction import BRAKING_TIME_S
 from agent.reception import Reception
-from agent.supervision import Conditions, State, at_rest, step
+from agent.reliance import Reliance
+from agent.supervision import DRIVING, Conditions, State, at_rest, step
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 HEARD_ROUNDS: Final = 7
-"""Each robot's hand states echo once in so many what it heard of its neighbours: clocks part slowly."""
+"""Each robot's hand states echo once in so many what it heard of the others: clocks part slowly."""
 STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
+LISTEN_ROUNDS: Final = 2
+"""So many times all others have told where they are before a robot joins in a drive."""
+TOLD_NS: Final = NS_PER_S
+"""A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
+this grows uncertain."""
+UNMOVED_NS: Final = NS_PER_S // 2
+"""A plant that brakes for so long while it is asked to drive may have missed a leave to drive."""
 _HAND: Final = TOPICS.index("hand")
 _STATE: Final = TOPICS.index("state")
+_BEACON: Final = TOPICS.index("beacon")
 
 
 class Agent:
@@ -63,58 +80,91 @@ class Agent:
         """Agents tick half a period after plants: a plant's state has come by then, and the
         wrench is there before the plant's next tick."""
         self.state = State.WAITING
+        self.transition = ""
         self.reason = ""
 
-        self._controller = Controller(fleet, resolve(fleet), robot)
-        self._neighbours = self._controller.neighbours
-        self._horizon_ns = round(control.prediction_horizon_s * NS_PER_S)
+        self._fleet, self._geometry = fleet, resolve(fleet)
+        self._controller = Controller(fleet, self._geometry, robot)
+        self._peers, self._course = self._controller.peers, self._controller.course
+        self._around = self._controller.around
+        self._reliance = Reliance(fleet, self._controller)
         self._plant_timeout_ns = round(control.plant_timeout_s * NS_PER_S)
         self._digest = digest(fleet)
 
         self._plant: PlantState | None = None
         self._plant_trouble = "for its plant"
+        self._asked_since_ns: int | None = None
         self._mission: Mission | None = None
-        self._stop: Stop | None = None
         self._refused_mission = ""
         self._leaving = False
         self._taken = ""
-        self._leave = Leave(robot, self._forget_taking)
+        self._latch = Latch(robot, self._forget_taking)
+        self._mission_mark = (0, 0)
+        self._mission_gossip = Gossip(robot, lambda: self._mission_mark)
+        self._order_gossip = Gossip(robot, self._orders_mark)
+        self._beats_ns = 0
+        self._deadman_ns = (
+            None if fleet.supervision.deadman_s is None else round(fleet.supervision.deadman_s * NS_PER_S)
+        )
         self._numbers = ""
         self._hand_numbers = Numbers(self.period_ns, self.phase_ns)
         self._wrench_numbers = Numbers(self.period_ns, self.phase_ns)
         self._status_sequence = self._status_due_ns = 0
+        self._beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
         self._sent_hands = self._corrupted = 0
         self.rejected: Counter[str] = Counter()
+        self._interventions: Counter[str] = Counter()
         self._tick_us: list[int] = []
         self._ages_us: list[int] = []
         self._overruns = 0
+        self._position: tuple[float, float] | None = None
+        self._listened_ns: int | None = None
+        self._seen: tuple[int, hand.Hand] | None = None
+        self._degree = 0
 
         self._key_hand = keys.hand(name, robot)
+        self._key_beacon = keys.beacon(name, robot)
         self._key_wrench = keys.wrench(name, robot)
         self._key_status = keys.status(name, robot)
         self._key_plant = keys.plant_state(name, robot)
         self._key_mission = keys.mission(name)
         self._key_stop = keys.stop(name)
         self._key_resume = keys.resume(name)
-        self._hands = {keys.hand(name, other): other for other in self._neighbours.ids}
+        self._key_heartbeat = keys.heartbeat(name)
+        self._key_ask = keys.ask(name)
+        others = [other for other in fleet.ids if other != robot]
+        self._hands = {keys.hand(name, other): other for other in others}
+        self._beacons = {keys.beacon(name, other): other for other in others}
+        self._hand_of = {other: key for key, other in self._hands.items()}
         self.alive_key: Final = keys.alive(name, robot, "agent")
-        self._reception = Reception(fleet, robot, "agent", {"hand": self._neighbours.ids, "state": (robot,)})
+        self.watched: Final = keys.alive(name, "*", "agent")
+        sources = {"hand": others, "beacon": others, "state": (robot,)}
+        self._reception = Reception(fleet, robot, "agent", sources)
         self.plan: Final = self._reception.plan
-        self._position: tuple[float, float] | None = None
-        self.subscriptions: Final = (
-            self._key_plant,
-            *self._hands,
-            self._key_mission,
+        self._always = (
+            # A stop is taken before a mission: who catches up must not drive first.
             self._key_stop,
             self._key_resume,
+            self._key_plant,
+            self._key_mission,
+            self._key_heartbeat,
+            self._key_ask,
+            keys.beacon(name, "*"),
             *self._reception.subscriptions,
         )
+        self.subscriptions: tuple[str, ...] = self._always
         self.publications: Final = (
             self._key_wrench,
             self._key_hand,
             self._key_status,
+            self._key_beacon,
+            self._key_stop,
+            self._key_resume,
+            self._key_mission,
             *self._reception.publications,
         )
+        self._controller.look(0)
+        self._listen()
 
     # ------------------------------------------------------------------ in
 
@@ -128,31 +178,63 @@ class Agent:
         reason: str | None = "wrong_key"
         if type(message) is HandState:
             if self._hands.get(key) == message.robot:
-                reception = self._reception
-                if reception.idle or reception.take(now_ns, key, payload, _HAND, message, self._position):
-                    reason = self._neighbours.accept(message, now_ns)
-                else:
-                    reason = None
+                reason = self._through(now_ns, key, payload, _HAND, message)
         elif type(message) is PlantState:
             if key == self._key_plant and message.robot == self.robot:
-                reception = self._reception
-                if reception.idle or reception.take(now_ns, key, payload, _STATE, message):
-                    reason = self._accept_plant(message, now_ns)
-                else:
-                    reason = None
+                reason = self._through(now_ns, key, payload, _STATE, message)
+        elif type(message) is Beacon:
+            if key == self._key_beacon:
+                reason = None  # its own
+            elif self._beacons.get(key) == message.robot:
+                reason = self._through(now_ns, key, payload, _BEACON, message)
         elif type(message) is Mission:
             if key == self._key_mission:
-                reason = self._accept_mission(message)
+                reason = self._accept_mission(message, now_ns)
         elif type(message) is Stop:
             if key == self._key_stop:
-                reason = self._accept_stop(message)
+                reason = self._latch.accept_stop(message)
+                self._order_said(now_ns, message.version)
         elif type(message) is Resume:
             if key == self._key_resume:
-                reason = self._leave.accept(message)
+                reason = self._latch.accept_resume(message)
+                self._order_said(now_ns, message.version)
+        elif type(message) is Heartbeat:
+            if key == self._key_heartbeat:
+                self._beats_ns, reason = now_ns, None
+        elif type(message) is Ask:
+            if key == self._key_ask:
+                self._mission_gossip.asked(now_ns)
+                self._order_gossip.asked(now_ns)
+                reason = None
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
             self._reject(reason)
+
+    def present(self, key: str, here: bool) -> None:
+        """See `agent.node.Node`: another agent's process came or went."""
+        found = keys.robot_of_alive(key)
+        if found is not None and found[0] != self.robot:
+            self._peers.present(found[0], here)
+
+    def _through(
+        self, now_ns: int, key: str, payload: bytes, topic: int, message: HandState | PlantState | Beacon
+    ) -> str | None:
+        """Takes what came over a link that may fail."""
+        reception = self._reception
+        if reception.idle or reception.take(now_ns, key, payload, topic, message, self._position):
+            return self._accept(message, now_ns)
+        return None
+
+    def _accept(self, message: HandState | PlantState | Beacon, now_ns: int) -> str | None:
+        if type(message) is HandState:
+            return self._peers.accept(message, now_ns)
+        if type(message) is Beacon:
+            self._mission_gossip.lacks(now_ns, (message.mission_version, message.mission_tag))
+            self._order_gossip.lacks(now_ns, (message.stop_version, message.resume_version))
+            return self._peers.accept_beacon(message, now_ns)
+        assert type(message) is PlantState
+        return self._accept_plant(message, now_ns)
 
     def _arrive(self, now_ns: int) -> None:
         """Takes the messages that failing links let through at this tick."""
@@ -162,13 +244,10 @@ class Agent:
             except Malformed as error:
                 self._refuse(key, error)
                 continue
-            reason = None
-            if type(message) is HandState:
-                reason = self._neighbours.accept(message, now_ns)
-            elif type(message) is PlantState:
-                reason = self._accept_plant(message, now_ns)
-            if reason is not None:
-                self._reject(reason)
+            if isinstance(message, HandState | PlantState | Beacon):
+                reason = self._accept(message, now_ns)
+                if reason is not None:
+                    self._reject(reason)
 
     def _refuse(self, key: str, error: Malformed) -> None:
         if key in self._hands:
@@ -186,35 +265,41 @@ class Agent:
         self._plant = state
         return None
 
-    def _accept_mission(self, mission: Mission) -> str | None:
+    def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         if mission.digest != self._digest:
             self._refused_mission = (
                 f"the mission is for another fleet file: its digest is {mission.digest[:16]}, "
                 f"this agent's is {self._digest}"
             )
             return "digest"
-        if self._mission is None or mission.version > self._mission.version:
-            self._mission = mission
-            self._refused_mission = self._taken = ""
-            self._controller.plan(mission.epoch_ns)
+        self._mission_gossip.said(now_ns, (mission.version, tag(mission)))
+        before = self._mission
+        if not newer(mission, before):
+            return None
+        try:
+            plan = plan_of(mission, self._fleet, self._geometry)
+        except PlanError as error:
+            self._refused_mission = f"the mission cannot be driven: {error}"
+            return "mission"
+        self._mission, self._mission_mark = mission, (mission.version, tag(mission))
+        self._refused_mission = ""
+        self._controller.plan(plan)
+        if before is None or before.epoch_ns != mission.epoch_ns:
+            self._taken = ""
             self._reception.begin(mission.epoch_ns)
             self._hand_numbers.begin(mission.epoch_ns)
             self._wrench_numbers.begin(mission.epoch_ns)
-            if self._stop is not None and self._stop.version < mission.version:
-                self._stop = None
         return None
+
+    def _orders_mark(self) -> tuple[int, int]:
+        return self._latch.mark
+
+    def _order_said(self, now_ns: int, version: int) -> None:
+        if version >= self._latch.version:
+            self._order_gossip.said(now_ns, self._latch.mark)
 
     def _forget_taking(self) -> None:
         self._taken = ""
-
-    def _accept_stop(self, stop: Stop) -> str | None:
-        # A stop is for all missions up to its version: only a later one ends it, whichever comes first.
-        if self._mission is not None and stop.version < self._mission.version:
-            return "out_of_order"
-        if self._stop is not None and stop.version < self._stop.version:
-            return "out_of_order"
-        self._stop = stop
-        return None
 
     def leave(self) -> None:
         """The process is about to end: from the next tick on the robot brakes."""
@@ -238,29 +323,74 @@ class Agent:
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
-        self._neighbours.begin(now_ns)
+        if self._listened_ns is None:
+            self._listened_ns = now_ns + LISTEN_ROUNDS * self._beacon_rounds * self.period_ns
+        self._peers.begin(now_ns)
         if not self._reception.idle:
             self._arrive(now_ns)
-        ages_ns = self._neighbours.ages_ns(now_ns)
-        self._ages_us.extend([age // 1000 for age in ages_ns if age is not None])
-        self._plant_trouble = self._check_plant(now_ns)
+        self._controller.look(now_ns)
+        here = self._here(now_ns)
+        self._ages_us.extend(self._reliance.update(now_ns, self.state, here))
+        self._listen()
         was = self.state
         if was is State.RELEASED and self._plant_trouble:
             # A plant that starts again cannot know that its operator had the body: this agent does.
             self._taken = f"its plant was lost while its operator had the body: {AWAITED}"
-        if not (was is State.RUNNING and self._all_well(now_ns, ages_ns)):
-            conditions = self._conditions(now_ns, ages_ns)
+        if not (was is State.RUNNING and self._all_well(now_ns)):
+            conditions = self._conditions(now_ns)
             self.state, row = step(was, conditions)
             if row is not None:
                 self.reason = row.reason(conditions)
-        if self.state is State.RUNNING and was is not State.RUNNING:
+                if self.state is not was:
+                    self.transition = row.name
+        drives = self.state in DRIVING
+        if drives and was not in DRIVING:
             self._controller.restart()
-        out = self._drive(now_ns) if self.state is State.RUNNING else self._brake(now_ns)
+        told = self._last_known(now_ns) if here is None else here
+        out = self._drive(now_ns, here) if drives and here is not None else self._brake(now_ns, told)
         if now_ns >= self._status_due_ns or len(self._ages_us) > STATUS_VALUES_MAX or self.state is not was:
-            out.append(self._status(now_ns, ages_ns))
+            out.append(self._status(now_ns))
+        if told is not None:
+            self._beacon(now_ns, told, out)
+        self._say_again(now_ns, out)
         stopping = self._leaving or self.state in (State.STOPPING, State.STOPPED)
         out += self._reception.outgoing(now_ns, flush=stopping)
         return out
+
+    def _here(self, now_ns: int) -> hand.Hand | None:
+        """Where the own hand is; None when the plant does not tell."""
+        self._plant_trouble = self._check_plant(now_ns)
+        if self._plant is None or self._plant_trouble:
+            return None
+        here = self._controller.hand_at(self._plant, now_ns)
+        if not max(map(abs, here)) <= FLOAT_MAX:
+            self._plant_trouble = "plant unhealthy: it tells an impossible place"
+            return None
+        self._position = here.x, here.y
+        self._seen = now_ns, here
+        return here
+
+    def _last_known(self, now_ns: int) -> hand.Hand | None:
+        """Where the own hand has come to rest since its plant was heard; None when that is long ago.
+
+        The others must not go on taking it for a robot that drives.
+        """
+        if self._seen is None or now_ns - self._seen[0] > TOLD_NS:
+            return None
+        since_ns, here = self._seen
+        remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)
+        way = BRAKING_TIME_S * (1.0 - remains)
+        return hand.Hand(here.x + way * here.vx, here.y + way * here.vy, remains * here.vx, remains * here.vy)
+
+    def _listen(self) -> None:
+        """Changes the subscriptions when other robots are to be listened to."""
+        if self._reliance.changed:
+            self._reliance.changed = False
+            wanted = sorted({peer.robot for _, peer in self._controller.edges} | set(self._close()))
+            self.subscriptions = (*self._always, *(self._hand_of[other] for other in wanted))
+
+    def _close(self) -> tuple[int, ...]:
+        return tuple(peer.robot for peer in self._around.close)
 
     def _check_plant(self, now_ns: int) -> str:
         plant = self._plant
@@ -279,84 +409,102 @@ class Agent:
             return plant.note or "its body does not obey"
         return self._taken
 
-    def _all_well(self, now_ns: int, ages_ns: list[int | None]) -> bool:
+    def _all_well(self, now_ns: int) -> bool:
         """True when a running robot has nothing to worry about: the table has no row for that."""
-        mission, horizon_ns = self._mission, self._horizon_ns
-        for age in ages_ns:
-            if age is None or age > horizon_ns:
-                return False
+        mission = self._mission
         return not (
             self._plant_trouble
             or self._leaving
-            or self._stop is not None
             or self._numbers
             or self._body_trouble
+            or self._reliance.hold
+            or self._reliance.degraded
+            or self._latch.stopped
+            or self._deadman(now_ns)
             or mission is None
             or now_ns >= mission.epoch_ns + mission.duration_ns
             or self._controller.acts_from_ns(now_ns) < mission.epoch_ns
+            or not self._course.is_member(self.robot, self._controller.acting_ns(now_ns))
         )
 
-    def _conditions(self, now_ns: int, ages_ns: list[int | None]) -> Conditions:
+    def _listening(self, now_ns: int, started: bool) -> str:
+        """Why a robot that comes into a drive must wait: it cannot know yet who is near."""
+        alone = not self._around.enabled or not self._beacons
+        return "" if alone or not started or now_ns >= (self._listened_ns or 0) else "hears who is near"
+
+    def _deadman(self, now_ns: int) -> str:
+        """Why the dead-man's switch holds the robot, "" when it does not."""
+        if self._deadman_ns is None or now_ns - self._beats_ns <= self._deadman_ns:
+            return ""
+        if not self._beats_ns:
+            return "no operator's heartbeat"
+        return f"no operator's heartbeat for {(now_ns - self._beats_ns) / NS_PER_S:.1f} s"
+
+    def _conditions(self, now_ns: int) -> Conditions:
         mission = self._mission
-        silent = [
-            self._silence(column, age)
-            for column, age in enumerate(ages_ns)
-            if age is None or age > self._horizon_ns
-        ]
+        acts_ns = self._controller.acts_from_ns(now_ns)
+        # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
+        started = mission is not None and acts_ns >= mission.epoch_ns
         stop = ""
         if self._leaving:
             stop = "the agent was told to end"
-        elif self._stop is not None:
-            stop = f"stop: {self._stop.reason}"
+        elif self._latch.stopped:
+            stop = self._latch.stopped
         elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
             stop = "the mission is over"
+        place = ""
+        if not self._course.is_member(self.robot, self._controller.acting_ns(now_ns)):
+            place = "in reserve" if self._fleet.robot(self.robot).reserve else "it has left the formation"
         return Conditions(
             plant=self._plant_trouble,
             body=self._body_trouble,
             numbers=self._numbers,
-            neighbours=f"silent neighbours: {', '.join(silent)}" if silent else "",
+            place=place,
+            neighbours=self._reliance.missing(now_ns, started=started) or self._listening(now_ns, started),
             mission="" if mission is not None else self._refused_mission or "for a mission",
             stop=stop,
-            # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
-            started=mission is not None and self._controller.acts_from_ns(now_ns) >= mission.epoch_ns,
+            hold=self._deadman(now_ns) or self._reliance.hold,
+            degraded=self._reliance.degraded,
+            started=started,
             at_rest=self._at_rest,
         )
-
-    def _silence(self, column: int, age: int | None) -> str:
-        """A silent neighbour in words: its id, and for how long or why nothing is known of it."""
-        other, ahead_ns = self._neighbours.ids[column], self._neighbours.ahead_ns[column]
-        if ahead_ns:
-            return f"{other} (its clock is {ahead_ns / NS_PER_S:.2f} s ahead)"
-        return str(other) if age is None else f"{other} ({age / NS_PER_S:.1f} s)"
 
     @property
     def _at_rest(self) -> bool:
         plant = self._plant
         return plant is not None and at_rest(plant.speed, plant.yaw_rate)
 
-    def _drive(self, now_ns: int) -> list[Outgoing]:
+    def _drive(self, now_ns: int, here: hand.Hand) -> list[Outgoing]:
         assert self._plant is not None
-        force, torque, here, nx, ny, cx, cy = self._controller.drive(self._plant, now_ns)
-        numbers = (force, torque, *here, nx, ny, cx, cy, *self._controller.multipliers)
+        drive = self._controller.drive(self._plant, now_ns, self._reliance.slower)
+        multipliers = self._controller.multipliers()
+        numbers = (drive.force, drive.torque, *_forces(drive), *(value for _, value in multipliers))
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
-            self._numbers = f"the law gave force {force} N and torque {torque} N m"
-            return self._brake(now_ns)
-        self._controller.sent(now_ns, force, torque)
+            self._numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
+            return self._brake(now_ns, here)
+        self._controller.sent(now_ns, drive.force, drive.torque)
+        self._degree = drive.degree
+        for cause in drive.causes:
+            self._interventions[cause] += 1
+        self._interventions["any"] += bool(drive.causes)
         return [
-            self._wrench(now_ns, force, torque, brake=False),
-            self._hand(now_ns, here, True, nx, ny, cx, cy),
+            self._wrench(now_ns, drive.force, drive.torque, brake=False),
+            self._hand(now_ns, here, True, _forces(drive), multipliers),
         ]
 
-    def _brake(self, now_ns: int) -> list[Outgoing]:
+    def _brake(self, now_ns: int, here: hand.Hand | None) -> list[Outgoing]:
         self._controller.sent(now_ns, 0.0, 0.0)  # how hard the plant brakes is its own affair
+        self._degree = 0
         out = [self._wrench(now_ns, 0.0, 0.0, brake=True)]
-        if self._plant is not None and not self._plant_trouble:
-            here = self._controller.hand_at(self._plant, now_ns)
-            if max(map(abs, here)) <= FLOAT_MAX:
-                follows = self.state is State.READY and self._mission is not None
-                out.append(self._hand(now_ns, here, follows, 0.0, 0.0, 0.0, 0.0))
+        if here is not None:
+            out.append(self._hand(now_ns, here, self._follows, (0.0,) * 4, ()))
         return out
+
+    @property
+    def _follows(self) -> bool:
+        """Whether the robot obeys the law, or stands ready to from the epoch on."""
+        return self.state in DRIVING or (self.state is State.READY and self._mission is not None)
 
     def _wrench(self, now_ns: int, force: float, torque: float, *, brake: bool) -> Outgoing:
         sequence = self._wrench_numbers.next(now_ns)
@@ -364,66 +512,91 @@ class Agent:
         return self._key_wrench, encode(message)
 
     def _hand(
-        self, now_ns: int, here: hand.Hand, following: bool, nx: float, ny: float, cx: float, cy: float
+        self,
+        now_ns: int,
+        here: hand.Hand,
+        following: bool,
+        forces: tuple[float, ...],
+        multipliers: tuple[tuple[int, float], ...],
     ) -> Outgoing:
-        # In the tick in which the numbers fail the state is RUNNING still, and they must not go out.
-        driven = following and self.state is State.RUNNING
-        pairs = zip(self._neighbours.ids, self._controller.multipliers, strict=True)
-        multipliers = tuple(pairs) if driven else ()
-        self._position = here.x, here.y
         sequence = self._hand_numbers.next(now_ns)
-        heard = self._neighbours.heard() if (sequence + self.robot) % HEARD_ROUNDS == 0 else ()
-        message = HandState(
-            self.robot,
-            sequence,
-            now_ns,
-            following,
-            *here,
-            nx,
-            ny,
-            cx,
-            cy,
-            multipliers,
-            heard,
+        heard = self._peers.heard() if (sequence + self.robot) % HEARD_ROUNDS == 0 else ()
+        message = HandState._make(
+            (self.robot, sequence, now_ns, following, self._degree, *here, *forces, multipliers, heard)
         )
-        self._sent_hands += len(self._neighbours.ids)
+        self._sent_hands += len(self._controller.edges)
         return self._key_hand, encode(message)
 
-    def _status(self, now_ns: int, ages_ns: list[int | None]) -> Outgoing:
-        neighbours = self._neighbours
+    def _beacon(self, now_ns: int, here: hand.Hand, out: list[Outgoing]) -> None:
+        """Tells all where the robot is; robots take turns, so that these do not come all at once."""
+        round_number = (now_ns - self.phase_ns) // self.period_ns
+        if (round_number + self.robot) % self._beacon_rounds:
+            return
+        beacon = Beacon(
+            self.robot,
+            self._hand_numbers.at(now_ns),
+            now_ns,
+            self._follows,
+            *here,
+            *self._mission_mark,
+            *self._latch.mark,
+        )
+        out.append((self._key_beacon, encode(beacon)))
+
+    def _say_again(self, now_ns: int, out: list[Outgoing]) -> None:
+        """What others need to catch up; the own plant too, if it brakes though it is asked to drive."""
+        plant = self._plant
+        if self.state not in DRIVING or plant is None or plant.driving or not plant.obeying:
+            self._asked_since_ns = None
+        elif self._asked_since_ns is None:
+            self._asked_since_ns = now_ns
+        elif now_ns - self._asked_since_ns > UNMOVED_NS:
+            self._asked_since_ns = now_ns
+            self._order_gossip.asked(now_ns)
+        tells = self._mission_gossip.due(now_ns)
+        if self._order_gossip.due(now_ns) or tells:  # who catches up must hear of a stop first
+            for order in self._latch.latest:
+                key = self._key_stop if type(order) is Stop else self._key_resume
+                out.append((key, encode(order)))
+        if tells and self._mission is not None:
+            out.append((self._key_mission, encode(self._mission)))
+
+    def _status(self, now_ns: int) -> Outgoing:
+        known = self._peers.known
         counters = {
             "sent": self._sent_hands,
-            "received": neighbours.received,
-            "lost": neighbours.lost,
-            "delayed": neighbours.delayed,
-            "duplicated": neighbours.duplicated,
+            "received": sum(peer.received for peer in known),
+            "lost": sum(peer.lost for peer in known),
+            "delayed": sum(peer.delayed for peer in known),
+            "duplicated": sum(peer.duplicated for peer in known),
             "corrupted": self._corrupted,
             "rejected": sum(self.rejected.values()),
             "overruns": self._overruns,
             **{f"rejected.{reason}": count for reason, count in sorted(self.rejected.items())},
+            **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
         }
         status = Status(
             self.robot,
             self._status_sequence,
             now_ns,
             self.state.value,
+            self.transition,
             clipped(self.reason),
-            self._mission.version if self._mission is not None else 0,
+            0 if self._mission is None else self._mission.version,
+            self._latch.version,
             tuple(
                 (
-                    other,
-                    -1 if age is None else max(age, 0) // 1000,
-                    neighbours.received_by[column],
-                    neighbours.lost_by[column],
-                    clock.offset_us,
-                    clock.error_us,
+                    peer.robot,
+                    -1 if (age := peer.age_ns(now_ns)) is None else max(age, 0) // 1000,
+                    peer.received,
+                    peer.lost,
+                    peer.clock.offset_us,
+                    peer.clock.error_us,
                 )
-                for column, (other, age, clock) in enumerate(
-                    zip(neighbours.ids, ages_ns, neighbours.clocks, strict=True)
-                )
+                for _, peer in self._controller.edges
             ),
             tuple(self._tick_us[:STATUS_VALUES_MAX]),
-            tuple(self._ages_us[: STATUS_VALUES_MAX + len(neighbours.ids)]),
+            tuple(self._ages_us[: STATUS_VALUES_MAX + len(self._controller.edges)]),
             tuple(counters.items()),
         )
         self._status_sequence += 1
@@ -431,3 +604,7 @@ class Agent:
         self._tick_us.clear()
         self._ages_us.clear()
         return self._key_status, encode(status)
+
+
+def _forces(drive: Drive) -> tuple[float, ...]:
+    return drive.navigation_x, drive.navigation_y, drive.constraint_x, drive.constraint_y

@@ -171,8 +171,8 @@ class Rule(Impairments):
     )
     topic: Literal["hand", "state", "wrench", "all"] = setting(
         "hand",
-        "Messages that it is for: `hand` between agents, `state` from a plant to its agent (the sensor), "
-        "`wrench` from an agent to its plant (the command).",
+        "Messages that it is for: `hand` between agents (hand states and beacons), `state` from a plant to "
+        "its agent (the sensor), `wrench` from an agent to its plant (the command).",
     )
     partition: Partition | None = _parsed(
         Partition,

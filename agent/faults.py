@@ -275,10 +275,14 @@ class FaultPlan:
     # ------------------------------------------------------------------ what holds
 
     def rules_of_link(self, source: int, destination: int, topic: str) -> LinkRules:
-        """What may befall the messages of one link, until `changes` counts up."""
+        """What may befall the messages of one link, until `changes` counts up.
+
+        Beacons go over the same air as hand states: what is for one is for both.
+        """
+        ruled = "hand" if topic == "beacon" else topic
         return LinkRules(
-            tuple(timed for timed in self._timed if timed.touches(source, destination, topic, self.ids)),
-            self._defaults if topic == "hand" else {},
+            tuple(timed for timed in self._timed if timed.touches(source, destination, ruled, self.ids)),
+            self._defaults if ruled == "hand" else {},
             self._replays.get(((source, destination), topic)),
         )
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.fault_settings import FaultsSection
-from agent.fleet_checks import check_fleet, kinds_by_field
+from agent.fleet_checks import check_fleet
 from agent.fleet_sections import (
     LAWS,
     LINK_FIELDS,
@@ -34,8 +34,12 @@ from agent.fleet_sections import (
     Robot,
     TrajectorySection,
 )
+from agent.order_file import read_orders
+from agent.order_sections import ORDER_FIELDS, OrderSection
+from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
 from agent.scenario import ScenarioError, parse_scenario
 from agent.schema import Problem, Reader, about, build, plain, printable, show
+from agent.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20
 _PROBLEMS_SHOWN_MAX: Final = 100
@@ -78,6 +82,31 @@ class Fleet:
             shared=("robot_defaults", Body),
         )
     )
+    avoidance: AvoidanceSection = field(
+        default_factory=AvoidanceSection,
+        metadata=about("What robots keep away from beside the neighbours that they share an edge with."),
+    )
+    obstacles: tuple[ObstacleSection, ...] = field(
+        default=(),
+        metadata=about(
+            "Things that stand in the way: each a circle (`centre_m`, `radius_m`) or a polygon (`points_m`).",
+            key="obstacle",
+        ),
+    )
+    geofence: GeofenceSection | None = field(
+        default=None, metadata=about("Where robots may be. Left out: everywhere.")
+    )
+    supervision: SupervisionSection = field(
+        default_factory=SupervisionSection, metadata=about("When robots slow down, hold, or go on without.")
+    )
+    orders: tuple[OrderSection, ...] = field(
+        default=(),
+        metadata=about(
+            "What the operator does during the drive, at given times. By hand: `handfast join`, `leave`, "
+            "`replace`, `reshape`, `stop`, `resume`.",
+            key="order",
+        ),
+    )
     network: NetworkSection = field(
         default_factory=NetworkSection, metadata=about("Where processes listen. Not part of the digest.")
     )
@@ -104,8 +133,13 @@ class Fleet:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """Robot ids in the file's order: the order of `formation.offsets`."""
+        """Ids of all robots in the file's order, those in reserve too."""
         return tuple(robot.id for robot in self.robots)
+
+    @property
+    def members(self) -> tuple[Robot, ...]:
+        """Robots that have a place from the start, in the file's order: the order of `formation.offsets`."""
+        return tuple(robot for robot in self.robots if not robot.reserve)
 
     @property
     def is_resolved(self) -> bool:
@@ -160,18 +194,23 @@ def load_fleet(
     overrides: Sequence[str] = (),
     law: str | None = None,
     scenario: str | Path | None = None,
+    orders: str | Path | None = None,
 ) -> Fleet:
-    """Reads and parses a fleet file, with the faults of a scenario file if one is given; see `parse_fleet`.
+    """Reads and parses a fleet file, with the faults of a scenario file and the orders of another one if they
+    are given; see `parse_fleet`.
 
     Raises:
         FleetError: of one line when a file cannot be read.
     """
-    text = read_text(path, "fleet file")
-    if scenario is None:
-        return parse_fleet(text, source=str(path), overrides=overrides, law=law)
-    faults = read_text(scenario, "scenario")
     return parse_fleet(
-        text, source=str(path), overrides=overrides, law=law, scenario=faults, scenario_source=str(scenario)
+        read_text(path, "fleet file"),
+        source=str(path),
+        overrides=overrides,
+        law=law,
+        scenario=None if scenario is None else read_text(scenario, "scenario"),
+        scenario_source=str(scenario),
+        orders=None if orders is None else read_text(orders, "file of orders"),
+        orders_source=str(orders),
     )
 
 
@@ -204,17 +243,22 @@ def parse_fleet(
     law: str | None = None,
     scenario: str | None = None,
     scenario_source: str = "the scenario",
+    orders: str | None = None,
+    orders_source: str = "the orders",
 ) -> Fleet:
     """The fleet that a TOML text describes.
 
     `source` names the text in messages. `law` is a name of `LAWS`; `overrides` are ``table.field=value`` as
     typed after ``--set``. They win over the law, and the law over the text. `scenario` is the text of a file
-    of faults: its rules come before the text's, its other settings win over them. Raises `FleetError` with
-    every problem at once (of a text that is not TOML, the one that its parser stops at), and nothing else.
+    of faults: its rules come before the text's, its other settings win over them. `orders` is the text of one
+    of orders, which are added to the text's. Raises `FleetError` with every problem at once (of a text that
+    is not TOML, the one that its parser stops at), and nothing else.
     """
     raw = fleet_tables(text, source)
     if scenario is not None:
         add_scenario(raw, scenario, scenario_source)
+    if orders is not None:
+        _add_orders(raw, orders, orders_source)
 
     reader = Reader(Fleet)
     law_problems = _apply_law(raw, law)
@@ -249,11 +293,9 @@ def add_scenario(raw: dict[str, Any], text: str, source: str) -> None:
     Raises:
         FleetError: of `source`, for what is wrong with the scenario.
     """
-    rows = raw.get("robot")
-    ids = [row.get("id") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
     added = fleet_tables(text, source)
     try:
-        parse_scenario(text, [number for number in ids if isinstance(number, int)])
+        parse_scenario(text, _ids(raw))
     except ScenarioError as error:
         raise FleetError(source, error.problems) from None
     own = raw.setdefault("faults", {})
@@ -261,6 +303,25 @@ def add_scenario(raw: dict[str, Any], text: str, source: str) -> None:
         for key, value in added.get("faults", {}).items():
             before = own.get(key, [])
             own[key] = [*value, *before] if isinstance(value, list) and isinstance(before, list) else value
+
+
+def _add_orders(raw: dict[str, Any], text: str, source: str) -> None:
+    """Adds the orders of a file of orders to the tables of a fleet file; raises as `add_scenario`."""
+    added = fleet_tables(text, source)
+    try:
+        read_orders(added, _ids(raw))
+    except ScenarioError as error:
+        raise FleetError(source, error.problems) from None
+    own = raw.setdefault("order", [])
+    if isinstance(own, list):
+        own += added.get("order", [])
+
+
+def _ids(raw: Mapping[str, Any]) -> list[int]:
+    """Ids of the robots of a fleet file of which nothing is known yet."""
+    rows = raw.get("robot")
+    ids = [row.get("id") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    return [number for number in ids if isinstance(number, int)]
 
 
 def _too_large(what: str) -> Problem:
@@ -286,9 +347,10 @@ def _apply_law(raw: dict[str, Any], law: str | None) -> tuple[Problem, ...]:
         return ()
     if law not in LAWS:
         return (Problem("--law", f"must be one of {', '.join(LAWS)}, got {show(law)}"),)
-    control = raw.setdefault("control", {})
-    if isinstance(control, dict):
-        control.update(LAWS[law])
+    for table, preset in LAWS[law].items():
+        given = raw.setdefault(table, {})
+        if isinstance(given, dict):
+            given.update(preset)
     return ()
 
 
@@ -324,7 +386,7 @@ def _with_ids(problems: Sequence[Problem], raw: Mapping[str, Any]) -> Iterator[P
 def law_name(control: ControlSection) -> str:
     """The name in `LAWS` whose coupling and kp these are, else "custom"."""
     for name, preset in LAWS.items():
-        if all(getattr(control, key) == value for key, value in preset.items()):
+        if all(getattr(control, key) == value for key, value in preset["control"].items()):
             return name
     return "custom"
 
@@ -332,9 +394,20 @@ def law_name(control: ControlSection) -> str:
 def to_dict(fleet: Fleet) -> dict[str, Any]:
     """A complete table for a TOML writer: ``parse_fleet`` of what it writes gives an equal `Fleet`."""
     table = plain(fleet)
-    needed, taken = TRAJECTORY_FIELDS[fleet.trajectory.kind]
-    table["trajectory"] = {k: v for k, v in table["trajectory"].items() if k in ("kind", *needed, *taken)}
+    table["trajectory"] = _of_kind(table["trajectory"], TRAJECTORY_FIELDS)
+    table["order"] = [{"at": row["at"], **_of_kind(row, ORDER_FIELDS)} for row in table["order"]]
+    for row in table["order"]:
+        if "trajectory" in row:
+            row["trajectory"] = _of_kind(row["trajectory"], TRAJECTORY_FIELDS)
     return table
+
+
+def _of_kind(
+    row: Mapping[str, Any], fields: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+) -> dict[str, Any]:
+    """A table without the fields that its kind does not take: to read them would be an error."""
+    needed, taken = fields[row["kind"]]
+    return {key: value for key, value in row.items() if key in ("kind", *needed, *taken)}
 
 
 def digest(fleet: Fleet) -> str:

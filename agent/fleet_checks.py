@@ -12,9 +12,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.fault_checks import check_faults
-from agent.fleet_sections import PORT_MAX, SHARED_LINKS, SIMULATOR, TRAJECTORY_FIELDS, TrajectorySection
+from agent.fleet_sections import PORT_MAX, SHARED_LINKS, SIMULATOR
 from agent.messages import NEIGHBOURS_MAX
-from agent.schema import Reader, entries, show
+from agent.order_checks import check_orders
+from agent.safety_checks import check_safety
+from agent.schema import Reader, show
+from agent.trajectory_checks import check_trajectory
 
 
 def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:
@@ -27,13 +30,17 @@ def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reade
     ids = [row.get("id") for row in robots] if robots is not None else []
     if formation:
         _check_edges(formation, ids, reader)
-        _check_shape(formation, ids, reader)
-        _check_distances(formation, ids, reader)
+        members = [row.get("id") for row in robots if not row.get("reserve")] if robots is not None else []
+        _check_reserve(formation, ids, members, reader)
+        _check_shape(formation, members, reader)
+        _check_distances(formation, members, reader)
     check_faults(values.get("faults", {}), [robot_id for robot_id in ids if robot_id is not None], reader)
     given = raw.get("trajectory")
-    _check_trajectory(values.get("trajectory", {}), given if isinstance(given, dict) else {}, reader)
+    check_trajectory(values.get("trajectory", {}), given if isinstance(given, dict) else {}, reader)
     _check_timeouts(values, reader)
     _check_vehicles(robots or [], values, reader)
+    check_safety(values, reader)
+    check_orders(values.get("orders", ()), raw, ids, reader)
 
 
 def _check_vehicles(robots: Sequence[Mapping[str, Any]], values: Mapping[str, Any], reader: Reader) -> None:
@@ -124,6 +131,20 @@ def _check_edges(formation: Mapping[str, Any], ids: Sequence[int | None], reader
             )
 
 
+def _check_reserve(
+    formation: Mapping[str, Any], ids: Sequence[int | None], members: Sequence[int | None], reader: Reader
+) -> None:
+    if ids and not members:
+        reader.add("robot", "all robots are in reserve: at least one must have a place")
+    for number, edge in enumerate(formation.get("edges", ()), 1):
+        for end in edge or ():
+            if end in ids and end not in members:
+                reader.add(
+                    f"formation.edges[{number}]",
+                    f"{show(edge)}: robot {show(end)} is in reserve, and has no edges until it joins",
+                )
+
+
 def _check_shape(formation: Mapping[str, Any], ids: Sequence[int | None], reader: Reader) -> None:
     if "offsets" not in formation or "distance_m" not in formation:
         return
@@ -132,7 +153,8 @@ def _check_shape(formation: Mapping[str, Any], ids: Sequence[int | None], reader
         reader.add("formation", "gives neither offsets nor distance_m: write for example distance_m = 1.0")
     if offsets is not None and ids and len(offsets) != len(ids):
         reader.add(
-            "formation.offsets", f"must have one pair per [[robot]], got {len(offsets)} for {len(ids)} robots"
+            "formation.offsets",
+            f"must have one pair per [[robot]] (not in reserve), got {len(offsets)} for {len(ids)} robots",
         )
     edges = formation.get("edges")
     if isinstance(distance, tuple) and edges is not None and len(distance) != len(edges):
@@ -166,35 +188,6 @@ def _check_distances(formation: Mapping[str, Any], ids: Sequence[int | None], re
             reader.add(place, f"{shown}: the offsets are {apart:.6g} m apart, too close: {rule}")
 
 
-def _check_trajectory(trajectory: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:
-    kind = trajectory.get("kind")
-    if kind is None:
-        return
-    needed, taken = TRAJECTORY_FIELDS[kind]
-    for key in needed:
-        if key not in raw:
-            example = entries(TrajectorySection)[key].setting.example
-            reader.add(
-                f"trajectory.{key}", f'is missing: kind = "{kind}" needs it, for example {key} = {example}'
-            )
-    for key, kinds in kinds_by_field().items():
-        if key in raw and key not in (*needed, *taken):
-            users = " and ".join(f'kind = "{name}"' for name in kinds)
-            reader.add(
-                f"trajectory.{key}", f'is used by {users} only, but here kind = "{kind}": leave it out'
-            )
-    if kind == "waypoints" and trajectory.get("waypoints_m") is not None:
-        points = trajectory["waypoints_m"]
-        if len(points) < 2:
-            reader.add("trajectory.waypoints_m", f"must have at least 2 points, got {len(points)}")
-        for number in range(1, len(points)):
-            if points[number] is not None and points[number] == points[number - 1]:
-                reader.add(
-                    f"trajectory.waypoints_m[{number + 1}]",
-                    f"{show(points[number])} is the point before it again",
-                )
-
-
 def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
     rate = values.get("fleet", {}).get("rate_hz")
     for key in ("plant_timeout_s", "wrench_timeout_s", "prediction_horizon_s"):
@@ -205,12 +198,3 @@ def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
                 f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
                 f"got {show(timeout)}",
             )
-
-
-def kinds_by_field() -> dict[str, list[str]]:
-    """Kinds of trajectory that have a field, by its name."""
-    kinds: dict[str, list[str]] = {}
-    for kind, (needed, taken) in TRAJECTORY_FIELDS.items():
-        for key in (*needed, *taken):
-            kinds.setdefault(key, []).append(kind)
-    return kinds

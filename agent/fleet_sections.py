@@ -20,13 +20,16 @@ PORT_MIN: Final = 1024
 PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
 _FAR_M: Final = 1e6  # further away than any robot: squares of it stay far from overflow
 
-LAWS: Final[Mapping[str, Mapping[str, object]]] = {
-    "paper": {"coupling": "edge", "kp": 0.0, "relaxation": 0.001},
-    "edge": {"coupling": "edge", "kp": 1.0, "relaxation": 0.2},
-    "joint": {"coupling": "joint", "kp": 1.0, "relaxation": 0.2},
-    "penalty": {"coupling": "penalty", "kp": 1.0, "relaxation": 0.2},
+LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
+    "paper": {
+        "control": {"coupling": "edge", "kp": 0.0, "relaxation": 0.001},
+        "avoidance": {"enabled": False},
+    },
+    "edge": {"control": {"coupling": "edge", "kp": 1.0, "relaxation": 0.2}},
+    "joint": {"control": {"coupling": "joint", "kp": 1.0, "relaxation": 0.2}},
+    "penalty": {"control": {"coupling": "penalty", "kp": 1.0, "relaxation": 0.2}},
 }
-"""What ``--law NAME`` sets in ``[control]``."""
+"""What ``--law NAME`` sets, by table."""
 
 TRAJECTORY_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "hold": ((), ("start_m",)),
@@ -80,7 +83,8 @@ class FormationSection:
     )
     offsets: tuple[Pair, ...] | None = setting(
         None,
-        "Where each robot stands relative to the trajectory, one pair per `[[robot]]` in their order. "
+        "Where each robot stands relative to the trajectory, one pair per `[[robot]]` in their order, those "
+        "in reserve left out. "
         "This or `distance_m` must be given.",
         unit="m",
         ge=-_FAR_M,
@@ -129,14 +133,22 @@ class ControlSection:
     max_acceleration: float = setting(
         5.0, "Largest commanded acceleration of the hand point.", unit="m/s2", gt=0, le=1e3
     )
+    max_speed_mps: float = setting(
+        1.5,
+        "Largest speed of a hand point. It limits how fast a robot makes for its place, and the last filter "
+        "keeps it (`avoidance.enabled`).",
+        unit="m/s",
+        gt=0,
+        le=100,
+    )
     prediction: bool = setting(
         True,
         "Carries a neighbour's state forward over the age of its message; false: takes it as it came.",
     )
     prediction_horizon_s: float = setting(
         2.0,
-        "A neighbour's last state is carried forward this long at most; one that is silent for longer makes "
-        "the robot hold. At least two periods.",
+        "A neighbour's last state is carried forward this long at most; one that is silent for longer is "
+        "given up (`supervision.silence`). At least two periods.",
         unit="s",
         gt=0,
         le=60,
@@ -364,6 +376,10 @@ class Robot(Body):
         ge=-math.tau,
         le=math.tau,
         example='"90deg"',
+    )
+    reserve: bool = setting(
+        False,
+        "It is there but has no place in the formation until it joins (`[[order]]`, `handfast join`).",
     )
 
 

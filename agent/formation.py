@@ -66,7 +66,7 @@ class Geometry:
     """A resolved formation: robots with the places that they take. Arrays are read-only.
 
     Attributes:
-        ids: robots' ids, in the order of the fleet file.
+        ids: members' ids, in the order of the fleet file.
         offsets: (n, 2), place of each robot relative to the reference point c(t), W, m.
         edges: (m, 2), rows of the robots that each edge joins, in the file's order of edges.
         distances: (m,), wanted distance of each edge, m.
@@ -83,7 +83,7 @@ class Realisation:
     """Offsets found from edges and distances.
 
     Attributes:
-        offsets: (n, 2), centroid zero, m.
+        offsets: (n, 2), m.
         error: (m,), realised minus wanted distance, m.
     """
 
@@ -104,7 +104,7 @@ def resolve(fleet: Fleet) -> Geometry:
             above zero), or distances that no placement in the plane meets within `DISTANCE_TOLERANCE`.
         ValueError: a trajectory that `agent.trajectory` cannot make.
     """
-    ids = tuple(robot.id for robot in fleet.robots)
+    ids = tuple(robot.id for robot in fleet.members)
     edges = edge_indices(fleet)
     offsets = given_offsets(fleet)
     distances = given_distances(fleet)
@@ -157,16 +157,19 @@ def edge_indices(fleet: Fleet) -> Indices:
     Raises:
         FormationError: ids not unique, an edge with an unknown robot, with itself, or listed twice.
     """
-    row = {robot.id: k for k, robot in enumerate(fleet.robots)}
-    if not fleet.robots:
-        raise FormationError("the fleet has no [[robot]]")
-    if len(row) != len(fleet.robots):
+    members = fleet.members
+    row = {robot.id: k for k, robot in enumerate(members)}
+    if not members:
+        raise FormationError("the fleet has no [[robot]] that is not in reserve")
+    if len(row) != len(members):
         raise FormationError("robot.id must be unique")
     seen: set[frozenset[int]] = set()
     for i, j in fleet.formation.edges:
         for robot in (i, j):
             if robot not in row:
-                raise FormationError(f"formation.edges: [{i}, {j}] names robot {robot}, which does not exist")
+                raise FormationError(
+                    f"formation.edges: [{i}, {j}] names robot {robot}, which does not exist, or is in reserve"
+                )
         if i == j:
             raise FormationError(f"formation.edges: [{i}, {j}] joins a robot with itself")
         if frozenset((i, j)) in seen:
@@ -178,10 +181,10 @@ def edge_indices(fleet: Fleet) -> Indices:
 def given_offsets(fleet: Fleet) -> Floats | None:
     """The file's offsets, (n, 2), m, slot by slot; None when it gives none (a single robot's is zero)."""
     if fleet.formation.offsets is None:
-        return np.zeros((1, 2)) if len(fleet.robots) == 1 else None
+        return np.zeros((1, 2)) if len(fleet.members) == 1 else None
     offsets = np.array(fleet.formation.offsets, np.float64).reshape(-1, 2)
-    if len(offsets) != len(fleet.robots):
-        raise FormationError(f"formation.offsets has {len(offsets)} places for {len(fleet.robots)} robots")
+    if len(offsets) != len(fleet.members):
+        raise FormationError(f"formation.offsets has {len(offsets)} places for {len(fleet.members)} robots")
     if not np.isfinite(offsets).all():
         raise FormationError("formation.offsets must be finite")
     return offsets
@@ -202,11 +205,11 @@ def given_distances(fleet: Fleet) -> Floats | None:
 
 
 def start_hands(fleet: Fleet) -> Floats:
-    """Hand points of the robots at the start, (n, 2), W, m: x + L cos, y + L sin, (2)-(3)."""
+    """Hand points of the members at the start, (n, 2), W, m: x + L cos, y + L sin, (2)-(3)."""
     return np.array(
         [
             (r.x_m + r.hand_offset_m * cos(r.heading_rad), r.y_m + r.hand_offset_m * sin(r.heading_rad))
-            for r in fleet.robots
+            for r in fleet.members
         ]
     ).reshape(-1, 2)
 
@@ -427,6 +430,30 @@ def realise(n: int, edges: Any, distances: Any, safe_distance: float = 0.0) -> R
             best = (merit, found)
     assert best is not None
     return best[1]
+
+
+def realise_near(places: Any, edges: Any, distances: Any, safe_distance: float = 0.0) -> Realisation:
+    """Places that meet other distances, as near to the given ones as they can be.
+
+    First from the given places on, so that the formation is stretched and not folded; where that misses the
+    distances, or brings a pair within `safe_distance`, as `realise`. The centroid stays, and
+    the shape is turned (mirrored) so that the robots have the least to drive.
+
+    Args:
+        places: (n, 2), m; edges: (m, 2) rows, at least one; distances: (m,), m, above zero; safe_distance: m.
+
+    Raises:
+        FormationError: it must be as `realise`, and the graph is not connected.
+    """
+    before = _places(places)
+    rows, wanted = _edge_rows(edges), np.array(distances, np.float64)
+    centre = before.mean(axis=0)
+    shape = _refine(before - centre, rows, wanted)
+    misfit = np.abs(edge_lengths(shape, rows) / wanted - 1.0).max()
+    if misfit > DISTANCE_TOLERANCE or _pair_distances(shape).min() <= safe_distance:
+        shape = realise(len(before), rows, wanted, safe_distance).offsets
+    near = _turn(shape - shape.mean(axis=0), before - centre) + centre
+    return Realisation(near, edge_lengths(near, rows) - wanted)
 
 
 def _path_lengths(n: int, edges: Indices, distances: Floats) -> Floats:

@@ -48,6 +48,21 @@ def resume(fleet: str) -> str:
     return f"{fleet}/resume"
 
 
+def beacon(fleet: str, robot: int | str) -> str:
+    """Where one robot is, from its agent to all others."""
+    return f"{fleet}/robot/{robot}/beacon"
+
+
+def heartbeat(fleet: str) -> str:
+    """That an operator is there, to every agent."""
+    return f"{fleet}/heartbeat"
+
+
+def ask(fleet: str) -> str:
+    """Operator's question for the mission and the last stop or resume, to every agent."""
+    return f"{fleet}/ask"
+
+
 def checks(fleet: str, robot: int | str) -> str:
     """What a plant has to say of its body before a drive, for operators."""
     return f"{fleet}/robot/{robot}/plant/checks"

@@ -111,9 +111,20 @@ def edges(
     return Edges(_vector(nx, ny), rho, phi, slope, rate, demand)
 
 
-def multipliers_edge(e: Edges, gains: Gains) -> Scalar:
-    """Each edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2."""
-    return e.demand / (gains.k2 + 2.0 * e.slope * e.slope)
+def weighted(e: Edges, weight: Scalar) -> Edges:
+    """The constraint `weight` phi = 0 in the place of phi = 0, weight in 0..1: an edge that fades (W1).
+
+    Everything is linear in phi, so with a constant weight all that holds of phi holds of it.
+    """
+    return Edges(e.normal, e.distance, weight * e.phi, weight * e.slope, weight * e.rate, weight * e.demand)
+
+
+def multipliers_edge(e: Edges, gains: Gains, bodies: int = 2) -> Scalar:
+    """Each edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2.
+
+    bodies: how many of its ends can move; 1 at an obstacle.
+    """
+    return e.demand / (gains.k2 + bodies * e.slope * e.slope)
 
 
 def multipliers_sweep(
@@ -186,6 +197,22 @@ def energy(e: Edges, error: Array, error_rate: Array, c1: float, gains: Gains) -
     return navigation + 0.5 * float(e.rate @ e.rate) + 0.5 * gains.kp * float(e.phi @ e.phi)
 
 
+def repelling(multipliers: Scalar) -> Scalar:
+    """Multipliers of one-sided constraints: they push apart (lambda > 0 where rho < d), never pull (U1)."""
+    return _at_least(multipliers, 0.0)
+
+
 def navigation_force(acceleration: Any, error: Any, error_rate: Any, c1: float, c2: float) -> Any:
     """F_n = rddot_d - c_1 e - c_2 edot, (21), m/s^2; any shapes that broadcast."""
     return acceleration - c1 * error - c2 * error_rate
+
+
+def saturation(error_x: float, error_y: float, c1: float, c2: float, most: float) -> float:
+    """Share of c_1 e that acts, so that a robot makes for its place at no more than `most` m/s (N1).
+
+    -c_1 e - c_2 edot drives edot to -(c_1/c_2) e: that is what is limited. 1 near the place, where (21)
+    holds.
+    """
+    wanted = c1 * (error_x * error_x + error_y * error_y) ** 0.5
+    limit = c2 * most
+    return 1.0 if wanted <= limit else limit / wanted

@@ -30,6 +30,7 @@ from agent.messages import (
     REORDERED,
     TOPICS,
     TRACE_MAX,
+    Beacon,
     HandState,
     LinkTrace,
     PlantState,
@@ -41,8 +42,8 @@ TRACE_PERIOD_NS: Final = NS_PER_S // 5
 _LOST_US: Final = -1
 _PURPOSES: Final = ("delay", "loss", "duplicate", "reorder", "corrupt", "slot", "range", "second delay")
 
-Sample = HandState | PlantState | Wrench
-"""What links carry; all three begin with robot, sequence and time_ns."""
+Sample = HandState | PlantState | Wrench | Beacon
+"""What links carry; all begin with robot, sequence and time_ns."""
 Decision = tuple[int, int, int, int, int, int]
 """(source, topic, sequence, time_ns, what, delay_us): an entry of `LinkTrace`."""
 
@@ -215,7 +216,7 @@ class Links:
         if effects is NONE:
             return True
         distance = None
-        if effects.range is not None and own_position is not None and type(message) is HandState:
+        if effects.range is not None and own_position is not None and isinstance(message, HandState | Beacon):
             distance = dist((message.x, message.y), own_position)
         sent_ns = link.sent_ns(stamp_ns)
         for what, delay_ns, bit in link.decide(effects, sequence, sent_ns, len(payload), distance):

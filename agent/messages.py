@@ -23,8 +23,11 @@ from zlib import crc32
 
 import msgpack
 
-VERSION: Final = 3
+VERSION: Final = 4
 BYTES_MAX: Final = 10_240
+MISSION_BYTES_MAX: Final = 49_152
+"""Of a `Mission`, which may write out a formation: some 900 robots. Beyond `BYTES_MAX` the checksum finds
+any two flipped bits, not three."""
 NEIGHBOURS_MAX: Final = 64
 TEXT_MAX: Final = 200
 """Bytes of any text but `Faults.rules`."""
@@ -39,10 +42,13 @@ TRACE_MAX: Final = 128
 FLOAT_MAX: Final = 1e15
 """No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
+DEGREE_MAX: Final = 1000
+"""Constraints that act on one robot."""
 ROBOT_MAX: Final = 9999
 
-TOPICS: Final = ("hand", "state", "wrench")
-"""What a link carries, by the number in a `LinkTrace`: agent to agent, plant to agent, agent to plant."""
+TOPICS: Final = ("hand", "state", "wrench", "beacon")
+"""What a link carries, by the number in a `LinkTrace`: agent to agent, plant to agent, agent to plant,
+agent to every other agent."""
 # What was done to a message, `LinkTrace`: the bits of `what`.
 LOST: Final = 1
 DUPLICATED: Final = 2
@@ -79,7 +85,9 @@ class HandState(NamedTuple):
     Position, velocity (m, m/s, W) are those at `time_ns`; forces are per unit mass (m/s^2, W).
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
-    `multipliers` are the sender's copies of lambda, one ``(neighbour, lambda)`` for each of its edges.
+    `degree` is how many constraints act on it: edges, and what it is kept away from.
+    `multipliers` are the sender's copies of lambda, one ``(robot, lambda)`` for each of its edges and each
+    robot that it is kept away from.
     `heard`, empty in most messages, echoes, as ``(neighbour, delay_us)``, the least apparent delay of
     each neighbour's hand states: the sender's clock when it took one minus the stamp on it. As the
     clocks differ it may be negative; from both directions both ends find the offset of their clocks.
@@ -89,6 +97,7 @@ class HandState(NamedTuple):
     sequence: int
     time_ns: int
     following: bool
+    degree: int
     x: float
     y: float
     vx: float
@@ -141,8 +150,14 @@ class Wrench(NamedTuple):
 class Mission(NamedTuple):
     """When the fleet starts (`epoch_ns`) and for how long it drives (`duration_ns`).
 
-    `version` grows with every change; an agent keeps the greatest it has seen. `digest` names
-    the fleet file that the operator means: an agent that runs another one refuses.
+    It is all that the fleet is to do, so the one with the greatest `version` holds wherever it is heard
+    (`newer`). `digest` names the fleet file that the operator means: an agent that runs another one refuses.
+
+    What is empty is as in the fleet file, but where `robots` are given `edges` are all there are. `robots`
+    are the members, ``(id, x, y)`` with their offsets (m, W); `edges` ``(id, id, distance m)``;
+    `trajectory` ``(field, value)`` of a `[trajectory]`, whose time 0 is `trajectory_ns`. All take it over
+    at `from_ns`, and come from what they drove before to it within `blend_ns`; 0 for these times is the
+    epoch. `note` says in words what has changed.
     """
 
     version: int
@@ -150,10 +165,17 @@ class Mission(NamedTuple):
     epoch_ns: int
     duration_ns: int
     digest: str
+    from_ns: int = 0
+    blend_ns: int = 0
+    note: str = ""
+    trajectory_ns: int = 0
+    trajectory: tuple[tuple[str, Any], ...] = ()
+    robots: tuple[tuple[int, float, float], ...] = ()
+    edges: tuple[tuple[int, int, float], ...] = ()
 
 
 class Stop(NamedTuple):
-    """Operator's stop: every robot brakes and stays stopped."""
+    """Operator's stop: every robot brakes and stays stopped until a `Resume` of a greater version."""
 
     version: int
     time_ns: int
@@ -161,7 +183,8 @@ class Stop(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Operator's leave to drive again, for robots whose body an operator took away and gave back.
+    """Operator's leave to drive again: after a `Stop`, and for robots whose body an operator took away and
+    gave back.
 
     `robots` are their ids, none of them means all. An agent or plant obeys a `version` only once, and
     only a greater one than before.
@@ -189,8 +212,9 @@ class Checks(NamedTuple):
 class Status(NamedTuple):
     """What one agent is doing. `counters` are totals since it started.
 
-    `tick_us` holds the duration of every tick since the last status (empty in virtual time),
-    `ages_us` the age of every neighbour's hand state at every tick since the last status.
+    `transition` names the row of `agent.supervision.TRANSITIONS` that led to `state`; `order_version` is that
+    of the last stop or resume. `tick_us` holds the duration of every tick since the last status (empty in
+    virtual time), `ages_us` the age of every neighbour's hand state at every tick since then.
     `neighbours` gives ``(id, age_us, received, lost, offset_us, error_us)`` for each neighbour: the
     age of its hand state now, -1 when never heard; how many of them came and how many did not; its
     clock minus the own, and half of that estimate's uncertainty, -1 while nothing is known.
@@ -200,8 +224,10 @@ class Status(NamedTuple):
     sequence: int
     time_ns: int
     state: str
+    transition: str
     reason: str
     mission_version: int
+    order_version: int
     neighbours: tuple[tuple[int, int, int, int, int, int], ...]
     tick_us: tuple[int, ...]
     ages_us: tuple[int, ...]
@@ -252,28 +278,81 @@ class Event(NamedTuple):
     rule: str
 
 
+class Beacon(NamedTuple):
+    """Where one robot is, a few times a second, from its agent to all others.
+
+    Hand point and its velocity (m, m/s, W) at `time_ns`, `following` as in `HandState`. Then what it knows:
+    the mission (its version and `tag`), the last stop and the last resume (-1: none). Who knows later ones
+    says them again.
+    """
+
+    robot: int
+    sequence: int
+    time_ns: int
+    following: bool
+    x: float
+    y: float
+    vx: float
+    vy: float
+    mission_version: int
+    mission_tag: int
+    stop_version: int
+    resume_version: int
+
+
+class Heartbeat(NamedTuple):
+    """An operator is there: where the fleet has a dead-man's switch, robots drive only while these come."""
+
+    time_ns: int
+    author: str
+
+
+class Ask(NamedTuple):
+    """An operator asks for the mission and the last stop or resume: agents say them again."""
+
+    time_ns: int
+    author: str
+
+
 Message = (
-    HandState | PlantState | Wrench | Mission | Stop | Status | Faults | LinkTrace | Event | Resume | Checks
+    HandState
+    | PlantState
+    | Wrench
+    | Mission
+    | Stop
+    | Status
+    | Faults
+    | LinkTrace
+    | Event
+    | Resume
+    | Checks
+    | Beacon
+    | Heartbeat
+    | Ask
 )
 
 _CLASSES: Final[tuple[type[Message], ...]] = (
     HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event, Resume, Checks,
+    Beacon, Heartbeat, Ask,
 )  # fmt: skip
 _TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}
 
 # Exact types of the fields on the wire; a tuple stands for a variable part, checked on its own.
 _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
-    (int, int, int, bool, *(float,) * 8, tuple, tuple),
+    (int, int, int, bool, int, *(float,) * 8, tuple, tuple),
     (int, int, int, *(float,) * 7, bool, bool, bool, str),
     (int, int, int, float, float, bool),
-    (int, int, int, int, str),
+    (int, int, int, int, str, int, int, str, int, tuple, tuple, tuple),
     (int, int, str),
-    (int, int, int, str, str, int, tuple, tuple, tuple, tuple),
+    (int, int, int, str, str, str, int, int, tuple, tuple, tuple, tuple),
     (int, int, str, int, int, str),
     (int, int, int, tuple),
     (int, int, int, str, str, str),
     (int, int, tuple),
     (int, int, int, tuple),
+    (int, int, int, bool, float, float, float, float, int, int, int, int),
+    (int, str),
+    (int, str),
 )
 _HEAD: Final = 2  # version and type come before the fields
 _FLOATS: Final = tuple(
@@ -287,17 +366,38 @@ _FREQUENT: Final = {
         slice(_FLOATS[number].start + _HEAD, _FLOATS[number].stop + _HEAD),
         _CLASSES[number],
     )
-    for number in (0, 1, 2)
+    for number in map(_CLASSES.index, (HandState, PlantState, Wrench, Beacon))
 }
-_HAND_STATE: Final = 0
+_HAND_STATE: Final = _TYPE_OF[HandState]
+_BEACON: Final = _TYPE_OF[Beacon]
 _STATUS_VALUES_MAX: Final = 2048
-# A valid message of this kind begins with these three bytes; only such a one may hold a long text.
+# A valid message of these kinds begins with these three bytes; only such a one may be long, in all or a text.
 _FAULTS_HEAD: Final = bytes([0x90 | _HEAD + len(Faults._fields), VERSION, _TYPE_OF[Faults]])
+_MISSION_HEAD: Final = bytes([0x90 | _HEAD + len(Mission._fields), VERSION, _TYPE_OF[Mission]])
 
 _pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
 _checksum = Struct(">BI").pack
 _UINT32: Final = 0xCE
 _CHECKSUM_BYTES: Final = 5
+
+
+def newer(mission: Mission, known: Mission | None) -> bool:
+    """Whether `mission` holds instead of `known`: by its version, and of equal ones by its content, so that
+    of two operators' missions the same one wins everywhere."""
+    if known is None:
+        return True
+    if mission.version != known.version:
+        return mission.version > known.version
+    return (tag(mission), _content(mission)) > (tag(known), _content(known))
+
+
+def tag(mission: Mission) -> int:
+    """A number that tells missions of one version apart, by which `newer` puts them in order."""
+    return crc32(_content(mission))
+
+
+def _content(mission: Mission) -> bytes:
+    return encode(mission._replace(time_ns=0))
 
 
 def encode(message: Message) -> bytes:
@@ -313,7 +413,9 @@ def decode(payload: bytes) -> Message:
         Malformed: for anything but one valid message.
     """
     if len(payload) > BYTES_MAX:
-        raise Malformed("oversized", f"{len(payload)} bytes, at most {BYTES_MAX} are accepted")
+        most = MISSION_BYTES_MAX if payload[:3] == _MISSION_HEAD else BYTES_MAX
+        if len(payload) > most:
+            raise Malformed("oversized", f"{len(payload)} bytes, at most {most} are accepted")
     packed = payload[:-_CHECKSUM_BYTES]
     if payload[-_CHECKSUM_BYTES:] != _checksum(_UINT32, crc32(packed)):
         raise _unchecked(payload)
@@ -333,7 +435,8 @@ def decode(payload: bytes) -> Message:
                 and 0 <= array[3] < TIME_NS_MAX
                 and 0 <= array[4] < TIME_NS_MAX
                 and sum(map(abs, array[floats])) <= FLOAT_MAX  # false for NaN and infinities, too
-                and (number != _HAND_STATE or _plain(array[-2], array[-1]))
+                and (number != _HAND_STATE or (0 <= array[6] <= DEGREE_MAX and _plain(array[-2], array[-1])))
+                and (number != _BEACON or _known(array[-4:]))
             ):
                 message: Message = tuple.__new__(cls, array[_HEAD:])
                 return message
@@ -445,7 +548,9 @@ def _check_times(robot: int, sequence: int, time_ns: int) -> None:
 
 def _hand_state(fields: tuple[Any, ...]) -> HandState:
     _check_times(fields[0], fields[1], fields[2])
-    multipliers, heard = fields[12:]
+    if not 0 <= fields[4] <= DEGREE_MAX:
+        raise Malformed("range", f"degree {fields[4]} is not within 0..{DEGREE_MAX}")
+    multipliers, heard = fields[13:]
     for entries, what in ((multipliers, "multipliers"), (heard, "neighbours heard")):
         if len(entries) > NEIGHBOURS_MAX:
             raise Malformed("range", f"{len(entries)} {what}, at most {NEIGHBOURS_MAX} are accepted")
@@ -479,7 +584,37 @@ def _mission(fields: tuple[Any, ...]) -> Mission:
     _check_times(1, mission.version, mission.time_ns)
     if not 0 <= mission.epoch_ns < TIME_NS_MAX or not 0 < mission.duration_ns < TIME_NS_MAX:
         raise Malformed("range", "a mission's epoch or duration is negative or absurd")
-    return mission
+    for time_ns in (mission.from_ns, mission.blend_ns, mission.trajectory_ns):
+        if not 0 <= time_ns < TIME_NS_MAX:
+            raise Malformed("range", f"a mission's time {time_ns} ns is negative or absurd")
+    for entry in fields[9]:
+        if type(entry) is not tuple or len(entry) != 2 or type(entry[0]) is not str:
+            raise Malformed("malformed", f"Mission.trajectory holds {_shown(entry)}, not [field, value]")
+        _check_setting(entry[1])
+    robots = tuple(_row(row, (int, float, float), "Mission.robots") for row in mission.robots)
+    edges = tuple(_row(row, (int, int, float), "Mission.edges") for row in mission.edges)
+    for robot in (*(row[0] for row in robots), *(end for row in edges for end in row[:2])):
+        _check_times(robot, 0, 0)
+    return mission._replace(robots=robots, edges=edges)
+
+
+def _row(row: Any, types: tuple[type, ...], what: str) -> tuple[Any, ...]:
+    if type(row) is not tuple:
+        raise Malformed("malformed", f"{what} holds {_shown(row)}, not an array")
+    values = _coerced(row, types, what, tuple(map(str, range(1, len(types) + 1))))
+    _check_floats(tuple(value for value in values if type(value) is float), what)
+    return values
+
+
+def _check_setting(value: Any, depth: int = 0) -> None:
+    """A value as a fleet file could hold it: number, text, truth value, or rows of numbers."""
+    if type(value) is tuple and depth < 2:
+        for item in value:
+            _check_setting(item, depth + 1)
+    elif type(value) is float:
+        _check_floats((value,), "Mission.trajectory")
+    elif type(value) not in (int, str, bool):
+        raise Malformed("malformed", f"Mission.trajectory holds {_shown(value)}")
 
 
 def _stop(fields: tuple[Any, ...]) -> Stop:
@@ -490,11 +625,11 @@ def _stop(fields: tuple[Any, ...]) -> Stop:
 
 def _status(fields: tuple[Any, ...]) -> Status:
     _check_times(fields[0], fields[1], fields[2])
-    for index, types in ((6, (int,) * 6), (9, (str, int))):
+    for index, types in ((8, (int,) * 6), (11, (str, int))):
         for entry in fields[index]:
             if type(entry) is not tuple or tuple(map(type, entry)) != types:
                 raise Malformed("malformed", f"Status.{Status._fields[index]} holds {_shown(entry)}")
-    for index in (7, 8):
+    for index in (9, 10):
         if not all(type(value) is int for value in fields[index]):
             raise Malformed(
                 "malformed", f"Status.{Status._fields[index]} holds a value that is not an integer"
@@ -563,7 +698,30 @@ def _checks(fields: tuple[Any, ...]) -> Checks:
     return checks
 
 
+def _beacon(fields: tuple[Any, ...]) -> Beacon:
+    beacon = Beacon._make(fields)
+    _check_times(beacon.robot, beacon.sequence, beacon.time_ns)
+    if not _known(beacon[-4:]):
+        raise Malformed("range", "a version of a beacon is negative or absurd")
+    return beacon
+
+
+def _known(versions: tuple[int, ...]) -> bool:
+    """Whether the versions of a beacon may be some."""
+    return min(versions) >= -1 and max(versions) < TIME_NS_MAX
+
+
+def _heartbeat(fields: tuple[Any, ...]) -> Heartbeat:
+    _check_times(1, 0, fields[0])
+    return Heartbeat._make(fields)
+
+
+def _ask(fields: tuple[Any, ...]) -> Ask:
+    _check_times(1, 0, fields[0])
+    return Ask._make(fields)
+
+
 _CHECKS: Final = (
     _hand_state, _plant_state, _wrench, _mission, _stop, _status, _faults, _link_trace, _event, _resume,
-    _checks,
+    _checks, _beacon, _heartbeat, _ask,
 )  # fmt: skip

@@ -16,8 +16,8 @@ Outgoing = tuple[str, bytes]
 """A message to publish: its key and its bytes."""
 
 
-INBOX_SIZE: Final = 32
-"""Messages that wait for a node's tick, per key; the newest are kept."""
+INBOX_SIZE: Final = 64
+"""Messages that wait for a node's tick, per subscription; the newest are kept."""
 
 
 FIRST_ROUND: Final = 1 << 20
@@ -48,6 +48,12 @@ class Numbers:
         if self._epoch_ns is None:
             self._count += 1
             return self._count - 1
+        return self.at(stamp_ns)
+
+    def at(self, stamp_ns: int) -> int:
+        """The number that belongs to a time, 0 while no mission is known."""
+        if self._epoch_ns is None:
+            return 0
         return max(0, FIRST_ROUND + (stamp_ns - self._epoch_ns - self._phase_ns) // self._period_ns)
 
 
@@ -74,7 +80,15 @@ class Node(Protocol):
 
     @property
     def subscriptions(self) -> Sequence[str]:
-        """Keys to listen to."""
+        """Keys to listen to, another object when they have changed; ``*`` in one stands for any robot.
+
+        What waits is taken in their order.
+        """
+        ...
+
+    @property
+    def watched(self) -> str:
+        """Liveliness tokens to be told of, with wildcards; "" for none."""
         ...
 
     @property
@@ -99,6 +113,10 @@ class Node(Protocol):
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes one message off the bus; never raises for what it holds."""
+        ...
+
+    def present(self, key: str, here: bool) -> None:
+        """Told that the process of a watched token came (`here`) or went."""
         ...
 
     def tick(self, now_ns: int) -> list[Outgoing]:

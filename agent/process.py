@@ -67,10 +67,18 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> No
     leave_by_ns: int | None = None
     parent_due_ns = 0
     state = ""
+    presence = bus.watch(node.watched) if node.watched else None
+    heard: Sequence[str] = ()
     while True:
+        if node.subscriptions is not heard:
+            heard = node.subscriptions
+            bus.listen(heard)
         clock.sleep_until(ticks.due_ns)
         start_ns = clock.now_ns()
         now_ns, missed = ticks.take(start_ns)
+        if presence is not None:
+            for key, here in presence.update():
+                node.present(key, here)
         for key, payload in bus.drain():
             node.receive(now_ns, key, payload)
         if shutdown.asked and leave_by_ns is None:
@@ -98,9 +106,8 @@ def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> N
     """Puts `node` on the bus and drives it by `clock` until the process is asked to end."""
     for key in node.publications:
         bus.declare(key)
-    for key in node.subscriptions:
-        bus.subscribe(key)
-    bus.announce(node.alive_key)
+    bus.listen(node.subscriptions)
+    bus.announce(node.alive_key)  # from here on others may count on being heard
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()

@@ -15,8 +15,8 @@ from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.links import Arrival, Links, Sample
 from agent.messages import Faults, encode
-from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Outgoing
+from agent.peers import FUTURE_NS_MAX
 
 HELD_PERIOD_NS: Final = NS_PER_S
 """Live rules that are held are said again so often."""

@@ -1,13 +1,13 @@
 """The agent's states, and the one table of transitions between them.
 
 Pure. Every tick the agent sums up its situation as `Conditions`; `step` reads the table from the
-top and takes the first row that applies. A robot drives in `State.RUNNING` only; in every other
+top and takes the first row that applies. A robot drives in the states of `DRIVING` only; in every other
 state it tells its plant to brake.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Final, NamedTuple
 
@@ -26,32 +26,55 @@ class State(Enum):
     """What a robot is doing. The values are what status messages carry."""
 
     WAITING = "waiting"
-    """Its plant or a neighbour is missing, or its body's operator has not handed it over."""
     READY = "ready"
-    """Plant, body and neighbours are there; a mission or its epoch has not come."""
+    STANDBY = "standby"
     RUNNING = "running"
-    """Drives by the law."""
+    DEGRADED = "degraded"
     HOLDING = "holding"
-    """Brakes because a neighbour has been silent for longer than it can be predicted."""
     RELEASED = "released"
-    """Its body's operator has taken it away. Its neighbours go on hearing where it is."""
     STOPPING = "stopping"
-    """Brakes because the mission is over or a stop was ordered."""
     STOPPED = "stopped"
-    """At rest after a stop; a new mission starts it again."""
     FAULT = "fault"
-    """Brakes because its plant is silent or unhealthy, or its own numbers failed."""
+
+
+DOES: Final[Mapping[State, str]] = {
+    State.WAITING: "Brakes. Its plant or a neighbour is missing, or its body's operator has not handed it "
+    "over.",
+    State.READY: "Brakes. Plant, body and neighbours are there; a mission or its epoch has not come.",
+    State.STANDBY: "Brakes. It has no place in the formation: it is in reserve, or has left.",
+    State.RUNNING: "Drives by the law.",
+    State.DEGRADED: "Drives by the law, but slower, without an edge, or pushed back from the geofence.",
+    State.HOLDING: "Brakes until it may drive again: it hears no neighbour, no operator, or is outside the "
+    "geofence.",
+    State.RELEASED: "Brakes. Its body's operator has taken it away; the others go on hearing where it is.",
+    State.STOPPING: "Brakes, because the mission is over or a stop was ordered.",
+    State.STOPPED: "Brakes, and stands. After a stop only leave to drive again ends it, after a mission a "
+    "new one.",
+    State.FAULT: "Brakes. Its plant is silent or unhealthy, or its own numbers failed.",
+}
+"""What a robot does in each state, and why."""
+
+DRIVING: Final = frozenset({State.RUNNING, State.DEGRADED})
+"""States in which it drives."""
 
 
 class Conditions(NamedTuple):
-    """One tick's situation. Each text is empty when all is well, else says what is wrong."""
+    """One tick's situation. Each text is empty when all is well, else says what is wrong.
+
+    plant, body, numbers: of its own. place: why it has no place in the formation. neighbours: whom it lacks
+    to begin. mission: what it lacks of one. stop: why it has to stop. hold: why it must not drive now.
+    degraded: why it drives other than the law says. started: whether the mission's epoch has come.
+    """
 
     plant: str
     body: str
     numbers: str
+    place: str
     neighbours: str
     mission: str
     stop: str
+    hold: str
+    degraded: str
     started: bool
     at_rest: bool
 
@@ -67,12 +90,17 @@ class Transition(NamedTuple):
 
 
 _ALL: Final = frozenset(State)
-_ACTIVE: Final = frozenset({State.RUNNING, State.HOLDING, State.RELEASED})
+_ACTIVE: Final = DRIVING | {State.HOLDING, State.RELEASED}
 _BEFORE: Final = frozenset({State.WAITING, State.READY})
+_AT_END: Final = frozenset({State.STOPPING, State.STOPPED})
 
 
 def _missing(c: Conditions) -> str:
     return c.plant or c.body or c.neighbours
+
+
+def _nothing(_: Conditions) -> str:
+    return ""
 
 
 TRANSITIONS: Final[tuple[Transition, ...]] = (
@@ -95,22 +123,29 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
     Transition(
         "stop", _ALL - {State.STOPPED, State.FAULT}, State.STOPPING, lambda c: bool(c.stop), lambda c: c.stop
     ),
+    Transition("stop_ended", _AT_END, State.WAITING, lambda c: not c.stop, _missing),
     Transition(
-        "restart",
-        frozenset({State.STOPPING, State.STOPPED}),
-        State.WAITING,
-        lambda c: not c.stop,
-        _missing,
+        "without_place",
+        _ACTIVE | _BEFORE | {State.STANDBY},
+        State.STANDBY,
+        lambda c: bool(c.place) and not c.plant,
+        lambda c: c.place,
+    ),
+    Transition(
+        "standby_ended", frozenset({State.STANDBY}), State.WAITING, lambda c: True, lambda c: _missing(c)
     ),
     Transition("rescheduled", _ACTIVE, State.READY, lambda c: not c.started, lambda c: "for the epoch"),
     Transition("body_released", _ACTIVE, State.RELEASED, lambda c: bool(c.body), lambda c: c.body),
-    Transition(
-        "neighbour_silent", _ACTIVE, State.HOLDING, lambda c: bool(c.neighbours), lambda c: c.neighbours
-    ),
-    Transition("neighbour_back", frozenset({State.HOLDING}), State.RUNNING, lambda c: True, lambda c: ""),
-    Transition("body_back", frozenset({State.RELEASED}), State.RUNNING, lambda c: True, lambda c: ""),
+    Transition("hold", _ACTIVE, State.HOLDING, lambda c: bool(c.hold), lambda c: c.hold),
+    Transition("degraded", _ACTIVE, State.DEGRADED, lambda c: bool(c.degraded), lambda c: c.degraded),
+    Transition("hold_ended", frozenset({State.HOLDING}), State.RUNNING, lambda c: True, _nothing),
+    Transition("body_back", frozenset({State.RELEASED}), State.RUNNING, lambda c: True, _nothing),
+    Transition("well_again", frozenset({State.DEGRADED}), State.RUNNING, lambda c: True, _nothing),
     Transition("incomplete", _BEFORE, State.WAITING, lambda c: bool(_missing(c)), _missing),
-    Transition("epoch", _BEFORE, State.RUNNING, lambda c: c.started, lambda c: ""),
+    Transition(
+        "hold_at_start", _BEFORE, State.HOLDING, lambda c: c.started and bool(c.hold), lambda c: c.hold
+    ),
+    Transition("epoch", _BEFORE, State.RUNNING, lambda c: c.started, _nothing),
     Transition("complete", _BEFORE, State.READY, lambda c: True, lambda c: c.mission or "for the epoch"),
 )
 

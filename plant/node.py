@@ -13,7 +13,7 @@ from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, digest
 from agent.hand import Pose
-from agent.leave import Leave
+from agent.latch import Latch
 from agent.messages import (
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -27,13 +27,14 @@ from agent.messages import (
     Mission,
     PlantState,
     Resume,
+    Stop,
     Wrench,
     clipped,
     decode,
     encode,
 )
-from agent.neighbours import FUTURE_NS_MAX
 from agent.node import Numbers, Outgoing
+from agent.peers import FUTURE_NS_MAX
 from agent.reception import Reception
 from agent.supervision import at_rest
 from plant.backend import Check, Command, PlantBackend, Reading
@@ -62,11 +63,12 @@ class PlantNode:
         self._key_wrench = keys.wrench(name, robot)
         self.alive_key: Final = keys.alive(name, robot, "plant")
         self._key_mission = keys.mission(name)
+        self._key_stop = keys.stop(name)
         self._key_resume = keys.resume(name)
         self._key_checks = keys.checks(name, robot)
         self._digest = digest(fleet)
-        self._mission_version = -1
-        self._leave = Leave(robot, backend.go_ahead)
+        self._mission_version = self._epoch_ns = -1
+        self._latch = Latch(robot, backend.go_ahead)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
         self._checks_due_ns = self._checks_sequence = 0
@@ -74,11 +76,13 @@ class PlantNode:
         self.plan: Final = self._reception.plan
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self.subscriptions: Final = (
+            self._key_stop,
+            self._key_resume,
             self._key_wrench,
             self._key_mission,
-            self._key_resume,
             *self._reception.subscriptions,
         )
+        self.watched: Final = ""
         self.publications: Final = (
             self._key_state,
             self._key_truth,
@@ -105,14 +109,18 @@ class PlantNode:
         """The process is about to end: brakes, whatever the agent says."""
         self._leaving = True
 
+    def present(self, key: str, here: bool) -> None:
+        """It watches nobody: silence of its agent is what it goes by."""
+
     def timed(self, duration_ns: int, missed: int) -> None:
         self.overruns += missed
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes a wrench; anything else, and one that is older than the last, is counted and ignored.
 
-        The mission and live faults are taken too: they say which faults hold on the way from the agent. A
-        mission, and leave to resume, also let a body obey again that its operator has given back.
+        A stop makes it brake until leave to drive again. The mission and live faults are taken too: they say
+        which faults hold on the way from the agent. A mission of another drive, and leave to drive again,
+        also let a body obey again that its operator has given back.
         """
         try:
             message = decode(payload)
@@ -131,7 +139,10 @@ class PlantNode:
                 reason = self._accept_mission(message)
         elif type(message) is Resume:
             if key == self._key_resume:
-                reason = self._leave.accept(message)
+                reason = self._latch.accept_resume(message)
+        elif type(message) is Stop:
+            if key == self._key_stop:
+                reason = self._latch.accept_stop(message)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
         if reason is not None:
@@ -150,9 +161,12 @@ class PlantNode:
             return "digest"
         if mission.version > self._mission_version:
             self._mission_version = mission.version
-            self._numbers.begin(mission.epoch_ns)
-            self._reception.begin(mission.epoch_ns)
-            self._backend.go_ahead()
+            # A change of a drive that goes on is no leave for a body that its operator has taken meanwhile.
+            if mission.epoch_ns != self._epoch_ns:
+                self._epoch_ns = mission.epoch_ns
+                self._numbers.begin(mission.epoch_ns)
+                self._reception.begin(mission.epoch_ns)
+                self._backend.go_ahead()
         return None
 
     def _arrive(self, now_ns: int) -> None:
@@ -172,6 +186,9 @@ class PlantNode:
         wrench = self._wrench
         if self._leaving:
             self._condition = "braking", "the plant was told to end"
+        elif self._latch.stopped:
+            # Its agent brakes as well: a stop must not hang on one process.
+            self._condition = "braking", self._latch.stopped
         elif wrench is None:
             self._condition = "braking", "no wrench yet"
         elif now_ns - wrench.time_ns > self._timeout_ns:

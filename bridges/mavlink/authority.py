@@ -14,7 +14,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, NamedTuple
 
-from agent.leave import AWAITED
+from agent.latch import AWAITED
 
 
 class Holder(Enum):

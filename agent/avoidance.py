@@ -1,0 +1,81 @@
+"""From which distances on robots keep away from what they share no edge with (PURE). Lengths in m."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations
+from math import hypot, inf
+from typing import Final
+
+from agent.fleet import Fleet
+
+_ALONE: Final = 2.5
+"""d_a / r_s of a formation without an edge."""
+_SHARE: Final = 0.9
+"""Largest share of what the formation puts between two robots: the rest is for errors of control."""
+_LEAST: Final = 1.05
+"""Least d_a / r_s: phi' = 1/(d_a - r_s) must stay finite."""
+AHEAD_M: Final = 0.9
+"""From so much further on than d_a robots are listened to closely, m."""
+_RATE: Final = 3.0
+"""1/s: at 50 Hz the sampled filter is far from its limits (docs/theory.md)."""
+
+
+def avoidance_distance(
+    given: float | None,
+    safe: float,
+    edges: Mapping[tuple[int, int], float],
+    offsets: Mapping[int, tuple[float, float]],
+) -> float:
+    """d_a: robots without an edge push each other apart when they are nearer than this.
+
+    Args:
+        given: `avoidance.distance_m`, taken as it is.
+        safe: r_s, `formation.safe_distance_m`.
+        edges: wanted distance of each edge, by the ids at its ends, in either order.
+        offsets: place of each member by its id.
+
+    Returns:
+        Where none is given: half way between the safe distance and the shortest edge, 2.5 safe distances
+        when there is no edge; at most 0.9 of the least distance between the places of two members without an
+        edge, so that it is silent when the formation stands; at least 1.05 safe distances.
+    """
+    if given is not None:
+        return given
+    distance = 0.5 * (safe + min(edges.values())) if edges else _ALONE * safe
+    return max(min(distance, _SHARE * least_apart(edges, offsets)), _LEAST * safe)
+
+
+def least_apart(edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tuple[float, float]]) -> float:
+    """Least distance between the places of two members without an edge; inf when there are none."""
+    least = inf
+    for (i, (xi, yi)), (j, (xj, yj)) in combinations(offsets.items(), 2):
+        if (i, j) not in edges and (j, i) not in edges:
+            least = min(least, hypot(xi - xj, yi - yj))
+    return least
+
+
+def barrier_rate(fleet: Fleet) -> float:
+    """p of the last stage, 1/s: as given, or the largest up to 3 with which robots can brake as (F4) says."""
+    given, control = fleet.avoidance.barrier_rate, fleet.control
+    return min(_RATE, control.max_acceleration / control.max_speed_mps) if given is None else given
+
+
+def braking_room(fleet: Fleet) -> float:
+    """How far from each other two robots have to know of each other, m: what lets both come at full speed.
+
+    There h of the last stage is 2 V_max / p, and its barrier (F1) admits any speed that is allowed.
+    """
+    keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
+    return keep + 2.0 * fleet.control.max_speed_mps / barrier_rate(fleet)
+
+
+def sensing_distance(fleet: Fleet, distance: float) -> float:
+    """From where on a robot is listened to closely, m; `distance` is d_a."""
+    given = fleet.avoidance.sensing_m
+    return max(distance + AHEAD_M, braking_room(fleet)) if given is None else given
+
+
+def clearance(given: float | None, safe: float) -> float:
+    """How near a hand point may come to an obstacle; `given` is `avoidance.clearance_m`, `safe` r_s."""
+    return 0.5 * safe if given is None else given

@@ -1,0 +1,327 @@
+"""The last stage: the acceleration nearest to what the law asks for that keeps every limit (PURE).
+
+Each limit is a half plane of the hand's acceleration u (m/s^2, W); how they come about is in
+docs/theory.md, (F1) to (F9). `project` finds the nearest u that meets all of them, exactly, by
+adding one plane at a time (Seidel 1991; linearProgram2 and 3 of ORCA, van den Berg et al. 2011).
+Where they cannot all be met, the body's own limits come first, then separation, then speed.
+"""
+
+from __future__ import annotations
+
+from math import cos, hypot, inf, sin, sqrt
+from typing import Final, NamedTuple
+
+from agent.hand import Pose
+
+BODY: Final = 0
+SEPARATION: Final = 1
+UNSURE: Final = 2
+SPEED: Final = 3
+"""Ranks: where planes contradict each other, those of a lower rank are met first. A robot that would
+collide may drive too fast; it cannot do what its actuators cannot."""
+
+LEAST_MAX: Final = 1e6
+"""A plane that asks for more than this (m/s^2) is taken to ask for this much."""
+_TOLERANCE: Final = 1e-9
+_PARALLEL: Final = 1e-12
+_INWARD: Final = 1.0 - 1e-15
+DISTANCE_MIN: Final = 1e-9
+"""Nearer to each other than this (m), two points have no direction between them."""
+
+
+class HalfPlane(NamedTuple):
+    """``n . u >= least`` (m/s^2): n a unit vector (W); a zero n says nothing. `cause`: for reports."""
+
+    nx: float
+    ny: float
+    least: float
+    cause: str
+    rank: int = SEPARATION
+
+
+class Filtered(NamedTuple):
+    """What `project` gives.
+
+    Attributes:
+        ux, uy: acceleration, m/s^2, W.
+        causes: whose limits changed it, in the order of the planes; empty: it is as it was asked for.
+        violation: by how much the worst plane of rank `SEPARATION` or `SPEED` is not met, m/s^2; 0: all are.
+    """
+
+    ux: float
+    uy: float
+    causes: tuple[str, ...]
+    violation: float
+
+
+def keep_apart(
+    cause: str,
+    offset: tuple[float, float],
+    velocity: tuple[float, float],
+    other_velocity: tuple[float, float],
+    gap: float,
+    rate: float,
+    *,
+    alone: bool = False,
+    other_acceleration: tuple[float, float] = (0.0, 0.0),
+) -> HalfPlane:
+    """Own part of keeping two hands apart, (F3), (F4).
+
+    Args:
+        offset: r_i - r_j, m, from the other to the own hand.
+        velocity, other_velocity: of the own and the other's hand, m/s.
+        gap: the distance to keep, m: r_s, a margin, and what is uncertain of the other's place.
+        rate: p, 1/s; the same for all robots.
+        alone: the other does not do its part: it brakes, is silent, or is no robot of ours.
+        other_acceleration: what the other is known to do meanwhile, m/s^2; only counts if `alone`, and
+            only as far as it brings the two together.
+    """
+    x, y = offset
+    vx, vy = velocity
+    ox, oy = other_velocity
+    rho = hypot(x, y)
+    if rho < DISTANCE_MIN:  # through each other: what parts them soonest is to go on
+        x, y, rho = vx - ox, vy - oy, hypot(vx - ox, vy - oy)
+        if rho == 0.0:
+            return HalfPlane(0.0, 0.0, 0.0, cause)
+        nx, ny, rho, turn = x / rho, y / rho, 0.0, 0.0
+    else:
+        nx, ny = x / rho, y / rho
+        across = nx * (vy - oy) - ny * (vx - ox)
+        turn = across * across / rho
+    own, others = nx * vx + ny * vy, nx * ox + ny * oy
+    both = -rate * (2.0 * (own - others) + rate * (rho - gap)) - turn  # (F2)
+    # Half each, (F3), but never more than braking gives, of either of the two (F4).
+    low, high = both - rate * others, -rate * own
+    if low > high:  # they are closer than braking can mend
+        least = 0.5 * (low + high)
+    else:
+        least = min(max(0.5 * both, low), high)
+    if alone:
+        push = nx * other_acceleration[0] + ny * other_acceleration[1]
+        least = max(least, both + max(push, 0.0))
+    return HalfPlane(nx, ny, least, cause)
+
+
+def keep_clear(
+    cause: str,
+    distance: float,
+    nx: float,
+    ny: float,
+    velocity: tuple[float, float],
+    clearance: float,
+    rate: float,
+) -> HalfPlane:
+    """Keeps the hand `clearance` (m) away from what stands still, (F5).
+
+    Args:
+        distance: signed distance to it, m; `nx`, `ny`: its gradient, a unit vector towards the allowed side.
+        velocity: of the own hand, m/s.
+        rate: p, 1/s.
+    """
+    closing = nx * velocity[0] + ny * velocity[1]
+    return HalfPlane(nx, ny, -rate * (2.0 * closing + rate * (distance - clearance)), cause)
+
+
+def limit_speed(
+    vx: float, vy: float, most: float, rate: float, cause: str = "speed"
+) -> tuple[HalfPlane, ...]:
+    """Keeps the hand's speed at or below `most` (m/s), (F6); nothing at rest."""
+    speed = hypot(vx, vy)
+    if speed < DISTANCE_MIN:
+        return ()
+    return (HalfPlane(-vx / speed, -vy / speed, -rate * (most - speed), cause, SPEED),)
+
+
+def limit_actuators(
+    pose: Pose,
+    mass: float,
+    inertia: float,
+    reach: float,
+    max_force: float | None,
+    max_torque: float | None,
+    cause: str = "actuators",
+) -> tuple[HalfPlane, ...]:
+    """The accelerations that the actuators can give the hand, (F7): a box along and across the heading.
+
+    Args:
+        mass (kg), inertia (kg m^2), reach: of the hand, L (m).
+        max_force (N), max_torque (N m): None for no limit.
+    """
+    c, s = cos(pose.heading), sin(pose.heading)
+    planes: tuple[HalfPlane, ...] = ()
+    if max_force is not None:
+        most, bias = max_force / mass, reach * pose.yaw_rate * pose.yaw_rate
+        planes += (
+            HalfPlane(c, s, -most - bias, cause, BODY),
+            HalfPlane(-c, -s, -most + bias, cause, BODY),
+        )
+    if max_torque is not None:
+        most, bias = reach * max_torque / inertia, -pose.speed * pose.yaw_rate
+        planes += (
+            HalfPlane(-s, c, -most - bias, cause, BODY),
+            HalfPlane(s, -c, -most + bias, cause, BODY),
+        )
+    return planes
+
+
+def limit_turning(
+    pose: Pose, reach: float, most: float, rate: float, cause: str = "turning"
+) -> tuple[HalfPlane, ...]:
+    """Keeps the yaw rate within `most` (rad/s), (F9): L wdot = u . (-sin, cos) - v w.
+
+    A force that is held for a period while the body turns far points elsewhere at its end: what is asked of
+    the hand is then not what it does.
+    """
+    c, s = cos(pose.heading), sin(pose.heading)
+    bias = pose.speed * pose.yaw_rate
+    return (
+        HalfPlane(-s, c, bias - rate * reach * (most + pose.yaw_rate), cause, BODY),
+        HalfPlane(s, -c, -bias - rate * reach * (most - pose.yaw_rate), cause, BODY),
+    )
+
+
+def project(ux: float, uy: float, planes: list[HalfPlane], most: float) -> Filtered:
+    """The acceleration nearest to (ux, uy) that meets all `planes` and |u| <= `most`; m/s^2, W.
+
+    Where no u meets all planes, those of rank `BODY` are met first, then of those of `SEPARATION` the largest
+    violation is made least (then, of what is still free, the second largest, and so on), then
+    of `SPEED`; of what is left the nearest is taken. |u| <= `most` holds always.
+    """
+    size = hypot(ux, uy)
+    tolerance = _TOLERANCE * (most if most > 1.0 else 1.0)
+    if size <= most:
+        for nx, ny, least, _, _ in planes:
+            if nx * ux + ny * uy < least - tolerance and (nx or ny):
+                break
+        else:
+            return Filtered(ux, uy, (), 0.0)
+    limits = [
+        (nx, ny, -LEAST_MAX if least < -LEAST_MAX else LEAST_MAX if least > LEAST_MAX else least)
+        for nx, ny, least, _, _ in planes
+    ]
+    found = _optimum(ux, uy, [limit for limit in limits if limit[0] or limit[1]], most, tolerance)
+    if found is None:
+        found = _compromise(ux, uy, limits, [plane.rank for plane in planes], most, tolerance)
+    x, y = found
+    size = hypot(x, y)
+    if size > most:
+        x, y = x * (most / size * _INWARD), y * (most / size * _INWARD)
+    causes: list[str] = []
+    violation = 0.0
+    for (nx, ny, least), plane in zip(limits, planes, strict=True):
+        short = least - nx * x - ny * y
+        if short > -4.0 * tolerance and (nx or ny):
+            if plane.cause not in causes:
+                causes.append(plane.cause)
+            if short > 4.0 * tolerance and short > violation and plane.rank != BODY:
+                violation = short
+    if size > most - tolerance:
+        causes.append("acceleration")
+    return Filtered(x, y, tuple(causes), violation)
+
+
+_Limit = tuple[float, float, float]
+
+
+def _optimum(
+    x: float, y: float, limits: list[_Limit], most: float, tolerance: float, *, linear: bool = False
+) -> tuple[float, float] | None:
+    """The point nearest to (x, y), or if `linear` farthest in the direction (x, y), within the circle `most`
+    that meets all limits; None if there is none.
+
+    One limit at a time: if the optimum so far does not meet the next one, the new optimum is on its line.
+    """
+    size = hypot(x, y)
+    if size == inf:
+        x, y = 0.25 * x, 0.25 * y
+        size = hypot(x, y)
+    if size > most or (linear and size > 0.0):
+        ux, uy = x / size * most, y / size * most
+    else:
+        ux, uy = x, y
+    for count, (nx, ny, least) in enumerate(limits):
+        if nx * ux + ny * uy >= least:
+            continue
+        if least > most:
+            if least > most + tolerance:
+                return None
+            least = most
+        # On the line: u = least n + s t with t = (-ny, nx).
+        high = sqrt(most * most - least * least) if least > -most else 0.0
+        low = -high
+        for index in range(count):
+            ax, ay, needed = limits[index]
+            slope = ay * nx - ax * ny
+            missing = needed - least * (ax * nx + ay * ny)
+            if slope > _PARALLEL:
+                if missing > low * slope:
+                    low = missing / slope
+            elif slope < -_PARALLEL:
+                if missing > high * slope:
+                    high = missing / slope
+            elif missing > tolerance:
+                return None
+        if low > high:
+            return None
+        s = y * nx - x * ny
+        if linear:
+            s = high if s > 0.0 else low
+        elif s > high:
+            s = high
+        elif s < low:
+            s = low
+        ux, uy = least * nx - s * ny, least * ny + s * nx
+    return ux, uy
+
+
+def _compromise(
+    x: float, y: float, limits: list[_Limit], ranks: list[int], most: float, tolerance: float
+) -> tuple[float, float]:
+    """As `_optimum`, where the limits contradict each other: some are let go by as little as possible."""
+    kept: list[_Limit] = []
+    best = 0.0, 0.0
+    for rank in (BODY, SEPARATION, UNSURE, SPEED):
+        left = [
+            limit for limit, its in zip(limits, ranks, strict=True) if its == rank and (limit[0] or limit[1])
+        ]
+        while True:
+            found = _optimum(x, y, kept + left, most, tolerance)
+            if found is not None or not left:
+                break
+            index, short, best = _least_violation(kept, left, most, tolerance, best)
+            nx, ny, least = left.pop(index)
+            kept.append((nx, ny, least - short - tolerance))
+        if found is not None:
+            best = found
+        kept += left
+    return best
+
+
+def _least_violation(
+    kept: list[_Limit], left: list[_Limit], most: float, tolerance: float, best: tuple[float, float]
+) -> tuple[int, float, tuple[float, float]]:
+    """The least that the worst of `left` has to be violated by while `kept` is met.
+
+    Returns a limit that is violated by so much wherever the worst is, the amount, and a point.
+    `best`: a point that meets `kept`.
+    """
+    worst, index = 0.0, 0
+    for count, (nx, ny, least) in enumerate(left):
+        if least - nx * best[0] - ny * best[1] <= worst:
+            continue
+        # Adding this one makes the least violation larger, so this one has it: no other one more.
+        bisectors = list(kept)
+        for ax, ay, needed in left[:count]:
+            bx, by = ax - nx, ay - ny
+            size = hypot(bx, by)
+            if size > _PARALLEL:
+                bisectors.append((bx / size, by / size, (needed - least) / size - tolerance))
+        found = _optimum(nx, ny, bisectors, most, tolerance, linear=True)
+        if found is not None:
+            best = found
+        larger = least - nx * best[0] - ny * best[1]
+        if larger > worst + 4.0 * tolerance:  # else it came to meet another that has it already
+            index = count
+        worst = max(worst, larger)
+    return index, worst, best

@@ -1,0 +1,116 @@
+"""What is wrong with the ``[[order]]`` of a fleet file: fields that do not fit, unknown robots (PURE).
+
+Whether an order can be carried out depends on those before it: `agent.orders` says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from agent.order_sections import ORDER_FIELDS, OrderSection
+from agent.schema import Reader, entries, example, show
+from agent.trajectory_checks import check_trajectory
+
+
+def check_orders(
+    orders: Sequence[Mapping[str, Any]], raw: Mapping[str, Any], ids: Sequence[int | None], reader: Reader
+) -> None:
+    """Adds to `reader` what is wrong with the values of all orders.
+
+    Args:
+        orders: as `reader` has read them.
+        raw: the file's tables.
+        ids: of all robots, None for one that could not be read.
+    """
+    rows = raw.get("order")
+    for number, order in enumerate(orders, 1):
+        place = f"order[{number}]"
+        row = rows[number - 1] if isinstance(rows, (list, tuple)) else {}
+        given = row if isinstance(row, Mapping) else {}
+        _check_fields(order, given, place, reader)
+        if ids and None not in ids:
+            _check_robots(order, ids, place, reader)
+        if order.get("robot") is not None and order.get("robot") == order.get("by"):
+            reader.add(f"{place}.by", f"{show(order['by'])} is the robot that it is to replace")
+        _check_join(order, place, reader)
+        _check_shape(order.get("formation"), f"{place}.formation", reader)
+        if order.get("trajectory") is not None:
+            inside = given.get("trajectory")
+            table = inside if isinstance(inside, Mapping) else {}
+            check_trajectory(order["trajectory"], table, reader, f"{place}.trajectory")
+
+
+def _check_fields(order: Mapping[str, Any], given: Mapping[str, Any], place: str, reader: Reader) -> None:
+    kind = order.get("kind")
+    if kind is None:
+        return
+    needed, taken = ORDER_FIELDS[kind]
+    known = entries(OrderSection)
+    for key in needed:
+        if key not in given:
+            shown = example(known[key].hint, known[key].setting)
+            reader.add(f"{place}.{key}", f'is missing: kind = "{kind}" needs it, for example {key} = {shown}')
+    for key in known:
+        if key in given and key not in ("at", "kind", *needed, *taken):
+            kinds = [name for name, fields in ORDER_FIELDS.items() if key in (*fields[0], *fields[1])]
+            users = " and ".join(f'kind = "{name}"' for name in kinds)
+            reader.add(f"{place}.{key}", f'is used by {users} only, but here kind = "{kind}": leave it out')
+    if kind == "reshape" and not any(key in given for key in ("formation", "trajectory", "scale")):
+        reader.add(place, 'changes nothing: kind = "reshape" takes formation, trajectory or scale')
+
+
+def _check_robots(order: Mapping[str, Any], ids: Sequence[int | None], place: str, reader: Reader) -> None:
+    shape = order.get("formation") or {}
+    named = [(f"{place}.{key}", order.get(key)) for key in ("robot", "by")]
+    for key in ("edges", "robots"):
+        named += [(f"{place}.{key}[{k}]", robot) for k, robot in enumerate(order.get(key) or (), 1)]
+    for k, edge in enumerate(shape.get("edges") or (), 1):
+        named += [(f"{place}.formation.edges[{k}]", robot) for robot in edge or ()]
+    for where, robot in named:
+        if robot is not None and robot not in ids:
+            reader.add(where, f"there is no robot {show(robot)}; ids are {show(_known(ids), 80)[1:-1]}")
+
+
+def _known(ids: Sequence[int | None]) -> list[int]:
+    return sorted(robot for robot in ids if robot is not None)
+
+
+def _check_join(order: Mapping[str, Any], place: str, reader: Reader) -> None:
+    edges, distance = order.get("edges"), order.get("distance_m")
+    if edges is None:
+        return
+    for k, robot in enumerate(edges, 1):
+        if robot is not None and robot in edges[: k - 1]:
+            reader.add(f"{place}.edges[{k}]", f"robot {show(robot)} is given twice")
+        if robot is not None and robot == order.get("robot"):
+            reader.add(f"{place}.edges[{k}]", f"robot {show(robot)} cannot share an edge with itself")
+    if isinstance(distance, tuple) and len(distance) != len(edges):
+        reader.add(
+            f"{place}.distance_m",
+            f"must be one number or one per edge, got {len(distance)} for {len(edges)} edges",
+        )
+
+
+def _check_shape(shape: Mapping[str, Any] | None, place: str, reader: Reader) -> None:
+    if shape is None:
+        return
+    edges, distance = shape.get("edges"), shape.get("distance_m")
+    if all(shape.get(key, ()) is None for key in ("offsets", "edges", "distance_m")):
+        reader.add(place, "gives nothing: write offsets, edges or distance_m")
+    if edges is None:
+        return
+    seen: set[frozenset[int]] = set()
+    for k, edge in enumerate(edges, 1):
+        if edge is None:
+            continue
+        if edge[0] == edge[1]:
+            reader.add(f"{place}.edges[{k}]", f"{show(edge)} joins robot {show(edge[0])} to itself")
+        elif frozenset(edge) in seen:
+            reader.add(f"{place}.edges[{k}]", f"{show(edge)} is given twice")
+        seen.add(frozenset(edge))
+    if isinstance(distance, tuple) and len(distance) != len(edges):
+        reader.add(
+            f"{place}.distance_m",
+            f"must be one number or one per edge, got {len(distance)} for {len(edges)} edges",
+        )

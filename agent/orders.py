@@ -1,0 +1,308 @@
+"""An operator's order to a fleet that drives, made into its next mission (PURE).
+
+A mission is the whole state that the fleet is to have. So an order is a function of the one before: whoever
+knows that can give the next, and no robot needs to have heard of the order itself.
+
+Lengths in m, W; times in ns of the wall clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import dist
+from typing import Final
+
+import numpy as np
+
+from agent.blend import blend_ns_for
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, digest
+from agent.fleet_sections import Pair, TrajectorySection
+from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near
+from agent.messages import Malformed, Mission, clipped, decode, encode
+from agent.node import next_tick_ns
+from agent.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
+from agent.plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
+from agent.schema import show
+from agent.trilateration import place_apart
+
+LEAD_NS: Final = NS_PER_S
+"""From an order to its take-over: time for every robot to hear of it, also from a peer's beacon."""
+
+
+class OrderError(ValueError):
+    """An order that cannot be carried out; the text is one sentence that says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Change:
+    """What is to hold from the take-over on; `note` says in words what is new. Trajectory None: as it is."""
+
+    offsets: Mapping[int, Pair]
+    edges: Sequence[tuple[int, int, float]]
+    note: str
+    trajectory: TrajectorySection | None = None
+
+
+def first_mission(fleet: Fleet, version: int, now_ns: int, epoch_ns: int, duration_ns: int) -> Mission:
+    """The mission that begins a drive: all is as in the fleet file."""
+    return Mission(version, now_ns, epoch_ns, duration_ns, digest(fleet))
+
+
+def ordered(
+    order: OrderSection, plan: Plan, fleet: Fleet, now_ns: int, version: int, lead_ns: int = LEAD_NS
+) -> Mission:
+    """The mission after an order to join, leave, replace or reshape.
+
+    It is taken over on the first tick of the fleet after `lead_ns`, though never before the latest one is.
+    What is ordered before the drive begins holds from its begin.
+
+    Args:
+        order: its fields for its kind are looked at (`agent.order_sections.ORDER_FIELDS`); `at` is not.
+        plan: the latest.
+        version: of the new mission, greater than any that is known.
+
+    Raises:
+        OrderError: it cannot be carried out.
+    """
+    make = _KINDS.get(order.kind)
+    if make is None:
+        raise OrderError(f'an order of kind "{order.kind}" does not change the mission')
+    for name in ORDER_FIELDS[order.kind][0]:
+        if getattr(order, name) is None:
+            raise OrderError(f"{order.kind} needs {name}")
+    before = plan.mission
+    from_ns = next_tick_ns(now_ns + lead_ns, fleet.period_ns, 0)
+    if from_ns <= before.epoch_ns:
+        from_ns = before.epoch_ns
+    elif from_ns <= plan.from_ns:
+        from_ns = next_tick_ns(plan.from_ns, fleet.period_ns, 0)
+    change = make(order, plan, fleet)
+    section, trajectory_ns = plan.section, plan.trajectory_ns
+    if change.trajectory is not None:
+        section, trajectory_ns = _from_there(change.trajectory, plan, from_ns), from_ns
+    mission = Mission(
+        version,
+        now_ns,
+        before.epoch_ns,
+        before.duration_ns,
+        before.digest,
+        from_ns,
+        0,
+        clipped(change.note),
+        trajectory_ns,
+        trajectory_parts(section),
+        tuple((robot, *change.offsets[robot]) for robot in fleet.ids if robot in change.offsets),
+        tuple(change.edges),
+    )
+    try:
+        after = written_plan(mission, fleet)
+        decode(encode(mission))
+    except PlanError as error:
+        raise OrderError(str(error)) from None
+    except Malformed as error:
+        raise OrderError(f"the new mission cannot be sent: {error}") from None
+    if from_ns == before.epoch_ns:
+        return mission
+    if order.over_s is not None:
+        return mission._replace(blend_ns=round(order.over_s * NS_PER_S))
+    return mission._replace(blend_ns=blend_ns_for(plan, after, fleet))
+
+
+def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
+    robot, ends = order.robot, order.edges
+    assert robot is not None
+    assert ends is not None
+    _refuse_newcomer(robot, plan, fleet)
+    for k, end in enumerate(ends):
+        _refuse_stranger(end, plan, fleet)
+        if end in ends[:k]:
+            raise OrderError(f"robot {robot} is to share an edge with robot {end} twice")
+    anchors = [plan.offsets[end] for end in ends]
+    place, given = order.offset_m, order.distance_m
+    if isinstance(given, tuple):
+        if len(given) != len(ends):
+            raise OrderError(f"distance_m has {len(given)} distances for {len(ends)} edges")
+        distances = list(given)
+    elif given is not None:
+        distances = [given] * len(ends)
+    elif place is not None:
+        distances = [dist(place, anchor) for anchor in anchors]
+    elif plan.edges:
+        distances = [sum(plan.edges.values()) / len(plan.edges)] * len(ends)
+    else:
+        raise OrderError(f"where robot {robot} is to be is not known: give offset_m or distance_m")
+    if place is None:
+        if not ends:
+            raise OrderError(f"where robot {robot} is to be is not known without edges: give offset_m")
+        place = place_apart(anchors, distances, list(plan.offsets.values()))
+    if place is None:
+        wanted = zip(ends, distances, strict=True)
+        shown = _listed([f"{distance:.4g} m from robot {end}" for end, distance in wanted])
+        raise OrderError(f"no place for robot {robot} is {shown}")
+    for end, anchor, distance in zip(ends, anchors, distances, strict=True):
+        if abs(dist(place, anchor) - distance) > DISTANCE_TOLERANCE * distance:
+            raise OrderError(
+                f"robot {robot} at {_point(place)} would be {dist(place, anchor):.4g} m from robot {end}, "
+                f"not {distance:.4g} m"
+            )
+    _, edges, _ = mission_parts(plan)
+    edges += tuple((robot, end, distance) for end, distance in zip(ends, distances, strict=True))
+    joined = f"{'edges' if len(ends) > 1 else 'edge'} to {_listed(ends)}" if ends else "no edges"
+    offsets = {**plan.offsets, robot: place}
+    return _Change(offsets=offsets, edges=edges, note=f"robot {robot} joins ({joined})")
+
+
+def _leave(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
+    robot = order.robot
+    assert robot is not None
+    _refuse_stranger(robot, plan, fleet)
+    if len(plan.members) == 1:
+        raise OrderError(f"robot {robot} is the last one in the formation: stop the fleet instead")
+    offsets = {other: place for other, place in plan.offsets.items() if other != robot}
+    edges = [(i, j, distance) for (i, j), distance in plan.edges.items() if robot not in (i, j)]
+    note = f"robot {robot} leaves"
+    parts = _parts(offsets, edges)
+    if parts > _parts(plan.offsets, mission_parts(plan)[1]):
+        note += f"; the formation graph falls into {parts} parts"
+    return _Change(offsets=offsets, edges=edges, note=note)
+
+
+def _parts(offsets: Mapping[int, Pair], edges: Sequence[tuple[int, int, float]]) -> int:
+    row = {robot: k for k, robot in enumerate(offsets)}
+    return len(components(len(row), [(row[i], row[j]) for i, j, _ in edges]))
+
+
+def _replace(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
+    robot, by = order.robot, order.by
+    assert robot is not None
+    assert by is not None
+    _refuse_stranger(robot, plan, fleet)
+    _refuse_newcomer(by, plan, fleet)
+    new = {robot: by}
+    return _Change(
+        offsets={new.get(other, other): place for other, place in plan.offsets.items()},
+        edges=[(new.get(i, i), new.get(j, j), distance) for (i, j), distance in plan.edges.items()],
+        note=f"robot {by} takes the place of robot {robot}",
+    )
+
+
+def _reshape(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
+    shape, scale = order.formation or ShapeSection(), order.scale
+    offsets, news = dict(plan.offsets), []
+    if shape.offsets is not None:
+        if len(shape.offsets) != len(plan.members):
+            raise OrderError(
+                f"formation.offsets has {len(shape.offsets)} places for {len(plan.members)} robots: "
+                f"one each for {_listed(plan.members)}"
+            )
+        offsets = dict(zip(plan.members, shape.offsets, strict=True))
+        news.append("places")
+    if shape.edges is not None:
+        news.append("edges")
+    if shape.distance_m is not None:
+        news.append("distances")
+    edges = _distances(shape, plan, fleet, offsets)
+    if shape.distance_m is not None and shape.offsets is None:
+        offsets = _found(offsets, edges, fleet.formation.safe_distance_m)
+    if scale is not None:
+        offsets = {robot: (scale * x, scale * y) for robot, (x, y) in offsets.items()}
+        edges = {edge: scale * distance for edge, distance in edges.items()}
+        news.append(f"{scale:g} times the size")
+    if order.trajectory is not None:
+        news.append(f"trajectory ({order.trajectory.kind})")
+    if not news:
+        raise OrderError("reshape changes nothing: give formation, scale or trajectory")
+    return _Change(
+        offsets=offsets,
+        edges=[(i, j, distance) for (i, j), distance in edges.items()],
+        note=f"new {_listed(news)}" if scale is None else f"reshaped: {_listed(news)}",
+        trajectory=order.trajectory,
+    )
+
+
+def _distances(shape: ShapeSection, plan: Plan, fleet: Fleet, offsets: Mapping[int, Pair]) -> Edges:
+    """The edges after a reshaping, in the order in which they are given, with their distances."""
+    given = tuple(plan.edges) if shape.edges is None else shape.edges
+    wanted = shape.distance_m
+    if isinstance(wanted, tuple) and len(wanted) != len(given):
+        raise OrderError(f"formation.distance_m has {len(wanted)} distances for {len(given)} edges")
+    if wanted is not None and not given:
+        raise OrderError("formation.distance_m is given, but the formation has no edges")
+    edges: Edges = {}
+    for k, (i, j) in enumerate(given):
+        for robot in (i, j):
+            _refuse_stranger(robot, plan, fleet)
+        edge = min(i, j), max(i, j)
+        if i == j or edge in edges:
+            wrong = "joins a robot to itself" if i == j else "is given twice"
+            raise OrderError(f"the edge [{i}, {j}] {wrong}")
+        if wanted is not None:
+            edges[edge] = wanted[k] if isinstance(wanted, tuple) else wanted
+        elif shape.offsets is None and edge in plan.edges:
+            edges[edge] = plan.edges[edge]
+        else:
+            edges[edge] = dist(offsets[i], offsets[j])
+    return edges
+
+
+def _found(offsets: Mapping[int, Pair], edges: Edges, safe: float) -> dict[int, Pair]:
+    """Places that meet the edges' distances, near those that are."""
+    row = {robot: k for k, robot in enumerate(offsets)}
+    wanted = np.array(list(edges.values()))
+    try:
+        shape = realise_near(list(offsets.values()), [(row[i], row[j]) for i, j in edges], wanted, safe)
+    except FormationError as error:
+        raise OrderError(f"{error}: give formation.offsets") from None
+    worst = int(np.argmax(np.abs(shape.error) / wanted))
+    if abs(shape.error[worst]) > DISTANCE_TOLERANCE * wanted[worst]:
+        i, j = list(edges)[worst]
+        raise OrderError(
+            f"found no places that meet all {len(edges)} distances: in the nearest [{i}, {j}] is "
+            f"{wanted[worst] + shape.error[worst]:.4g} m long, not {wanted[worst]:.4g} m"
+        )
+    return {robot: (float(x), float(y)) for robot, (x, y) in zip(offsets, shape.offsets, strict=True)}
+
+
+def _from_there(section: TrajectorySection, plan: Plan, from_ns: int) -> TrajectorySection:
+    """A line or hold counts from where the reference is when it is taken over; others are where they are."""
+    if section.kind not in ("line", "hold"):
+        return section
+    x, y = plan.reference(from_ns)[:2]
+    return replace(section, start_m=(x + section.start_m[0], y + section.start_m[1]))
+
+
+def _refuse_stranger(robot: int, plan: Plan, fleet: Fleet) -> None:
+    _refuse_unknown(robot, fleet)
+    if robot not in plan.offsets:
+        raise OrderError(f"robot {robot} has no place in the formation: members are {_listed(plan.members)}")
+
+
+def _refuse_newcomer(robot: int, plan: Plan, fleet: Fleet) -> None:
+    _refuse_unknown(robot, fleet)
+    if robot in plan.offsets:
+        raise OrderError(f"robot {robot} has a place in the formation already")
+
+
+def _refuse_unknown(robot: int, fleet: Fleet) -> None:
+    if robot not in fleet.ids:
+        raise OrderError(f"robot {robot} is not in the fleet: its ids are {show(fleet.ids, 80)[1:-1]}")
+
+
+def _point(place: Pair) -> str:
+    return f"[{place[0]:.4g}, {place[1]:.4g}]"
+
+
+def _listed(items: Sequence[object]) -> str:
+    """1, 2 and 3"""
+    words = [str(item) for item in items]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+_KINDS: Final[Mapping[str, Callable[[OrderSection, Plan, Fleet], _Change]]] = {
+    "join": _join,
+    "leave": _leave,
+    "replace": _replace,
+    "reshape": _reshape,
+}

@@ -1,0 +1,218 @@
+"""What a mission means for the fleet of this file: who drives where, and who keeps which distance (PURE).
+
+A `Mission` came over the network and may be anything that its types allow; a `Plan` can be driven.
+Lengths in m, W; times in ns of the wall clock.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import hypot
+from typing import Any, Final
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.fleet_sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
+from agent.formation import Geometry
+from agent.messages import NEIGHBOURS_MAX, Mission
+from agent.schema import Reader, about, build, show
+from agent.trajectory import Sample, Trajectory, make_trajectory
+from agent.trajectory_checks import check_trajectory
+
+FAR_M: Final = 1e6
+"""No place is further from the reference, and no edge longer, as in a fleet file."""
+
+Edges = dict[tuple[int, int], float]
+"""Wanted distance (m) of each edge (i, j), i < j."""
+Parts = tuple[
+    tuple[tuple[int, float, float], ...], tuple[tuple[int, int, float], ...], tuple[tuple[str, Any], ...]
+]
+"""`Mission.robots`, `Mission.edges` and `Mission.trajectory`."""
+
+
+class PlanError(ValueError):
+    """A mission that this fleet cannot drive; the text is one sentence that says why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A mission with everything written out.
+
+    Attributes:
+        members: ids of the robots that have a place, in the file's order.
+        offsets: place of each member relative to the reference point, m, W.
+        edges: wanted distance of each edge (i, j), i < j, m.
+        section, trajectory: what the reference point does; its time 0 is `trajectory_ns`.
+        from_ns: when it is taken over.
+        blend_ns: within which the motion before goes over to this one.
+    """
+
+    mission: Mission
+    members: tuple[int, ...]
+    offsets: Mapping[int, Pair]
+    edges: Mapping[tuple[int, int], float]
+    section: TrajectorySection
+    trajectory: Trajectory
+    trajectory_ns: int
+    from_ns: int
+    blend_ns: int
+
+    def reference(self, time_ns: int) -> Sample:
+        """The formation's reference point at a wall time."""
+        return self.trajectory.at((time_ns - self.trajectory_ns) / NS_PER_S)
+
+
+@dataclass(frozen=True, slots=True)
+class _Root:
+    """What `agent.schema.Reader` reads a mission's trajectory as."""
+
+    trajectory: TrajectorySection = field(default_factory=TrajectorySection, metadata=about("Trajectory."))
+
+
+def plan_of(mission: Mission, fleet: Fleet, geometry: Geometry) -> Plan:
+    """What a mission means. A part that it leaves empty is the fleet file's.
+
+    Where it names robots, its edges are all the edges there are: none, if it gives none.
+
+    Args:
+        geometry: `agent.formation.resolve` of `fleet`.
+
+    Raises:
+        PlanError: for a mission that cannot be driven.
+    """
+    if mission.robots:
+        return written_plan(mission, fleet)
+    members = geometry.ids
+    offsets = {robot: (x, y) for robot, (x, y) in zip(members, geometry.offsets.tolist(), strict=True)}
+    if mission.edges:
+        edges = _given_edges(mission, offsets, fleet.formation.safe_distance_m)
+    else:
+        edges = {}
+        for (i, j), distance in zip(geometry.edges.tolist(), geometry.distances.tolist(), strict=True):
+            a, b = members[i], members[j]
+            edges[min(a, b), max(a, b)] = distance
+    return _plan(mission, fleet, members, offsets, edges)
+
+
+def written_plan(mission: Mission, fleet: Fleet) -> Plan:
+    """`plan_of` of a mission that names its robots, as all but a drive's first do; raises as that does."""
+    safe = fleet.formation.safe_distance_m
+    offsets = _given_places(mission, fleet, safe)
+    members = tuple(robot for robot in fleet.ids if robot in offsets)
+    return _plan(mission, fleet, members, offsets, _given_edges(mission, offsets, safe))
+
+
+def mission_parts(plan: Plan) -> Parts:
+    """The plan as a mission writes it: its robots, edges and trajectory, nothing left to the fleet file."""
+    robots = tuple((robot, *plan.offsets[robot]) for robot in plan.members)
+    edges = tuple((i, j, distance) for (i, j), distance in plan.edges.items())
+    return robots, edges, trajectory_parts(plan.section)
+
+
+def trajectory_parts(section: TrajectorySection) -> tuple[tuple[str, Any], ...]:
+    """A trajectory as a mission writes it: the fields of its kind."""
+    needed, taken = TRAJECTORY_FIELDS[section.kind]
+    return tuple((key, getattr(section, key)) for key in ("kind", *needed, *taken))
+
+
+def _plan(
+    mission: Mission, fleet: Fleet, members: tuple[int, ...], offsets: Mapping[int, Pair], edges: Edges
+) -> Plan:
+    section = _section(mission.trajectory) if mission.trajectory else fleet.trajectory
+    try:
+        trajectory = make_trajectory(section)
+    except ValueError as error:
+        raise PlanError(f"the mission's {error}") from None
+    epoch_ns = mission.epoch_ns
+    return Plan(
+        mission,
+        members,
+        offsets,
+        edges,
+        section,
+        trajectory,
+        mission.trajectory_ns or epoch_ns,
+        mission.from_ns or epoch_ns,
+        mission.blend_ns,
+    )
+
+
+def _given_places(mission: Mission, fleet: Fleet, safe: float) -> dict[int, Pair]:
+    known = set(fleet.ids)
+    offsets: dict[int, Pair] = {}
+    for robot, x, y in mission.robots:
+        if robot not in known:
+            there_are = show(fleet.ids, 80)[1:-1]
+            raise PlanError(f"robot {robot} is not in the fleet: its ids are {there_are}")
+        if robot in offsets:
+            raise PlanError(f"robot {robot} has two places")
+        if not (abs(x) <= FAR_M and abs(y) <= FAR_M):
+            raise PlanError(f"the place of robot {robot}, {show((x, y))}, is not within {FAR_M:g} m")
+        offsets[robot] = x, y
+    if not offsets:
+        raise PlanError("no robot has a place")
+    close = _closer(offsets, safe)
+    if close is not None:
+        i, j, apart = close
+        raise PlanError(
+            f"robots {i} and {j} would stand {apart:.4g} m apart, less than the safe distance of {safe:.4g} m"
+        )
+    return offsets
+
+
+def _closer(offsets: Mapping[int, Pair], least: float) -> tuple[int, int, float] | None:
+    """Two robots whose places are nearer to each other than `least`, and how near; None when none are."""
+    cells: dict[tuple[int, int], list[int]] = {}
+    for robot, (x, y) in offsets.items():
+        column, row = int(x // least), int(y // least)
+        for near in (
+            other
+            for i in (column - 1, column, column + 1)
+            for j in (row - 1, row, row + 1)
+            for other in cells.get((i, j), ())
+        ):
+            apart = hypot(x - offsets[near][0], y - offsets[near][1])
+            if apart < least:
+                return near, robot, apart
+        cells.setdefault((column, row), []).append(robot)
+    return None
+
+
+def _given_edges(mission: Mission, offsets: Mapping[int, Pair], safe: float) -> Edges:
+    edges: Edges = {}
+    for i, j, distance in mission.edges:
+        name = f"the edge [{i}, {j}]"
+        for robot in (i, j):
+            if robot not in offsets:
+                raise PlanError(f"{name} names robot {robot}, which has no place in the formation")
+        if i == j:
+            raise PlanError(f"{name} joins a robot to itself")
+        if (min(i, j), max(i, j)) in edges:
+            raise PlanError(f"{name} is given twice")
+        if not safe < distance <= FAR_M:
+            raise PlanError(
+                f"{name} is to be {distance:.4g} m long: it must be longer than the safe distance of "
+                f"{safe:.4g} m, and at most {FAR_M:g} m"
+            )
+        if offsets[i] == offsets[j]:
+            raise PlanError(f"{name} joins two robots with the same place, {show(offsets[i])}")
+        edges[min(i, j), max(i, j)] = distance
+    degrees = Counter(end for edge in edges for end in edge)
+    for robot, degree in degrees.items():
+        if degree > NEIGHBOURS_MAX:
+            raise PlanError(f"robot {robot} has {degree} edges: it can have {NEIGHBOURS_MAX} at most")
+    return edges
+
+
+def _section(given: Sequence[tuple[str, Any]]) -> TrajectorySection:
+    raw = dict(given)
+    if len(raw) != len(given):
+        raise PlanError("the mission gives a field of its trajectory twice")
+    reader = Reader(_Root)
+    values = reader.read({"trajectory": raw})["trajectory"]
+    check_trajectory(values, raw, reader)
+    if reader.problems:
+        raise PlanError(f"the mission's {reader.problems[0]}")
+    return build(TrajectorySection, values)

@@ -1,0 +1,194 @@
+"""Where another robot is by now: its last message carried forward in time (PURE).
+
+A robot's navigation loop is linear and known, so with its last constraint force dying away as an edge's
+error does it is carried forward exactly over the age of its message (docs/theory.md, P1).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import cos, exp, expm1, hypot, sin, sqrt
+from typing import Final, NamedTuple
+
+from agent.law import saturation
+from agent.messages import HandState
+from agent.trajectory import Sample
+
+BRAKING_TIME_S: Final = 0.2
+"""A robot that brakes is taken to lose its speed with this time constant."""
+
+APPROACH_SHARE: Final = 0.25
+"""A robot makes for its place with at least this share of its speed limit, however fast the formation is."""
+
+Vector = tuple[float, float]
+Transition = tuple[float, float, float, float, float, float, float]
+"""What `transition` returns."""
+
+
+def constraint_decay(kd: float, kp: float) -> float:
+    """How fast a neighbour's constraint force is taken to die away, 1/s: as the edges' own errors do (J1).
+
+    The slower root of s^2 + kd s + kp; 0 for kp = 0, where nothing pulls an edge's error back.
+    """
+    root = kd * kd - 4.0 * kp
+    if root <= 0.0:
+        return 0.5 * kd
+    return 2.0 * kp / (kd + sqrt(root)) if kd > 0.0 else 0.0
+
+
+@lru_cache(maxsize=1024)
+def transition(c1: float, c2: float, decay: float, age: float) -> Transition:
+    """Exact step of e'' = -c1 e - c2 e' + F_c exp(-decay t) over `age` seconds, (P1).
+
+    Returns (a11, a12, a21, a22, b1, b2, remains) with [e; e'] <- [[a11, a12], [a21, a22]] [e; e'] +
+    [b1; b2] F_c, and F_c <- remains F_c. c1 > 0, decay >= 0.
+    """
+    # c and s are cos and sin / omega (or cosh and sinh / omega, or 1 and age) with the decay in them:
+    # of two real roots each keeps its own exponential, for cosh would overflow.
+    sigma = 0.5 * c2
+    discriminant = sigma * sigma - c1
+    omega = sqrt(abs(discriminant))
+    if discriminant < 0.0:
+        shrunk = exp(-sigma * age)
+        c, s = shrunk * cos(omega * age), shrunk * sin(omega * age) / omega
+    elif discriminant > 0.0:
+        slow, fast = exp((omega - sigma) * age), exp(-(omega + sigma) * age)
+        c, s = 0.5 * (slow + fast), 0.5 * (slow - fast) / omega
+    else:
+        c = exp(-sigma * age)
+        s = age * c
+    a11, a22 = c + sigma * s, c - sigma * s
+    # A particular solution is F_c exp(-decay t) / (decay^2 - c2 decay + c1). At a root of that there is
+    # none of this form, and the solution of a decay beside it is the same to six digits.
+    divisor = decay * decay - c2 * decay + c1
+    if abs(divisor) < 1e-9 * (c1 + decay * decay):
+        return transition(c1, c2, decay * (1.0 + 1e-5), age)
+    remains = exp(-decay * age)
+    b1 = (remains - a11 + decay * s) / divisor
+    b2 = (-decay * remains + c1 * s + decay * a22) / divisor
+    return a11, s, -c1 * s, a22, b1, b2, remains
+
+
+def approach(vx: float, vy: float, ex: float, ey: float, most: float) -> float:
+    """How fast a robot may make for a place that moves with (vx, vy), from the error (ex, ey) off it (N1).
+
+    The largest speed relative to the place, along -e, with which its own speed is at most `most` (all m/s).
+    """
+    away = hypot(ex, ey)
+    if away == 0.0:
+        return most
+    along = -(vx * ex + vy * ey) / away
+    room = along * along + most * most - vx * vx - vy * vy
+    return max(APPROACH_SHARE * most, sqrt(room) - along if room > 0.0 else 0.0)
+
+
+class Prediction(NamedTuple):
+    """One robot at one instant, vectors (x, y) in W.
+
+    position m, velocity m/s, navigation force F_n and constraint force F_c m/s^2.
+    """
+
+    position: tuple[float, float]
+    velocity: tuple[float, float]
+    navigation: tuple[float, float]
+    constraint: tuple[float, float]
+
+
+def following(
+    message: HandState,
+    then: Sample,
+    since: Sample,
+    age: float,
+    c1: float,
+    c2: float,
+    decay: float,
+    most: float | None,
+) -> Prediction:
+    """A robot that follows the law, `age` seconds after its message.
+
+    Args:
+        message: its last.
+        then: its desired motion at the instant that is asked for.
+        since: its desired motion at the message's time.
+        c1, c2: its navigation gains (21).
+        decay: of its constraint force, 1/s.
+        most: speed limit (m/s) by which it makes for its place (N1), None without one.
+    """
+    _, _, _, _, _, x, y, vx, vy, _, _, fx, fy, _, _ = message
+    a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
+    x0, y0, vx0, vy0, _, _ = since
+    x1, y1, vx1, vy1, ax1, ay1 = then
+    ex, ey, edot_x, edot_y = x - x0, y - y0, vx - vx0, vy - vy0
+    if most is not None:
+        share = saturation(ex, ey, c1, c2, approach(vx1, vy1, ex, ey, most))
+        if share < 1.0:
+            return _approaching(message, then, (ex, ey), (edot_x, edot_y), age, c1, c2, decay, share)
+    new_x, new_y = a11 * ex + a12 * edot_x + b1 * fx, a11 * ey + a12 * edot_y + b1 * fy
+    new_vx, new_vy = a21 * ex + a22 * edot_x + b2 * fx, a21 * ey + a22 * edot_y + b2 * fy
+    return Prediction(
+        (x1 + new_x, y1 + new_y),
+        (vx1 + new_vx, vy1 + new_vy),
+        (ax1 - c1 * new_x - c2 * new_vx, ay1 - c1 * new_y - c2 * new_vy),
+        (remains * fx, remains * fy),
+    )
+
+
+def _approaching(
+    message: HandState,
+    then: Sample,
+    error: Vector,
+    rate: Vector,
+    age: float,
+    c1: float,
+    c2: float,
+    decay: float,
+    share: float,
+) -> Prediction:
+    """As `following`, of one that is too far from its place for (21): its pull `share` c1 e is constant (N1).
+
+    edot' = -share c1 e(0) - c2 edot + F_c exp(-decay t), exactly; the pull's direction is that at the start.
+    """
+    if (
+        abs(c2 - decay) < 1e-5 * c2
+    ):  # the quotients below are 0 / 0: a decay beside it has the limit to five digits
+        decay = (1.0 - 1e-5) * c2
+    slowed = exp(-c2 * age)
+    remains = exp(-decay * age)
+    rise = -expm1(-c2 * age) / c2
+    faded = -expm1(-decay * age) / decay if decay > 0.0 else age
+    # Integrals of the force's part.
+    of_speed, of_place = (remains - slowed) / (c2 - decay), (faded - rise) / (c2 - decay)
+    places, speeds, pulls = [], [], []
+    for e, edot, force in zip(error, rate, (message.constraint_x, message.constraint_y), strict=True):
+        aim = -share * c1 * e / c2
+        speed = aim + (edot - aim) * slowed + force * of_speed
+        places.append(e + aim * age + (edot - aim) * rise + force * of_place)
+        speeds.append(speed)
+        pulls.append(c2 * (aim - speed))
+    x, y, vx, vy, ax, ay = then
+    return Prediction(
+        (x + places[0], y + places[1]),
+        (vx + speeds[0], vy + speeds[1]),
+        (ax + pulls[0], ay + pulls[1]),
+        (remains * message.constraint_x, remains * message.constraint_y),
+    )
+
+
+def coasting(message: HandState, age: float) -> Prediction:
+    """A robot that brakes, `age` seconds later: its speed dies away, whatever the law would ask of it.
+
+    What brakes it stands as its navigation force, so that law and last stage reckon with it.
+    """
+    remains = exp(-age / BRAKING_TIME_S)
+    way = BRAKING_TIME_S * (1.0 - remains)
+    vx, vy = remains * message.vx, remains * message.vy
+    position = message.x + way * message.vx, message.y + way * message.vy
+    return Prediction(position, (vx, vy), (-vx / BRAKING_TIME_S, -vy / BRAKING_TIME_S), (0.0, 0.0))
+
+
+def as_it_came(message: HandState) -> Prediction:
+    """A robot where its message says, as if that had come at once."""
+    if not message.following:
+        return coasting(message, 0.0)
+    _, _, _, _, _, x, y, vx, vy, nx, ny, fx, fy, _, _ = message
+    return Prediction((x, y), (vx, vy), (nx, ny), (fx, fy))

@@ -1,0 +1,155 @@
+"""How far a robot relies on its neighbours, and what it does about those that it cannot rely on (PURE).
+
+A neighbour's last state is carried forward as it grows old; from `supervision.slow_after_s` on the robot
+drives slower, and from `control.prediction_horizon_s` on, or as soon as the neighbour's process is seen to
+be gone, trust in that edge fades. So it does for a neighbour that is heard but does not follow the law. The
+edge comes back as slowly as trust does. Whom it does not rely on it still keeps away from.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from agent.clock import NS_PER_S
+from agent.controller import Controller
+from agent.fleet import Fleet
+from agent.hand import Hand
+from agent.peers import TRUST_GAINED_S, Peer
+from agent.supervision import DRIVING, State
+
+SLOWEST: Final = 0.3
+"""Share of its speed that a robot has left when it gives a neighbour up."""
+BEGUN: Final = 0.01
+"""An edge that weighs less is not missed: who has just joined is not heard yet."""
+
+
+class Reliance:
+    """Judges the edges of one robot, tick by tick.
+
+    Attributes:
+        slower: share of its speed that the robot has to keep to, 1 when all is well.
+        hold: why it must not drive, "" when it may.
+        degraded: why it drives other than the law says, "" when it does not.
+        changed: True when other robots are to be listened to; whoever does that sets it back.
+    """
+
+    def __init__(self, fleet: Fleet, controller: Controller) -> None:
+        self._controller = controller
+        self._period_s = fleet.period_ns / NS_PER_S
+        self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
+        self._slow_ns = round(fleet.supervision.slow_from_s(fleet.control.prediction_horizon_s) * NS_PER_S)
+        self._all_needed = fleet.supervision.silence == "hold"
+        self._edges: object = None
+        self._drove_ns = -1
+        self.slower = 1.0
+        self.hold = self.degraded = ""
+        self.changed = True
+
+    def update(self, now_ns: int, state: State, here: Hand | None) -> list[int]:
+        """Looks at all edges at a tick; returns the ages (us) of the neighbours' hand states that are known.
+
+        Args:
+            state: the robot's, before this tick.
+            here: its hand, None when it is not known.
+        """
+        controller = self._controller
+        if controller.edges is not self._edges:
+            self._edges = controller.edges
+            self._neighbours = {peer.robot for _, peer in controller.edges}
+            self.changed = True
+        if here is not None and controller.around.look(now_ns, here, self._neighbours):
+            self.changed = True
+        ages_us = []
+        share = 1.0
+        slow: list[str] = []
+        given_up: list[str] = []
+        silent = begun = 0
+        period_s, drives = self._period_s, state in DRIVING
+        if drives:
+            self._drove_ns = now_ns
+        for edge, peer in controller.edges:
+            age = peer.age_ns(now_ns)
+            message = peer.message
+            if age is not None:
+                ages_us.append(age // 1000)
+            heard = age is not None and age <= self._horizon_ns and peer.here
+            wanted = heard and message is not None and message.following
+            if drives:
+                controller.peers.rely(peer, wanted, period_s)
+            else:
+                peer.trust = 1.0 if wanted and state is State.READY else 0.0
+            if edge.weight < BEGUN:
+                continue
+            begun += 1
+            silent += not heard
+            if not wanted and edge.weight < 1.0:
+                pass  # as ordered: it leaves, or has only just joined
+            elif not wanted:
+                given_up.append(self._why(peer, now_ns, heard=heard))
+            elif age is not None and age > self._slow_ns:
+                late = (age - self._slow_ns) / (self._horizon_ns - self._slow_ns)
+                share = min(share, 1.0 - (1.0 - SLOWEST) * late)
+                slow.append(self._why(peer, now_ns, heard=False))
+        # It slows down as it has to, and comes back to its speed as slowly as trust does.
+        self.slower = min(share, self.slower + period_s / TRUST_GAINED_S) if drives else 1.0
+        self.hold = self.degraded = ""
+        if silent and (self._all_needed or silent == begun):
+            self.hold = f"hears {'not all' if silent < begun else 'none'} of its neighbours: "
+            self.hold += ", ".join(given_up)
+        elif given_up:
+            self.degraded = f"without {', '.join(given_up)}"
+        elif slow:
+            self.degraded = f"slower: {', '.join(slow)}"
+        if drives and controller.detour.round:
+            self.degraded = self.degraded or f"on its way round {controller.detour.round}"
+        if here is not None and controller.around.fence is not None:
+            self._look_at_fence(here)
+        return ages_us
+
+    def missing(self, now_ns: int, *, started: bool) -> str:
+        """Whom the robot lacks to begin, in words: anybody before the drive, all of them once it goes on."""
+        edges = self._controller.edges
+        silent = [
+            self._why(peer, now_ns, heard=False)
+            for _, peer in edges
+            if (age := peer.age_ns(now_ns)) is None or age > self._horizon_ns or not peer.here
+        ]
+        if not silent or (started and not self._all_needed and len(silent) < len(edges)):
+            return self._changed_since(now_ns) if started else ""
+        return f"silent neighbours: {', '.join(silent)}"
+
+    def _changed_since(self, now_ns: int) -> str:
+        """Who has not been heard since the robot drove last, and is not given up yet.
+
+        What stopped this one may have stopped those, too: what they said before is no ground to predict them.
+        """
+        known = [peer for _, peer in self._controller.edges] + list(self._controller.around.close)
+        unheard = [
+            self._why(peer, now_ns, heard=False)
+            for peer in known
+            if peer.message is not None
+            and peer.time_ns - peer.clock.used_ns <= self._drove_ns
+            and now_ns + peer.clock.used_ns - peer.time_ns <= self._horizon_ns
+        ]
+        return f"not heard since it stood: {', '.join(unheard)}" if unheard else ""
+
+    def _look_at_fence(self, here: Hand) -> None:
+        around = self._controller.around
+        inside = around.fence_distance(here.x, here.y)
+        if inside < 0.0:
+            self.hold = self.hold or f"{-inside:.2f} m outside the geofence"
+        elif inside < around.warn:
+            self.degraded = self.degraded or f"{inside:.2f} m from the geofence"
+
+    def _why(self, peer: Peer, now_ns: int, *, heard: bool) -> str:
+        """A neighbour that cannot be relied on: its id, and why."""
+        if peer.ahead_ns:
+            return f"robot {peer.robot} (its clock is {peer.ahead_ns / NS_PER_S:.2f} s ahead)"
+        age = peer.age_ns(now_ns)
+        if heard:
+            return f"robot {peer.robot} (does not follow)"
+        if age is None:
+            return f"robot {peer.robot}"
+        if not peer.here and age <= self._horizon_ns:
+            return f"robot {peer.robot} (its agent is gone)"
+        return f"robot {peer.robot} ({age / NS_PER_S:.1f} s)"

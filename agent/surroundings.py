@@ -1,0 +1,118 @@
+"""What a robot must keep away from without sharing an edge with it: other robots, obstacles, the geofence.
+
+Pure. Of robots, those within the sensing region are listened to in every tick; the others' beacons say when
+they come near. Distances in m, positions in W.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from math import hypot, inf
+from typing import Final
+
+from agent.avoidance import avoidance_distance, clearance, sensing_distance
+from agent.boundaries import Boundary, fence_of, obstacles_of
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.hand import Hand
+from agent.law import DISTANCE_MIN
+from agent.peers import UNSURE_NS, Peer, Peers
+from agent.plan import Plan
+
+LOOK_PERIOD_NS: Final = NS_PER_S // 10
+"""How often it is looked who is near."""
+AHEAD_S: Final = 0.5
+"""Who comes closer is listened to so much earlier: beacons and looks take about as long."""
+FAR_M: Final = 4.0
+"""Nobody comes near from so far beyond the sensing distance between two beacons."""
+STAY_M: Final = 0.3
+"""A robot is listened to until it is so much further away than the sensing distance."""
+GHOST_NS: Final = 60 * NS_PER_S
+"""A robot without a place whose process is gone is taken to stand where it was for so long, and then to have
+been carried off."""
+
+
+class Surroundings:
+    """What lies round robot `robot`.
+
+    Attributes:
+        close: the other robots within the sensing region, neighbours left out.
+        distance: d_a.
+        clearance: how near the hand may come to an obstacle.
+        obstacles, fence: of the fleet file; the fence None without one.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, peers: Peers) -> None:
+        self._fleet = fleet
+        self._safe = fleet.formation.safe_distance_m
+        self._robot, self._peers = robot, peers
+        self.enabled: Final = fleet.avoidance.enabled
+        self.clearance: Final = clearance(fleet.avoidance.clearance_m, self._safe)
+        self.obstacles: Final[tuple[Boundary, ...]] = obstacles_of(fleet) if self.enabled else ()
+        self.fence: Final[Boundary | None] = fence_of(fleet)
+        self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
+        self.close: tuple[Peer, ...] = ()
+        self.distance = self.sensing = 0.0
+        self._due_ns = 0
+        self._places: Collection[int] = ()
+
+    def plan(self, plan: Plan) -> None:
+        """Told of the formation that holds from now on."""
+        self.distance = avoidance_distance(
+            self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
+        )
+        self.sensing = sensing_distance(self._fleet, self.distance)
+        self._places = plan.offsets
+
+    def look(self, now_ns: int, here: Hand, neighbours: Collection[int]) -> bool:
+        """Finds who is close to the own hand; True when these are others than before.
+
+        Args:
+            neighbours: robots that are listened to anyway.
+        """
+        if now_ns < self._due_ns or not self.enabled:
+            return False
+        self._due_ns = now_ns + LOOK_PERIOD_NS
+        near = []
+        gone = []
+        far = self.sensing + FAR_M
+        for peer in self._peers.known:
+            message = peer.message
+            if message is None or peer.robot in neighbours:
+                continue
+            if peer.token and not -far < message.x - here.x < far:  # most of a large fleet
+                continue
+            age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+            if not peer.token and age_ns > GHOST_NS and peer.robot not in self._places:
+                gone.append(peer.robot)
+                continue
+            ahead_s = min(1.0, max(0.0, age_ns / NS_PER_S)) if message.following else 0.0
+            dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
+            away = hypot(dx, dy)
+            if age_ns > UNSURE_NS or not peer.here:  # it may stand as well
+                away = min(away, hypot(message.x - here.x, message.y - here.y))
+            parting = (dx * (message.vx - here.vx) + dy * (message.vy - here.vy)) / max(away, DISTANCE_MIN)
+            reach = self.sensing + (STAY_M if peer in self.close else 0.0) + peer.doubt(now_ns)
+            if away + min(0.0, parting) * AHEAD_S < reach:
+                near.append(peer)
+        for robot in gone:
+            self._peers.forget(robot)
+        near.sort(key=_by_id)
+        before, self.close = self.close, tuple(near)
+        if before == self.close:
+            return False
+        for peer in before:
+            if peer not in self.close:
+                self._peers.unheard(peer.robot)
+        return True
+
+    def fence_distance(self, x: float, y: float) -> float:
+        """How far inside the geofence a point is, m, below 0 outside; inf further in than it warns."""
+        if self.fence is None:
+            return inf
+        near = self.fence.near(x, y, self.warn)
+        return near[0].distance if near else inf
+
+
+def _by_id(peer: Peer) -> int:
+    return peer.robot
