@@ -1,0 +1,167 @@
+"""One scenario driven in virtual time, and what the oracles say of it.
+
+A scenario is the text of a fleet file, with its faults and orders. Whether somebody wrote it, it was drawn
+from a seed (`deploy.chaos_draw`) or made smaller (`deploy.chaos_shrink`) makes no difference.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+import traceback
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import tomli_w
+
+from agent import keys
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolve, resolved
+from agent.messages import decode
+from deploy import oracles
+from deploy.analysis import Analysis, analyse
+from deploy.balance import caught
+from deploy.pool import Abandoned, GoOn
+from deploy.recording import Recording, RunData
+from deploy.simulation import Simulation
+from deploy.violations import Violation
+
+CRASH: Final = "crash"
+READY: Final = "ready"
+ORDERS: Final = "orders"
+"""What can be wrong beside the oracles: the program failed, the fleet did not begin, an order was refused."""
+IN_FORMATION: Final = "in formation"
+CAUGHT: Final = "at rest in another shape"
+ELSEWHERE: Final = "elsewhere"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one scenario.
+
+    Attributes:
+        violations: of oracles, in time for each; or what went wrong beside them.
+        checked: oracles that had something to look at.
+        states, transitions: how often robots came into each state, and by which row of the table.
+        limits: ticks in which the last stage changed what the law asked for.
+        ended: `IN_FORMATION`, `CAUGHT` (at rest in another shape, `deploy.balance`) or `ELSEWHERE` (on
+            the way, stopped, held up).
+        driven_s: of fleet time.
+        wall_s: real time that it took.
+    """
+
+    violations: tuple[Violation, ...] = ()
+    checked: frozenset[str] = frozenset()
+    states: Mapping[str, int] = field(default_factory=dict)
+    transitions: Mapping[str, int] = field(default_factory=dict)
+    limits: int = 0
+    ended: str = ""
+    driven_s: float = 0.0
+    wall_s: float = 0.0
+
+    @property
+    def oracles(self) -> frozenset[str]:
+        """Names of those that were violated."""
+        return frozenset(violation.oracle for violation in self.violations)
+
+
+def scenario_text(tables: Mapping[str, Any]) -> str:
+    """The fleet file of these tables, with arrays of numbers on one line."""
+    return re.sub(r"\[\s+([^\[\]{}\"]*?),?\s+\]", _on_one_line, tomli_w.dumps(tables))
+
+
+def _on_one_line(match: re.Match[str]) -> str:
+    return f"[{', '.join(match[1].replace(',', ' ').split())}]"
+
+
+def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Outcome:
+    """Drives a scenario and judges it. A program that fails is a violation.
+
+    Raises:
+        agent.fleet.FleetError: the text is not a valid fleet file.
+        Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
+    """
+    begun_s = time.perf_counter()
+    fleet = resolved(parse_fleet(text, source=source))
+    try:
+        outcome = judged(_simulate(fleet, go_on), fleet)
+    except Abandoned:
+        raise
+    except Exception as error:
+        outcome = Outcome((Violation(CRASH, 0.0, _told(error)),))
+    return replace(outcome, wall_s=time.perf_counter() - begun_s)
+
+
+def judged(recording: Recording, fleet: Fleet) -> Outcome:
+    """What a drive came to, whether of real processes or in virtual time."""
+    analysis = analyse(recording, resolve(fleet))
+    found = oracles.examine(recording, analysis, fleet)
+    beside = READY if recording.epoch_ns is None else ORDERS
+    wrong = [Violation(beside, 0.0, reason) for reason in recording.reasons]
+    states, transitions, limits = _exercised(recording)
+    return Outcome(
+        (*wrong, *(violation for each in found.values() for violation in each or ())),
+        frozenset(name for name, each in found.items() if each is not None),
+        states,
+        transitions,
+        limits,
+        _ended(analysis, fleet),
+        recording.end_s,
+    )
+
+
+def _simulate(fleet: Fleet, go_on: GoOn) -> Recording:
+    name = fleet.fleet.name
+    data = RunData(fleet, mode="simulate")
+    # No oracle looks at hand states and beacons, which are most of the messages.
+    wanted = {keys.mission(name), keys.stop(name), keys.resume(name), keys.events(name)}
+    for robot in fleet.ids:
+        wanted |= {
+            keys.plant_state(name, robot),
+            keys.plant_truth(name, robot),
+            keys.plant_links(name, robot),
+            keys.wrench(name, robot),
+            keys.status(name, robot),
+        }
+
+    def sink(received_ns: int, key: str, payload: bytes) -> None:
+        if key in wanted:
+            data.feed(received_ns, key, decode(payload))
+
+    def progress(_: float) -> bool:
+        if not go_on():
+            raise Abandoned
+        return True
+
+    simulation = Simulation(fleet, sink)
+    simulation.run(progress)
+    return data.recording(reasons=simulation.reasons)
+
+
+def _exercised(recording: Recording) -> tuple[dict[str, int], dict[str, int], int]:
+    """How often each state was come into, by which transitions, and what the last stage did."""
+    states: Counter[str] = Counter()
+    transitions: Counter[str] = Counter()
+    limits = 0
+    for robot in recording.robots.values():
+        limits += robot.status.totals().get("filtered.any", 0)
+        states.update(robot.status.states[:1])
+        for change in robot.status.changes():
+            states[change.state] += 1
+            transitions[change.row] += 1
+    return dict(states), dict(transitions), limits
+
+
+def _ended(analysis: Analysis, fleet: Fleet) -> str:
+    if analysis.counts[-1].any() and not analysis.off[-1].any():
+        return IN_FORMATION
+    return CAUGHT if caught(analysis, fleet) else ELSEWHERE
+
+
+def _told(error: Exception) -> str:
+    """An exception on one line, with the place that it comes from."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""
+    return " ".join(f"The program failed: {type(error).__name__}: {error}".split())[:300] + where

@@ -1,0 +1,58 @@
+"""Scenarios driven by real processes on this machine, in real time, one after the other."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from agent.fleet import parse_fleet
+from agent.formation import resolved
+from deploy.chaos import Outcome, judged, scenario_text
+from deploy.chaos_draw import draw, name_of
+from deploy.chaos_report import Driven
+from deploy.interrupt import Interrupt
+from deploy.live import make_view
+from deploy.local import LocalRun
+from deploy.placing import place
+from deploy.recording import Recording
+from deploy.runfolder import RunFolder
+
+
+def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Iterator[Driven]:
+    """What came of the scenarios of `seeds`, until all are done or somebody says stop.
+
+    The run of one that fails is kept below `out`, as `handfast run` leaves it but without a report.
+
+    Raises:
+        deploy.ports.NoPortsError, deploy.runfolder.FolderError, deploy.recorder.RecordingError,
+        agent.bus.BusError: as `deploy.local.LocalRun` and what it needs do.
+    """
+    for seed in seeds:
+        tables = draw(seed)
+        folder = out / f"{name_of(seed)}-run"
+        shutil.rmtree(folder, ignore_errors=True)
+        outcome = _drive(scenario_text(tables), folder, interrupt)
+        if interrupt.count:
+            return
+        if not outcome.violations:
+            shutil.rmtree(folder, ignore_errors=True)
+        yield Driven(seed, tables, outcome)
+
+
+def _drive(text: str, folder: Path, interrupt: Interrupt) -> Outcome:
+    begun_s = time.perf_counter()
+    placed = place(resolved(parse_fleet(text, source=str(folder))))
+    try:
+        kept = RunFolder(folder, placed.fleet, "run")
+        run = LocalRun(placed.fleet, kept, make_view(quiet=True), interrupt, placed.vehicles)
+        try:
+            run.run()
+        finally:
+            kept.close(run.reasons, interrupted=interrupt.count > 0)
+    finally:
+        placed.ports.close()
+    outcome = judged(Recording.from_folder(folder), placed.fleet)
+    return replace(outcome, wall_s=time.perf_counter() - begun_s)

@@ -1,0 +1,140 @@
+"""What many scenarios came to: what was drawn, what the robots went through, what was violated."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from agent.supervision import TRANSITIONS, State
+from deploy.chaos import CAUGHT, ELSEWHERE, IN_FORMATION, Outcome
+
+Tables = dict[str, Any]
+
+NOT_DRAWN: Final[Mapping[str, str]] = {
+    "numbers_failed": "the law gave a number that is none: nothing that is drawn may lead to it",
+    "rescheduled": "a mission with another epoch: an order keeps it",
+    "hold_at_start": "heartbeats always come, and no start is outside the geofence",
+    "body_released": "only a real vehicle's operator takes a body away",
+    "body_back": "only a real vehicle's operator gives a body back",
+}
+"""Transitions of supervision that no scenario can lead to, and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """One seed's scenario and what came of it; `small` is the shrunk one as tables, with its outcome."""
+
+    seed: int
+    tables: Tables
+    outcome: Outcome
+    small: tuple[Tables, Outcome] | None = None
+
+
+@dataclass
+class Tally:
+    """Sums over scenarios."""
+
+    scenarios: int = 0
+    driven_s: float = 0.0
+    limits: int = 0
+    drawn: Counter[str] = field(default_factory=Counter)
+    states: Counter[str] = field(default_factory=Counter)
+    transitions: Counter[str] = field(default_factory=Counter)
+    checked: Counter[str] = field(default_factory=Counter)
+    ended: Counter[str] = field(default_factory=Counter)
+    failed: list[Driven] = field(default_factory=list)
+
+    def add(self, driven: Driven) -> None:
+        outcome = driven.outcome
+        self.scenarios += 1
+        self.driven_s += outcome.driven_s
+        self.limits += outcome.limits
+        self.drawn.update(parts(driven.tables))
+        self.states.update(outcome.states)
+        self.transitions.update(outcome.transitions)
+        self.checked.update(outcome.checked)
+        self.ended[outcome.ended] += 1
+        if outcome.violations:
+            self.failed.append(driven)
+
+    @property
+    def violations(self) -> int:
+        return sum(len(driven.outcome.violations) for driven in self.failed)
+
+    @property
+    def missing(self) -> list[str]:
+        """Transitions that could have been and never were."""
+        return [
+            row.name for row in TRANSITIONS if row.name not in self.transitions and row.name not in NOT_DRAWN
+        ]
+
+
+def parts(tables: Tables) -> Counter[str]:
+    """How many there are of everything that can be drawn."""
+    found: Counter[str] = Counter()
+    found["robots"] = len(tables["robot"])
+    found["robots in reserve"] = sum(bool(row.get("reserve")) for row in tables["robot"])
+    found["obstacles"] = len(tables.get("obstacle", ()))
+    found["geofences"] = "geofence" in tables
+    found["dead-man's switches"] = "deadman_s" in tables.get("supervision", {})
+    for order in tables.get("order", ()):
+        found[f"order: {order['kind']}"] += 1
+    for rule in tables.get("faults", {}).get("rule", ()):
+        kind, *_ = str(rule.get("name", "rule")).split()
+        if kind == "link":
+            for effect in ("delay", "loss", "duplicate", "reorder", "corrupt", "slot"):
+                found[f"fault: {effect}"] += effect in rule
+        elif kind == "process":
+            for what in ("kill", "pause", "restart"):
+                if what in rule:
+                    found[f"fault: {what} {rule[what]}"] += 1
+        else:
+            found[f"fault: {_FAULTS.get(kind, kind)}"] += 1
+    return +found
+
+
+_FAULTS: Final = {
+    "own": "between agent and plant",
+    "clock": "clock skew or drift",
+    "jitter": "late ticks",
+    "dropout": "measurements not taken",
+    "range": "links that bear so far",
+}
+
+
+def lines(tally: Tally) -> Iterator[str]:
+    """Tables of what was drawn and of what was exercised, for people."""
+    yield "drawn:"
+    yield from _columns(sorted(tally.drawn.items()))
+    yield "judged by:"
+    yield from _columns(sorted(tally.checked.items()))
+    yield "at the end:"
+    yield from _columns([(name, tally.ended[name]) for name in (IN_FORMATION, CAUGHT, ELSEWHERE)])
+    yield "states come into:"
+    yield from _columns([(state.value, tally.states[state.value]) for state in State])
+    yield f"transitions taken (and {tally.limits} ticks in which the last stage changed the command):"
+    names = dict.fromkeys(row.name for row in TRANSITIONS)
+    yield from _columns([(name, tally.transitions[name]) for name in names if name not in NOT_DRAWN])
+    if tally.missing:
+        yield f"never taken: {', '.join(tally.missing)}"
+    for name, why in NOT_DRAWN.items():
+        yield f"  not drawn: {name} ({why})"
+
+
+def _columns(items: Sequence[tuple[str, int]], columns: int = 3) -> Iterator[str]:
+    width = max((len(name) for name, _ in items), default=0)
+    cells = [f"{name:<{width}}{count:>9}" for name, count in items]
+    rows = -(-len(cells) // columns)
+    for row in range(rows):
+        yield "  " + "    ".join(cells[row::rows]).rstrip()
+
+
+def conclusion(tally: Tally) -> str:
+    """One line: how many, what was violated, how long they drove."""
+    hours, minutes = divmod(round(tally.driven_s / 60.0), 60)
+    driving = f"{hours} h {minutes} min" if hours else f"{minutes} min"
+    scenarios = f"{tally.scenarios} scenario{'s' * (tally.scenarios != 1)}"
+    violations = f"{tally.violations} violation{'s' * (tally.violations != 1)}"
+    return f"{scenarios}, {violations}, {driving} of driving"

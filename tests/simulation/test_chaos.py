@@ -1,0 +1,75 @@
+"""Random scenarios, and those that found something once: no oracle is violated in any."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from agent import controller
+from agent.supervision import TRANSITIONS
+from deploy.chaos import drive, scenario_text
+from deploy.chaos_draw import draw
+from deploy.chaos_report import NOT_DRAWN, parts
+from deploy.chaos_shrink import shrink
+
+SEEDS = range(100)
+FOUND = sorted((Path(__file__).parent / "chaos").glob("*.toml"))
+"""Scenarios that failed, each with a comment on what they brought to light."""
+COVERING = (25, 92)
+"""Seeds of `SEEDS` that together take every transition. `handfast chaos` counts them."""
+
+
+def faults_of(text: str) -> list[str]:
+    return [f"{each.oracle}: {each.message}" for each in drive(text).violations]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_oracle_is_violated(seed: int) -> None:
+    """Again: handfast chaos --seed SEED --count 1"""
+    assert faults_of(scenario_text(draw(seed))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.stem)
+def test_what_failed_once_does_not_again(path: Path) -> None:
+    assert faults_of(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.slow
+def test_every_transition_is_taken() -> None:
+    taken: Counter[str] = Counter()
+    for seed in COVERING:
+        taken.update(drive(scenario_text(draw(seed))).transitions)
+    assert {row.name for row in TRANSITIONS} - set(taken) == set(NOT_DRAWN)
+
+
+def test_the_same_scenario_ends_the_same() -> None:
+    text = scenario_text(draw(57))
+    first, again = drive(text), drive(text)
+    assert first.driven_s > 20.0
+    assert (first.violations, first.states, first.transitions, first.limits) == (
+        again.violations,
+        again.states,
+        again.transitions,
+        again.limits,
+    )
+
+
+@pytest.mark.slow
+def test_a_fault_of_the_program_is_found_and_made_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(controller.Controller, "_keep_away", lambda *args, **options: None)
+    tables = draw(BROKEN)
+    outcome = drive(scenario_text(tables))
+    assert "separation" in outcome.oracles
+    small, again = shrink(tables, outcome, lambda: True, runs_max=60)
+    assert outcome.violations[0].oracle in again.oracles
+    assert sum(parts(small).values()) <= 4 < sum(parts(tables).values())
+    monkeypatch.undo()
+    assert faults_of(scenario_text(small)) == []
+
+
+BROKEN = 2
+"""A seed in which robots without an edge meet."""

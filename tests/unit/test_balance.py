@@ -1,0 +1,73 @@
+"""Formations at rest in another shape than their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from agent import law
+from agent.fleet import Fleet
+from agent.formation import resolve
+from deploy.analysis import Analysis, analyse
+from deploy.balance import STILL_S, caught
+from deploy.recording import RunData
+from tests.unit.synthetic_run import make_fleet, messages, standing
+
+PAIR = make_fleet([(0.0, 0.0), (2.0, 0.0)], [(1, 2)], duration_s=4.0)
+
+
+def at_rest(fleet: Fleet, apart_m: float, moving_m: float = 0.0) -> Analysis:
+    """The pair on each other's side, so far apart; the first moves so far in the last two seconds."""
+    data = RunData(fleet)
+    for sent in messages(fleet, [standing(0, 0), standing(1, 0)]):
+        data.feed(*sent)
+    a = analyse(data.recording(), resolve(fleet))
+    hands = np.empty_like(a.hands)
+    hands[:, 0] = 1.0 + 0.5 * apart_m, 0.0
+    hands[:, 1] = 1.0 - 0.5 * apart_m, 0.0
+    late = a.grid >= a.grid[-1] - STILL_S
+    hands[late, 0, 1] = np.linspace(0.0, moving_m, late.sum())
+    distances = np.hypot(*(hands[:, 0] - hands[:, 1]).T)[:, None]
+    off = np.abs(distances - a.wanted) > 0.05 * a.wanted
+    return replace(a, hands=hands, distances=distances, off=off & a.counts)
+
+
+def of_coupling(coupling: Any) -> Fleet:
+    return replace(PAIR, control=replace(PAIR.control, coupling=coupling, kp=1.0))
+
+
+def balanced(fleet: Fleet) -> float:
+    """Distance of the two at which the law's own forces are in balance there, m."""
+    control = fleet.control
+    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
+
+    def left(apart_m: float) -> float:
+        error = 0.5 * apart_m + 1.0
+        share = law.saturation(error, 0.0, control.c1, control.c2, control.max_speed_mps)
+        push = -2.0 * control.c1 * share * error
+        edge = law.edges((apart_m, 0.0), (0.0, 0.0), (push, 0.0), 2.0, fleet.formation.safe_distance_m, gains)
+        bodies = {"joint": 2, "edge": 2}.get(control.coupling)
+        if bodies is None:
+            multiplier = law.multipliers_penalty(edge, gains)
+        else:
+            multiplier = law.multipliers_edge(edge, gains)
+        return 0.5 * push + float(law.forces(edge, multiplier)[0])
+
+    return float(brentq(left, 0.25, 1.99))
+
+
+@pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
+def test_on_each_others_side_where_forces_are_in_balance(coupling: str) -> None:
+    fleet = of_coupling(coupling)
+    apart_m = balanced(fleet)
+    assert caught(at_rest(fleet, apart_m), fleet)
+    assert not caught(at_rest(fleet, apart_m, moving_m=0.2), fleet)
+    assert not caught(at_rest(fleet, 1.6 * apart_m), fleet)
+
+
+def test_in_formation_nothing_is_caught() -> None:
+    assert not caught(at_rest(PAIR, 2.0), PAIR)
