@@ -57,6 +57,7 @@ def fleet_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds FLEET and the options that change it."""
     parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
     change_arguments(parser)
+    parser.add_argument("--orders", metavar="FILE", help="add the [[order]] tables of a file")
 
 
 def change_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,7 +104,7 @@ def load(options: argparse.Namespace) -> Fleet:
 def load_unresolved(options: argparse.Namespace) -> Fleet:
     """The fleet as the options have it; raises as `load`."""
     scenario = scenario_path(options.faults) if options.faults is not None else None
-    return load_fleet(fleet_path(options.fleet), overrides(options), options.law, scenario)
+    return load_fleet(fleet_path(options.fleet), overrides(options), options.law, scenario, options.orders)
 
 
 def fleet_text(path: Path, scenario: Path | None = None) -> str:

@@ -21,6 +21,8 @@ from agent.fleet_sections import Robot
 from agent.formation import FormationError, Geometry
 from agent.trajectory import make_trajectory
 from deploy.check_faults import check_faults
+from deploy.check_orders import check_orders
+from deploy.check_safety import check_safety, start_points
 from deploy.check_vehicles import check_vehicles
 from deploy.finding import Finding
 from deploy.stability import (
@@ -72,9 +74,11 @@ def check(fleet: Fleet) -> list[Finding]:
         if float(geometry.distances.min(initial=inf)) > fleet.formation.safe_distance_m:
             findings += _law(fleet, geometry)
             findings += _loop(fleet, geometry)
+        findings += check_orders(fleet, geometry)
     findings += _gains(fleet)
     findings += _motion(fleet, geometry)
     findings += _noise(fleet)
+    findings += check_safety(fleet, geometry)
     findings += check_vehicles(fleet)
     findings += check_faults(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])
@@ -96,10 +100,9 @@ def _structure(fleet: Fleet) -> Iterator[Finding]:
         make_trajectory(fleet.trajectory)
     except ValueError as error:
         yield Finding("error", "trajectory", str(error).removeprefix("trajectory."))
-    n = len(fleet.robots)
-    parts = formation.components(n, edges)
+    parts = formation.components(len(fleet.members), edges)
     if len(parts) > 1:
-        ids = [[fleet.robots[k].id for k in part] for part in parts]
+        ids = [[fleet.members[k].id for k in part] for part in parts]
         shown = ", ".join("{" + some(part) + "}" for part in ids[:NAMES_SHOWN])
         more = f" and {len(ids) - NAMES_SHOWN} more" if len(ids) > NAMES_SHOWN else ""
         yield Finding(
@@ -157,6 +160,7 @@ def _shape(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
                 f"small errors excite; take at most {SAFE_SHARE * least:.3g} m, or longer edges",
             )
     joined = {frozenset(edge) for edge in edges.tolist()}
+    both = "they cannot both stand there" if fleet.avoidance.enabled else "no constraint keeps them apart"
     for i, j, apart in _closer(offsets, safe):
         if frozenset((i, j)) in joined:
             continue
@@ -164,8 +168,7 @@ def _shape(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             "error",
             "formation.offsets" if fleet.formation.offsets is not None else "formation.distance_m",
             f"robots {ids[i]} and {ids[j]} share no edge and their places are {apart:.3g} m apart, below the "
-            f"safe distance {safe:.4g} m: no constraint keeps them apart; move the places or join them by "
-            "an edge",
+            f"safe distance {safe:.4g} m: {both}; move the places or join them by an edge",
         )
     if fleet.formation.offsets is None and len(distances):
         lengths = formation.edge_lengths(offsets, edges)
@@ -213,10 +216,10 @@ def _rigidity(geometry: Geometry) -> Iterator[Finding]:
 def _starts(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     """Hand points at the start that are closer than the safe distance."""
     safe = fleet.formation.safe_distance_m
-    joined = {frozenset(edge) for edge in geometry.edges.tolist()}
-    for i, j, apart in _closer(formation.start_hands(fleet), safe):
-        edge = frozenset((i, j)) in joined
-        a, b = geometry.ids[i], geometry.ids[j]
+    joined = {frozenset((geometry.ids[i], geometry.ids[j])) for i, j in geometry.edges.tolist()}
+    for i, j, apart in _closer(start_points(fleet), safe):
+        a, b = fleet.ids[i], fleet.ids[j]
+        edge = frozenset((a, b)) in joined
         where = f"robots {a} and {b} start with their hand points {apart:.3g} m apart"
         if edge:
             yield Finding(
@@ -227,11 +230,16 @@ def _starts(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
                 "hand_offset_m ahead)",
             )
         else:
+            parted = (
+                "and avoidance has to part them first"
+                if fleet.avoidance.enabled
+                else "so the law does not part them"
+            )
             yield Finding(
                 "warning",
                 f"robot[{j + 1}]",
-                f"{where}, less than the safe distance {safe:.4g} m; they share no edge, so the law does not "
-                "part them: move one of them",
+                f"{where}, less than the safe distance {safe:.4g} m; they share no edge, {parted}: move one "
+                "of them",
             )
 
 
@@ -264,7 +272,7 @@ def _law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
 
 def _gains(fleet: Fleet) -> Iterator[Finding]:
-    control, n = fleet.control, len(fleet.robots)
+    control, n = fleet.control, len(fleet.members)
     if control.coupling == "edge" and n > 2:
         name = "the paper's law" if control.kp == 0.0 else 'the law edge by edge (coupling = "edge")'
         yield Finding(
@@ -532,7 +540,8 @@ def _bodies(fleet: Fleet, geometry: Geometry | None, speed: float, acceleration:
 def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
     """Greatest speed (m/s) that navigation alone gives each robot from its start to its place, (n,).
 
-    From rest at the distance e0: e0 w exp(-z acos(z) / sqrt(1 - z^2)) with w^2 = c1, 2 z w = c2.
+    From rest at the distance e0: e0 w exp(-z acos(z) / sqrt(1 - z^2)) with w^2 = c1, 2 z w = c2; 0 for robots
+    in reserve.
     """
     if geometry is None:
         return np.zeros(len(fleet.robots))
@@ -548,7 +557,8 @@ def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
         share = exp(-1.0)
     else:
         share = 1.0 / (2.0 * damping)  # overdamped: the speed is about c1 e / c2, never above it
-    speeds: Floats = away * natural * share
+    speeds = np.zeros(len(fleet.robots))
+    speeds[[fleet.index(robot) for robot in geometry.ids]] = away * natural * share
     return speeds
 
 

@@ -17,8 +17,8 @@ from agent.faults import FaultPlan, LinkEffects
 from agent.fleet import Fleet
 from agent.impairments import Delay, Loss
 from agent.messages import HandState, encode
-from agent.neighbours import FUTURE_NS_MAX
 from agent.node import FIRST_ROUND
+from agent.peers import FUTURE_NS_MAX
 from deploy.fault_times import windows
 from deploy.fault_words import acts_on_links, words
 from deploy.finding import Finding, Level
@@ -54,7 +54,7 @@ def check_faults(fleet: Fleet) -> Iterator[Finding]:
         id(rule): _Rule(rule, f"faults.rule[{number}]", windows(rule, end))
         for number, rule in enumerate(plan.file_rules(), 1)
     }
-    links = list(links_of(fleet))
+    links = list(links_of(fleet.ids, fleet.formation.edges))
     for link in links:
         for timed in plan.rules_of_link(*link).rules:
             known = rules[id(timed.rule)]
@@ -123,7 +123,10 @@ def _nowhere(rules: Sequence[_Rule]) -> Iterator[Finding]:
             continue
         where = "link" if rule.link is not None else "partition" if rule.partition is not None else "robot"
         if rule.topic == "hand":
-            why = "no edge of the formation joins these robots, so no message goes from one to the other"
+            why = (
+                "no edge of the formation joins these robots, so it acts on their beacons; on hand states "
+                "only while they are near each other, or once an order joins them"
+            )
         else:
             why = (
                 f"{rule.topic} is between a robot's agent and its own plant: write robot = ... or a link "
@@ -260,7 +263,7 @@ def _deaf(effects: LinkEffects, distance: float | None) -> str:
 
 def _start_distances(fleet: Fleet) -> Mapping[tuple[int, int], float]:
     """Distance of the hand points at the start, m, by the robots of each edge both ways."""
-    hands = dict(zip(fleet.ids, formation.start_hands(fleet), strict=True))
+    hands = dict(zip((robot.id for robot in fleet.members), formation.start_hands(fleet), strict=True))
     out = {}
     for i, j in fleet.formation.edges:
         if i in hands and j in hands:
@@ -274,7 +277,8 @@ def _late(fleet: Fleet, rules: Sequence[_Rule]) -> Iterator[Finding]:
     bears = {
         "hand": (
             control.prediction_horizon_s, "control.prediction_horizon_s",
-            "a robot that hears nothing newer of a neighbour holds (brakes)",
+            "a robot that hears nothing newer of a neighbour "
+            + ("holds (brakes)" if fleet.supervision.silence == "hold" else "drives on without that edge"),
         ),
         "state": (
             control.plant_timeout_s, "control.plant_timeout_s",
@@ -353,7 +357,7 @@ def _crowded(fleet: Fleet, each: _Rule) -> Iterator[Finding]:
     degree = max(sum(robot in edge for edge in fleet.formation.edges) for robot in fleet.ids)
     ids = fleet.ids[:degree]
     multipliers, heard = tuple((robot, 1.0) for robot in ids), tuple((robot, 20_000) for robot in ids)
-    hand = HandState(fleet.ids[0], FIRST_ROUND, 2**60, True, *(0.1,) * 8, multipliers, ())
+    hand = HandState(fleet.ids[0], FIRST_ROUND, 2**60, True, degree, *(0.1,) * 8, multipliers, ())
     with_echo, without = len(encode(hand._replace(heard=heard))), len(encode(hand))
     size = (with_echo + (HEARD_ROUNDS - 1) * without) / HEARD_ROUNDS
     needed = 8.0 * size * fleet.fleet.rate_hz

@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, FleetError
 from deploy import (
+    chaos_command,
     faults_command,
+    heartbeat_command,
     new_command,
+    orders_command,
     preflight_command,
     resume_command,
     signing_command,
+    stop_command,
     sweep_command,
 )
 from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
@@ -95,10 +99,14 @@ def _parser() -> argparse.ArgumentParser:
     sub = add("check", _check, "say what the fleet will do and all that is wrong with it")
     fleet_arguments(sub)
     preflight_command.add_parser(commands)
+    stop_command.add_parser(commands)
     resume_command.add_parser(commands)
+    orders_command.add_parser(commands)
+    heartbeat_command.add_parser(commands)
+    faults_command.add_parser(commands)
     signing_command.add_parser(commands)
     sweep_command.add_parser(commands)
-    faults_command.add_parser(commands)
+    chaos_command.add_parser(commands)
     # Its options are its own: `main` hands them on before they are looked at here.
     commands.add_parser(ROVER_SIMULATOR, help="an ArduPilot Rover to try bridges with, over UDP and TCP")
     sub = add("report", _report, "rebuild figures, metrics and report of a run from its recording")
@@ -190,9 +198,13 @@ def _simulate(options: argparse.Namespace) -> int:
             if message is not None:
                 watch.feed(key, message)
 
+        told = 0
+
         def progress(time_s: float) -> bool:
-            for sentence in watch.news(time_s):
+            nonlocal told
+            for sentence in [*watch.news(time_s), *simulation.reasons[told:]]:
                 view.say(sentence)
+            told = len(simulation.reasons)
             view.show(watch.picture(time_s))
             return interrupt.count == 0
 

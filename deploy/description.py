@@ -9,11 +9,14 @@ from typing import Final
 import numpy as np
 
 from agent import formation, trajectory
+from agent.avoidance import clearance, sensing_distance
+from agent.boundaries import obstacles_of
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.fleet_sections import SIMULATOR, ControlSection
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
+from deploy.check_safety import parting
 from deploy.fault_words import defaults, described, words
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.wording import robots, some
@@ -26,11 +29,11 @@ def describe(fleet: Fleet) -> str:
 
     For a fleet that cannot be resolved it says what it can; `check` says why.
     """
-    n, edges = len(fleet.robots), len(fleet.formation.edges)
+    n, edges = len(fleet.members), len(fleet.formation.edges)
     about = f": {fleet.fleet.description}" if fleet.fleet.description else ""
     lines = [f"{fleet.fleet.name}{about}"]
     lines.append(
-        f"  {n} robot{'s' * (n != 1)} ({some([robot.id for robot in fleet.robots])}), {edges} "
+        f"  {n} robot{'s' * (n != 1)} ({some([robot.id for robot in fleet.members])}), {edges} "
         f"edge{'s' * (edges != 1)}, {fleet.fleet.rate_hz:g} Hz for {fleet.fleet.duration_s:g} s, "
         f"seed {fleet.fleet.seed}"
     )
@@ -44,6 +47,7 @@ def describe(fleet: Fleet) -> str:
     lines.append(f"  law: {_describe_law(fleet.control)}")
     lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
     lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
+    lines += [f"  {line}" for line in _describe_safety(fleet, geometry)]
     lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines.append(f"  network: {fleet.network.address}, ports from {fleet.network.base_port} up")
@@ -104,6 +108,38 @@ def _describe_trajectory(fleet: Fleet) -> str:
         f"{max((leg.speed for leg in legs), default=0.0):.3g} m/s, corners passed within {max(cuts):.2g} m, "
         f"at rest after {trajectory.duration(section):.4g} s"
     )
+
+
+def _describe_safety(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
+    reserve = [robot.id for robot in fleet.robots if robot.reserve]
+    if reserve:
+        stand = "stand" if len(reserve) > 1 else "stands"
+        yield f"reserve: {robots(reserve)} {stand} by, without a place, until an order to join"
+    settings, obstacles = fleet.avoidance, [obstacle.name for obstacle in obstacles_of(fleet)]
+    if not settings.enabled:
+        yield "avoidance: off: only edges keep robots apart"
+    elif len(fleet.robots) > 1:
+        distance, _ = parting(fleet, geometry)
+        yield (
+            f"avoidance: robots without an edge part below {distance:.3g} m, and listen to each other "
+            f"closely below {sensing_distance(fleet, distance):.3g} m"
+        )
+    if obstacles:
+        keep = clearance(settings.clearance_m, fleet.formation.safe_distance_m)
+        kept = f", kept {keep:.3g} m away from" if settings.enabled else ", not kept away from"
+        yield f"obstacle{'s' * (len(obstacles) > 1)}: {some(obstacles)}{kept}"
+    if fleet.geofence is not None:
+        xs, ys = zip(*fleet.geofence.points_m, strict=True)
+        yield (
+            f"geofence: {len(xs)} corners, x from {min(xs):.4g} to {max(xs):.4g} m, y from {min(ys):.4g} to "
+            f"{max(ys):.4g} m; robots are pushed back from {fleet.geofence.warn_m:.3g} m inside of it, and "
+            "hold outside"
+        )
+    if fleet.supervision.deadman_s is not None:
+        yield (
+            "dead-man's switch: robots hold when no operator's heartbeat has come for "
+            f"{fleet.supervision.deadman_s:.3g} s"
+        )
 
 
 def _describe_vehicles(fleet: Fleet) -> Iterator[str]:

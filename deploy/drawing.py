@@ -6,16 +6,24 @@ which colour-blind readers tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle as RoundPatch
+from matplotlib.patches import Patch
+from matplotlib.patches import Polygon as CornerPatch
+from numpy.typing import NDArray
 
+from agent.boundaries import Circle, Polygon
 from deploy.recorder import RecordingError
+
+Floats = NDArray[np.float64]
 
 PALETTE: Final = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",
@@ -90,3 +98,61 @@ def note(axes: Axes, text: str) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
+
+
+# --- what stands in the way ----------------------------------------------------------------------
+
+_OBSTACLE: Final = "#D3D3D3"
+DASHED: Final = (0, (6, 3))
+
+
+def view(low: Floats, high: Floats, ground: Sequence[Circle | Polygon]) -> tuple[Floats, Floats]:
+    """Corners (x, y) of the ground to show: all paths, from `low` to `high`, and what lies by them.
+
+    An obstacle half as far away as the paths are wide, or a fence as far away, would only make them small.
+    """
+    span = max(float((high - low).max()), 0.5)
+    shown_low, shown_high = low, high
+    for boundary in ground:
+        least, most = _box(boundary)
+        is_fence = isinstance(boundary, Polygon) and boundary.inside
+        reach = span if is_fence else 0.5 * span
+        is_by = (least > low - reach).all() and (most < high + reach).all()
+        if is_by:
+            shown_low, shown_high = np.minimum(shown_low, least), np.maximum(shown_high, most)
+    return shown_low, shown_high
+
+
+def _box(boundary: Circle | Polygon) -> tuple[Floats, Floats]:
+    if isinstance(boundary, Circle):
+        centre = np.array([boundary.x, boundary.y])
+        return centre - boundary.radius, centre + boundary.radius
+    points = np.array(boundary.points)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def draw_boundary(axes: Axes, boundary: Circle | Polygon) -> None:
+    """An obstacle as a grey area with its name, a fence as a dashed line."""
+    if isinstance(boundary, Polygon) and boundary.inside:
+        axes.add_patch(
+            CornerPatch(
+                boundary.points, fill=False, edgecolor=RED, linewidth=1.1, linestyle=DASHED, zorder=1.6
+            )
+        )
+        return
+    patch: Patch
+    if isinstance(boundary, Circle):
+        patch = RoundPatch((boundary.x, boundary.y), boundary.radius)
+        top = boundary.x, boundary.y + boundary.radius
+    else:
+        patch = CornerPatch(boundary.points)
+        points = np.array(boundary.points)
+        x, y = points[points[:, 1] == points[:, 1].max()].mean(axis=0).tolist()
+        top = x, y
+    patch.set(facecolor=_OBSTACLE, edgecolor=GREY, linewidth=0.8, zorder=1.5)
+    axes.add_patch(patch)
+    axes.annotate(
+        boundary.name, top, xytext=(0, 2), textcoords="offset points", ha="center", va="bottom",
+        fontsize=7, color=INK, zorder=9, annotation_clip=True, parse_math=False,
+        bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.6},
+    )  # fmt: skip

@@ -1,8 +1,8 @@
 """A run as tables for other programs: CSV, Parquet or JSON.
 
 One file per table, tidy: one row per robot (or edge) and time, units in the names of the columns. JSON
-is an array of records, one on each line. What is not known (a robot that sent nothing) is empty in
-CSV, null elsewhere.
+is an array of records, one on each line. What is not known (a robot that sent nothing), or not wanted
+(an edge that was not in force), is empty in CSV, null elsewhere.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from agent.formation import resolve
 from agent.messages import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
+from deploy.analysis import analyse
 from deploy.link_data import LinkTable
-from deploy.metrics import MESSAGES, analyse
+from deploy.metrics import MESSAGES
 from deploy.recorder import RecordingError
 from deploy.recording import Recording
 from deploy.run_tables import StatusTable, Table
@@ -37,7 +38,7 @@ _PLANT: Final = {
     "obeying": "obeying",
 }  # fmt: skip
 _HAND: Final = {
-    "following": "following", "x_m": "x", "y_m": "y", "vx_mps": "vx", "vy_mps": "vy",
+    "following": "following", "degree": "degree", "x_m": "x", "y_m": "y", "vx_mps": "vx", "vy_mps": "vy",
     "navigation_x_mps2": "navigation_x", "navigation_y_mps2": "navigation_y",
     "constraint_x_mps2": "constraint_x", "constraint_y_mps2": "constraint_y",
 }  # fmt: skip
@@ -95,7 +96,8 @@ def tabulate(recording: Recording) -> dict[str, Columns]:
         "distances": _distances(recording),
         "statuses": _statuses([(robot.id, robot.status) for robot in robots]),
     }
-    tables["multipliers"]["neighbour"] = np.asarray(tables["multipliers"]["neighbour"]).astype(np.int64)
+    for table, column in (("multipliers", "neighbour"), ("hands", "degree")):
+        tables[table][column] = np.asarray(tables[table][column]).astype(np.int64)
     if len(recording.links):
         tables["links"] = _links(recording.links)
     if any(len(robot.truth) for robot in robots):
@@ -123,7 +125,7 @@ def _distances(recording: Recording) -> Columns:
         "edge_i": np.tile(ids[a.edges[:, 0]], times),
         "edge_j": np.tile(ids[a.edges[:, 1]], times),
         "distance_m": a.distances.ravel(),
-        "wanted_m": np.tile(a.wanted, times),
+        "wanted_m": a.wanted.ravel(),
     }
 
 
@@ -148,7 +150,10 @@ def _statuses(parts: Sequence[tuple[int, StatusTable]]) -> Columns:
         "t_s": np.concatenate([table.t for _, table in parts]),
         "robot": np.concatenate([np.full(len(table), robot, dtype=np.int64) for robot, table in parts]),
         "state": [state for _, table in parts for state in table.states],
+        "transition": [row for _, table in parts for row in table.transitions],
         "reason": [reason for _, table in parts for reason in table.reasons],
+        "mission_version": np.concatenate([table.mission_versions for _, table in parts]),
+        "order_version": np.concatenate([table.order_versions for _, table in parts]),
     }
     for name in _COUNTS:
         columns[name] = np.array(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import getpass
-import os
-import socket
 from typing import Final
 
 from agent import keys
 from agent.fleet import Fleet
-from agent.messages import AUTHOR_MAX, Faults, Message, PlantState, encode
+from agent.messages import Faults, Message, PlantState, encode
 from agent.node import FIRST_ROUND
+from deploy.author import author
 from deploy.live_faults import Held, Receiver
 from deploy.session import Session
 
@@ -31,7 +29,7 @@ class FaultsSession(Session):
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
         name = fleet.fleet.name
-        self.author: Final = _author()
+        self.author: Final = author()
         self.held = Held(fleet)
         self.epoch_ns: int | None = None
         self._version = 0
@@ -60,14 +58,3 @@ class FaultsSession(Session):
         elif type(message) is PlantState and message.sequence >= FIRST_ROUND:
             rounds = message.sequence - FIRST_ROUND
             self.epoch_ns = message.time_ns - rounds * self.fleet.period_ns
-
-
-def _author() -> str:
-    """Who this is: ``user@host:pid``."""
-    try:
-        user = getpass.getuser()
-    except (OSError, KeyError):  # an id without a name
-        user = str(os.getuid())
-    text = f"{user}@{socket.gethostname()}"
-    pid = f":{os.getpid()}"
-    return "".join(c if c.isprintable() else "?" for c in text)[: AUTHOR_MAX - len(pid)] + pid

@@ -5,6 +5,7 @@ With more robots than colours, numbers and envelopes do the work.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from os import PathLike
@@ -16,9 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from agent.boundaries import fence_of, obstacles_of
 from agent.fleet import Fleet
 from deploy import link_figures
+from deploy.analysis import Analysis
 from deploy.drawing import (
+    DASHED,
     DOTTED,
     GREY,
     INK,
@@ -26,17 +30,20 @@ from deploy.drawing import (
     PALETTE,
     RED,
     SECOND_ROUND,
+    draw_boundary,
     new_figure,
     note,
     nth_color,
+    view,
     write,
 )
 from deploy.fault_strip import time_axes
 from deploy.link_data import Floats
-from deploy.metrics import Analysis
 from deploy.recording import Recording
 from deploy.stability import SETTLED
 
+_NOTE_MAX: Final = 60
+"""Characters of a note that are drawn."""
 NAMES: Final = ("trajectories", "distances", "forces", "timing")
 """Pictures of every run; `deploy.link_figures.NAME` comes with links that are worth one."""
 
@@ -50,7 +57,7 @@ def write_figures(
         RecordingError: when one cannot be written.
     """
     drawings: dict[str, Callable[[], Figure]] = {
-        "trajectories": partial(trajectories, recording, analysis),
+        "trajectories": partial(trajectories, recording, fleet, analysis),
         "distances": partial(distances, recording, fleet, analysis),
         "forces": partial(forces, recording),
         "timing": partial(timing, recording),
@@ -67,12 +74,16 @@ def write_figures(
 # --- trajectories ----------------------------------------------------------------------------
 
 
-def trajectories(recording: Recording, a: Analysis) -> Figure:
-    """The paper's Fig. 3: paths, desired ones dotted, starts as circles, the formation at several times."""
+def trajectories(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
+    """The paper's Fig. 3: paths, desired ones dotted, starts as circles, the formation at several times.
+
+    With what the fleet file puts in the way: obstacles grey, the geofence dashed.
+    """
+    ground = [*obstacles_of(fleet), *([fence] if (fence := fence_of(fleet)) is not None else [])]
     few = len(recording.ids) <= LEGEND_MAX
     everything = np.concatenate([a.hands.reshape(-1, 2), a.desired.reshape(-1, 2)])
     everything = everything[np.isfinite(everything).all(axis=1)]
-    low, high = everything.min(axis=0), everything.max(axis=0)
+    low, high = view(everything.min(axis=0), everything.max(axis=0), ground)
     margin = 0.06 * max(float((high - low).max()), 0.5)
     low, high = low - margin, high + margin
     span_x, span_y = high - low
@@ -84,6 +95,8 @@ def trajectories(recording: Recording, a: Analysis) -> Figure:
     axes.set_ylim(low[1], high[1])
     axes.set_xlabel("x, east (m)")
     axes.set_ylabel("y, north (m)")
+    for boundary in ground:
+        draw_boundary(axes, boundary)
     moments = _moments(a)
     for shade, k in zip(np.linspace(0.25, 1.0, len(moments)), moments, strict=True):
         _draw_formation(axes, a, k, float(shade), few)
@@ -98,6 +111,8 @@ def trajectories(recording: Recording, a: Analysis) -> Figure:
     axes.plot([], [], linestyle=DOTTED, color=GREY, linewidth=1.2, label="desired path")
     axes.plot([], [], "o", markerfacecolor="white", markeredgecolor=INK, markersize=6, label="start")
     axes.plot([], [], "o-", color=INK, linewidth=1.2, markersize=4, label="formation at the time given")
+    if fleet.geofence is not None:
+        axes.plot([], [], color=RED, linewidth=1.1, linestyle=DASHED, label="geofence")
     figure.legend(loc="outside upper left", ncols=4, columnspacing=1.2, handlelength=1.8)
     return figure
 
@@ -110,9 +125,9 @@ def _moments(a: Analysis) -> list[int]:
     last = len(a.grid) - 1
     if last == 0:
         return [0]
-    centre = a.desired.mean(axis=1)
+    centre = np.nanmean(a.desired, axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(centre, axis=0).T))])
-    size = float(np.ptp(a.desired[0], axis=0).max()) or 1.0
+    size = float(np.ptp(a.desired[0][np.isfinite(a.desired[0, :, 0])], axis=0).max()) or 1.0
     for between in (3, 2, 1):
         rows = np.searchsorted(travelled, np.linspace(0, travelled[-1], between + 2))
         places = centre[rows]
@@ -129,7 +144,8 @@ def _moments(a: Analysis) -> list[int]:
 
 def _draw_formation(axes: Axes, a: Analysis, k: int, shade: float, few: bool) -> None:
     places = a.hands[k]
-    lines = [places[edge] for edge in a.edges if np.isfinite(places[edge]).all()]
+    in_force = a.edges[np.isfinite(a.wanted[k])]
+    lines = [places[edge] for edge in in_force if np.isfinite(places[edge]).all()]
     color = str(0.82 * (1.0 - shade) + 0.1)
     width = (1.3 if few else 0.7) * (0.7 if k == 0 else 1.0)
     style = (0, (4, 3)) if k == 0 else "solid"
@@ -157,7 +173,7 @@ def _aside(a: Analysis, places: Floats) -> Floats:
 
     On a straight way that is to its side (the lower one), else away from the middle of all that is drawn.
     """
-    centre = a.desired.mean(axis=1)
+    centre = np.nanmean(a.desired, axis=1)
     course = centre[-1] - centre[0]
     length = float(np.hypot(*course))
     if length > 0.9 * float(np.hypot(*np.diff(centre, axis=0).T).sum()) and length > 1e-3:
@@ -193,7 +209,9 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
     axes.set_ylabel("distance between hand points (m)")
     safe = fleet.formation.safe_distance_m
     few = len(a.edges) <= LEGEND_MAX
-    wanted = np.unique(np.round(a.wanted, 6))
+    lengths = np.where(np.isfinite(a.wanted), a.distances, np.nan)  # while the edge is in force
+    wanted = np.unique(np.round(a.wanted[[0, -1]], 6))
+    wanted = wanted[np.isfinite(wanted)]
     for value in wanted if len(wanted) <= 4 else []:
         axes.axhspan(value * (1 - SETTLED), value * (1 + SETTLED), color="#009E73", alpha=0.13, linewidth=0)
         axes.axhline(value, color="#00664B", linewidth=0.8, linestyle=(0, (6, 3)))
@@ -203,12 +221,12 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
         for index, (i, j) in enumerate(a.edges.tolist()):
             style = "solid" if index < len(PALETTE) else SECOND_ROUND
             label = f"{recording.ids[i]}–{recording.ids[j]}"
-            values = a.distances[:, index]
+            values = lengths[:, index]
             axes.plot(a.grid, values, color=nth_color(index), linewidth=1.3, linestyle=style, label=label)
     else:
-        _draw_many(axes, a.grid, a.distances, "edge")
+        _draw_many(axes, a.grid, lengths, "edge")
     axes.axhline(safe, color=RED, linewidth=1.3, linestyle=(0, (5, 3)))
-    finite = a.distances[np.isfinite(a.distances)]
+    finite = lengths[np.isfinite(lengths)]
     greatest = [1.08 * float(values.max()) for values in (finite, 1.06 * wanted) if values.size]
     top = max([2 * safe, *greatest])
     axes.set_ylim(0.0, top)
@@ -220,7 +238,8 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
             xytext=(-4 if left else 4, -2), textcoords="offset points", ha="right" if left else "left",
             va="top", fontsize=8,
         )  # fmt: skip
-    least = _mark_minimum(axes, recording.ids, a, safe) if finite.size else 0.0
+    _mark_changes(axes, a)
+    least = _mark_minimum(axes, recording.ids, a, lengths, safe) if finite.size else 0.0
     left = least > 0.54 * end
     axes.annotate(
         f"safe distance {safe:g} m", (0.0 if left else 1.0, safe), xycoords=("axes fraction", "data"),
@@ -236,10 +255,24 @@ def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
     return figure
 
 
-def _mark_minimum(axes: Axes, ids: Sequence[int], a: Analysis, safe: float) -> float:
-    """Mark the closest approach of any edge; returns its time."""
-    k, column = np.unravel_index(int(np.nanargmin(a.distances)), a.distances.shape)
-    value, t, end = float(a.distances[k, column]), float(a.grid[k]), float(a.grid[-1])
+def _mark_changes(axes: Axes, a: Analysis) -> None:
+    """A line where another mission began to hold, with what it changed."""
+    for number, (change, _) in enumerate(a.changes):
+        axes.axvline(change.t_s, color=PALETTE[0], linewidth=0.9, linestyle=(0, (4, 2)), zorder=1.6)
+        left = change.t_s > 0.6 * float(a.grid[-1])
+        text = change.note if len(change.note) <= _NOTE_MAX else f"{change.note[: _NOTE_MAX - 3]}..."
+        axes.annotate(
+            text, (change.t_s, 0.94 - 0.05 * (number % 4)), xycoords=("data", "axes fraction"),
+            xytext=(-3 if left else 3, 0), textcoords="offset points", ha="right" if left else "left",
+            va="top", fontsize=7, color=PALETTE[0], zorder=7,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7},
+        )  # fmt: skip
+
+
+def _mark_minimum(axes: Axes, ids: Sequence[int], a: Analysis, lengths: Floats, safe: float) -> float:
+    """Mark the closest approach of any edge, `lengths` (k, m) while in force; returns its time."""
+    k, column = np.unravel_index(int(np.nanargmin(lengths)), lengths.shape)
+    value, t, end = float(lengths[k, column]), float(a.grid[k]), float(a.grid[-1])
     i, j = (ids[index] for index in a.edges[column])
     axes.plot(t, value, "v", color=INK, markersize=5, zorder=6, clip_on=False)
     # Written below the safe distance, where no line should be.
@@ -258,17 +291,21 @@ def _mark_minimum(axes: Axes, ids: Sequence[int], a: Analysis, safe: float) -> f
 
 def _draw_many(axes: Axes, t: Floats, values: Floats, what: str) -> None:
     """Many lines over the same times: thin ones, their envelope and their median. values: (k, m)."""
-    known = values[:, np.isfinite(values).all(axis=0)]
+    known = values[:, np.isfinite(values).any(axis=0)]
     if not known.shape[1]:
         return
+    least, greatest = np.fmin.reduce(known, axis=1), np.fmax.reduce(known, axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # there may be times without any: no line there
+        median = np.nanmedian(known, axis=1)
     color = PALETTE[0]
-    axes.fill_between(t, known.min(axis=1), known.max(axis=1), color=color, alpha=0.10, linewidth=0)
+    axes.fill_between(t, least, greatest, color=color, alpha=0.10, linewidth=0)
     segments = [np.column_stack([t, known[:, index]]) for index in range(known.shape[1])]
     axes.add_collection(LineCollection(segments, colors=color, linewidths=0.4, alpha=0.35))
-    axes.plot(t, known.min(axis=1), color=color, linewidth=0.9)
+    axes.plot(t, least, color=color, linewidth=0.9)
     label = f"least and greatest of {known.shape[1]} {what}s"
-    axes.plot(t, known.max(axis=1), color=color, linewidth=0.9, label=label)
-    axes.plot(t, np.median(known, axis=1), color=INK, linewidth=1.3, label="median")
+    axes.plot(t, greatest, color=color, linewidth=0.9, label=label)
+    axes.plot(t, median, color=INK, linewidth=1.3, label="median")
 
 
 # --- forces ----------------------------------------------------------------------------------

@@ -13,9 +13,11 @@ from collections.abc import Iterator
 from math import cos, sin
 from typing import Any, Final
 
+from agent.course import Course
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import PlantState
+from agent.messages import Mission, PlantState
+from agent.plan import PlanError, plan_of
 
 PERIOD_NS: Final = 100_000_000
 WORLD: Final = "world"
@@ -123,14 +125,22 @@ class Scene:
 
     def __init__(self, fleet: Fleet) -> None:
         self._offset = {robot.id: robot.hand_offset_m for robot in fleet.robots}
-        geometry = resolve(fleet)  # not the file's edges: slots may be assigned
-        self._edges = [(geometry.ids[i], geometry.ids[j]) for i, j in geometry.edges.tolist()]
+        self._fleet, self._geometry = fleet, resolve(fleet)
+        self._course = Course(fleet, self._geometry)
         prefix = fleet.fleet.name
         self._shapes, self._poses, self._lines = (
             f"{prefix}/foxglove/{name}" for name in ("robots", "poses", "edges")
         )
         self._latest: dict[int, PlantState] = {}
         self._next_ns: int | None = None
+
+    def take(self, mission: Mission) -> None:
+        """Takes a mission: from its time on the edges are its own. One that cannot be driven is left out."""
+        try:
+            plan = plan_of(mission, self._fleet, self._geometry)
+        except PlanError:
+            return
+        self._course.take(plan)
 
     def update(self, now_ns: int, state: PlantState) -> Iterator[tuple[str, str, bytes]]:
         """Take one pose, if it may be used; yields (key, schema name, JSON) when a picture is due.
@@ -193,7 +203,13 @@ class Scene:
             }
             for robot, state in self._latest.items()
         }
-        points = [hands[end] for edge in self._edges if edge[0] in hands and edge[1] in hands for end in edge]
+        points = [
+            hands[end]
+            for robot in hands
+            for edge in self._course.edges(robot, now_ns)
+            if robot < edge.other and edge.other in hands
+            for end in (robot, edge.other)
+        ]
         line = {
             "type": 2, "pose": _pose(0.0, 0.0, 0.0), "thickness": 2.0, "scale_invariant": True,
             "points": points, "color": _EDGE, "colors": [], "indices": [],

@@ -3,23 +3,29 @@
 Decisions are functions of the seed, the link and the message's number and stamp (`agent.links`). So a
 recording proves itself: its fleet file, the live rules that each process said it held, and the messages
 as they were sent give every decision again, by the code that made them. What depends on more is not checked:
-queues of a rate limit (sizes of messages) and range channels (where the receiver thought it was).
+queues of a rate limit (sizes of messages), range channels (where the receiver thought it was), and slots
+before a receiver knew the epoch.
+
+A robot listens to the hand states of its neighbours, and of whoever is near it for as long as that is so.
+What it decided on is checked for all of them; that a message came to no decision is told of neighbours
+alone. Beacons, a few a second from all to all, are not recorded for this.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from agent.clock import NS_PER_S
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
 from agent.links import TRACE_PERIOD_NS, Links
 from agent.messages import HELD, OVERFLOW, TOPICS, Faults, Wrench
+from deploy.analysis import Analysis
 from deploy.fault_words import gives_link_effects
 from deploy.link_data import Link, LinkTable
 from deploy.recording import LiveFaults, Recording
@@ -31,7 +37,11 @@ _CHANGE_NS: Final = 3 * NS_PER_S // 10
 _AWAY_NS: Final = 2 * NS_PER_S
 """So long after it was started a process may not know the mission and the live rules yet."""
 _FAR_NS: Final = 2**62
+_BEGUN_S: Final = 0.5
+"""So near to where an edge comes or goes a robot may not listen to that neighbour."""
 
+_Spans = tuple[tuple[float, float], ...]
+_ALWAYS: Final[_Spans] = ((-inf, inf),)
 _Copies = tuple[tuple[int, int], ...]
 """(what, delay_us) of each copy of one message."""
 
@@ -60,8 +70,8 @@ class AuditResult:
     decided: with a recorded decision; of these `agreeing` and `differing` were made again, `unchecked` depend
     on more than the recording holds, and of `unrecorded`, sent during the drive, the message itself is not in
     it.
-    unheard: sent during the drive under a rule, but without a decision: they never reached the
-    receiver (the network lost them, or it was not there).
+    unheard: sent during the drive under a rule, by a neighbour or a plant, but without a decision: they
+    never reached the receiver (the network lost them, or it was not there).
     """
 
     decided: int = 0
@@ -73,8 +83,12 @@ class AuditResult:
     differences: list[Difference] = field(default_factory=list)
 
 
-def audit(recording: Recording) -> AuditResult:
-    """Makes every recorded decision again and compares."""
+def audit(recording: Recording, a: Analysis) -> AuditResult:
+    """Makes every recorded decision again and compares.
+
+    Args:
+        a: of the recording; it says who shared an edge when.
+    """
     result = AuditResult()
     if not len(recording.links) and not _has_rules(recording):
         return result
@@ -82,13 +96,21 @@ def audit(recording: Recording) -> AuditResult:
     for link, rows in recording.links.by_link():
         by_receiver.setdefault(_receiver(link), {})[link] = rows
     plain = _plan(recording, ())
-    for (robot, role), links in _incoming(recording.fleet).items():
-        # What a trace names that is no link of the fleet is nobody's message.
+    neighbours = _neighbours(a)
+    expected: dict[tuple[int, str], list[Link]] = {}
+    for link in links_of(recording.ids, neighbours):
+        expected.setdefault(_receiver(link), []).append(link)
+    for (robot, role), links in expected.items():
         recorded = by_receiver.pop((robot, role), {})
         node = _Node(recording, robot, role, plain)
         for link in links:
-            node.check(link, recorded.pop(link, None), result)
-        for rows in recorded.values():
+            spans = neighbours[_pair(link)] if link.topic == "hand" else _ALWAYS
+            node.check(link, recorded.pop(link, None), spans, result)
+        for link, rows in recorded.items():
+            if link.topic == "hand" and link.source != link.destination:
+                node.check(link, rows, (), result)
+                continue
+            # What else a trace names is nobody's message.
             messages = int(rows.first_copies.sum())
             result.decided += messages
             result.unrecorded += messages
@@ -104,22 +126,37 @@ def _receiver(link: Link) -> tuple[int, str]:
     return link.destination, "plant" if link.topic == "wrench" else "agent"
 
 
-def _incoming(fleet: Fleet) -> Mapping[tuple[int, str], list[Link]]:
-    """The links that end at each process."""
-    links: dict[tuple[int, str], list[Link]] = {}
-    for link in links_of(fleet):
-        links.setdefault(_receiver(link), []).append(link)
-    return links
-
-
-def links_of(fleet: Fleet) -> Iterator[Link]:
-    """Every link of a fleet: both ways along each edge, and between each agent and its plant."""
-    for i, j in fleet.formation.edges:
+def links_of(ids: Iterable[int], edges: Iterable[tuple[int, int]]) -> Iterator[Link]:
+    """Every link that a fleet with these edges always has: both ways along each edge, and between each agent
+    and its plant."""
+    for i, j in edges:
         yield Link(i, j, "hand")
         yield Link(j, i, "hand")
-    for robot in fleet.ids:
+    for robot in ids:
         yield Link(robot, robot, "state")
         yield Link(robot, robot, "wrench")
+
+
+def _pair(link: Link) -> tuple[int, int]:
+    return min(link.source, link.destination), max(link.source, link.destination)
+
+
+def _neighbours(a: Analysis) -> dict[tuple[int, int], _Spans]:
+    """Fleet times (s) in which pairs of robots, the lesser id first, were neighbours for certain."""
+    found = {}
+    times = a.grid.tolist()
+    for (i, j), wanted in zip(a.edges.tolist(), a.wanted.T, strict=True):
+        steps = np.diff(np.isfinite(wanted).astype(np.int8), prepend=0, append=0)
+        spans = []
+        for first, end in zip(
+            np.flatnonzero(steps > 0).tolist(), np.flatnonzero(steps < 0).tolist(), strict=True
+        ):
+            start_s = times[first] + _BEGUN_S if first else -inf
+            end_s = times[end - 1] - _BEGUN_S if end < len(times) else inf
+            spans.append((start_s, end_s))
+        one, other = a.ids[i], a.ids[j]
+        found[min(one, other), max(one, other)] = tuple(spans)
+    return found
 
 
 def _plan(recording: Recording, live: Sequence[Faults]) -> FaultPlan:
@@ -138,6 +175,7 @@ class _Node:
     def __init__(self, recording: Recording, robot: int, role: str, plain: FaultPlan) -> None:
         self._recording, self._robot = recording, robot
         self._epoch_ns = recording.epoch_ns or 0
+        self._told_ns = min((mission.time_ns for mission in recording.missions), default=0) + _CHANGE_NS
         held = [each for each in recording.live_faults if (each.robot, each.role) == (robot, role)]
         self._changes, self._plans = _timeline(recording, held, plain)
         self._away_ns = list(_away(recording, robot, role))
@@ -147,8 +185,8 @@ class _Node:
         last_ns = round(float(said[-1]) * NS_PER_S) + self._epoch_ns if len(said) else 0
         self._known_ns = last_ns - TRACE_PERIOD_NS - 2 * recording.fleet.period_ns
 
-    def check(self, link: Link, rows: LinkTable | None, result: AuditResult) -> None:
-        """Adds what became of the messages of one link."""
+    def check(self, link: Link, rows: LinkTable | None, heard: _Spans, result: AuditResult) -> None:
+        """Adds what became of the messages of one link; all must have come in the times `heard` (s)."""
         recorded: dict[int, _Copies] = {}
         if rows is not None:
             for stamp, what, delay_us in zip(
@@ -166,11 +204,13 @@ class _Node:
         expected, beyond = self._decide(link, stamps, sequences, times.tolist())
         drive_ns = self._epoch_ns + round(self._recording.end_s * NS_PER_S)
         result.decided += len(recorded)
+        last_ns = min(drive_ns, self._known_ns)
         for stamp, sequence, time_ns in zip(stamps, sequences, times.tolist(), strict=True):
             found, wanted = recorded.pop(stamp, None), expected.get(stamp)
             if found is None:
-                known = self._epoch_ns <= time_ns <= min(drive_ns, self._known_ns)
-                result.unheard += wanted is not None and known and not self._unclear(time_ns)
+                known = wanted is not None and self._epoch_ns <= time_ns <= last_ns
+                if known and self._within(time_ns, heard) and not self._unclear(time_ns):
+                    result.unheard += 1
             elif stamp in beyond:
                 result.unchecked += 1
             elif wanted is not None and _same(found, wanted):
@@ -205,13 +245,15 @@ class _Node:
             rules = plan.rules_of_link(link.source, link.destination, link.topic)
             if rules.idle:
                 continue
-            more = any({"rate", "range"} & effects.keys() for _, effects in rules.asked())
+            more = any({"rate", "range", "slot"} & effects.keys() for _, effects in rules.asked())
             links = Links(plan, self._robot, {link.topic: (link.source,)})
             for k in part:
                 stamp = stamps[k]
                 if more and rules.replayed(sequences[k]) is None:
                     effects = rules.effects(stamp)
-                    if effects.rate is not None or effects.range is not None:
+                    # Slots count from the epoch, as soon as the receiver is told of it.
+                    slotted = effects.slot is not None and times[k] < self._told_ns
+                    if slotted or effects.rate is not None or effects.range is not None:
                         beyond.add(stamp)
                 links.due(stamp)
                 links.take("", b"\0", topic, Wrench(link.source, sequences[k], stamp, 0.0, 0.0, False))
@@ -220,6 +262,10 @@ class _Node:
                 for _, _, _, stamp, what, delay_us in trace.entries:
                     expected[stamp] = (*expected.get(stamp, ()), (what, delay_us))
         return expected, beyond
+
+    def _within(self, time_ns: int, spans: _Spans) -> bool:
+        t = (time_ns - self._epoch_ns) / NS_PER_S
+        return any(start_s <= t <= end_s for start_s, end_s in spans)
 
     def _unclear(self, time_ns: int) -> bool:
         """Whether the process changed its rules, or was not all there, when this message came."""

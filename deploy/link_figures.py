@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -52,8 +53,9 @@ def links(recording: Recording) -> Figure:
     if top > 0.45 * horizon:
         age_axes.axhline(horizon, color=RED, linewidth=1.2, linestyle=(0, (5, 3)))
         age_axes.annotate(
-            "prediction horizon: beyond it robots hold", (1.0, horizon), xycoords=("axes fraction", "data"),
-            xytext=(-2, -3), textcoords="offset points", color=RED, fontsize=8, ha="right", va="top",
+            "prediction horizon: beyond it no edge is relied on", (1.0, horizon),
+            xycoords=("axes fraction", "data"), xytext=(-2, -3), textcoords="offset points", color=RED,
+            fontsize=8, ha="right", va="top",
         )  # fmt: skip
         top = max(top, horizon)
     age_axes.set_ylim(0.0, 1.1 * top)
@@ -107,16 +109,32 @@ _LINES: Final = (PALETTE[1], PALETTE[0], PALETTE[3], PALETTE[7])
 
 
 def _lost(recording: Recording, end: float) -> tuple[Floats, Floats] | None:
-    """Edges of bins (s) and the share of messages between agents that was lost on purpose in each, %."""
+    """Edges of bins (s) and the share of messages between neighbours that was lost on purpose in each, %."""
+    begins, graphs = _graphs(recording)
+    ever = {pair for graph in graphs for i, j in graph for pair in ((i, j), (j, i))}
     rows = recording.links
     rows = rows[(rows.topic == 0) & rows.first_copies & (rows.t >= 0.0) & (rows.t <= end)]
+    pairs = zip(rows.source.tolist(), rows.destination.tolist(), strict=True)
+    rows = rows[np.fromiter((pair in ever for pair in pairs), np.bool_, len(rows))]
     if not rows.count(LOST):
         return None
     bins = np.linspace(0.0, end, max(int(min(end / 0.5, _BINS)), 1) + 1)
-    links = len(recording.fleet.formation.edges) * 2
+    middles = 0.5 * (bins[1:] + bins[:-1])
+    counts = np.array([2 * len(graph) for graph in graphs])
+    links = counts[np.maximum(np.searchsorted(begins, middles, side="right") - 1, 0)]
     gone, _ = np.histogram(rows.t[(rows.what & LOST) != 0], bins)
-    sent = recording.fleet.fleet.rate_hz * np.diff(bins) * links
+    sent = recording.fleet.fleet.rate_hz * np.diff(bins) * np.maximum(links, 1)
     return bins, np.minimum(100.0 * gone / sent, 100.0)
+
+
+def _graphs(recording: Recording) -> tuple[list[float], list[set[tuple[int, int]]]]:
+    """The edges of the missions one after the other, and from when (fleet time, s) on each holds."""
+    begins, graphs = [-inf], [set(recording.fleet.formation.edges)]
+    for mission in sorted(recording.missions, key=lambda mission: mission.version):
+        if mission.robots:
+            begins.append(recording.fleet_time_s(mission.from_ns))
+            graphs.append({(i, j) for i, j, _ in mission.edges})
+    return begins, graphs
 
 
 def _draw_lost(axes: Axes, bins: Floats, share: Floats) -> None:

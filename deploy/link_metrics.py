@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from agent.fault_settings import ACTION_FIELDS, Rule
 from agent.faults import FaultPlan, link_effects
 from agent.messages import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
+from deploy.analysis import Analysis
 from deploy.fault_times import LiveSet, live_sets, windows
 from deploy.fault_words import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.link_audit import audit, links_of
@@ -24,9 +25,9 @@ Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]
 """By (source, destination): fleet times of the receiver's ticks (s) and the age of what it had then (ms)."""
 
 
-def describe_links(recording: Recording) -> dict[str, Any]:
+def describe_links(recording: Recording, a: Analysis) -> dict[str, Any]:
     """What ``metrics.json`` says of links: `links`, `injected`, `links_audit` and `clock_offsets`."""
-    found = audit(recording)
+    found = audit(recording, a)
     age = ages(recording)
     asked = _Asked(recording)
     return {
@@ -140,9 +141,8 @@ class _Asked:
             parts.append(effects_text(effects) + (f" ({rule.name}, {when(rule)})" if rule else ""))
         return "; ".join(parts)
 
-    def touched(self) -> Iterator[tuple[LiveSet | None, Rule, list[Link]]]:
-        """Every rule with effects on links, the live set that it is of, and the fleet's links it is for."""
-        every = list(links_of(self._fleet))
+    def touched(self, every: Collection[Link]) -> Iterator[tuple[LiveSet | None, Rule, list[Link]]]:
+        """Every rule with effects on links, the live set that it is of, and the links that it is for."""
         sources: list[tuple[LiveSet | None, FaultPlan, Sequence[Rule]]] = [
             (None, self._plan, self._plan.file_rules()),
             *((held, plan, held.rules) for held, plan in self._live),
@@ -283,7 +283,7 @@ def clock_warnings(recording: Recording, offsets: list[dict[str, Any]]) -> list[
 # --- what is not as it should be -------------------------------------------------------------------
 
 
-def idle_rules(recording: Recording) -> list[str]:
+def idle_rules(recording: Recording, a: Analysis) -> list[str]:
     """One sentence for each rule that did nothing in the run, and why."""
     out = []
     times = {link: rows.t for link, rows in recording.links.by_link()}
@@ -295,11 +295,19 @@ def idle_rules(recording: Recording) -> list[str]:
         and not any(link.topic == "hand" for link in times)
     ):
         out.append(f"What [faults] gives every link ({effects_text(link_effects(section))}) met no message.")
-    for held, rule, links in _Asked(recording).touched():
+    edges = [(a.ids[i], a.ids[j]) for i, j in a.edges.tolist()]
+    # Who is near is listened to as well.
+    every = dict.fromkeys([*links_of(recording.ids, edges), *times])
+    for held, rule, links in _Asked(recording).touched(every):
         start, end = (0.0, end_s) if held is None else (held.origin_s, min(held.end_s, end_s))
         times_held = [(start + first, start + last) for first, last in windows(rule, end - start)]
         told = f"Rule '{rule.name}'" + (f" of {held.message.author}" if held is not None else "")
-        if not links:
+        if not links and rule.topic in ("hand", "all"):
+            out.append(
+                f"{told} ({words(rule)}) met no hand state: no edge joined these robots, and they were not "
+                "near each other. What it did to beacons is not recorded."
+            )
+        elif not links:
             out.append(f"{told} ({words(rule)}) is for no link of this fleet: no message goes there.")
         elif not times_held:
             what = "the drive" if end == end_s else "its set"

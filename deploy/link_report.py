@@ -15,7 +15,7 @@ ROWS_MAX: Final = 40
 _CAPTION: Final = (
     "How old a neighbour's state was when the law used it, as its receiver reckons it: the band holds nine "
     "of ten links, the lines are those of the links that were oldest on average. Below, the share of all "
-    "messages between agents that was lost on purpose. Above, the faults and when they held."
+    "messages between neighbours that was lost on purpose. Above, the faults and when they held."
 )
 _COLUMNS: Final = (
     ("Link", ""), ("Lost", "n"), ("Delay mean / 95 % / max (ms)", "n"), ("Twice", "n"), ("Damaged", "n"),
@@ -58,7 +58,8 @@ def _total(injected: Mapping[str, Any]) -> str:
         parts.append(
             f"the others were made to wait {delay['mean']:.1f} ms on average, {delay['max']:.0f} at most"
         )
-    return f"Of {shown(injected['decided'])} messages under fault rules " + _series(parts) + "."
+    told = f"Of {shown(injected['decided'])} messages under fault rules, beacons left out, "
+    return told + _series(parts) + "."
 
 
 def _series(parts: Sequence[str]) -> str:

@@ -7,11 +7,10 @@ import termios
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from math import isinf
+from math import hypot, isinf
 from types import TracebackType
 from typing import Any, Final, Protocol, TextIO, TypeVar
 
-import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
@@ -20,24 +19,28 @@ from rich.text import Text
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.course import Course
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.formation import Geometry
-from agent.messages import Faults, HandState, Message, Status
+from agent.messages import Faults, HandState, Message, Mission, Resume, Status, Stop
 from agent.supervision import State
 from deploy.fault_words import defaults, held, lasts, words
 from deploy.live_faults import Held, shown
+from deploy.news import News
+from deploy.operating import Known
 
 STYLES: Final = {
     State.RUNNING.value: "green",
-    State.HOLDING.value: "yellow",
+    State.DEGRADED.value: "yellow",
+    State.HOLDING.value: "bold yellow",
     State.RELEASED.value: "bold yellow",
+    State.STOPPING.value: "cyan",
+    State.STOPPED.value: "cyan",
     State.FAULT.value: "bold red",
+    State.STANDBY.value: "dim",
     State.WAITING.value: "dim",
 }
-BACK: Final = (State.READY.value, State.RUNNING.value, State.HOLDING.value)
-"""States of a robot that its operator has given back. One whose plant was lost meanwhile is not, as yet."""
-OVER: Final = (State.STOPPING.value, State.STOPPED.value)
 ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
@@ -85,22 +88,20 @@ class RobotPicture:
 
 
 class Watch:
-    """Keeps the latest hand state and status of every robot; `picture` sums them up."""
+    """Keeps the latest hand state and status of every robot: `picture` sums up, `news` says what changed."""
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
-        self._fleet, self._geometry = fleet, geometry
+        self._fleet = fleet
+        self._course = Course(fleet, geometry)
+        self._known = Known(fleet, geometry)
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
+        self._news = News(fleet)
         self._rules = [rule for rule in FaultPlan(fleet).file_rules() if lasts(rule)]
         everywhere = defaults(fleet.faults)
         self._always = () if everywhere is None else (words(everywhere),)
         self._held = Held(fleet)
         self._epoch_ns: int | None = None
-        self._released: set[int] = set()
-
-    def begin(self, epoch_ns: int) -> None:
-        """Told of the mission: live faults, which count in wall time, are shown from now on."""
-        self._epoch_ns = epoch_ns
 
     def feed(self, key: str, message: Message) -> None:
         """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
@@ -108,53 +109,51 @@ class Watch:
         if type(message) is HandState and key == keys.hand(name, message.robot):
             _keep_newest(self.hands, message)
         elif type(message) is Status and key == keys.status(name, message.robot):
-            _keep_newest(self.statuses, message)
+            if _keep_newest(self.statuses, message):
+                self._news.state(message.robot, message.state, message.reason)
         elif type(message) is Faults:
             self._held.feed(key, message)
+        elif type(message) is Mission or type(message) is Stop or type(message) is Resume:
+            self._follow(key, message)
+
+    def _follow(self, key: str, message: Mission | Stop | Resume) -> None:
+        if self._known.hear(key, message):
+            self._news.order(message)
+            if type(message) is Mission and self._known.plan is not None:
+                self._course.take(self._known.plan)
+                self._epoch_ns = message.epoch_ns
 
     def news(self, time_s: float | None) -> list[str]:
-        """Sentences for the robots that their operators took, or that drive again, since the last call."""
-        at = "" if time_s is None else f"{time_s:.1f} s: "
-        out = []
-        for robot, status in self.statuses.items():
-            if status.state == State.RELEASED.value and robot not in self._released:
-                self._released.add(robot)
-                out.append(f"{at}robot {robot} is released: {status.reason}")
-            elif status.state in BACK and robot in self._released:
-                self._released.discard(robot)
-                out.append(f"{at}robot {robot} is back: {status.state}")
-            elif status.state in OVER:
-                self._released.discard(robot)
-        return out
+        """Sentences for what was ordered and which robots changed their state since the last call."""
+        return self._news.sentences(time_s)
 
     def states(self) -> dict[int, str]:
         """Every robot's state, "" of one that has said nothing yet."""
         return {
-            robot: self.statuses[robot].state if robot in self.statuses else ""
-            for robot in self._geometry.ids
+            robot: self.statuses[robot].state if robot in self.statuses else "" for robot in self._fleet.ids
         }
 
     def picture(self, time_s: float | None) -> Picture:
         """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
-        ids = self._geometry.ids
-        points = np.array(
-            [self.hands[robot][4:6] if robot in self.hands else (np.nan, np.nan) for robot in ids]
-        )
-        i, j = self._geometry.edges.T
-        distances = np.hypot(*(points[i] - points[j]).T)
-        errors = np.abs(distances - self._geometry.distances)
-        by_robot = np.full(len(ids), -1.0)
-        known = np.where(np.isfinite(errors), errors, -1.0)
-        np.maximum.at(by_robot, i, known)
-        np.maximum.at(by_robot, j, known)
         picture = Picture(time_s, self._fleet.fleet.duration_s, faults=self._faults(time_s))
-        if np.isfinite(distances).any():
-            near, far = int(np.nanargmin(distances)), int(np.nanargmax(errors))
-            picture.nearest = float(distances[near]), ids[i[near]], ids[j[near]]
-            picture.worst = float(errors[far]), ids[i[far]], ids[j[far]]
+        known = time_s is not None and self._epoch_ns is not None
+        now_ns = (self._epoch_ns or 0) + round((time_s or 0.0) * NS_PER_S) if known else 0
+        errors: dict[int, float] = {}
+        for robot, here in self.hands.items():
+            for edge in self._course.edges(robot, now_ns):
+                there = self.hands.get(edge.other)
+                if there is None or edge.weight < 1.0:
+                    continue
+                distance = hypot(here.x - there.x, here.y - there.y)
+                error = abs(distance - edge.distance)
+                errors[robot] = max(error, errors.get(robot, 0.0))
+                pair = min(robot, edge.other), max(robot, edge.other)
+                if picture.nearest is None or distance < picture.nearest[0]:
+                    picture.nearest = distance, *pair
+                if picture.worst is None or error > picture.worst[0]:
+                    picture.worst = error, *pair
         picture.robots = {
-            robot: self._robot(self.statuses.get(robot), float(by_robot[index]))
-            for index, robot in enumerate(ids)
+            robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }
         return picture
 
@@ -167,7 +166,7 @@ class Watch:
             out += shown(self._held.sets(now_ns), now_ns)
         return out
 
-    def _robot(self, status: Status | None, error: float) -> RobotPicture:
+    def _robot(self, status: Status | None, error: float | None) -> RobotPicture:
         if status is None:
             return RobotPicture("", "nothing heard yet", None, 0.0, None, 0)
         limit_us = self._fleet.control.clock_skew_max_s * 1e6
@@ -180,7 +179,7 @@ class Watch:
         return RobotPicture(
             status.state,
             status.reason,
-            error if error >= 0.0 else None,
+            error,
             max((neighbour[1] for neighbour in status.neighbours), default=0) / 1e3,
             max(status.tick_us, default=None),
             dict(status.counters).get("overruns", 0),
@@ -191,9 +190,12 @@ class Watch:
 S = TypeVar("S", HandState, Status)
 
 
-def _keep_newest(known: dict[int, S], message: S) -> None:
-    if message.robot not in known or message.time_ns > known[message.robot].time_ns:
-        known[message.robot] = message
+def _keep_newest(known: dict[int, S], message: S) -> bool:
+    """Whether the message is newer than the one that was known, whose place it then takes."""
+    if message.robot in known and message.time_ns <= known[message.robot].time_ns:
+        return False
+    known[message.robot] = message
+    return True
 
 
 class View(Protocol):

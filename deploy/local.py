@@ -4,32 +4,40 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from operator import itemgetter
 from typing import Final
 
 from agent import keys
 from agent.bus import Bus, Presence
 from agent.clock import NS_PER_S, RealClock
 from agent.faults import FaultPlan
-from agent.fleet import Fleet, digest
+from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.hand import Pose
-from agent.messages import Event, Message, Mission, PlantState, Stop, encode
-from agent.node import FIRST_ROUND, next_tick_ns
-from agent.supervision import State
+from agent.messages import Ask, Event, Heartbeat, Message, PlantState, encode
+from agent.node import next_tick_ns
+from agent.order_sections import OrderSection
+from agent.orders import OrderError
+from deploy.author import author
 from deploy.interrupt import Interrupt
 from deploy.live import View, Watch, fleet_time_s
+from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
 from deploy.placing import Vehicle
 from deploy.process_faults import WORDS, Action, actions
 from deploy.processes import Processes
-from deploy.readiness import in_words, waits
+from deploy.readiness import in_words, is_ready, stands, waits
 from deploy.registry import Registration
 from deploy.runfolder import RunFolder
 from deploy.vehicle_checks import VehicleChecks
 
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
-MISSION_PERIOD_NS: Final = NS_PER_S // 2
+AGAIN_PERIOD_NS: Final = NS_PER_S // 2
+"""How often something is said again that a process has not heard."""
+ORDER_LATE_NS: Final = NS_PER_S // 2
+"""An order of the fleet file counts as given at its time, as in a simulation, unless that is so long ago."""
 EPOCH_AHEAD_NS: Final = NS_PER_S // 2
 """The mission is out this long before the epoch: every agent has it by then."""
 READY_TIMEOUT_S: Final = 10.0
@@ -38,6 +46,8 @@ VEHICLES_TIMEOUT_S: Final = 120.0
 """So long for vehicles: one that was just switched on takes 40 s, and its operator has to arm it."""
 WAITS_PERIOD_S: Final = 5.0
 """How often it is said what is waited for."""
+STOP_AGAIN_S: Final = 0.25
+"""A status comes five times a second: who has not told of a stop by then may not have heard it."""
 STOP_TIMEOUT_S: Final = 2.0
 INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
 VEHICLES_STOP_TIMEOUT_S: Final = 4.0
@@ -65,7 +75,9 @@ class LocalRun:
     ) -> None:
         self._fleet, self._folder, self._view, self._interrupt = fleet, folder, view, interrupt
         self._clock = RealClock()
-        self._watch = Watch(fleet, resolve(fleet))
+        geometry = resolve(fleet)
+        self._watch = Watch(fleet, geometry)
+        self._operator = Operator(fleet, geometry)
         self._vehicles = vehicles
         self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles)
         self._checks = VehicleChecks(fleet)
@@ -73,12 +85,13 @@ class LocalRun:
         """The latest state of each plant that is up."""
         self._truths: dict[int, PlantState] = {}
         """Where each simulated body really was last, for those that measure with noise."""
-        self._todo: list[Action] = []
-        """What rules will do to processes, the next one last."""
+        self._todo: list[tuple[float, Callable[[], None]]] = []
+        """What rules will do to processes and what the fleet file orders, with its fleet time (s), the next
+        one last."""
         self._events = 0
         self._epoch_ns: int | None = None
-        self._version = 0
-        self._show_due_ns = 0
+        self._show_due_ns = self._heartbeat_due_ns = 0
+        self._author = author()
         self.reasons: list[str] = []
 
     def run(self) -> None:
@@ -117,7 +130,7 @@ class LocalRun:
 
     def _operate(self, bus: Bus) -> None:
         name = self._fleet.fleet.name
-        for key in (keys.mission(name), keys.stop(name)):
+        for key in self._operator.keys.values():
             bus.declare(key)
         bus.subscribe(keys.everything(name), RECORDER_INBOX)
         presence = bus.watch(keys.alive(name, "*", "*"))
@@ -151,7 +164,7 @@ class LocalRun:
             if refusals:
                 self._fail(f"Not started: {'; '.join(refusals)}.")
                 return False
-            ready = all(state == State.READY.value for state in self._watch.states().values())
+            ready = all(map(is_ready, self._watch.states().values()))
             if alive and ready and self._checks.complete(now_ns):
                 for warning in self._checks.warnings():
                     self._view.say(f"warning: {warning}")
@@ -174,34 +187,48 @@ class LocalRun:
     def _drive(self, bus: Bus) -> None:
         period_ns = self._fleet.period_ns
         duration_ns = round(self._fleet.fleet.duration_s * NS_PER_S)
-        self._epoch_ns = next_tick_ns(self._clock.now_ns() + EPOCH_AHEAD_NS, period_ns, 0)
-        self._version = self._epoch_ns // 1_000_000
-        self._watch.begin(self._epoch_ns)
-        rules = FaultPlan(self._fleet).file_rules()
-        self._todo = actions(rules, self._fleet.ids, self._fleet.fleet.duration_s)[::-1]
+        now_ns = self._clock.now_ns()
+        self._epoch_ns = next_tick_ns(now_ns + EPOCH_AHEAD_NS, period_ns, 0)
+        self._plan(bus)
+        self._say(bus, self._operator.begin(now_ns, self._epoch_ns, duration_ns))
         end_ns = self._epoch_ns + duration_ns
-        due_ns = 0
-        while self._clock.now_ns() < end_ns:
-            now_ns = self._clock.now_ns()
-            if now_ns >= due_ns and self._mission_is_wanted():
+        due_ns, ask_due_ns = now_ns + AGAIN_PERIOD_NS, now_ns
+        while (now_ns := self._clock.now_ns()) < end_ns:
+            if now_ns >= due_ns:
                 # Said again until all have it: a process that starts again needs it too.
-                due_ns = now_ns + MISSION_PERIOD_NS
-                mission = Mission(self._version, now_ns, self._epoch_ns, duration_ns, digest(self._fleet))
-                bus.publish(keys.mission(self._fleet.fleet.name), encode(mission))
+                due_ns = now_ns + AGAIN_PERIOD_NS
+                for message in self._operator.wanted(self._watch.statuses, self._states, self._processes.up):
+                    self._say(bus, message)
+            if self._operator.behind and now_ns >= ask_due_ns:
+                # Another operator has given an order: its own messages do not come here, agents tell it.
+                ask_due_ns = now_ns + AGAIN_PERIOD_NS
+                self._say(bus, Ask(now_ns, self._author))
             if not self._step(bus):
                 return
         self._show()  # how it ended, whenever the last look was
 
-    def _mission_is_wanted(self) -> bool:
-        """Whether a process has said that it lacks the mission, or nothing since it started again."""
-        if any(status.mission_version != self._version for status in self._watch.statuses.values()):
-            return True
-        # A plant says so by its numbers: they count from the epoch as soon as it knows it.
-        return any(
-            self._processes.up(robot, "plant")
-            and (robot not in self._states or self._states[robot].sequence < FIRST_ROUND)
-            for robot in self._fleet.ids
-        )
+    def _plan(self, bus: Bus) -> None:
+        """Notes what is to be done at which time; of one time, what rules do comes first."""
+        rules = FaultPlan(self._fleet).file_rules()
+        todo: list[tuple[float, Callable[[], None]]] = [
+            (action.time_s, partial(self._carry_out, action))
+            for action in actions(rules, self._fleet.ids, self._fleet.fleet.duration_s)
+        ]
+        todo += [(order.at, partial(self._give, bus, order)) for order in self._fleet.orders]
+        self._todo = sorted(todo, key=itemgetter(0))[::-1]
+
+    def _give(self, bus: Bus, order: OrderSection) -> None:
+        """Carries out an order of the fleet file; one that cannot be is a reason for the verdict."""
+        assert self._epoch_ns is not None
+        now_ns, due_ns = self._clock.now_ns(), self._epoch_ns + round(order.at * NS_PER_S)
+        try:
+            given_ns = due_ns if now_ns - due_ns < ORDER_LATE_NS else now_ns
+            self._say(bus, self._operator.give(order, given_ns))
+        except OrderError as error:
+            self._fail(refused(order, error))
+
+    def _say(self, bus: Bus, message: Order | Heartbeat | Ask) -> None:
+        bus.publish(*self._operator.outgoing(message))
 
     def _stop(self, bus: Bus) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
@@ -212,20 +239,23 @@ class LocalRun:
         timeout_s = INTERRUPT_STOP_TIMEOUT_S if hurried else STOP_TIMEOUT_S
         if self._checks.robots:
             timeout_s = VEHICLES_STOP_TIMEOUT_S
-        deadline = time.monotonic() + timeout_s
         why = "interrupted" if hurried else "; ".join(self.reasons) or "the run is over"
-        now_ns = self._clock.now_ns()
-        stop = Stop(max(self._version, now_ns // 1_000_000), now_ns, why[:100])
-        bus.publish(keys.stop(self._fleet.fleet.name), encode(stop))
-        still = (State.STOPPED.value, State.FAULT.value)
+        stop = self._operator.order_stop(self._clock.now_ns(), why)
+        self._say(bus, stop)
+        begun = time.monotonic()
+        again = begun + STOP_AGAIN_S
         waiting = [
             robot for robot in self._fleet.ids if all(self._processes.up(robot, role) for role in keys.ROLES)
         ]
-        while time.monotonic() < deadline and self._interrupt.count < 2:
+        while (now := time.monotonic()) < begun + timeout_s and self._interrupt.count < 2:
             self._collect(bus)
-            states = self._watch.states()
-            if all(states[robot] in still for robot in waiting):
+            statuses = self._watch.statuses
+            if all(stands(statuses.get(robot), self._states.get(robot)) for robot in waiting):
                 break
+            if now >= again:
+                again = now + STOP_AGAIN_S
+                if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
+                    self._say(bus, stop)
             time.sleep(POLL_S / 2)
         self._collect(bus)
 
@@ -238,9 +268,13 @@ class LocalRun:
         for sentence in self._watch.news(fleet_time_s(self._clock.now_ns(), self._epoch_ns)):
             self._view.say(sentence)
         while self._until_next_s() <= 0.0:
-            self._carry_out(self._todo.pop())
+            _, do = self._todo.pop()
+            do()
             self._collect(bus)
         now_ns = self._clock.now_ns()
+        if self._beats and now_ns >= self._heartbeat_due_ns:
+            self._heartbeat_due_ns = now_ns + HEARTBEAT_PERIOD_NS
+            self._say(bus, Heartbeat(now_ns, self._author))
         if now_ns >= self._show_due_ns:
             self._show_due_ns = now_ns + SHOW_PERIOD_NS
             self._show()
@@ -255,6 +289,7 @@ class LocalRun:
             message = self._folder.record(now_ns, key, payload)
             if message is not None:
                 self._watch.feed(key, message)
+                self._operator.hear(key, message)
                 self._checks.feed(now_ns, key, message)
                 self._locate(key, message)
 
@@ -279,11 +314,16 @@ class LocalRun:
 
     # ------------------------------------------------------------------ what rules do to processes
 
+    @property
+    def _beats(self) -> bool:
+        """Whether robots need this operator's heartbeat."""
+        return self._fleet.supervision.deadman_s is not None
+
     def _until_next_s(self) -> float:
-        """Time until the next action of a rule, s."""
+        """Time until something is to be done, s."""
         if not self._todo or self._epoch_ns is None:
             return float("inf")
-        return self._todo[-1].time_s - (self._clock.now_ns() - self._epoch_ns) / NS_PER_S
+        return self._todo[-1][0] - (self._clock.now_ns() - self._epoch_ns) / NS_PER_S
 
     def _carry_out(self, action: Action) -> None:
         robot, role = action.robot, action.role

@@ -16,10 +16,13 @@ from typing import Any, Final, NamedTuple, get_type_hints
 
 from agent.messages import (
     TOPICS,
+    Ask,
+    Beacon,
     Checks,
     Event,
     Faults,
     HandState,
+    Heartbeat,
     LinkTrace,
     Message,
     Mission,
@@ -32,7 +35,8 @@ from agent.messages import (
 from agent.node import FIRST_ROUND
 
 CLASSES: Final[tuple[type[Message], ...]] = (
-    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event, Resume, Checks,
+    HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event, Resume, Checks, Beacon,
+    Heartbeat, Ask,
 )  # fmt: skip
 
 _ROBOT: Final = "Number of the robot"
@@ -49,6 +53,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "sequence": _ROUND,
         "time_ns": _TIME,
         "following": "False while the robot brakes instead of following the law",
+        "degree": "How many constraints act on it: edges, and what it is kept away from",
         "x": "Hand point, east, m (world ENU)",
         "y": "Hand point, north, m (world ENU)",
         "vx": "Velocity of the hand point, east, m/s",
@@ -57,7 +62,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "navigation_y": "Navigation force per unit mass, north, m/s2",
         "constraint_x": "Constraint force per unit mass, east, m/s2",
         "constraint_y": "Constraint force per unit mass, north, m/s2",
-        "multipliers": "The sender's copy of the multiplier of each of its edges",
+        "multipliers": "The sender's multipliers: of each edge, and of each robot it is kept from",
         "heard": "Least apparent delay of each neighbour's hand states; empty in most messages",
     },
     PlantState: {
@@ -90,6 +95,13 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "epoch_ns": "Wall clock at which fleet time is zero, ns since the Unix epoch",
         "duration_ns": "For how long the fleet drives, ns",
         "digest": "Names the fleet file that the operator means",
+        "from_ns": "Wall clock at which all take it over, ns since the Unix epoch; 0: the epoch",
+        "blend_ns": "Within so long they come to it from what they drove before, ns",
+        "note": "What has changed, in words",
+        "trajectory_ns": "Wall clock of the trajectory's time 0, ns since the Unix epoch; 0: the epoch",
+        "trajectory": "Where the formation goes; empty: as in the fleet file",
+        "robots": "Who has a place, and its offset; empty: as in the fleet file",
+        "edges": "Who keeps which distance from whom; empty: as in the fleet file",
     },
     Stop: {
         "version": "Grows with every change",
@@ -101,8 +113,10 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "sequence": _SEQUENCE,
         "time_ns": _TIME,
         "state": "State of the agent's supervision",
+        "transition": "Row of its table of transitions that led there",
         "reason": "Why it is in that state",
         "mission_version": "Version of the mission that the agent follows",
+        "order_version": "Version of the last stop or resume that it knows",
         "neighbours": "What came from each neighbour, and how its clock stands",
         "tick_us": "Duration of every tick since the last status, us; empty in virtual time",
         "ages_us": "Age of every neighbour's hand state at every tick since the last status, us",
@@ -141,6 +155,22 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "time_ns": _TIME,
         "lines": "What was looked at, how it stands (ok, warning, blocking), what was found, what to do",
     },
+    Beacon: {
+        "robot": _ROBOT,
+        "sequence": _SEQUENCE,
+        "time_ns": _TIME,
+        "following": "False while the robot brakes instead of following the law",
+        "x": "Hand point, east, m (world ENU)",
+        "y": "Hand point, north, m (world ENU)",
+        "vx": "Velocity of the hand point, east, m/s",
+        "vy": "Velocity of the hand point, north, m/s",
+        "mission_version": "Version of the mission that it knows",
+        "mission_tag": "Tells missions of one version apart",
+        "stop_version": "Version of the last stop that it knows, -1 for none",
+        "resume_version": "Version of the last resume that it knows, -1 for none",
+    },
+    Heartbeat: {"time_ns": _TIME, "author": "Who is there"},
+    Ask: {"time_ns": _TIME, "author": "Who asks for the mission and the last stop or resume"},
 }
 
 
@@ -148,7 +178,8 @@ class _Column(NamedTuple):
     """One column of a field that holds rows: its JSON name and type.
 
     `texts`: the message holds an index into them, the JSON the text itself. `added`: what stands for
-    it in a recording of version 1, which had no such column.
+    it in a recording of version 1, which had no such column. `value`: anything, which the JSON holds as a
+    text of JSON, since a schema has one type for it.
     """
 
     name: str
@@ -156,48 +187,84 @@ class _Column(NamedTuple):
     description: str = ""
     texts: tuple[str, ...] = ()
     added: int | None = None
+    value: bool = False
 
 
 _WHAT: Final = (
     "Sum of 1: lost, 2: the second copy, 4: corrupted, 8: reordered, 16: held, "
     "32: lost to the range channel, 64: lost to a full queue; 0: untouched"
 )
-_ROWS: Final[dict[str, tuple[_Column, ...]]] = {
-    "multipliers": (_Column("neighbour", "integer"), _Column("value", "number")),
-    "heard": (
-        _Column("neighbour", "integer"),
-        _Column(
-            "delay_us", "integer", "Clock at its reception minus its stamp, us; negative when clocks differ"
+_NEIGHBOUR: Final = _Column("neighbour", "integer")
+_ROWS: Final[dict[type[Message], dict[str, tuple[_Column, ...]]]] = {
+    HandState: {
+        "multipliers": (_NEIGHBOUR, _Column("value", "number")),
+        "heard": (
+            _NEIGHBOUR,
+            _Column(
+                "delay_us",
+                "integer",
+                "Clock at its reception minus its stamp, us; negative when clocks differ",
+            ),
         ),
-    ),
-    "neighbours": (
-        _Column("robot", "integer"),
-        _Column("age_us", "integer", "Age of its hand state now, us; -1: never heard"),
-        _Column("received", "integer", "Hand states that came", added=0),
-        _Column("lost", "integer", "Hand states that did not come", added=0),
-        _Column("offset_us", "integer", "Its clock minus the own, us", added=0),
-        _Column("error_us", "integer", "Half the offset's uncertainty, us; -1: not known", added=-1),
-    ),
-    "counters": (_Column("name", "string"), _Column("value", "integer")),
-    "lines": (
-        _Column("name", "string"),
-        _Column("level", "string", "ok, warning or blocking"),
-        _Column("found", "string"),
-        _Column("advice", "string"),
-    ),
-    "entries": (
-        _Column("source", "integer", "Number of the robot that sent"),
-        _Column(
-            "topic", "string", "hand: agent to agent, state: plant to agent, wrench: agent to plant", TOPICS
+    },
+    Mission: {
+        "trajectory": (
+            _Column("field", "string", "Field of [trajectory] in a fleet file"),
+            _Column("value", "string", "Its value, as JSON", value=True),
         ),
-        _Column("sequence", "integer", "Sequence number of the message"),
-        _Column("time_ns", "integer", "Stamp of the message, ns since the Unix epoch"),
-        _Column("what", "integer", _WHAT),
-        _Column("delay_us", "integer", "Injected delay after the stamp, us; -1: lost"),
-    ),
+        "robots": (
+            _Column("robot", "integer"),
+            _Column("x", "number", "Offset from the trajectory, east, m"),
+            _Column("y", "number", "Offset from the trajectory, north, m"),
+        ),
+        "edges": (
+            _Column("robot", "integer"),
+            _Column("other", "integer"),
+            _Column("distance", "number", "Wanted distance of their hand points, m"),
+        ),
+    },
+    Status: {
+        "neighbours": (
+            _Column("robot", "integer"),
+            _Column("age_us", "integer", "Age of its hand state now, us; -1: never heard"),
+            _Column("received", "integer", "Hand states that came", added=0),
+            _Column("lost", "integer", "Hand states that did not come", added=0),
+            _Column("offset_us", "integer", "Its clock minus the own, us", added=0),
+            _Column("error_us", "integer", "Half the offset's uncertainty, us; -1: not known", added=-1),
+        ),
+        "counters": (_Column("name", "string"), _Column("value", "integer")),
+    },
+    Checks: {
+        "lines": (
+            _Column("name", "string"),
+            _Column("level", "string", "ok, warning or blocking"),
+            _Column("found", "string"),
+            _Column("advice", "string"),
+        ),
+    },
+    LinkTrace: {
+        "entries": (
+            _Column("source", "integer", "Number of the robot that sent"),
+            _Column(
+                "topic",
+                "string",
+                "hand: agent to agent, state: plant to agent, wrench: agent to plant, beacon: agent to all",
+                TOPICS,
+            ),
+            _Column("sequence", "integer", "Sequence number of the message"),
+            _Column("time_ns", "integer", "Stamp of the message, ns since the Unix epoch"),
+            _Column("what", "integer", _WHAT),
+            _Column("delay_us", "integer", "Injected delay after the stamp, us; -1: lost"),
+        ),
+    },
+}  # fmt: skip
+_ADDED_FIELDS: Final[dict[type[Message], dict[str, Any]]] = {
+    HandState: {"heard": ()},
+    PlantState: {"obeying": True},
+    Mission: dict(Mission._field_defaults),
+    Status: {"transition": "", "order_version": 0},
 }
-_ADDED_FIELDS: Final[dict[str, Any]] = {"heard": (), "obeying": True}
-"""Fields that messages of earlier versions had not, and what stands for them."""
+"""Fields that messages of earlier versions had not, and what stands for them; `HandState.degree` apart."""
 _SCALARS: Final = {int: "integer", float: "number", bool: "boolean", str: "string"}
 
 
@@ -212,8 +279,8 @@ def schema(cls: type[Message]) -> dict[str, Any]:
     hints = get_type_hints(cls)
     for name in cls._fields:
         field: dict[str, Any] = {"description": DESCRIPTIONS[cls][name]}
-        if name in _ROWS:
-            columns = {column.name: _column_schema(column) for column in _ROWS[name]}
+        if name in _ROWS.get(cls, ()):
+            columns = {column.name: _column_schema(column) for column in _ROWS[cls][name]}
             item = {"type": "object", "properties": columns, "required": list(columns)}
             field |= {"type": "array", "items": item}
         elif hints[name] in _SCALARS:
@@ -237,7 +304,7 @@ def _column_schema(column: _Column) -> dict[str, Any]:
     return {"type": column.kind, **described, **texts}
 
 
-# The three classes that come at the loop's rate are written by a template, three times faster than
+# The classes that come often are written by a template, three times faster than
 # a dictionary through json.dumps; repr() of a finite float is its JSON form.
 def _template(cls: type[Message]) -> str:
     form = {int: "%d", float: "%r", bool: "%s", str: "%s"}
@@ -249,15 +316,18 @@ def _template(cls: type[Message]) -> str:
 _HAND: Final = _template(HandState)
 _PLANT: Final = _template(PlantState)
 _WRENCH: Final = _template(Wrench)
+_BEACON: Final = _template(Beacon)
 _TRUTH: Final = {False: "false", True: "true"}
 
 
 def _hand(m: HandState) -> str:
-    robot, sequence, time_ns, following, x, y, vx, vy, nx, ny, cx, cy, multipliers, heard = m
+    robot, sequence, time_ns, following, degree, x, y, vx, vy, nx, ny, cx, cy, multipliers, heard = m
     # % is the fastest form, and this one runs for every message of every robot.
     values = ",".join(['{"neighbour":%d,"value":%r}' % pair for pair in multipliers])  # noqa: UP031
     delays = ",".join(['{"neighbour":%d,"delay_us":%d}' % pair for pair in heard])  # noqa: UP031
-    return _HAND % (robot, sequence, time_ns, _TRUTH[following], x, y, vx, vy, nx, ny, cx, cy, values, delays)
+    follows = _TRUTH[following]
+    rows = values, delays
+    return _HAND % (robot, sequence, time_ns, follows, degree, x, y, vx, vy, nx, ny, cx, cy, *rows)
 
 
 def _plant(m: PlantState) -> str:
@@ -286,23 +356,33 @@ def _wrench(m: Wrench) -> str:
     return _WRENCH % (robot, sequence, time_ns, force, torque, _TRUTH[brake])
 
 
+def _beacon(m: Beacon) -> str:
+    robot, sequence, time_ns, following, *rest = m
+    return _BEACON % (robot, sequence, time_ns, _TRUTH[following], *rest)
+
+
 def _other(m: Message) -> str:
     content: dict[str, Any] = dict(zip(m._fields, m, strict=True))
-    for name in _ROWS.keys() & content.keys():
-        columns = _ROWS[name]
+    for field, columns in _ROWS.get(type(m), {}).items():
         names = [column.name for column in columns]
-        content[name] = [dict(zip(names, row, strict=True)) for row in content[name]]
+        content[field] = [dict(zip(names, row, strict=True)) for row in content[field]]
         for column in columns:
-            if column.texts:
-                for row in content[name]:
+            for row in content[field]:
+                if column.texts:
                     row[column.name] = column.texts[row[column.name]]
+                elif column.value:
+                    row[column.name] = _dumps(row[column.name])
+    return _dumps(content)
+
+
+def _dumps(content: Any) -> str:
     return json.dumps(content, separators=(",", ":"), allow_nan=False)
 
 
 _WRITERS: Final[dict[type[Message], Callable[[Any], str]]] = {
     HandState: _hand, PlantState: _plant, Wrench: _wrench,
     Mission: _other, Stop: _other, Status: _other, Faults: _other, LinkTrace: _other, Event: _other,
-    Resume: _other, Checks: _other,
+    Resume: _other, Checks: _other, Beacon: _beacon, Heartbeat: _other, Ask: _other,
 }  # fmt: skip
 
 
@@ -317,11 +397,10 @@ def reader(cls: type[Message]) -> Callable[[dict[str, Any]], Message]:
     The function raises KeyError, TypeError or ValueError for an object that is not such a message.
     """
     values = itemgetter(*cls._fields)
-    added = {name: value for name, value in _ADDED_FIELDS.items() if name in cls._fields}
-    rows = [
-        (cls._fields.index(name), _row(columns)) for name, columns in _ROWS.items() if name in cls._fields
-    ]
-    plain = [cls._fields.index(name) for name in ("tick_us", "ages_us", "robots") if name in cls._fields]
+    added = _ADDED_FIELDS.get(cls, {})
+    rows = [(cls._fields.index(name), _row(columns)) for name, columns in _ROWS.get(cls, {}).items()]
+    hints = get_type_hints(cls)
+    plain = [index for index, name in enumerate(cls._fields) if hints[name] == tuple[int, ...]]
     if not rows and not plain and not added:
         return lambda content: cls._make(values(content))
 
@@ -329,6 +408,8 @@ def reader(cls: type[Message]) -> Callable[[dict[str, Any]], Message]:
         try:
             fields = list(values(content))
         except KeyError:
+            if cls is HandState:  # before version 4 nothing but its edges acted on a robot
+                content = {"degree": len(content["multipliers"])} | content
             fields = list(values(added | content))
         for index, row in rows:
             fields[index] = tuple(map(row, fields[index]))
@@ -344,7 +425,8 @@ def _row(columns: tuple[_Column, ...]) -> Callable[[dict[str, Any]], tuple[Any, 
     values: Callable[[dict[str, Any]], tuple[Any, ...]] = itemgetter(*(column.name for column in columns))
     added = {column.name: column.added for column in columns if column.added is not None}
     texts = [(index, column.texts) for index, column in enumerate(columns) if column.texts]
-    if not added and not texts:
+    anything = [index for index, column in enumerate(columns) if column.value]
+    if not added and not texts and not anything:
         return values
 
     def read(content: dict[str, Any]) -> tuple[Any, ...]:
@@ -354,6 +436,13 @@ def _row(columns: tuple[_Column, ...]) -> Callable[[dict[str, Any]], tuple[Any, 
             row = values(added | content)
         for index, known in texts:
             row = (*row[:index], known.index(row[index]), *row[index + 1 :])
+        for index in anything:
+            row = (*row[:index], _hashable(json.loads(row[index])), *row[index + 1 :])
         return row
 
     return read
+
+
+def _hashable(value: Any) -> Any:
+    """A value as messages have it: tuples for lists."""
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value

@@ -9,19 +9,17 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.fleet import Fleet, law_name
 from agent.formation import Geometry
-from agent.supervision import State
-from agent.trajectory import make_trajectory
-from deploy import link_metrics
+from agent.supervision import DRIVING, State
+from deploy import link_metrics, oracles, oracles_apart
+from deploy.analysis import Analysis, Approach, analyse, norm
 from deploy.link_data import Floats
 from deploy.recorder import RecordingError
 from deploy.recording import Recording
@@ -33,82 +31,10 @@ GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 MESSAGES: Final = ("sent", "received", "lost", "delayed", "duplicated", "corrupted", "rejected")
 _REJECTED: Final = "rejected."
-_GOOD_STATES: Final = (State.RUNNING.value, State.STOPPING.value, State.STOPPED.value, State.RELEASED.value)
+_GOOD_STATES: Final = frozenset(
+    state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
+)
 """Of a robot at the end of its drive. Its operator may take it whenever he likes: that is a warning."""
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """A run on one grid of k times, for n robots and m edges.
-
-    `hands` and `desired` (k, n, 2) m; `distances` (k, m) m. NaN where a robot sent no pose at all.
-    """
-
-    grid: Floats
-    hands: Floats
-    desired: Floats
-    edges: NDArray[np.int64]
-    wanted: Floats
-    distances: Floats
-    off: NDArray[np.bool_]
-    """(k, m): the edge is further than `SETTLED` from its distance."""
-    settling_s: float | None
-    """Last time that any edge was off, 0 when none was, None when one is at the end (or nothing is known)."""
-
-
-def analyse(recording: Recording, geometry: Geometry) -> Analysis:
-    """The run's hand points, desired hand points and edge distances over time."""
-    grid = recording.grid
-    hands = recording.hand_positions(grid)
-    edges = np.asarray(geometry.edges, dtype=np.int64).reshape(-1, 2)
-    wanted = np.asarray(geometry.distances, dtype=np.float64)
-    trajectory = make_trajectory(recording.fleet.trajectory)
-    centre = np.array([trajectory.at(float(t))[:2] for t in grid])
-    desired = centre[:, None, :] + np.asarray(geometry.offsets, dtype=np.float64)[None, :, :]
-    distances = _norm(hands[:, edges[:, 0]] - hands[:, edges[:, 1]])
-    off = np.abs(distances - wanted) > SETTLED * wanted  # False for NaN
-    return Analysis(grid, hands, desired, edges, wanted, distances, off, _settling(grid, distances, off))
-
-
-def _settling(grid: Floats, distances: Floats, off: NDArray[np.bool_]) -> float | None:
-    if not np.isfinite(distances).any() or off[-1].any():
-        return None
-    when = np.flatnonzero(off.any(axis=1))
-    return float(grid[when[-1]]) if len(when) else 0.0
-
-
-def _norm(vectors: Floats) -> Floats:
-    length: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
-    return length
-
-
-@dataclass(frozen=True)
-class Closest:
-    """The closest that a pair of robots came, and the number of pairs that came below the safe distance."""
-
-    distance_m: float
-    t_s: float
-    pair: tuple[int, int]
-    unsafe: int
-
-
-def closest(analysis: Analysis, ids: Sequence[int], safe_m: float, *, sharing_edge: bool) -> Closest | None:
-    """The closest approach among the pairs with (or without) an edge; None when there is no such pair."""
-    edges = {(min(i, j), max(i, j)) for i, j in analysis.edges.tolist()}
-    best: Closest | None = None
-    unsafe = 0
-    for i in range(len(ids) - 1):  # a robot at a time: all pairs of a large fleet at once would not fit
-        others = [j for j in range(i + 1, len(ids)) if ((i, j) in edges) == sharing_edge]
-        between = _norm(analysis.hands[:, others] - analysis.hands[:, i : i + 1])
-        between[np.isnan(between)] = np.inf
-        if not others:
-            continue
-        unsafe += int((between.min(axis=0) < safe_m).sum())
-        k, column = divmod(int(between.argmin()), len(others))
-        distance = float(between[k, column])
-        if isfinite(distance) and (best is None or distance < best.distance_m):
-            best = Closest(distance, float(analysis.grid[k]), (ids[i], ids[others[column]]), 0)
-    return None if best is None else Closest(best.distance_m, best.t_s, best.pair, unsafe)
 
 
 def compute(
@@ -129,11 +55,8 @@ def compute(
     analysis: that of `analyse`, when it is at hand.
     """
     a = analyse(recording, geometry) if analysis is None else analysis
-    safe_m = fleet.formation.safe_distance_m
-    with_edge = closest(a, recording.ids, safe_m, sharing_edge=True)
-    without = closest(a, recording.ids, safe_m, sharing_edge=False)
-    errors = a.distances - a.wanted
-    tracking = _norm(a.hands[-1] - a.desired[-1])
+    errors = np.where(a.counts, a.distances - a.wanted, np.nan)
+    tracking = np.where(a.away[-1], np.nan, norm(a.hands[-1] - a.desired[-1]))
     totals: Counter[str] = Counter()
     for robot in recording.robots.values():
         totals.update(robot.status.totals())
@@ -148,27 +71,29 @@ def compute(
     ticks_us = np.concatenate([status.tick_us for status in statuses])
     if mode == "simulate":
         ticks_us = ticks_us[:0]
-    found = [
-        *reasons,
-        *_incomplete(recording),
-        *_states(recording),
-        *_unsafe(with_edge, safe_m, "share an edge"),
-        *_unsettled(a, recording.ids),
-    ]
-    # The law keeps neighbours apart and says nothing about others: not its failure, but not to be hidden.
+    judged = oracles.examine(recording, a, fleet)
+    states, unsettled = _states(recording), _unsettled(a)
+    found = [*reasons, *_incomplete(recording), *states]
+    for name, violations in judged.items():
+        if name == "recovery" and (states or unsettled):
+            continue  # the same, in words about the end
+        found += [violation.message for violation in violations or ()]
+    found += unsettled
     warnings = [f"{warning}." for warning in recording.warnings] + _releases(recording)
-    for sentence in _unsafe(without, safe_m, "share no edge"):
-        warnings.append(f"{sentence} The law keeps apart only robots that share an edge.")
+    if not fleet.avoidance.enabled:
+        # The bare law keeps neighbours apart and says nothing of others: not its failure, nor to be hidden.
+        for violation in oracles_apart.too_close(a.without_edge, a.safe_m, "share no edge"):
+            warnings.append(f"{violation.message} The law keeps apart only robots that share an edge.")
     for gap in _gaps(recording):
         if gap.rule:
             warnings.append(
                 f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant: from {gap.start_s:.2f} s to "
-                f"{gap.end_s:.2f} s its place is not known, and taken between what came before and after."
+                f"{gap.end_s:.2f} s its place is not known, and taken from what came before and after."
             )
-    about_links = link_metrics.describe_links(recording)
+    about_links = link_metrics.describe_links(recording, a)
     warnings += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
     if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
-        warnings += link_metrics.idle_rules(recording)
+        warnings += link_metrics.idle_rules(recording, a)
     warnings += link_metrics.audit_warnings(about_links["links_audit"])
     metrics: dict[str, Any] = {
         "fleet": fleet.fleet.name,
@@ -180,10 +105,19 @@ def compute(
         "rate_hz": number(fleet.fleet.rate_hz),
         "duration_s": number(recording.end_s),
         "min_distance_m": {
-            "edge": number(with_edge.distance_m) if with_edge else None,
-            "any": _least(with_edge, without),
+            "edge": _least(a.with_edge.closest),
+            "any": _least(a.with_edge.closest, a.without_edge.closest),
         },
         "settling_time_s": number(a.settling_s),
+        "changes": [
+            {
+                "t_s": number(change.t_s),
+                "version": change.version,
+                "note": change.note,
+                "settled_after_s": number(after_s),
+            }
+            for change, after_s in a.changes
+        ],
         "final_distance_error_m": largest(np.abs(errors[-1])),
         "final_tracking_error_m": largest(tracking),
         "rms_distance_error_m": _rms(errors),
@@ -199,6 +133,14 @@ def compute(
             "overruns": totals["overruns"],
         },
         **about_links,
+        "oracles": {
+            name: {
+                "checked": violations is not None,
+                "violations": len(violations or ()),
+                "first": violations[0].message if violations else None,
+            }
+            for name, violations in judged.items()
+        },
         "verdict": {"passed": not found, "reasons": found, "warnings": warnings},
     }
     if rejected:
@@ -224,7 +166,7 @@ def _rms(errors: Floats) -> float | None:
     return number(float(np.sqrt(np.mean(finite**2)))) if finite.size else None
 
 
-def _least(*found: Closest | None) -> float | None:
+def _least(*found: Approach | None) -> float | None:
     distances = [each.distance_m for each in found if each is not None]
     return number(min(distances)) if distances else None
 
@@ -253,7 +195,7 @@ def _incomplete(recording: Recording) -> list[str]:
         f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s."
         for robot, gap in longest.items()
     ]
-    if end_s < planned_s - GAP_S:
+    if end_s < planned_s - GAP_S and not _stopped_by_order(recording):
         why = ""
         if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
             why = ": it was stopped"
@@ -261,6 +203,14 @@ def _incomplete(recording: Recording) -> list[str]:
             why = ": it was interrupted"
         out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
     return out
+
+
+def _stopped_by_order(recording: Recording) -> bool:
+    """Whether it ended with a stop of its fleet file."""
+    stopped_s = recording.stopped_s
+    return stopped_s is not None and any(
+        order.kind == "stop" and abs(order.at - stopped_s) < GAP_S for order in recording.fleet.orders
+    )
 
 
 @dataclass(frozen=True)
@@ -307,7 +257,7 @@ def _states(recording: Recording) -> list[str]:
         why = f" ({reason})" if reason else ""
         meaning = {
             State.FAULT.value: "it braked because something of its own was wrong",
-            State.HOLDING.value: "it braked because a neighbour was silent for too long",
+            State.HOLDING.value: "it braked, and waited until it might drive again",
         }.get(state, "it did not drive")
         out.append(f"Robot {robot} ended the drive in state {state}: {meaning}{why}.")
     return out
@@ -329,31 +279,19 @@ def _releases(recording: Recording) -> list[str]:
     return out
 
 
-def _unsafe(found: Closest | None, safe_m: float, relation: str) -> list[str]:
-    if found is None or not found.unsafe:
-        return []
-    i, j = found.pair
-    others = {1: "", 2: " One other such pair came too close as well."}.get(
-        found.unsafe, f" {found.unsafe - 1} other such pairs came too close as well."
-    )
-    return [
-        f"Robots {i} and {j}, which {relation}, came within {found.distance_m:.3f} m of each other at "
-        f"{found.t_s:.2f} s; the safe distance is {safe_m:.3f} m.{others}"
-    ]
-
-
-def _unsettled(a: Analysis, ids: Sequence[int]) -> list[str]:
+def _unsettled(a: Analysis) -> list[str]:
     off = np.flatnonzero(a.off[-1])
     if not len(off):
         return []
-    error = np.abs(a.distances[-1] - a.wanted)
-    worst = int(off[np.argmax((error / a.wanted)[off])])
-    i, j = (ids[index] for index in a.edges[worst])
+    distances, wanted = a.distances[-1], a.wanted[-1]
+    error = np.abs(distances - wanted)
+    worst = int(off[np.argmax((error / wanted)[off])])
+    i, j = (a.ids[index] for index in a.edges[worst])
     others = {1: "", 2: " One other edge was off as well."}.get(
         len(off), f" {len(off) - 1} other edges were off as well."
     )
     return [
         f"The formation had not settled at the end ({a.grid[-1]:.1f} s): robots {i} and {j} were "
-        f"{a.distances[-1, worst]:.3f} m apart instead of {a.wanted[worst]:.3f} m, "
-        f"{100 * error[worst] / a.wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}"
+        f"{distances[worst]:.3f} m apart instead of {wanted[worst]:.3f} m, "
+        f"{100 * error[worst] / wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}"
     ]

@@ -1,12 +1,26 @@
-"""Why a fleet cannot start yet, in words (PURE)."""
+"""Why a fleet cannot start yet, in words, and whether it has come to rest (PURE)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 from agent.messages import PlantState, Status
-from agent.supervision import State
+from agent.supervision import State, at_rest
 from deploy.wording import robots
+
+
+def is_ready(state: str) -> bool:
+    """Whether a robot in this state keeps no fleet from starting: one in reserve just stays where it is."""
+    return state in (State.READY.value, State.STANDBY.value)
+
+
+def stands(status: Status | None, plant: PlantState | None) -> bool:
+    """Whether a robot that was told to stop has come to rest, or its agent can do no more about it."""
+    if status is None or status.state == State.STOPPED.value:
+        return status is not None
+    # These brake, whatever was said.
+    brakes = status.state in (State.FAULT.value, State.STANDBY.value)
+    return brakes and (plant is None or not plant.healthy or at_rest(plant.speed, plant.yaw_rate))
 
 
 def waits(
@@ -21,7 +35,7 @@ def waits(
     others: dict[int, str] = {}
     for robot in ids:
         status, plant = statuses.get(robot), plants.get(robot)
-        if status is not None and status.state == State.READY.value:
+        if status is not None and is_ready(status.state):
             continue
         if plant is None:
             own[robot] = "nothing heard from its plant"

@@ -20,7 +20,7 @@ import tomli_w
 from mcap.writer import CompressionType, Writer
 
 from agent.fleet import Fleet, law_name, to_dict
-from agent.messages import Malformed, Message, PlantState, decode
+from agent.messages import Malformed, Message, Mission, PlantState, decode
 from deploy.foxglove import SCHEMAS, Scene
 from deploy.message_json import schema, schema_name, to_json
 from deploy.version import handfast_version
@@ -133,9 +133,11 @@ class Recorder:
 
     def record_message(self, received_ns: int, key: str, message: Message) -> None:
         """Write one message that is decoded already (a simulation has it at hand)."""
-        sequence = message[1] if "sequence" in message._fields else message[0]
+        sequence = getattr(message, "sequence", getattr(message, "version", 0))
         self._write(received_ns, key, type(message), to_json(message), message.time_ns, sequence)
-        if type(message) is PlantState and not key.endswith("/truth"):
+        if type(message) is Mission:
+            self._scene.take(message)
+        elif type(message) is PlantState and not key.endswith("/truth"):
             for scene_key, name, content in self._scene.update(received_ns, message):
                 self._write(received_ns, scene_key, name, content, received_ns, 0)
 

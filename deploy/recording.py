@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from os import PathLike
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -19,10 +20,14 @@ from agent import keys
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.messages import (
+    TOPICS,
+    Ask,
+    Beacon,
     Checks,
     Event,
     Faults,
     HandState,
+    Heartbeat,
     LinkTrace,
     Message,
     Mission,
@@ -31,6 +36,7 @@ from agent.messages import (
     Status,
     Stop,
     Wrench,
+    newer,
 )
 from deploy.link_data import Floats, LinkRows, LinkTable
 from deploy.recorder import RecordingError
@@ -51,7 +57,8 @@ FLEET_NAME: Final = "fleet.toml"
 CLOCK_TOLERANCE_NS: Final = 60_000_000_000
 _RUN_NS_MAX: Final = 12 * 3600 * 10**9
 """For so long after the start a clock that drifts on purpose is told from garbage."""
-_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks)
+_BEACON: Final = TOPICS.index("beacon")
+_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon)
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,9 @@ class Recording:
     fleet: Fleet
     robots: Mapping[int, RobotData]
     missions: Sequence[Mission]
+    """Each of them once, as it was first said."""
     stops: Sequence[Stop]
+    """Likewise."""
     epoch_ns: int | None
     """Wall clock of fleet time zero; None when no mission was recorded (time then starts with the data)."""
     mode: str = "run"
@@ -107,11 +116,13 @@ class Recording:
     warnings: Sequence[str] = ()
     fleet_toml: str | None = None
     links: LinkTable = field(default_factory=lambda: LinkRows().table({}, 0))
-    """What links did to messages on purpose."""
+    """What links did to messages on purpose. Beacons, which go from all to all, are left out."""
     live_faults: Sequence[LiveFaults] = ()
     """Live fault rules as operators sent them, and as processes said that they held them; as they came."""
     events: Sequence[Event] = ()
     """What was done to processes on purpose."""
+    resumes: Sequence[Resume] = ()
+    """Leaves to drive again, each of them once, as it was first said."""
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -125,15 +136,46 @@ class Recording:
 
     @property
     def mission(self) -> Mission | None:
-        return max(self.missions, key=lambda mission: mission.version) if self.missions else None
+        """The one that holds in the end."""
+        return _last(self.missions)
+
+    def fleet_time_s(self, time_ns: int) -> float:
+        """Wall clock (ns) as fleet time."""
+        return (time_ns - (self.epoch_ns or 0)) / 1e9
+
+    def halts(self, robot: int) -> list[tuple[float, float]]:
+        """Fleet times (start, end) within which a robot had to stand: from a stop to the leave that ends it,
+        which has a greater version and is for this robot; inf where none did."""
+        orders: list[tuple[float, Stop | Resume]] = []
+        orders += [(self.fleet_time_s(stop.time_ns), stop) for stop in self.stops]
+        orders += [(self.fleet_time_s(resume.time_ns), resume) for resume in self.resumes]
+        found: list[tuple[float, float]] = []
+        stopped = resumed = -1
+        since_s: float | None = None
+        for t, order in sorted(orders, key=lambda entry: entry[0]):
+            if isinstance(order, Stop):
+                stopped = max(stopped, order.version)
+            elif not order.robots or robot in order.robots:
+                resumed = max(resumed, order.version)
+            halted = stopped >= 0 and stopped >= resumed
+            if halted and since_s is None:
+                since_s = t
+            elif not halted and since_s is not None:
+                found.append((since_s, t))
+                since_s = None
+        return found if since_s is None else [*found, (since_s, inf)]
 
     @cached_property
     def stopped_s(self) -> float | None:
-        """Fleet time of the operator's first stop within the drive, None without one."""
+        """Fleet time of the operator's stop within the drive that was for good, None without one."""
         if self.epoch_ns is None or not self.stops:
             return None
-        first = min((stop.time_ns - self.epoch_ns) / 1e9 for stop in self.stops)
-        return max(first, 0.0) if first < self.planned_s else None
+        lasts = [self.halts(robot)[-1:] for robot in self.ids]
+        starts = [halts[0][0] for halts in lasts if halts and halts[0][1] == inf]
+        if not starts or len(starts) < len(lasts):
+            return None  # some drove on
+        last_s = max(starts)
+        return max(last_s, 0.0) if last_s < self.planned_s else None
 
     @cached_property
     def data_end_s(self) -> float:
@@ -201,6 +243,14 @@ class Recording:
         return read_mcap(Path(path), None if fleet_path is None else Path(fleet_path))
 
 
+def _last(missions: Sequence[Mission]) -> Mission | None:
+    last: Mission | None = None
+    for mission in missions:
+        if newer(mission, last):
+            last = mission
+    return last
+
+
 _Sink = Rows | StatusRows
 
 
@@ -211,8 +261,10 @@ class RunData:
         self.fleet, self.mode = fleet, mode
         self.seed = fleet.fleet.seed if seed is None else seed
         self.foreign = 0
-        self.missions: list[Mission] = []
-        self.stops: list[Stop] = []
+        # Agents say them again to each other: what is kept is who said it first.
+        self._missions: dict[Mission, Mission] = {}
+        self._stops: dict[Stop, Stop] = {}
+        self._resumes: dict[Resume, Resume] = {}
         self.events: list[Event] = []
         self.live_faults: list[LiveFaults] = []
         self._links = LinkRows()
@@ -235,10 +287,10 @@ class RunData:
                 keys.status(prefix, robot): self._status[robot],
             }
         self._mission_key, self._stop_key = keys.mission(prefix), keys.stop(prefix)
-        self._events_key = keys.events(prefix)
-        self._told: Mapping[str, type[Message]] = {keys.resume(prefix): Resume} | {
-            keys.checks(prefix, robot): Checks for robot in self._plant
-        }
+        self._resume_key, self._events_key = keys.resume(prefix), keys.events(prefix)
+        self._told: dict[str, type[Message]] = {keys.heartbeat(prefix): Heartbeat, keys.ask(prefix): Ask}
+        for robot in self._plant:
+            self._told |= {keys.checks(prefix, robot): Checks, keys.beacon(prefix, robot): Beacon}
         """What is recorded for those who read it there, and nothing is made of."""
         self._traced = {
             key: robot
@@ -261,11 +313,14 @@ class RunData:
         elif sink is not None and type(message) is sink.kind and message[0] == sink.robot:
             sink.append(message)
         elif type(message) is Mission and key == self._mission_key:
-            self.missions.append(message)
+            self._missions.setdefault(message._replace(time_ns=0), message)
         elif type(message) is Stop and key == self._stop_key:
-            self.stops.append(message)
+            self._stops.setdefault(message._replace(time_ns=0), message)
+        elif type(message) is Resume and key == self._resume_key:
+            self._resumes.setdefault(message._replace(time_ns=0), message)
         elif type(message) is LinkTrace and self._is_ours(key, message):
-            self._links.append(message)
+            entries = tuple(entry for entry in message.entries if entry[1] != _BEACON)
+            self._links.append(message._replace(entries=entries))
         elif type(message) is Faults and key in self._faults_from:
             rules = self._texts.setdefault(message.rules, message.rules)  # said once a second: keep one
             self.live_faults.append(
@@ -284,9 +339,10 @@ class RunData:
     def _is_meant(self, received_ns: int, key: str, message: Message) -> bool:
         """Whether a time that is far from its reception is what the faults on purpose make of it."""
         robot = message.robot if isinstance(message, _OF_ROBOTS) else 0
-        if type(message) is Faults and key in self._faults_from:
-            # Rules that stay are said again for hours, always with the time at which they were sent.
-            return message.time_ns < received_ns
+        if isinstance(message, (Faults, Mission, Stop, Resume)):
+            # They are said again for hours, always with the time at which they were sent.
+            known = (self._mission_key, self._stop_key, self._resume_key)
+            return message.time_ns < received_ns and (key in self._faults_from or key in known)
         skew_ns, drift = self._clocks.get(robot, (0, 0.0))
         off_ns = abs(message.time_ns - skew_ns - received_ns)
         return bool(skew_ns or drift) and off_ns <= CLOCK_TOLERANCE_NS + abs(drift) * _RUN_NS_MAX
@@ -300,7 +356,7 @@ class RunData:
         fleet_toml: str | None = None,
     ) -> Recording:
         """The run as it stands; what is fed later does not change it."""
-        mission = max(self.missions, key=lambda mission: mission.version) if self.missions else None
+        mission = _last(list(self._missions.values()))
         epoch_ns = mission.epoch_ns if mission else self._first_ns()
         robots = {
             robot: RobotData(
@@ -317,8 +373,8 @@ class RunData:
         return Recording(
             self.fleet,
             robots,
-            tuple(self.missions),
-            tuple(self.stops),
+            tuple(self._missions.values()),
+            tuple(self._stops.values()),
             mission.epoch_ns if mission else None,
             self.mode,
             self.seed,
@@ -330,6 +386,7 @@ class RunData:
             self._links.table(self._clocks, epoch_ns),
             tuple(self.live_faults),
             tuple(self.events),
+            tuple(self._resumes.values()),
         )
 
     def _first_ns(self) -> int:

@@ -16,8 +16,8 @@ import numpy as np
 from agent.fleet import Fleet
 from agent.formation import Geometry, resolve
 from agent.supervision import State
-from deploy import fault_strip, figures, link_figures, link_report, metrics
-from deploy.metrics import Analysis, analyse
+from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
+from deploy.analysis import Analysis, analyse
 from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recorder import RecordingError
 from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
@@ -119,8 +119,9 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
         out.append("A robot in state <em>fault</em> says why in the table of robots below.")
     if State.HOLDING.value in states:
         out.append(
-            "A robot in state <em>holding</em> heard nothing from a neighbour for longer than "
-            "<code>control.prediction_horizon_s</code>: look at the links between them."
+            "A robot in state <em>holding</em> says why in the table of robots below: it has heard no "
+            "neighbour for longer than <code>control.prediction_horizon_s</code>, no operator, or is outside "
+            "the geofence."
         )
     if State.RELEASED.value in states:
         out.append(
@@ -154,8 +155,9 @@ def _advice_apart(fleet: Fleet, found: dict[str, Any]) -> list[str]:
     least, safe = found["min_distance_m"], fleet.formation.safe_distance_m
     if least["any"] is None or least["any"] >= safe or least["any"] == least["edge"]:
         return []
+    how = "" if fleet.avoidance.enabled else "turn on <code>avoidance.enabled</code>, "
     return [
-        "Two robots that share no edge came too close. Give them an edge, let "
+        f"Two robots that share no edge came too close: {how}give them an edge, let "
         "<code>formation.assign = true</code> choose slots so that ways cross less, or start them elsewhere."
     ]
 
@@ -253,6 +255,7 @@ def _page(
         _metrics_table(found),
         "<h2>Robots</h2>",
         _robots_table(recording, a),
+        oracle_report.section(recording, found),
         link_report.section(recording, found, pictures.get(link_figures.NAME)),
         "<h2>Forces and timing</h2>",
         *(figure(name, pictures[name], _CAPTIONS[name]) for name in ("forces", "timing")),
@@ -329,8 +332,8 @@ def _closest(a: Analysis, index: int) -> float | None:
 
 
 def _worst_edge(a: Analysis, index: int) -> float | None:
-    own = (a.edges == index).any(axis=1)
-    return largest(np.abs(a.distances[-1, own] - a.wanted[own]))
+    own = (a.edges == index).any(axis=1) & a.counts[-1]
+    return largest(np.abs(a.distances[-1, own] - a.wanted[-1, own]))
 
 
 def _again(recording: Recording, found: dict[str, Any]) -> str:

@@ -11,12 +11,12 @@ from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 
 def add_parser(commands: Any) -> None:
     """Adds the command to those of ``handfast``."""
-    text = "let robots drive on that their operators took over and gave back"
+    text = "let robots drive again after a stop, or after their operators took them over and gave them back"
     parser = commands.add_parser(
         "resume",
         help=text,
         description=f"{text[0].upper()}{text[1:]}. {MEANING} An operator gives a robot back by GUIDED mode, "
-        "armed. Exit status: 0 all that are meant are running; 1 some are not; 2 bad input.",
+        "armed. Exit status: 0 all that are meant drive; 1 some do not; 2 bad input.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
     robots_argument(parser)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Final
 
 from agent import keys
 from agent.fleet import Fleet
-from agent.messages import Message, encode
+from agent.messages import Message
+from deploy.operator_session import INBOX, OperatorSession
 from deploy.resuming import Resuming
-from deploy.session import Session, connected
+from deploy.session import connected
 
 ANSWER_S: Final = 3.0
-SEND_PERIOD_S: Final = 0.5
-"""It is said again until all have done it: a link may lose a message."""
 
 
-class ResumeSession(Session):
+class ResumeSession(OperatorSession):
     """A session that hears whether robots drive.
 
     Raises:
@@ -26,24 +24,21 @@ class ResumeSession(Session):
 
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
-        self._name = fleet.fleet.name
         self._resuming: Resuming | None = None
-        self.bus.declare(keys.resume(self._name))
-        for key in (keys.status(self._name, "*"), keys.plant_state(self._name, "*")):
-            self.bus.subscribe(key)
+        self.bus.subscribe(keys.plant_state(fleet.fleet.name, "*"), INBOX)
 
     def feed(self, key: str, message: Message) -> None:
+        super().feed(key, message)
         if self._resuming is not None:
             self._resuming.feed(key, message)
 
     def resume(self, robots: Sequence[int]) -> Resuming:
         """Lets these robots drive again, or all when none is named. Waits until they do, but not for ever."""
-        self.collect()  # what was said before is no answer
-        resuming = self._resuming = Resuming(self.fleet, robots, self.now_ns())
-        begun = time.monotonic()
-        while not resuming.done and time.monotonic() < begun + ANSWER_S:
-            self.bus.publish(keys.resume(self._name), encode(resuming.message))
-            self.wait(lambda: resuming.done, SEND_PERIOD_S)
+        self.ask()  # a leave must be later than the stop that it ends
+        resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots))
+        self._resuming = resuming
+        # It is said again until all have done it: a link may lose a message.
+        self.until(lambda: resuming.done, lambda: self.say(resuming.message), ANSWER_S)
         return resuming
 
 

@@ -1,4 +1,4 @@
-"""Leave to drive again, for robots whose operators took them away and gave them back: is it done (PURE)."""
+"""Leave to drive again, for robots that were stopped or whose operators took them away: is it done (PURE)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Final
 
 from agent import keys
 from agent.fleet import Fleet
-from agent.leave import AWAITED
+from agent.latch import AWAITED
 from agent.messages import Message, PlantState, Resume, Status
-from agent.supervision import State
+from agent.supervision import DRIVING, State
+
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
 
 
 class Resuming:
@@ -17,15 +19,13 @@ class Resuming:
 
     Args:
         fleet: as it runs.
-        robots: who gets it; none named: all.
-        now_ns: when it is sent (wall clock).
+        message: the leave.
     """
 
-    def __init__(self, fleet: Fleet, robots: Sequence[int], now_ns: int) -> None:
+    def __init__(self, fleet: Fleet, message: Resume) -> None:
         self._fleet = fleet
-        self.robots: Final = tuple(robots or fleet.ids)
-        # Plants obey only a greater number than before, whoever sent that.
-        self.message: Final = Resume(now_ns // 1_000_000, now_ns, tuple(robots))
+        self.message: Final = message
+        self.robots: Final[Sequence[int]] = message.robots or fleet.ids
         self._statuses: dict[int, Status] = {}
         self._plants: dict[int, PlantState] = {}
 
@@ -38,15 +38,14 @@ class Resuming:
             self._plants[message.robot] = message
 
     def runs(self, robot: int) -> bool:
-        """Whether the robot drives by the law, and its body does as it is told."""
+        """Whether the robot knows of the leave and drives by the law, and its body does as it is told; one
+        without a place in the formation stays where it is."""
         status, plant = self._statuses.get(robot), self._plants.get(robot)
-        return (
-            status is not None
-            and status.state == State.RUNNING.value
-            and plant is not None
-            and plant.healthy
-            and plant.obeying
-        )
+        if status is None or plant is None or status.order_version < self.message.version:
+            return False
+        if status.state == State.STANDBY.value:
+            return True
+        return status.state in _DRIVING and plant.healthy and plant.obeying and plant.driving
 
     @property
     def done(self) -> bool:
@@ -56,11 +55,11 @@ class Resuming:
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""
         status, plant = self._statuses.get(robot), self._plants.get(robot)
-        if self.runs(robot):
-            return f"robot {robot}: running"
         if status is None or plant is None:
             silent = "its agent" if status is None else "its plant"
             return f"robot {robot}: nothing heard from {silent}"
+        if self.runs(robot):
+            return f"robot {robot}: {status.state}"
         if plant.healthy and not plant.obeying:
             note = plant.note or "its body does not obey"
             if note.endswith(AWAITED):
@@ -69,4 +68,13 @@ class Resuming:
                 why = "its operator must give it back first"
             return f"robot {robot}: still released: {note}: {why}"
         why = status.reason if plant.healthy else plant.note or status.reason
-        return f"robot {robot}: {status.state}" + (f": {why}" if why else "")
+        if status.state in _DRIVING and not plant.driving:
+            why = "its plant brakes"
+        text = f"robot {robot}: {status.state}" + (f": {why}" if why else "")
+        if status.order_version < self.message.version:
+            return f"{text}; it has not heard of the leave"
+        return f"{text}; ordered after this leave" if self._stopped_later(status) else text
+
+    def _stopped_later(self, status: Status) -> bool:
+        at_end = status.state in (State.STOPPING.value, State.STOPPED.value)
+        return at_end and status.order_version > self.message.version

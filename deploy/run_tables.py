@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ PLANT_COLUMNS: Final = (
     "x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy", "obeying",
 )  # fmt: skip
 HAND_COLUMNS: Final = (
-    "following", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x", "constraint_y",
+    "following", "degree", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x",
+    "constraint_y",
 )  # fmt: skip
 WRENCH_COLUMNS: Final = ("force", "torque", "brake")
 MULTIPLIER_COLUMNS: Final = ("neighbour", "value")
@@ -60,13 +61,24 @@ class Table:
         return Table(self.names, self.t[wanted], self.values[wanted], stamps, sequences)
 
 
+class Change(NamedTuple):
+    """An agent came from state `before` ("" when nothing is known of it) to `state` at `t_s`; `row` names the
+    row of `agent.supervision.TRANSITIONS` that led there."""
+
+    t_s: float
+    before: str
+    state: str
+    row: str
+    reason: str
+
+
 @dataclass(frozen=True)
 class StatusTable:
     """The statuses of one agent: n of them, with all ticks and ages that they hold, in order.
 
-    t (n,) s; states, reasons: n texts; counters: n dictionaries of totals; tick_us, ages_us: all
-    values of all statuses, microseconds, of which status k holds ``tick_counts[k]`` and
-    ``age_counts[k]``. Ages of neighbours that were never heard are left out.
+    t (n,) s; states, reasons, transitions: n texts; mission_versions, order_versions (n,); counters: n
+    dictionaries of totals; tick_us, ages_us: all values of all statuses, microseconds, of which status k
+    holds ``tick_counts[k]`` and ``age_counts[k]``. Ages of neighbours that were never heard are left out.
 
     The ages of a tick come in the order of the neighbours' numbers, those of a status tick by tick.
     """
@@ -74,6 +86,9 @@ class StatusTable:
     t: Floats
     states: Sequence[str]
     reasons: Sequence[str]
+    transitions: Sequence[str]
+    mission_versions: Ints
+    order_versions: Ints
     counters: Sequence[Mapping[str, int]]
     tick_us: Ints
     tick_counts: Ints
@@ -111,20 +126,27 @@ class StatusTable:
         index = max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
         return self.states[index], self.reasons[index]
 
-    def periods(self, state: str) -> list[tuple[float, float | None, str]]:
-        """Times in a state: (start s, end s or None when it lasted to the last status, first reason).
-
-        Every change of state is told at once, so a period ends with the first status that tells of another.
-        """
-        out: list[tuple[float, float | None, str]] = []
+    def changes(self) -> list[Change]:
+        """The states one after the other: every change is told at once, by a status of its own."""
+        out: list[Change] = []
         before = ""
-        for t, now, reason in zip(self.t.tolist(), self.states, self.reasons, strict=True):
-            if now == state and before != state:
-                out.append((t, None, reason))
-            elif now != state and before == state:
-                out[-1] = out[-1][0], t, out[-1][2]
+        for t, now, row, reason in zip(
+            self.t.tolist(), self.states, self.transitions, self.reasons, strict=True
+        ):
+            if now != before:
+                out.append(Change(t, before, now, row, reason))
             before = now
         return out
+
+    def periods(self, state: str) -> list[tuple[float, float | None, str]]:
+        """Times in a state: (start s, end s or None when it lasted to the last status, first reason)."""
+        changes = self.changes()
+        ends = [*(change.t_s for change in changes[1:]), None]
+        return [
+            (change.t_s, end, change.reason)
+            for change, end in zip(changes, ends, strict=False)
+            if change.state == state
+        ]
 
 
 class Rows:
@@ -181,7 +203,8 @@ class StatusRows:
     def __init__(self, robot: int) -> None:
         self.robot = robot
         self.times = array("q")
-        self._texts: list[tuple[str, str]] = []
+        self._texts: list[tuple[str, str, str]] = []
+        self._missions, self._orders = array("q"), array("q")
         self._counters: list[Mapping[str, int]] = []
         self._ticks, self._tick_counts = array("q"), array("q")
         self._ages, self._age_counts = array("q"), array("q")
@@ -193,7 +216,10 @@ class StatusRows:
         ticks = [value for value in message.tick_us if 0 <= value < _INTEGER_MAX]
         ages = [value for value in message.ages_us if 0 <= value < _INTEGER_MAX]
         self.times.append(message.time_ns)
-        self._texts.append((known(message.state, message.state), known(message.reason, message.reason)))
+        texts = message.state, message.reason, message.transition
+        self._texts.append((known(texts[0], texts[0]), known(texts[1], texts[1]), known(texts[2], texts[2])))
+        self._missions.append(_bounded(message.mission_version))
+        self._orders.append(_bounded(message.order_version))
         self._counters.append({known(name, name): _bounded(value) for name, value in message.counters})
         self._ticks.extend(ticks)
         self._tick_counts.append(len(ticks))
@@ -206,7 +232,7 @@ class StatusRows:
     def table(self, epoch_ns: int, clock: Clock) -> StatusTable:
         times = true_ns(np.array(self.times, dtype=np.int64), clock, epoch_ns)
         assert len(times) == len(self._texts)
-        states, reasons = zip(*self._texts, strict=True) if self._texts else ((), ())
+        states, reasons, transitions = zip(*self._texts, strict=True) if self._texts else ((), (), ())
         columns = (self._ticks, self._tick_counts, self._ages, self._age_counts)
         ticks, tick_counts, ages, age_counts = (np.array(column, dtype=np.int64) for column in columns)
         if any(later < earlier for earlier, later in pairwise(self.times)):
@@ -215,6 +241,9 @@ class StatusRows:
             (times - epoch_ns) / 1e9,
             states,
             reasons,
+            transitions,
+            np.array(self._missions, dtype=np.int64),
+            np.array(self._orders, dtype=np.int64),
             self._counters,
             ticks,
             tick_counts,

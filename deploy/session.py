@@ -96,6 +96,14 @@ class Session:
                 return False
             self.pause()
 
+    def no_answer(self) -> NoAnswerError:
+        """What to raise when nobody is there."""
+        fleet = self.fleet
+        return NoAnswerError(
+            f"fleet {fleet.fleet.name} does not answer: none of its {len(self.receivers)} agents and "
+            f"plants is there ({fleet.agent_endpoint(fleet.ids[0])} and so on); is it running?"
+        )
+
     def pause(self) -> None:
         """A moment's wait, until something may have come."""
         time.sleep(POLL_S)
@@ -110,7 +118,6 @@ def connected(session: S, interrupt: Interrupt | None = None) -> S:
     Raises:
         NoAnswerError: there is none; the session is closed.
     """
-    fleet = session.fleet
     try:
         everybody = session.wait(
             lambda: (
@@ -120,10 +127,7 @@ def connected(session: S, interrupt: Interrupt | None = None) -> S:
             CONNECT_S,
         )
         if not everybody and not session.alive:
-            raise NoAnswerError(
-                f"fleet {fleet.fleet.name} does not answer: none of its {len(session.receivers)} agents and "
-                f"plants is there ({fleet.agent_endpoint(fleet.ids[0])} and so on); is it running?"
-            )
+            raise session.no_answer()
     except BaseException:
         session.close()
         raise

@@ -12,35 +12,94 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
+from math import ceil
 from typing import Final
 
 from agent import keys
 from agent.clock import NS_PER_S, LocalTime
-from agent.core import Agent
+from agent.core import LISTEN_ROUNDS, Agent
 from agent.faults import FaultPlan
-from agent.fleet import Fleet, digest
-from agent.messages import Event, Mission, encode
+from agent.fleet import Fleet
+from agent.formation import resolve
+from agent.messages import Event, Heartbeat, Malformed, Mission, Resume, Stop, decode, encode
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
+from agent.order_sections import OrderSection
+from agent.orders import OrderError
 from agent.supervision import State
+from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
 from deploy.process_faults import Action, Process, actions
+from deploy.readiness import is_ready
 from deploy.simulated_bodies import Bodies
 from plant.node import PlantNode
 
 LATENCY_NS: Final = 100_000
+LEASE_NS: Final = 900_000_000
+"""A process that is paused is seen to go so long after, as measured for `agent.bus.LEASE_MS`."""
 WARM_UP_PERIODS: Final = 10
-"""Periods from the start to the epoch, for a fleet that is ready after half of them."""
+"""Periods from the start to the epoch, for a fleet that is ready after half of them; more where agents first
+listen for who is near."""
 EPOCH_AHEAD_NS: Final = NS_PER_S // 2
 """One that needs longer drives so long after it is ready, as in a run."""
 READY_TIMEOUT_NS: Final = 60 * NS_PER_S
-MISSION_PERIOD_NS: Final = NS_PER_S // 2
-"""A node that starts again is told of the mission so long after, as in a run."""
+AGAIN_NS: Final = NS_PER_S // 2
+"""A node that starts again is told what was ordered so long after, as in a run."""
 STOP_TIMEOUT_NS: Final = 3 * NS_PER_S
 PROGRESS_PERIOD_NS: Final = NS_PER_S // 4
 
 Sink = Callable[[int, str, bytes], None]
 Progress = Callable[[float], bool]
+
+
+Ring = deque[tuple[int, str, bytes]]
+"""Messages that wait for a node: time of arrival (ns), key, payload."""
+
+
+def _matches(watched: str, token: str) -> bool:
+    """Whether a token is among those that are watched."""
+    wanted, parts = watched.split("/"), token.split("/")
+    return len(wanted) == len(parts) and all(a in ("*", b) for a, b in zip(wanted, parts, strict=True))
+
+
+class _Bus:
+    """Who listens to which keys, and which liveliness tokens there are.
+
+    Args:
+        ids: the robots that ``*`` in a subscription stands for.
+    """
+
+    def __init__(self, ids: Sequence[int]) -> None:
+        self._ids = ids
+        self._rings: dict[str, dict[_Host, Ring]] = {}
+        self._keys: dict[_Host, list[str]] = {}
+        self.tokens: set[str] = set()
+
+    def listen(self, host: _Host) -> None:
+        """`host` hears from now on what its rings are for, and nothing else."""
+        self.forget(host)
+        heard = self._keys[host] = []
+        for subscription, ring in host.rings.items():
+            wild = "*" in subscription
+            for key in [subscription.replace("*", str(i)) for i in self._ids] if wild else [subscription]:
+                self._rings.setdefault(key, {})[host] = ring
+                heard.append(key)
+
+    def forget(self, host: _Host) -> None:
+        for key in self._keys.pop(host, ()):
+            del self._rings[key][host]
+
+    def put(self, arrival_ns: int, key: str, payload: bytes) -> None:
+        for ring in self._rings.get(key, {}).values():
+            ring.append((arrival_ns, key, payload))
+
+    def announce(self, token: str, time_ns: int, *, here: bool) -> None:
+        """A process comes or goes, as others see it at `time_ns`."""
+        if here != (token in self.tokens):
+            (self.tokens.add if here else self.tokens.discard)(token)
+            for host in self._keys:
+                host.see(time_ns, token, here)
 
 
 class _Host:
@@ -51,10 +110,9 @@ class _Host:
         life: counts up when ticks that were planned do not come: it was killed or paused.
     """
 
-    def __init__(self, node: Node, local: LocalTime, now_ns: int) -> None:
-        self.inbox: dict[str, deque[tuple[int, bytes]]] = {
-            key: deque(maxlen=INBOX_SIZE) for key in node.subscriptions
-        }
+    def __init__(self, node: Node, local: LocalTime, now_ns: int, bus: _Bus) -> None:
+        self.rings: dict[str, Ring] = {}
+        self._bus = bus
         self.life = 0
         self.up = self.paused = False
         self._wrong = local
@@ -64,33 +122,62 @@ class _Host:
         """A new process: it knows nothing, not even how long its clock has drifted."""
         self.node = node
         self.up = True
+        self._heard: Sequence[str] = ()
+        self._listen()
+        self._changes = deque(
+            (now_ns, key, True) for key in sorted(self._bus.tokens) if _matches(node.watched, key)
+        )
+        self._bus.announce(node.alive_key, now_ns + LATENCY_NS, here=True)
         self._local = self._wrong
         self._ticks = Ticks(node, self._local.local_ns(now_ns) - 1)
         self._plan(now_ns)
 
-    def kill(self) -> None:
+    def kill(self, now_ns: int) -> None:
         self.up = self.paused = False
         self.life += 1
-        for ring in self.inbox.values():
-            ring.clear()
+        self._bus.forget(self)
+        self.rings = {}
+        self._bus.announce(self.node.alive_key, now_ns + LATENCY_NS, here=False)
 
     def pause(self) -> None:
         self.paused = True
         self.life += 1
 
+    def lapse(self, life: int, now_ns: int) -> None:
+        """Its lease is over: if it is paused still, as it was at `life`, others see it go."""
+        if self.paused and self.life == life:
+            self._bus.announce(self.node.alive_key, now_ns, here=False)
+
     def resume(self, now_ns: int) -> None:
         """It wakes at once if it has slept through a tick."""
         self.paused = False
+        self._bus.announce(self.node.alive_key, now_ns + LATENCY_NS, here=True)
         self._plan(now_ns)
+
+    def _listen(self) -> None:
+        """Listens to what the node wants to hear."""
+        if self.node.subscriptions is not self._heard:
+            self._heard = self.node.subscriptions
+            self.rings = {key: self.rings.get(key) or deque(maxlen=INBOX_SIZE) for key in self._heard}
+            self._bus.listen(self)
+
+    def see(self, time_ns: int, key: str, here: bool) -> None:
+        """A liveliness token comes or goes at `time_ns`."""
+        if self.up and _matches(self.node.watched, key):
+            self._changes.append((time_ns, key, here))
 
     def tick(self, true_ns: int) -> list[Outgoing]:
         """One round of `agent.process.loop`."""
         node, ticks = self.node, self._ticks
         now_ns, missed = ticks.take(self._local.local_ns(true_ns))
-        for key, ring in self.inbox.items():
+        while self._changes and self._changes[0][0] <= true_ns:
+            node.present(*self._changes.popleft()[1:])
+        for ring in self.rings.values():
             while ring and ring[0][0] <= true_ns:
-                node.receive(now_ns, key, ring.popleft()[1])
+                _, key, payload = ring.popleft()
+                node.receive(now_ns, key, payload)
         outgoing = node.tick(now_ns)
+        self._listen()
         if missed:
             node.timed(0, missed)
         if self._local.epoch_ns is None and ticks.epoch_ns is not None:
@@ -101,6 +188,14 @@ class _Host:
 
     def _plan(self, now_ns: int) -> None:
         self.due_ns = max(now_ns, self._local.true_ns(self._ticks.due_ns))
+
+
+def _warm_up_periods(fleet: Fleet, ahead_ns: int) -> int:
+    """Periods from the start to the earliest epoch, which the clock that is furthest ahead shows first."""
+    if not fleet.avoidance.enabled or len(fleet.ids) == 1:
+        return WARM_UP_PERIODS
+    listening = ceil(LISTEN_ROUNDS * fleet.fleet.rate_hz / fleet.avoidance.beacon_hz) + 1
+    return max(WARM_UP_PERIODS, listening + ceil(ahead_ns / fleet.period_ns))
 
 
 class Simulation:
@@ -114,6 +209,7 @@ class Simulation:
         now_ns: true time.
         epoch_ns: the mission's epoch; before the mission is sent, the earliest that it can have.
         reasons: what went wrong in the operator's eyes, as sentences for the verdict.
+        attended: whether the operator is there: its heartbeats come, where the fleet needs them.
 
     Raises:
         agent.fleet.FleetError: the formation cannot be resolved.
@@ -122,6 +218,7 @@ class Simulation:
     def __init__(self, fleet: Fleet, sink: Sink | None = None) -> None:
         self.fleet = fleet
         self.reasons: list[str] = []
+        self.attended = True
         self._sink = sink
         plan = FaultPlan(fleet)
         self._rules = plan.file_rules()
@@ -129,19 +226,18 @@ class Simulation:
         # No clock may show a time before 0.
         behind_ns = max(0, *(-clock.skew_ns for clock in clocks.values()))
         self.now_ns = next_tick_ns(behind_ns - 1, fleet.period_ns, 0)
-        self.epoch_ns = self.now_ns + WARM_UP_PERIODS * fleet.period_ns
-        self._duration_ns = 0
+        ahead_ns = max(0, *(clock.skew_ns for clock in clocks.values()))
+        self.epoch_ns = self.now_ns + _warm_up_periods(fleet, ahead_ns) * fleet.period_ns
+        self._operator = Operator(fleet, resolve(fleet))
+        self._order_keys = {self._operator.keys[kind] for kind in (Mission, Stop, Resume)}
         self._bodies = Bodies(fleet)
         self.agents = [Agent(fleet, robot) for robot in fleet.ids]
         self.plants = [self._plant(robot) for robot in fleet.ids]
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
         nodes += [("agent", node.robot, node) for node in self.agents]
-        self._hosts = [_Host(node, clocks[robot], self.now_ns) for _, robot, node in nodes]
+        self._bus = _Bus(fleet.ids)
+        self._hosts = [_Host(node, clocks[robot], self.now_ns, self._bus) for _, robot, node in nodes]
         self._order: dict[Process, int] = {(r, role): order for order, (role, r, _) in enumerate(nodes)}
-        self._subscribers: dict[str, list[tuple[_Host, deque[tuple[int, bytes]]]]] = {}
-        for host in self._hosts:
-            for key, ring in host.inbox.items():
-                self._subscribers.setdefault(key, []).append((host, ring))
         self._due = [(host.due_ns, order, host.life) for order, host in enumerate(self._hosts)]
         heapq.heapify(self._due)
         self._todo: list[tuple[int, int, Callable[[], None]]] = []
@@ -155,10 +251,11 @@ class Simulation:
 
     def publish(self, key: str, payload: bytes) -> None:
         """Puts a message on the bus now, as an operator or a node does."""
+        if key in self._order_keys:
+            with suppress(Malformed):
+                self._operator.hear(key, decode(payload))
         arrival_ns = self.now_ns + LATENCY_NS
-        for host, ring in self._subscribers.get(key, ()):
-            if host.up:
-                ring.append((arrival_ns, payload))
+        self._bus.put(arrival_ns, key, payload)
         if self._sink is not None:
             self._sink(arrival_ns, key, payload)
 
@@ -199,13 +296,14 @@ class Simulation:
         order = self._order[action.robot, action.role]
         host = self._hosts[order]
         if action.what == "kill":
-            host.kill()
+            host.kill(self.now_ns)
         elif action.what == "stop":
             host.pause()
+            self._at(self.now_ns + LEASE_NS, partial(host.lapse, host.life, self.now_ns + LEASE_NS))
         else:
             if action.what == "start":
                 host.start(self._again(action.robot, action.role), self.now_ns)
-                self._at(self.now_ns + MISSION_PERIOD_NS, self._say_mission)
+                self._at(self.now_ns + AGAIN_NS, self._say_again)
             else:
                 host.resume(self.now_ns)
             heapq.heappush(self._due, (host.due_ns, order, host.life))
@@ -236,12 +334,12 @@ class Simulation:
         """
         period_ns = self.fleet.period_ns
         begun_ns, epoch_ns = self.now_ns, self.epoch_ns
-        while not all(agent.state is State.READY for agent in self.agents):
+        while not all(is_ready(agent.state.value) for agent in self.agents):
             if self.now_ns >= begun_ns + READY_TIMEOUT_NS:
                 waiting = [
                     f"robot {agent.robot} ({agent.reason or 'nothing heard'})"
                     for agent in self.agents
-                    if agent.state is not State.READY
+                    if not is_ready(agent.state.value)
                 ]
                 self.reasons.append(
                     f"Not ready within {READY_TIMEOUT_NS // NS_PER_S} s: {', '.join(waiting)}."
@@ -253,16 +351,45 @@ class Simulation:
             quarter_over = self.now_ns % PROGRESS_PERIOD_NS < period_ns
             if quarter_over and progress is not None and not progress(self._fleet_time_s):
                 return False
-        self._duration_ns = duration_ns
         for action in actions(self._rules, self.fleet.ids, duration_ns / NS_PER_S):
             at_ns = self.epoch_ns + round(action.time_s * NS_PER_S)
             self._at(at_ns, partial(self._carry_out, action))
-        self._say_mission()
+        for order in self.fleet.orders:
+            self._at(self.epoch_ns + round(order.at * NS_PER_S), partial(self._carry_order_out, order))
+        if self.fleet.supervision.deadman_s is not None:
+            self._beat()
+        self._say(self._operator.begin(self.now_ns, self.epoch_ns, duration_ns))
         return True
 
-    def _say_mission(self) -> None:
-        mission = Mission(1, self.now_ns, self.epoch_ns, self._duration_ns, digest(self.fleet))
-        self.publish(keys.mission(self.fleet.fleet.name), encode(mission))
+    # ------------------------------------------------------------------ orders
+
+    def give(self, order: OrderSection) -> None:
+        """Gives an order now, whatever its time.
+
+        Raises:
+            agent.orders.OrderError: it cannot be carried out.
+        """
+        self._say(self._operator.give(order, self.now_ns))
+
+    def _carry_order_out(self, order: OrderSection) -> None:
+        try:
+            self.give(order)
+        except OrderError as error:
+            self.reasons.append(refused(order, error))
+
+    def _say_again(self) -> None:
+        for message in self._operator.again():
+            self._say(message)
+
+    def _beat(self) -> None:
+        if self.attended:
+            self._say(Heartbeat(self.now_ns, "simulate"))
+        self._at(self.now_ns + HEARTBEAT_PERIOD_NS, self._beat)
+
+    def _say(self, message: Order | Heartbeat) -> None:
+        self.publish(*self._operator.outgoing(message))
+
+    # ------------------------------------------------------------------ the drive
 
     def run(self, progress: Progress | None = None) -> None:
         """The whole mission: warm-up, drive, stop.
@@ -293,7 +420,7 @@ class Simulation:
     def stopped(self) -> bool:
         """True when every robot stands, or can do no more."""
         return all(
-            agent.state in (State.STOPPED, State.FAULT)
+            agent.state in (State.STOPPED, State.STANDBY, State.FAULT)
             for agent in self.agents
             if self._hosts[self._order[agent.robot, "agent"]].up
         )

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet import FleetError
 from deploy.arguments import InputError, change_arguments, fleet_path, fleet_text, overrides, scenario_path
@@ -16,11 +16,9 @@ from deploy.arguments import InputError, change_arguments, fleet_path, fleet_tex
 if TYPE_CHECKING:
     from deploy.sweep import Plan, Question
     from deploy.sweep_folder import SweepFolder
-    from deploy.sweep_run import Row
 
 DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 TIMEOUT: Final = "10min"
-LINE_PERIOD_S: Final = 10.0
 ROWS_MAX: Final = 40
 """Cells that are printed; of a larger grid, only what its files hold."""
 FINDINGS_MAX: Final = 20
@@ -76,9 +74,9 @@ def add_parser(commands: Any) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
+    from deploy.pool import PoolError
     from deploy.recorder import RecordingError
     from deploy.sweep import SweepError
-    from deploy.sweep_pool import PoolError
 
     try:
         return _sweep(options)
@@ -89,9 +87,9 @@ def sweep(options: argparse.Namespace) -> int:
 
 def _sweep(options: argparse.Namespace) -> int:
     from deploy.interrupt import Interrupt
+    from deploy.pool import cores
     from deploy.sweep import SweepError, make_plan
     from deploy.sweep_folder import SweepFolder
-    from deploy.sweep_pool import cores
     from deploy.sweep_summary import margin_axis
 
     interrupt = Interrupt()
@@ -216,7 +214,9 @@ def _write(folder: SweepFolder, run: int) -> int:
 
 def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
-    from deploy.sweep_pool import Pool
+    from deploy.pool import Pool
+    from deploy.progress import make_progress
+    from deploy.sweep_run import Runs
 
     missing = folder.missing
     if not missing:
@@ -229,89 +229,11 @@ def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, 
             f"into {folder.path}",
             file=sys.stderr,
         )
-    progress = make_progress(sys.stderr, plan.runs, done, quiet=quiet)
-    with progress, Pool(plan, jobs, timeout_s) as pool:
-        for row in pool.rows(missing, lambda: interrupt.count == 0):
+    progress = make_progress(sys.stderr, plan.runs, done, quiet=quiet, trouble="unsafe or not settled")
+    with progress, Pool(Runs(plan), jobs, timeout_s) as pool:
+        for row in pool.results(missing, lambda: interrupt.count == 0):
             folder.add(row)
-            progress.add(row)
-
-
-def make_progress(stream: TextIO, total: int, done: int, *, quiet: bool) -> Lines | Bar:
-    """A bar with rate and time left on a terminal, else a plain line from time to time."""
-    return Bar(stream, total, done) if stream.isatty() and not quiet else Lines(stream, total, done, quiet)
-
-
-class Lines:
-    """Plain lines, for logs and pipes: at every tenth of the runs, and every `LINE_PERIOD_S`."""
-
-    def __init__(self, stream: TextIO, total: int, done: int, quiet: bool) -> None:
-        self._stream, self._total, self._done, self._quiet = stream, total, done, quiet
-        self._before = done
-        self._begun_s = self._told_s = time.monotonic()
-
-    def __enter__(self) -> Lines:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def add(self, row: Row) -> None:
-        self._done += 1
-        now_s = time.monotonic()
-        tenth = self._done * 10 // self._total > (self._done - 1) * 10 // self._total
-        if self._quiet or not (tenth or now_s - self._told_s > LINE_PERIOD_S):
-            return
-        self._told_s = now_s
-        rate = (self._done - self._before) / max(now_s - self._begun_s, 1e-3)
-        left_s = (self._total - self._done) / rate
-        print(
-            f"{self._done} of {self._total} runs, {rate:.2f} a second, {_clock(left_s)} left",
-            file=self._stream,
-            flush=True,
-        )
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}"
-
-
-class Bar:
-    """A bar that is redrawn in place."""
-
-    def __init__(self, stream: TextIO, total: int, done: int) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        self._progress = Progress(
-            TextColumn("[bold]driving"),
-            BarColumn(bar_width=None),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-            TextColumn("left"),
-            TextColumn("{task.fields[trouble]}"),
-            console=Console(file=stream),
-            speed_estimate_period=120.0,
-        )
-        self._before, self._done, self._trouble = done, done, 0
-        self._task = self._progress.add_task("", total=total, completed=done, rate="", trouble="")
-
-    def __enter__(self) -> Bar:
-        self._begun_s = time.monotonic()
-        self._progress.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._progress.__exit__(*error)
-
-    def add(self, row: Row) -> None:
-        self._done += 1
-        self._trouble += not row.good
-        rate = (self._done - self._before) / max(time.monotonic() - self._begun_s, 1e-3)
-        trouble = f"{self._trouble} unsafe or not settled" if self._trouble else ""
-        self._progress.update(self._task, completed=self._done, rate=f"{rate:.2f}/s", trouble=trouble)
+            progress.add(trouble=not row.good)
 
 
 # ---------------------------------------------------------------------- what was found

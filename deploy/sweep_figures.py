@@ -25,7 +25,7 @@ from matplotlib.patches import Rectangle
 from deploy.drawing import INK, PALETTE, RED, new_figure, write
 from deploy.link_data import Floats
 from deploy.sweep import Axis, Plan
-from deploy.sweep_summary import Cell, Margin
+from deploy.sweep_summary import CLOSEST, Cell, Margin
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""
@@ -79,7 +79,7 @@ QUANTITIES: Final = (
         _settling, _settling_text, _unsettled_text,
     ),
     Quantity(
-        "least_distance", "Closest that neighbours came in any run", "m",
+        "least_distance", "Closest that robots came in any run", "m",
         lambda cell: cell.least_m, _least_text, lambda _: "not\nfinished", low_is_good=False,
     ),
     Quantity(
@@ -310,7 +310,7 @@ def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure
     if any(cell.settled.count < cell.settled.of for cell in cells):
         settling.plot([], [], " ", label="red: runs that settled")
         settling.legend(loc="lower right", handlelength=0.0)
-    _band(least, axis, x, cells, "min_distance_m.edge", 1.0)
+    _band(least, axis, x, cells, CLOSEST, 1.0)
     least.plot(
         x, _floats([cell.least_m for cell in cells]), "v", color=INK, markersize=4, label="least of all"
     )
@@ -318,7 +318,7 @@ def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure
         x, [cell.safe_distance_m for cell in cells], color=RED, linewidth=1.2, linestyle=(0, (5, 3)),
         label="safe distance",
     )  # fmt: skip
-    least.set_title("Closest that neighbours came")
+    least.set_title("Closest that robots came")
     least.set_ylabel("distance (m)")
     least.set_ylim(bottom=0.0)
     least.legend(loc="best")

@@ -8,13 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from agent import keys
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import decode
-from deploy import metrics
-from deploy.recording import RunData
-from deploy.simulation import Simulation
+from deploy import judged, metrics
+from deploy.pool import Abandoned
 from deploy.sweep import Plan
 
 PASSED: Final = "passed"
@@ -45,7 +42,8 @@ class Row:
         verdict: `PASSED`, `FAILED` (it was driven, and something was wrong), `CRASHED` or `TIMED_OUT` (it
             was not driven to the end: there are no numbers).
         reason: the first of the verdict's reasons, one line, empty when it passed.
-        safe: no two robots of an edge came below the safe distance; None when not known.
+        safe: the oracle `separation` found nothing: no two robots came below the safe distance, or, where
+            avoidance is switched off, no two of an edge. None when not known.
         settled: every edge was within 5 % of its distance at the end; None when not known.
         numbers: those of `NUMBERS` that are known.
         wall_s: real time that it took.
@@ -66,44 +64,34 @@ class Row:
         return self.safe is True and self.settled is True
 
 
-class Abandoned(Exception):
-    """The run was told not to go on."""
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """The runs of a plan, as `deploy.pool.Pool` drives them."""
+
+    plan: Plan
+
+    def execute(self, number: int, go_on: Callable[[], bool]) -> Row:
+        return execute(self.plan, number, go_on)
+
+    def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Row:
+        return unfinished(self.plan, number, TIMED_OUT if timed_out else CRASHED, reason, wall_s)
 
 
 def measure(fleet: Fleet, go_on: Callable[[], bool]) -> dict[str, Any]:
-    """Drives `fleet` (resolved); its metrics (`deploy.metrics.compute`) but for what they say of links.
+    """Drives `fleet` (resolved); its metrics (`deploy.metrics.compute`) but for what they say of links. The
+    verdict among them is that of `run` and `simulate`.
 
     Raises:
         Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
     """
-    name = fleet.fleet.name
-    data = RunData(fleet, mode="simulate")
-    # Hand states, wrenches and link traces are most of the messages, and no column is made of them.
-    wanted = {keys.mission(name), keys.stop(name)}.union(
-        *(
-            (keys.plant_state(name, robot), keys.plant_truth(name, robot), keys.status(name, robot))
-            for robot in fleet.ids
-        )
-    )
-
-    def sink(received_ns: int, key: str, payload: bytes) -> None:
-        if key in wanted:
-            data.feed(received_ns, key, decode(payload))
-
-    def progress(_: float) -> bool:
-        if not go_on():
-            raise Abandoned
-        return True
-
-    simulation = Simulation(fleet, sink)
-    simulation.run(progress)
+    recording = judged.drive(fleet, go_on)
     return metrics.compute(
-        data.recording(reasons=simulation.reasons),
+        recording,
         fleet,
         resolve(fleet),
         mode="simulate",
         seed=fleet.fleet.seed,
-        reasons=simulation.reasons,
+        reasons=recording.reasons,
     )
 
 
@@ -128,13 +116,13 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
             value = value[key]
         if value is not None:
             numbers[column] = float(value)
-    least = numbers.get("min_distance_m.edge")
+    separation = found["oracles"]["separation"]
     return Row(
         run,
         plan.run_seed(run),
         PASSED if found["verdict"]["passed"] else FAILED,
         next(iter(found["verdict"]["reasons"]), ""),
-        None if least is None else least >= fleet.formation.safe_distance_m,
+        separation["violations"] == 0 if separation["checked"] else None,
         found["settling_time_s"] is not None,
         numbers,
         time.perf_counter() - begun,

@@ -13,9 +13,11 @@ from deploy.sweep_run import CRASHED, TIMED_OUT, Row
 Z_95: Final = 1.959963984540054
 DEFAULT_MARGIN: Final = "faults.delay"
 QUANTILES: Final[Mapping[str, float]] = {"q25": 0.25, "median": 0.5, "q75": 0.75}
+CLOSEST: Final = "min_distance_m"
+"""Between the pairs that `Row.safe` is about."""
 SUMMARISED: Final = (
     "settling_time_s",
-    "min_distance_m.edge",
+    CLOSEST,
     "rms_distance_error_m",
     "final_distance_error_m",
     "final_tracking_error_m",
@@ -49,7 +51,8 @@ class Cell:
 
     `quantiles` has those of `SUMMARISED`, by name and then by `QUANTILES`; a quantile that falls among
     runs without that number (a settling time of a run that never settled) is None. `least_m` is the
-    closest that any two robots of an edge came in any run, None when not known.
+    closest that any two robots came in any run (of an edge, where avoidance is switched off), None when not
+    known.
     """
 
     number: int
@@ -113,7 +116,8 @@ def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
     for number, fleet in enumerate(plan.cells):
         first = number * plan.repeat
         own = [rows[run] for run in range(first, first + plan.repeat)]
-        nearest = [row.numbers.get("min_distance_m.edge") for row in own]
+        closest = f"{CLOSEST}.{'any' if fleet.avoidance.enabled else 'edge'}"
+        nearest = [row.numbers.get(closest) for row in own]
         cells.append(
             Cell(
                 number,
@@ -125,7 +129,7 @@ def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
                 Share(sum(row.settled is True for row in own), len(own)),
                 sum(row.good for row in own),
                 min((value for value in nearest if value is not None), default=None),
-                {name: _quantiles(name, own) for name in SUMMARISED},
+                {name: _quantiles(closest if name == CLOSEST else name, own) for name in SUMMARISED},
             )
         )
     return cells
@@ -134,7 +138,7 @@ def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
 def _quantiles(name: str, rows: Sequence[Row]) -> dict[str, float | None]:
     # A run that never settled settles later than any other; one that was not finished is no better.
     # The least distance is the only number of which less is worse.
-    missing = -inf if name == "min_distance_m.edge" else inf
+    missing = -inf if name.startswith(CLOSEST) else inf
     values = sorted(row.numbers.get(name, missing) for row in rows)
     return {label: _quantile(values, share) for label, share in QUANTILES.items()}
 
@@ -189,7 +193,7 @@ def summary_table(plan: Plan, cells: Sequence[Cell]) -> list[list[str]]:
     heading = [axis.field for axis in plan.axes] + ["runs", "unfinished"]
     for name in ("safe", "settled"):
         heading += [name, f"{name}_share", f"{name}_low", f"{name}_high"]
-    heading += ["min_distance_m.edge_least"]
+    heading += [f"{CLOSEST}_least"]
     heading += [f"{name}_{label}" for name in SUMMARISED for label in QUANTILES]
     table = [heading]
     for cell in cells:

@@ -1,4 +1,4 @@
-"""Worker processes of a sweep: one run at a time each, ended when a run takes too long.
+"""Worker processes for many runs: one run at a time each, ended when a run takes too long.
 
 A run that takes its process with it, or never ends, costs that run and nothing else: the process is
 replaced. The workers end with the process that started them.
@@ -16,24 +16,43 @@ from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
-from typing import Final
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from deploy.children import ONE_THREAD
-from deploy.sweep import Plan
-from deploy.sweep_run import CRASHED, TIMED_OUT, Abandoned, Row, execute, unfinished
 
 POLL_S: Final = 0.2
 """How often the pool asks whether it is to go on."""
 READY_TIMEOUT_S: Final = 60.0
 START_ATTEMPTS: Final = 3
-"""So many starts that fail one after the other end the sweep: it is not for a run that they do."""
+"""So many starts that fail one after the other end it all: it is not for a run that they do."""
 END_TIMEOUT_S: Final = 2.0
 _READY: Final = "ready"
 _BLOCKED: Final = (signal.SIGINT, signal.SIGHUP)
 
 
+T = TypeVar("T")
+Result = TypeVar("Result", covariant=True)
+GoOn = Callable[[], bool]
+
+
 class PoolError(RuntimeError):
     """Workers cannot be started; one line."""
+
+
+class Abandoned(Exception):
+    """A run was told not to go on."""
+
+
+class Work(Protocol[Result]):
+    """Runs that have numbers. Each worker gets a copy."""
+
+    def execute(self, number: int, go_on: GoOn) -> Result:
+        """Drives one; raises `Abandoned` when `go_on`, asked now and then, says no, and nothing else."""
+        ...
+
+    def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Result:
+        """What stands for one whose process died, or was ended because it took too long."""
+        ...
 
 
 def cores() -> int:
@@ -43,8 +62,8 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def _work(connection: Connection, plan: Plan) -> None:
-    """A worker: takes numbers of runs until there are no more, gives rows."""
+def _work(connection: Connection, work: Work[Any]) -> None:
+    """A worker: takes numbers of runs until there are no more, gives what came of them."""
     parent = multiprocessing.parent_process()
 
     def go_on() -> bool:
@@ -53,17 +72,17 @@ def _work(connection: Connection, plan: Plan) -> None:
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, Abandoned):
         connection.send(_READY)
         while True:
-            connection.send(execute(plan, connection.recv(), go_on))
+            connection.send(work.execute(connection.recv(), go_on))
 
 
 class _Worker:
     """One process, and the run that it is at."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, work: Work[Any]) -> None:
         # spawn: a fork of a process with threads (the progress display has one) may hang.
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, plan), daemon=True)
+        self.process = context.Process(target=_work, args=(theirs, work), daemon=True)
         # A Ctrl-C reaches every process of a terminal, and is its starter's to answer. A mask, unlike a
         # handler, holds from the new process's first instruction on. The tracker, which `start` would
         # start first, undoes it: so it has to run already.
@@ -83,13 +102,12 @@ class _Worker:
         with suppress(BrokenPipeError, ConnectionResetError):  # it is gone: its end is seen when read
             self.connection.send(run)
 
-    def take(self) -> Row | str | None:
-        """What it sent; None when it is gone."""
+    def take(self) -> tuple[Any, ...]:
+        """What it sent, in a tuple; none when it is gone."""
         try:
-            received: Row | str = self.connection.recv()
+            return (self.connection.recv(),)
         except (EOFError, ConnectionResetError):
-            return None
-        return received
+            return ()
 
     def death(self) -> str:
         """How the process ended, in words."""
@@ -109,17 +127,17 @@ class _Worker:
         self.process.close()
 
 
-class Pool:
-    """Drives runs of `plan` in `jobs` processes, each run in at most `timeout_s`. A context manager."""
+class Pool(Generic[T]):
+    """Drives runs of `work` in `jobs` processes, each run in at most `timeout_s`. A context manager."""
 
-    def __init__(self, plan: Plan, jobs: int, timeout_s: float) -> None:
-        self._plan, self._jobs, self._timeout_s = plan, jobs, timeout_s
+    def __init__(self, work: Work[T], jobs: int, timeout_s: float) -> None:
+        self._runs_of, self._jobs, self._timeout_s = work, jobs, timeout_s
         self._workers: list[_Worker] = []
         self._failed_starts = 0
         for name, value in ONE_THREAD.items():
             os.environ.setdefault(name, value)
 
-    def __enter__(self) -> Pool:
+    def __enter__(self) -> Pool[T]:
         return self
 
     def __exit__(
@@ -128,8 +146,8 @@ class Pool:
         for worker in list(self._workers):
             self._end(worker)
 
-    def rows(self, runs: Iterable[int], go_on: Callable[[], bool]) -> Iterator[Row]:
-        """The rows of `runs`, in whatever order they end, until all are done or `go_on` says no.
+    def results(self, runs: Iterable[int], go_on: GoOn) -> Iterator[T]:
+        """What came of `runs`, in whatever order they end, until all are done or `go_on` says no.
 
         Raises:
             PoolError: a worker does not come up.
@@ -140,42 +158,43 @@ class Pool:
             if not queue and not busy:
                 return
             while len(self._workers) < min(self._jobs, busy + len(queue)):
-                self._workers.append(_Worker(self._plan))
+                self._workers.append(_Worker(self._runs_of))
             for worker in self._workers:
                 if queue and worker.ready and worker.run is None:
                     worker.give(queue.popleft())
             readable = wait([worker.connection for worker in self._workers], POLL_S)
             for worker in list(self._workers):
-                row = self._take(worker) if worker.connection in readable else self._look(worker)
-                if row is not None:
-                    yield row
+                is_readable = worker.connection in readable
+                yield from self._take(worker) if is_readable else self._look(worker)
 
-    def _take(self, worker: _Worker) -> Row | None:
+    def _take(self, worker: _Worker) -> tuple[T, ...]:
+        """What it has sent came of its run, if it is that."""
         received = worker.take()
-        if isinstance(received, Row):
+        if received == (_READY,):
+            worker.ready, self._failed_starts = True, 0
+            return ()
+        if received:
             worker.run = None
             return received
-        if received is not None:
-            worker.ready, self._failed_starts = True, 0
-            return None
         death, run, took_s = worker.death(), worker.run, time.monotonic() - worker.begun_s
         self._end(worker)
         if not worker.ready:
             self._failed_starts += 1
             if self._failed_starts == START_ATTEMPTS:
-                raise PoolError(f"the sweep's workers cannot start: {death}")
-        return None if run is None else unfinished(self._plan, run, CRASHED, death, took_s)
+                raise PoolError(f"the workers cannot start: {death}")
+        return () if run is None else (self._runs_of.unfinished(run, death, took_s, timed_out=False),)
 
-    def _look(self, worker: _Worker) -> Row | None:
+    def _look(self, worker: _Worker) -> tuple[T, ...]:
+        """Ends it if it takes too long."""
         took_s = time.monotonic() - worker.begun_s
         if not worker.ready and took_s > READY_TIMEOUT_S:
-            raise PoolError(f"a worker of the sweep has not started within {READY_TIMEOUT_S:g} s")
+            raise PoolError(f"a worker has not started within {READY_TIMEOUT_S:g} s")
         run = worker.run
         if run is None or took_s <= self._timeout_s:
-            return None
+            return ()
         self._end(worker)
         reason = f"not done within {self._timeout_s:g} s (--timeout)"
-        return unfinished(self._plan, run, TIMED_OUT, reason, took_s)
+        return (self._runs_of.unfinished(run, reason, took_s, timed_out=True),)
 
     def _end(self, worker: _Worker) -> None:
         self._workers.remove(worker)

@@ -1,0 +1,185 @@
+"""A run on one grid of times: where robots were, where they should have been, and how far apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.formation import Geometry
+from deploy.desired import MissionChange, desired
+from deploy.link_data import Floats
+from deploy.presence import away, downs
+from deploy.recording import Recording
+from deploy.stability import SETTLED
+
+Flags = NDArray[np.bool_]
+
+_BRAKING_S: Final = 0.3
+"""Of a simulated body at 1.5 m/s (`plant.unicycle.BRAKE_DECELERATION_MAX`)."""
+
+
+class Approach(NamedTuple):
+    """The closest that a pair of robots came."""
+
+    distance_m: float
+    t_s: float
+    pair: tuple[int, int]
+
+
+class Approaches(NamedTuple):
+    """Of all pairs of one kind: the closest, and of each pair that came below the safe distance the closest.
+
+    Pairs that begin below it and come apart later are left out of `unsafe` until then.
+    """
+
+    closest: Approach | None
+    unsafe: tuple[Approach, ...]
+
+
+class Settled(NamedTuple):
+    """A change of mission, and how long after it the last edge was off; None when one was when the next
+    change came, or the end."""
+
+    change: MissionChange
+    after_s: float | None
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A run on one grid of k times, for n robots (all of them) and m edges (all that were ever in force).
+
+    `hands` and `desired` (k, n, 2) m; `distances`, `wanted` (k, m) m. NaN where a robot sent no pose at all,
+    has no place, or an edge is not in force.
+    """
+
+    ids: tuple[int, ...]
+    safe_m: float
+    grid: Floats
+    hands: Floats
+    desired: Floats
+    edges: NDArray[np.int64]
+    wanted: Floats
+    distances: Floats
+    counts: Flags
+    """(k, m): the edge is in force, wholly, and both its robots could follow."""
+    off: Flags
+    """(k, m): it counts, and is further than `SETTLED` from its distance."""
+    away: Flags
+    """(k, n): the robot could not follow (`deploy.presence.away`)."""
+    settling_s: float | None
+    """Last time that any edge was off, 0 when none was, None when one is at the end (or nothing is known)."""
+    changes: tuple[Settled, ...]
+    """Of mission, within the drive."""
+    mission_version: int
+
+    @cached_property
+    def with_edge(self) -> Approaches:
+        """Of pairs while they shared an edge."""
+        return self._approaches(sharing=True)
+
+    @cached_property
+    def without_edge(self) -> Approaches:
+        """Of pairs while they shared none."""
+        return self._approaches(sharing=False)
+
+    def _approaches(self, *, sharing: bool) -> Approaches:
+        n = len(self.ids)
+        columns: dict[int, list[tuple[int, int]]] = {}
+        for column, (i, j) in enumerate(self.edges.tolist()):
+            columns.setdefault(min(i, j), []).append((max(i, j), column))
+        in_force = np.isfinite(self.wanted)
+        closest: Approach | None = None
+        unsafe: list[Approach] = []
+        for i in range(n - 1):  # a robot at a time: all pairs of a large fleet at once would not fit
+            between = norm(self.hands[:, i + 1 :] - self.hands[:, i : i + 1])
+            shared = np.zeros(between.shape, dtype=np.bool_)
+            for j, column in columns.get(i, ()):
+                shared[:, j - i - 1] |= in_force[:, column]
+            below = between < self.safe_m  # False for NaN
+            between[np.isnan(between) | (shared != sharing)] = np.inf
+            k, at = divmod(int(between.argmin()), n - 1 - i)
+            distance = float(between[k, at])
+            if isfinite(distance) and (closest is None or distance < closest.distance_m):
+                closest = Approach(distance, float(self.grid[k]), (self.ids[i], self.ids[i + 1 + at]))
+            for at in np.flatnonzero((between < self.safe_m).any(axis=0)).tolist():
+                apart = np.flatnonzero(~below[:, at])
+                if len(apart):
+                    between[: apart[0], at] = np.inf
+                k = int(between[:, at].argmin())
+                if between[k, at] < self.safe_m:
+                    pair = self.ids[i], self.ids[i + 1 + at]
+                    unsafe.append(Approach(float(between[k, at]), float(self.grid[k]), pair))
+        return Approaches(closest, tuple(sorted(unsafe)))
+
+
+def analyse(recording: Recording, geometry: Geometry) -> Analysis:
+    """The run's hand points, desired hand points and edge distances over time."""
+    grid = recording.grid
+    hands = recording.hand_positions(grid)
+    _fill_downs(recording, grid, hands)
+    wish = desired(recording, geometry, grid)
+    edges, wanted = wish.edges, wish.wanted
+    distances = norm(hands[:, edges[:, 0]] - hands[:, edges[:, 1]])
+    gone = away(recording, grid)
+    counts = wish.whole & ~gone[:, edges[:, 0]] & ~gone[:, edges[:, 1]]
+    off = counts & (np.abs(distances - wanted) > SETTLED * wanted)  # False for NaN
+    known = np.isfinite(distances) & counts
+    settling_s = _last_off(grid, off) if known.any() else None
+    end_s = float(grid[-1])
+    changes = [change for change in wish.changes if change.t_s <= end_s]
+    ends = [*(change.t_s for change in changes[1:]), end_s]
+    settled = tuple(
+        Settled(change, _settled_after(grid, off, change.t_s, until_s))
+        for change, until_s in zip(changes, ends, strict=False)
+    )
+    return Analysis(
+        recording.ids, recording.fleet.formation.safe_distance_m, grid, hands, wish.places, edges, wanted,
+        distances, counts, off, gone, settling_s,
+        settled, wish.mission_version,
+    )  # fmt: skip
+
+
+def _fill_downs(recording: Recording, grid: Floats, hands: Floats) -> None:
+    """Where simulated bodies were while their plants were killed or paused, into `hands` (k, n, 2).
+
+    They come to a stand within the wrench timeout and their braking time, and stand where they are found.
+    """
+    for index, (robot, data) in enumerate(recording.robots.items()):
+        if recording.mode != "simulate" and recording.fleet.robot(robot).plant != "unicycle":
+            continue
+        t = data.body.t
+        for down in downs(recording, robot, "plant"):
+            after = int(np.searchsorted(t, down.end_s))
+            if not 0 < after < len(t):
+                continue
+            begin_s, end_s = float(t[after - 1]), float(t[after])
+            stands_s = begin_s + recording.fleet.control.wrench_timeout_s + _BRAKING_S
+            if stands_s < end_s:
+                was, found = recording.hand_positions(t[after - 1 : after + 1])[:, index]
+                gap = (grid > begin_s) & (grid < end_s)
+                share = np.minimum((grid[gap] - begin_s) / (stands_s - begin_s), 1.0)
+                hands[gap, index] = was + share[:, None] * (found - was)
+
+
+def _last_off(grid: Floats, off: Flags) -> float | None:
+    if not len(off) or off[-1].any():
+        return None
+    when = np.flatnonzero(off.any(axis=1))
+    return float(grid[when[-1]]) if len(when) else 0.0
+
+
+def _settled_after(grid: Floats, off: Flags, from_s: float, until_s: float) -> float | None:
+    rows = (grid >= from_s) & (grid <= until_s)
+    last_s = _last_off(grid[rows], off[rows])
+    return None if last_s is None else max(last_s - from_s, 0.0)
+
+
+def norm(vectors: Floats) -> Floats:
+    """Lengths (...) of vectors (..., 2)."""
+    length: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
+    return length

@@ -1,0 +1,92 @@
+"""Whether robots can do what the last stage counts on: brake from full speed, and see each other in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import floor, inf, log10
+from typing import Final
+
+from agent.avoidance import AHEAD_M, barrier_rate, braking_room
+from agent.fleet import Fleet
+from agent.fleet_sections import Robot
+from deploy.finding import Finding
+from deploy.wording import robots
+
+_ROUNDING: Final = 1e-9
+
+
+def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
+    """What speaks against (F4) of docs/theory.md: p V_max is the braking that keeps every distance.
+
+    Args:
+        distance: d_a, m; None for a formation that cannot be resolved.
+    """
+    if not fleet.avoidance.enabled:
+        return
+    rate, control = barrier_rate(fleet), fleet.control
+    needed = rate * control.max_speed_mps
+    if needed > control.max_acceleration * (1.0 + _ROUNDING):
+        enough = _below(control.max_acceleration / control.max_speed_mps)
+        yield Finding(
+            "warning",
+            "avoidance.barrier_rate",
+            f"{rate:.4g} 1/s at control.max_speed_mps = {control.max_speed_mps:.4g} counts on robots "
+            f"that brake with {needed:.3g} m/s2, more than control.max_acceleration = "
+            f"{control.max_acceleration:.4g}: they may come nearer than the safe distance; take {enough} 1/s "
+            "or less, or leave it out",
+        )
+    yield from _bodies(fleet, min(needed, control.max_acceleration))
+    yield from _sensing(fleet, distance)
+
+
+def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:
+    able = {robot.id: min(_braking(robot), default=(inf, "")) for robot in fleet.robots}
+    weak = [robot for robot, (most, _) in able.items() if most < needed * (1.0 - _ROUNDING)]
+    if not weak:
+        return
+    weakest = min(weak, key=lambda robot: able[robot])
+    most, field = able[weakest]
+    speed = fleet.control.max_speed_mps
+    yield Finding(
+        "warning",
+        "avoidance.barrier_rate",
+        f"{robots(weak)} cannot brake as the last filter counts on: from control.max_speed_mps = {speed:.4g} "
+        f"that takes {needed:.3g} m/s2, and {field} of robot {weakest} allows {most:.3g}; set it to "
+        f"{_below(most / speed)} 1/s or less, or lower the speed",
+    )
+
+
+def _braking(robot: Robot) -> Iterator[tuple[float, str]]:
+    """The accelerations (m/s^2) that a body can give its hand, each with the field that limits it."""
+    if robot.plant == "mavlink" and robot.mavlink is not None:
+        yield robot.mavlink.max_acceleration, "mavlink.max_acceleration"
+    if robot.max_force_n is not None:
+        yield robot.max_force_n / robot.mass_kg, "max_force_n"
+    if robot.max_torque_nm is not None:
+        yield robot.hand_offset_m * robot.max_torque_nm / robot.inertia_kgm2, "max_torque_nm"
+
+
+def _sensing(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
+    given, room = fleet.avoidance.sensing_m, braking_room(fleet)
+    if given is None:
+        return
+    if fleet.avoidance.distance_m is None and distance is not None and given <= distance:
+        why = f"above the distance at which robots begin to part, {distance:.4g} m here"
+    elif given < room * (1.0 - _ROUNDING):
+        speed = fleet.control.max_speed_mps
+        why = f"the {room:.4g} m in which two robots at control.max_speed_mps = {speed:.4g} can brake"
+    else:
+        return
+    enough = room if distance is None else max(room, distance + AHEAD_M)
+    yield Finding(
+        "warning",
+        "avoidance.sensing_m",
+        f"{given:.4g} m is not {why}: they would notice each other too late; take {enough:.3g} m, or leave "
+        "it out",
+    )
+
+
+def _below(value: float) -> str:
+    """A value > 0 in three digits, rounded down."""
+    step = 10.0 ** (floor(log10(value)) - 2)
+    return f"{floor(value / step * (1.0 + _ROUNDING)) * step:.3g}"

@@ -1,0 +1,69 @@
+"""What would go wrong with a fleet file's orders: they are given in turn, to nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet
+from agent.formation import Geometry, components
+from agent.orders import OrderError
+from agent.plan import Plan
+from deploy.finding import Finding
+from deploy.operating import Operator
+from deploy.wording import some
+
+_EPOCH_NS: Final = 1_000 * NS_PER_S
+
+
+def check_orders(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
+    """Everything worth saying about them, by the code that carries them out in a drive."""
+    end_s = fleet.fleet.duration_s
+    operator = Operator(fleet, geometry)
+    operator.begin(_EPOCH_NS - NS_PER_S, _EPOCH_NS, round(end_s * NS_PER_S))
+    parts = _parts(operator.plan)
+    for number, order in sorted(enumerate(fleet.orders, 1), key=lambda row: row[1].at):
+        place = f"order[{number}]"
+        try:
+            operator.give(order, _EPOCH_NS + round(order.at * NS_PER_S))
+        except OrderError as error:
+            yield Finding("error", place, f"at {order.at:g} s, {order.kind}: {error}")
+            continue
+        if order.at >= end_s:
+            yield Finding(
+                "warning",
+                f"{place}.at",
+                f"{order.at:g} s is not before the run's end at {end_s:g} s: it is never given",
+            )
+            continue
+        plan = operator.plan
+        if order.kind in ("stop", "resume") or plan is None:
+            continue
+        done_s = (plan.from_ns + plan.blend_ns - _EPOCH_NS) / NS_PER_S
+        if done_s > end_s:
+            yield Finding(
+                "warning",
+                f"{place}.at",
+                f"what is ordered at {order.at:g} s is done at {done_s:.4g} s, after the run's end at "
+                f"{end_s:g} s: order it earlier, give it less time (over_s) or let the run last longer "
+                "(fleet.duration_s)",
+            )
+        before, parts = parts, _parts(plan)
+        if len(parts) > max(len(before), 1):
+            shown = ", ".join("{" + some(part) + "}" for part in parts)
+            yield Finding(
+                "warning",
+                place,
+                f"after it the graph is in {len(parts)} parts, {shown}: robots of different parts only "
+                "keep out of each other's way",
+            )
+
+
+def _parts(plan: Plan | None) -> list[list[int]]:
+    """The members' ids by connected part of the graph."""
+    if plan is None:
+        return []
+    row = {robot: k for k, robot in enumerate(plan.members)}
+    found = components(len(row), [(row[i], row[j]) for i, j in plan.edges])
+    return [[plan.members[k] for k in part] for part in found]

@@ -1,0 +1,59 @@
+"""An operator's heartbeat to a running fleet."""
+
+from __future__ import annotations
+
+from typing import Final, TextIO
+
+from agent import keys
+from agent.fleet import Fleet
+from agent.messages import Heartbeat, encode
+from deploy.author import author
+from deploy.faults_putting import Line
+from deploy.interrupt import Interrupt
+from deploy.operating import HEARTBEAT_PERIOD_NS
+from deploy.session import Session, connected
+from deploy.wording import robots
+
+PERIOD_S: Final = HEARTBEAT_PERIOD_NS / 1e9
+
+
+class HeartbeatSession(Session):
+    """A session that sends heartbeats.
+
+    Raises:
+        agent.bus.BusError: the bus cannot be opened.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        super().__init__(fleet)
+        self._author = author()
+        self._key = keys.heartbeat(fleet.fleet.name)
+        self.bus.declare(self._key)
+
+    def beat(self, interrupt: Interrupt, stream: TextIO) -> None:
+        """Sends them until interrupted, and says on `stream` who is there to hear them."""
+        line = Line(stream)
+        while not interrupt.count:
+            self.bus.publish(self._key, encode(Heartbeat(self.now_ns(), self._author)))
+            heard = hearers(self.fleet, {robot for robot, role in self.alive if role == "agent"})
+            line.show(heard, heard)
+            self.wait(lambda: interrupt.count > 0, PERIOD_S)
+        line.end()
+
+
+def hearers(fleet: Fleet, agents: set[int]) -> str:
+    """Who hears the heartbeats, in words."""
+    absent = [robot for robot in fleet.ids if robot not in agents]
+    text = f"heartbeats heard by {len(agents)} of {len(fleet.ids)} agents"
+    return f"{text}; not by {robots(absent)}" if absent else text
+
+
+def beat(fleet: Fleet, interrupt: Interrupt, stream: TextIO) -> None:
+    """Sends heartbeats to a running fleet until interrupted.
+
+    Raises:
+        deploy.running.NoAnswerError: nobody is there.
+        agent.bus.BusError: the bus cannot be opened.
+    """
+    with connected(HeartbeatSession(fleet), interrupt) as session:
+        session.beat(interrupt, stream)

@@ -1,0 +1,43 @@
+"""A run in virtual time of which only what it is judged by is kept: for many runs."""
+
+from __future__ import annotations
+
+from agent import keys
+from agent.fleet import Fleet
+from agent.messages import decode
+from deploy.pool import Abandoned, GoOn
+from deploy.recording import Recording, RunData
+from deploy.simulation import Simulation
+
+
+def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:
+    """Drives `fleet` (resolved) for its duration. What went wrong in the operator's eyes is in `reasons`.
+
+    Raises:
+        Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
+    """
+    name = fleet.fleet.name
+    data = RunData(fleet, mode="simulate")
+    # Hand states, beacons and what agents did to them are most of the messages, and nobody is judged by them.
+    wanted = {keys.mission(name), keys.stop(name), keys.resume(name), keys.events(name)}
+    for robot in fleet.ids:
+        wanted |= {
+            keys.plant_state(name, robot),
+            keys.plant_truth(name, robot),
+            keys.plant_links(name, robot),
+            keys.wrench(name, robot),
+            keys.status(name, robot),
+        }
+
+    def sink(received_ns: int, key: str, payload: bytes) -> None:
+        if key in wanted:
+            data.feed(received_ns, key, decode(payload))
+
+    def progress(_: float) -> bool:
+        if not go_on():
+            raise Abandoned
+        return True
+
+    simulation = Simulation(fleet, sink)
+    simulation.run(progress)
+    return data.recording(reasons=simulation.reasons)

@@ -1,0 +1,98 @@
+"""What happens in a fleet that drives, in sentences: orders, and robots that change their state (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from agent.fleet import Fleet
+from agent.messages import Mission, Resume, Stop
+from agent.supervision import DRIVING, State
+from deploy.wording import robots
+
+SENTENCES_MAX: Final = 8
+"""Of one moment; of more only the number is said."""
+_STANDBY: Final = State.STANDBY.value
+_RELEASED: Final = State.RELEASED.value
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
+_ACTIVE: Final = _DRIVING | {State.HOLDING.value, _RELEASED}
+_IN: Final = (_STANDBY, State.FAULT.value)
+
+
+class News:
+    """Takes what is heard of a fleet; `sentences` gives what is worth a line.
+
+    That robots become ready, start, and come to rest at the end is not.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._duration_s = fleet.fleet.duration_s
+        self._states: dict[int, str] = {}
+        self._away: dict[int, str] = {}
+        """Robots that do not drive although others do, and how it is said that they do again."""
+        self._orders: list[str] = []
+        self._changes: list[tuple[int, str, str, str]] = []
+
+    def order(self, message: Mission | Stop | Resume) -> None:
+        """Told of a mission, stop or leave that is newer than those before."""
+        if type(message) is Mission:
+            self._orders += [message.note] if message.note else []
+        elif type(message) is Stop:
+            why = f": {message.reason}" if message.reason else ""
+            self._orders.append(f"every robot is told to stop{why}")
+        else:
+            assert type(message) is Resume
+            who = robots(message.robots) if message.robots else "all robots"
+            self._orders.append(f"{who} may drive again")
+
+    def state(self, robot: int, state: str, reason: str) -> None:
+        """Told what a robot says of itself, again and again."""
+        before = self._states.get(robot, "")
+        if state != before:
+            self._states[robot] = state
+            self._changes.append((robot, before, state, reason))
+
+    def sentences(self, time_s: float | None) -> list[str]:
+        """What happened since the last call; `time_s` is the fleet time, None before the epoch is set."""
+        at = "" if time_s is None else f"{time_s:.1f} s: "
+        said = [at + text for text in self._orders]
+        self._orders = []
+        who: dict[str, set[int]] = {}
+        for robot, before, state, reason in self._changes:
+            text = self._words(robot, before, state, reason, time_s)
+            if text:
+                who.setdefault(text, set()).add(robot)
+        self._changes = []
+        changes = [f"{at}{_are(ids)} {text}" for text, ids in who.items()]
+        more = len(changes) - SENTENCES_MAX
+        said += changes[:SENTENCES_MAX]
+        return [*said, f"{at}and {more} more changes of state"] if more > 0 else said
+
+    def _words(self, robot: int, before: str, state: str, reason: str, time_s: float | None) -> str:
+        """The change after "robot 3 is", "" when it is not worth a line."""
+        why = f": {reason}" if reason else ""
+        if state == _STANDBY and before not in _ACTIVE:
+            self._away.setdefault(robot, "")
+            return ""
+        if time_s is None or time_s < 0.0:
+            if state == _RELEASED:
+                self._away[robot] = "back: "
+                return f"released{why}"
+            return ""
+        if state == State.STOPPING.value or (state == State.STOPPED.value and time_s >= self._duration_s):
+            # On its way to rest, or there at the end of the drive: as it should be.
+            self._away.pop(robot, None)
+            return ""
+        if state == State.RUNNING.value:
+            back = self._away.pop(robot, None)
+            return "" if back is None else f"{back}running"
+        if state == State.READY.value or (state == State.WAITING.value and before not in _DRIVING):
+            return ""
+        self._away[robot] = "back: "
+        return f"in {state}{why}" if state in _IN else f"{state}{why}"
+
+
+def _are(ids: Iterable[int]) -> str:
+    """'robot 3 is', 'robots 1 and 2 are'."""
+    shown = sorted(ids)
+    return f"{robots(shown)} {'is' if len(shown) == 1 else 'are'}"

@@ -1,0 +1,230 @@
+"""What an operator orders of a fleet, and what it knows has been ordered by anybody (PURE).
+
+`handfast run` and `simulate` carry out the fleet file's ``[[order]]`` with it, and commands such as
+``handfast join`` theirs. Times are wall-clock nanoseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from agent import keys
+from agent.fleet import Fleet, digest
+from agent.formation import Geometry
+from agent.messages import (
+    Ask,
+    Beacon,
+    Heartbeat,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+    clipped,
+    encode,
+    newer,
+)
+from agent.node import FIRST_ROUND, Outgoing
+from agent.order_sections import OrderSection
+from agent.orders import OrderError, first_mission, ordered
+from agent.plan import Plan, PlanError, plan_of
+from agent.supervision import DRIVING
+
+HEARTBEAT_PERIOD_NS: Final = 100_000_000
+NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
+
+Order = Mission | Stop | Resume
+
+
+def refused(order: OrderSection, error: OrderError) -> str:
+    """The sentence for the verdict on a run one of whose orders cannot be carried out."""
+    return f"The order at {order.at:g} s ({order.kind}) was not given: {error}."
+
+
+class Known:
+    """The newest orders that were heard of a fleet, whoever gave them.
+
+    Args:
+        fleet: resolved.
+        geometry: `agent.formation.resolve` of it.
+
+    Attributes:
+        mission, plan: the newest mission that this fleet can drive, and what it means.
+        stop, resume: the newest ones.
+        keys: where an operator says what.
+    """
+
+    def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
+        self._fleet, self._geometry, self._digest = fleet, geometry, digest(fleet)
+        self.mission: Mission | None = None
+        self.plan: Plan | None = None
+        self.stop: Stop | None = None
+        self.resume: Resume | None = None
+        name = fleet.fleet.name
+        self.keys: Final[Mapping[type[Message], str]] = {
+            Mission: keys.mission(name),
+            Stop: keys.stop(name),
+            Resume: keys.resume(name),
+            Heartbeat: keys.heartbeat(name),
+            Ask: keys.ask(name),
+        }
+
+    def hear(self, key: str, message: Message) -> bool:
+        """Takes a message that came on `key`; True for an order that is newer than those before."""
+        if type(message) is Mission and key == self.keys[Mission]:
+            return self._take(message)
+        if type(message) is Stop and key == self.keys[Stop]:
+            if self.stop is None or message.version > self.stop.version:
+                self.stop = message
+                return True
+        elif (
+            type(message) is Resume
+            and key == self.keys[Resume]
+            and (self.resume is None or message.version > self.resume.version)
+        ):
+            self.resume = message
+            return True
+        return False
+
+    def _take(self, mission: Mission) -> bool:
+        if mission.digest != self._digest or not newer(mission, self.mission):
+            return False
+        try:
+            self.plan = plan_of(mission, self._fleet, self._geometry)
+        except PlanError:
+            return False  # no agent takes it either
+        self.mission = mission
+        return True
+
+    @property
+    def mission_version(self) -> int:
+        """Of the newest mission, 0 without any."""
+        return 0 if self.mission is None else self.mission.version
+
+    @property
+    def order_version(self) -> int:
+        """Of the newest stop or leave, 0 without any."""
+        return max((each.version for each in self.latest), default=0)
+
+    @property
+    def latest(self) -> list[Stop | Resume]:
+        """The newest stop and the newest leave, the stop first."""
+        return [each for each in (self.stop, self.resume) if each is not None]
+
+
+class Operator(Known):
+    """Gives orders, each of a version greater than any that was heard of, and says them again."""
+
+    def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
+        super().__init__(fleet, geometry)
+        self._missions_seen = self._orders_seen = 0
+
+    def hear(self, key: str, message: Message) -> bool:
+        if type(message) is Status:
+            self._seen(message.mission_version, message.order_version)
+        elif type(message) is Beacon:
+            self._seen(message.mission_version, max(message.stop_version, message.resume_version))
+        return super().hear(key, message)
+
+    def _seen(self, mission_version: int, order_version: int) -> None:
+        self._missions_seen = max(self._missions_seen, mission_version)
+        self._orders_seen = max(self._orders_seen, order_version)
+
+    @property
+    def behind(self) -> bool:
+        """Whether agents know of an order that was not heard here: they tell it when they are asked."""
+        return self._missions_seen > self.mission_version or self._orders_seen > self.order_version
+
+    # ------------------------------------------------------------------ orders
+
+    def begin(self, now_ns: int, epoch_ns: int, duration_ns: int) -> Mission:
+        """The drive's first mission: what the fleet file says."""
+        mission = first_mission(self._fleet, self._next_mission(now_ns), now_ns, epoch_ns, duration_ns)
+        self._take(mission)
+        return mission
+
+    def give(self, order: OrderSection, now_ns: int) -> Order:
+        """The message that carries out an order which is given now.
+
+        Raises:
+            OrderError: it cannot be carried out; the text is one sentence that says why.
+        """
+        if order.kind == "stop":
+            return self.order_stop(now_ns, order.reason)
+        if order.kind == "resume":
+            return self.order_resume(now_ns, order.robots or ())
+        if self.plan is None:
+            raise OrderError(NO_MISSION)
+        mission = ordered(order, self.plan, self._fleet, now_ns, self._next_mission(now_ns))
+        self._take(mission)
+        return mission
+
+    def order_stop(self, now_ns: int, reason: str) -> Stop:
+        """A stop of every robot."""
+        self.stop = Stop(self._next_order(now_ns), now_ns, clipped(reason))
+        return self.stop
+
+    def order_resume(self, now_ns: int, robots: Sequence[int]) -> Resume:
+        """Leave to drive again for these robots, for all when none is named."""
+        self.resume = Resume(self._next_order(now_ns), now_ns, tuple(robots))
+        return self.resume
+
+    def _next_mission(self, now_ns: int) -> int:
+        return _next(now_ns, max(self.mission_version, self._missions_seen))
+
+    def _next_order(self, now_ns: int) -> int:
+        return _next(now_ns, max(self.order_version, self._orders_seen))
+
+    def outgoing(self, message: Order | Heartbeat | Ask) -> Outgoing:
+        """A message as it goes on the bus."""
+        return self.keys[type(message)], encode(message)
+
+    # ------------------------------------------------------------------ said again
+
+    def again(self) -> list[Order]:
+        """What a process that has just started must know; a stop before the mission, or it would drive."""
+        return [*self.latest, *([] if self.mission is None else [self.mission])]
+
+    def wanted(
+        self,
+        statuses: Mapping[int, Status],
+        plants: Mapping[int, PlantState],
+        up: Callable[[int, str], bool],
+    ) -> list[Order]:
+        """What must be said again, because somebody has not heard it.
+
+        Args:
+            statuses, plants: what each agent and plant said last; nothing since it started again.
+            up: whether a process (robot, role) should run.
+        """
+        version = self.mission_version
+        for robot in self._fleet.ids:
+            status, plant = statuses.get(robot), plants.get(robot)
+            if up(robot, "agent") and status is not None and status.mission_version < version:
+                return self.again()
+            # A plant says so by its numbers: they count from the epoch as soon as it knows that.
+            if up(robot, "plant") and (plant is None or plant.sequence < FIRST_ROUND):
+                return self.again()
+        if any(
+            self._lacks_order(statuses.get(robot), plants.get(robot), up(robot, "agent"))
+            for robot in self._fleet.ids
+        ):
+            return [*self.latest]
+        return []
+
+    def _lacks_order(self, status: Status | None, plant: PlantState | None, agent_up: bool) -> bool:
+        if status is None or not agent_up or not self.latest:
+            return False
+        if status.order_version < self.order_version:
+            return True
+        # A plant does not say what it knows: one that missed a leave brakes although its agent drives.
+        braked = plant is not None and plant.healthy and plant.obeying and not plant.driving
+        return status.state in _DRIVING and braked
+
+
+def _next(now_ns: int, seen: int) -> int:
+    """Lamport's clock, in us of the wall clock where that is ahead of all that was seen."""
+    return max(now_ns // 1_000, seen + 1)

@@ -1,0 +1,73 @@
+"""A session with a fleet that is running, of an operator who knows what was ordered last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from agent import keys
+from agent.fleet import Fleet
+from agent.formation import resolve, resolved
+from agent.messages import Ask, Heartbeat, Message, Status
+from deploy.author import author
+from deploy.operating import Operator, Order
+from deploy.session import Session
+
+ASK_S: Final = 1.0
+SEND_PERIOD_S: Final = 0.25
+INBOX: Final = 4096
+
+
+class OperatorSession(Session):
+    """Hears and gives orders.
+
+    Attributes:
+        operator: what is known to be ordered.
+        statuses: what each agent said last.
+
+    Raises:
+        agent.bus.BusError: the bus cannot be opened.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        fleet = resolved(fleet)  # as agents read it: missions are for this file and no other
+        super().__init__(fleet)
+        name = fleet.fleet.name
+        self.operator: Final = Operator(fleet, resolve(fleet))
+        self.statuses: dict[int, Status] = {}
+        self.author: Final = author()
+        for key in self.operator.keys.values():
+            self.bus.declare(key)
+        for key in (keys.status(name, "*"), keys.mission(name), keys.stop(name), keys.resume(name)):
+            self.bus.subscribe(key, INBOX)
+
+    def feed(self, key: str, message: Message) -> None:
+        self.operator.hear(key, message)
+        if type(message) is Status and key == keys.status(self.fleet.fleet.name, message.robot):
+            self.statuses[message.robot] = message
+
+    @property
+    def agents(self) -> list[int]:
+        """The robots whose agents are there."""
+        return [robot for robot in self.fleet.ids if (robot, "agent") in self.alive]
+
+    def say(self, message: Order | Heartbeat | Ask) -> None:
+        self.bus.publish(*self.operator.outgoing(message))
+
+    def ask(self) -> None:
+        """Asks the fleet what was ordered last; waits until all that its agents know of was heard."""
+        self.until(self._informed, self.say_ask, ASK_S)
+
+    def say_ask(self) -> None:
+        self.say(Ask(self.now_ns(), self.author))
+
+    def _informed(self) -> bool:
+        return not self.operator.behind and all(robot in self.statuses for robot in self.agents)
+
+    def until(self, look: Callable[[], bool], say: Callable[[], None], timeout_s: float) -> bool:
+        """Says something now and then until `look` says True; False when it has not within `timeout_s`."""
+        for _ in range(round(timeout_s / SEND_PERIOD_S)):
+            say()
+            if self.wait(look, SEND_PERIOD_S):
+                return True
+        return False

@@ -1,0 +1,118 @@
+"""Oracles of places: robots from each other, from obstacles, and within the geofence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from agent.avoidance import clearance as clearance_of
+from agent.boundaries import fence_of, obstacles_of
+from agent.fleet import Fleet
+from agent.supervision import DRIVING, State
+from deploy.analysis import Analysis, Approaches
+from deploy.clearances import distances
+from deploy.presence import Flags, said
+from deploy.recording import Recording
+from deploy.violations import Violation, lasting
+from plant.unicycle import BRAKE_DECELERATION_MAX
+
+CLEARANCE_TOLERANCE_M: Final = 0.01
+OUTSIDE_S: Final = 1.0
+"""So long a robot may go on driving outside the geofence."""
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
+_RELEASED: Final = frozenset({State.RELEASED.value})
+
+
+def separation(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """No two robots below the safe distance; by the bare law, no two that share an edge."""
+    if len(a.ids) < 2:
+        return None
+    found = too_close(a.with_edge, a.safe_m, "share an edge")
+    if fleet.avoidance.enabled:
+        found += too_close(a.without_edge, a.safe_m, "share no edge")
+    return found
+
+
+def too_close(approaches: Approaches, safe_m: float, relation: str) -> list[Violation]:
+    """One violation for all pairs of a kind that came below the safe distance: the closest is named."""
+    if not approaches.unsafe:
+        return []
+    distance_m, t_s, (i, j) = approaches.unsafe[0]
+    count = len(approaches.unsafe)
+    others = {1: "", 2: " One other such pair came too close as well."}.get(
+        count, f" {count - 1} other such pairs came too close as well."
+    )
+    message = (
+        f"Robots {i} and {j}, which {relation}, came within {distance_m:.3f} m of each other at {t_s:.2f} s; "
+        f"the safe distance is {safe_m:.3f} m.{others}"
+    )
+    return [Violation("separation", t_s, message)]
+
+
+def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """No hand inside an obstacle, nor, with avoidance, nearer to one than the clearance."""
+    obstacles = obstacles_of(fleet)
+    if not obstacles:
+        return None
+    least_m = 0.0
+    if fleet.avoidance.enabled:
+        least_m = clearance_of(fleet.avoidance.clearance_m, a.safe_m) - CLEARANCE_TOLERANCE_M
+    found = []
+    for index, robot, driven in _driven(recording, a):
+        for obstacle in obstacles:
+            away_m = distances(obstacle, a.hands[:, index])
+            near = away_m < least_m
+            near &= np.logical_or.accumulate(~near) | near.all()  # begun there: only once it has been out
+            near &= driven
+            if not near.any():
+                continue
+            k = int(np.where(near, away_m, np.inf).argmin())
+            worst_m, t_s = float(away_m[k]), float(a.grid[k])
+            what = (
+                f"was {-worst_m:.3f} m inside"
+                if worst_m < 0.0
+                else f"came within {worst_m:.3f} m (at least {least_m + CLEARANCE_TOLERANCE_M:.3f} m) of"
+            )
+            found.append(Violation("clearance", t_s, f"Robot {robot} {what} {obstacle.name} at {t_s:.2f} s."))
+    return found
+
+
+def geofence(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """Outside it robots hold, and are not further outside than they can have been driving when it began."""
+    fence = fence_of(fleet)
+    if fence is None or not fleet.avoidance.enabled:
+        return None
+    control = fleet.control
+    braking = min(BRAKE_DECELERATION_MAX, control.max_acceleration)
+    most_mps = 1.1 * control.max_speed_mps + 0.1
+    furthest_m = most_mps**2 / (2.0 * braking) + most_mps * (control.wrench_timeout_s + 0.1)
+    found = []
+    for index, robot, driven in _driven(recording, a):
+        inside_m = distances(fence, a.hands[:, index])
+        outside = (inside_m < 0.0) & driven
+        outside &= np.logical_or.accumulate(inside_m >= 0.0) | (inside_m < 0.0).all()
+        if not outside.any():
+            continue
+        status = recording.robots[robot].status
+        since_s = lasting(outside & said(status, a.grid, _DRIVING), a.grid, OUTSIDE_S)
+        if since_s is not None:
+            message = f"Robot {robot} went on driving outside the geofence, from {since_s:.2f} s on."
+            found.append(Violation("geofence", since_s, message))
+        k = int(np.where(outside, inside_m, np.inf).argmin())
+        if inside_m[k] < -furthest_m:
+            t_s = float(a.grid[k])
+            message = (
+                f"Robot {robot} was {-inside_m[k]:.2f} m outside the geofence at {t_s:.2f} s: braking takes "
+                f"{furthest_m:.2f} m at most."
+            )
+            found.append(Violation("geofence", t_s, message))
+    return found
+
+
+def _driven(recording: Recording, a: Analysis) -> Iterator[tuple[int, int, Flags]]:
+    """(row, robot, (k,) where nobody else drove it) of every robot whose place is known."""
+    for index, (robot, data) in enumerate(recording.robots.items()):
+        if len(data.body):
+            yield index, robot, ~said(data.status, a.grid, _RELEASED)

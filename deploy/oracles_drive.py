@@ -1,0 +1,178 @@
+"""Oracles of the drive: limits that commands and bodies keep, formation after faults and changes, errors."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import Final
+
+import numpy as np
+
+from agent.avoidance import avoidance_distance
+from agent.avoidance import clearance as clearance_of
+from agent.boundaries import fence_of, obstacles_of
+from agent.fault_settings import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
+from agent.faults import FaultPlan
+from agent.fleet import Fleet
+from agent.keys import ROLES
+from agent.supervision import DRIVING, State
+from deploy.analysis import Analysis, norm
+from deploy.balance import caught
+from deploy.clearances import distances
+from deploy.presence import downs, said
+from deploy.recording import Recording
+from deploy.violations import Violation, is_constant, lasting, windows
+
+SPEED_SHARE: Final = 1.1
+SPEED_MORE_MPS: Final = 0.1
+FASTER_S: Final = 0.5
+"""To get out of each other's way robots may be faster for so long."""
+_COMMAND_SHARE: Final = 1.0 + 1e-6
+RECOVERED_S: Final = 20.0
+"""Within so long after the last fault or change all drive in formation again."""
+ERROR_M: Final = 0.1
+"""Of the distance of an edge at the end, where only links fail and the formation has settled."""
+_NEAR_SHARE: Final = 1.05
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
+_EXCUSED: Final = frozenset({State.RELEASED.value})
+
+
+def limits(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """Hands are not faster, and commands not larger, than the fleet file allows."""
+    if not fleet.avoidance.enabled:
+        return None
+    most_mps = SPEED_SHARE * fleet.control.max_speed_mps + SPEED_MORE_MPS
+    found = []
+    for robot, data in recording.robots.items():
+        settings, body, wrench = fleet.robot(robot), data.body, data.wrench
+        driven = (body.t >= 0.0) & (body.t <= recording.end_s) & (body["obeying"] > 0.0)
+        speed = np.hypot(body["speed"], settings.hand_offset_m * body["yaw_rate"])
+        since_s = lasting(driven & (speed > most_mps), body.t, FASTER_S)
+        if since_s is not None:
+            message = (
+                f"The hand of robot {robot} was faster than {most_mps:.2f} m/s from {since_s:.2f} s on, up "
+                f"to {speed[driven].max():.2f} m/s: control.max_speed_mps is {fleet.control.max_speed_mps:g}."
+            )
+            found.append(Violation("limits", since_s, message))
+        for name, most, unit in (
+            ("force", settings.max_force_n, "N"),
+            ("torque", settings.max_torque_nm, "N m"),
+        ):
+            if most is None or not len(wrench):
+                continue
+            over = ~(np.abs(wrench[name]) <= most * _COMMAND_SHARE)  # true for what is not a number
+            if over.any():
+                k = int(np.argmax(over))
+                message = (
+                    f"The agent of robot {robot} asked for a {name} of {wrench[name][k]:.4g} {unit} at "
+                    f"{wrench.t[k]:.2f} s: its body can give {most:g}."
+                )
+                found.append(Violation("limits", float(wrench.t[k]), message))
+    return found
+
+
+def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """Some time after the last fault and the last change all members drive, and their edges are right.
+
+    Who was held up by an obstacle, or by a robot that it shares no edge with, gets as long after that. Edges
+    are not judged where the formation has come to rest in another shape (`deploy.balance`): that is no
+    matter of recovery.
+    """
+    end_s = recording.end_s
+    last_s = _last_trouble_s(recording, a)
+    if last_s is None or last_s + RECOVERED_S >= end_s:
+        return None
+    rows = a.grid >= last_s + RECOVERED_S
+    plan = FaultPlan(fleet)
+    found = []
+    for index, (robot, data) in enumerate(recording.robots.items()):
+        lost = [down for role in ROLES for down in downs(recording, robot, role)]
+        if any(down.end_s > end_s for down in lost) or not len(data.status):
+            continue
+        grid = a.grid[rows]
+        skew_ns, drift = plan.clock(robot)
+        own_end_s = end_s - skew_ns / 1e9 - drift * end_s  # by a clock that is wrong on purpose
+        is_due = np.isfinite(a.desired[rows, index, 0]) & (grid < own_end_s)
+        idle = is_due & ~said(data.status, grid, _DRIVING | _EXCUSED)
+        if idle.any():
+            t_s = float(grid[np.argmax(idle)])
+            state, reason = data.status.at(t_s) or ("", "")
+            why = f" ({reason})" if reason else ""
+            message = (
+                f"Robot {robot} did not drive at {t_s:.1f} s but was {state}{why}: the last fault or change "
+                f"was at {last_s:.1f} s."
+            )
+            found.append(Violation("recovery", t_s, message))
+    free_s = max(last_s, _held_up_s(a, fleet))
+    off = a.off & (a.grid >= free_s + RECOVERED_S)[:, None]
+    if off.any() and not caught(a, fleet):
+        k, column = (int(index) for index in np.argwhere(off)[-1])
+        i, j = (a.ids[index] for index in a.edges[column])
+        t_s = float(a.grid[k])
+        message = (
+            f"Robots {i} and {j} were {a.distances[k, column]:.3f} m apart instead of "
+            f"{a.wanted[k, column]:.3f} m at {t_s:.1f} s: the last fault or change was at {last_s:.1f} s."
+        )
+        found.append(Violation("recovery", t_s, message))
+    return found
+
+
+def _last_trouble_s(recording: Recording, a: Analysis) -> float | None:
+    """When the last fault or change was over; None when there was none."""
+    end_s = recording.end_s
+    times = [settled.change.t_s for settled in a.changes]
+    times += [t for event in recording.events if 0.0 <= (t := recording.fleet_time_s(event.time_ns)) <= end_s]
+    for robot in recording.ids:
+        times += [end for start, end in recording.halts(robot) if start < end_s]
+    for span in windows(recording):
+        if not is_constant(span.rule):
+            times.append(span.end_s)
+    return max(times, default=None)
+
+
+def _held_up_s(a: Analysis, fleet: Fleet) -> float:
+    """When a robot was last where it is pushed back from another or from a boundary; -inf: never."""
+    places = a.desired[-1]
+    members = np.flatnonzero(np.isfinite(places[:, 0])).tolist()
+    edges = {
+        (min(i, j), max(i, j)): float(distance)
+        for (i, j), distance in zip(a.edges.tolist(), a.wanted[-1].tolist(), strict=True)
+        if distance == distance
+    }
+    offsets = {index: (float(places[index, 0]), float(places[index, 1])) for index in members}
+    near_m = _NEAR_SHARE * avoidance_distance(fleet.avoidance.distance_m, a.safe_m, edges, offsets)
+    held = np.zeros(len(a.grid), dtype=np.bool_)
+    for j in range(1, len(a.ids)):
+        for i in range(j):
+            if (i, j) not in edges:
+                held |= norm(a.hands[:, i] - a.hands[:, j]) < near_m  # False for NaN
+    reach_m = clearance_of(fleet.avoidance.clearance_m, a.safe_m) + near_m
+    fence = fence_of(fleet)
+    boundaries = [(obstacle, reach_m) for obstacle in obstacles_of(fleet)]
+    if fence is not None and fleet.geofence is not None:
+        boundaries.append((fence, fleet.geofence.warn_m))
+    for boundary, least_m in boundaries:
+        for index in range(len(a.ids)):
+            held |= distances(boundary, a.hands[:, index]) < least_m
+    return float(a.grid[held].max(initial=-inf))
+
+
+def errors(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """Where only links fail, all the time, a formation that has settled is a good one."""
+    faults = fleet.faults
+    whole = Rule(**{name: getattr(faults, name) for name in LINK_FIELDS})
+    rules = [span.rule for span in windows(recording)]
+    others = (*PROCESS_FIELDS, *SENSOR_FIELDS)
+    only_links = all(is_constant(rule) and not rule.given(others) for rule in rules)
+    if not (rules or whole.given(LINK_FIELDS)) or not only_links or a.settling_s is None or recording.events:
+        return None
+    error = np.where(a.counts[-1], np.abs(a.distances[-1] - a.wanted[-1]), 0.0)
+    if not len(error) or not error.max() > ERROR_M:
+        return []
+    column = int(error.argmax())
+    i, j = (a.ids[index] for index in a.edges[column])
+    t_s = float(a.grid[-1])
+    message = (
+        f"Robots {i} and {j} were {error[column]:.3f} m off their distance of {a.wanted[-1, column]:.3f} m "
+        f"at the end, although only links failed: at most {ERROR_M:g} m is allowed."
+    )
+    return [Violation("errors", t_s, message)]

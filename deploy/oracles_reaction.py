@@ -1,0 +1,183 @@
+"""Oracles of reactions: to processes that die, to stops, and to what operators say."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from agent.fault_settings import Impairments, Rule
+from agent.fleet import Fleet
+from agent.messages import TOPICS
+from agent.supervision import DRIVING, REST_SPEED
+from deploy.analysis import Analysis
+from deploy.link_data import Floats
+from deploy.presence import Down, Flags, downs
+from deploy.recording import Recording, RobotData
+from deploy.violations import REACTION_S, Violation, reaction_s, windows
+from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
+
+STOP_S: Final = 0.2
+"""From a stop to the last plant that brakes."""
+VEHICLE_STAND_S: Final = 5.0
+"""So long a real vehicle may need to stand: how hard it brakes is not known."""
+AGREED_S: Final = 3.0
+"""What an operator said so long ago, all know."""
+_LOSS_MAX: Final = 0.5
+_DELAY_MAX_S: Final = 0.5
+"""What is said five times a second comes through in time if no more is lost, and it comes no later."""
+HEARD_S: Final = 1.0
+"""An agent that says nothing for so long is not taken to be alive."""
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
+_DONE: Final = {"kill": "killed", "stop": "paused"}
+
+
+def agent_dead(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """A plant whose agent is killed or paused brakes, until there is an agent again."""
+    limit_s = fleet.control.wrench_timeout_s + reaction_s(recording)
+    found, is_checked = [], False
+    for robot, data in recording.robots.items():
+        for down in downs(recording, robot, "agent"):
+            is_checked = True
+            first_s = _first(data.plant.t, data.plant["driving"] > 0.0, down, limit_s, recording.end_s)
+            if first_s is not None:
+                message = (
+                    f"The plant of robot {robot} drove at {first_s:.2f} s: its agent was {_DONE[down.what]} "
+                    f"at {down.start_s:.2f} s, and {limit_s:.2f} s later it must brake."
+                )
+                found.append(Violation("agent_dead", first_s, message))
+    return found if is_checked else None
+
+
+def plant_dead(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """An agent whose plant is killed or paused does not go on driving."""
+    limit_s = fleet.control.plant_timeout_s + reaction_s(recording)
+    found, is_checked = [], False
+    for robot, data in recording.robots.items():
+        own = downs(recording, robot, "agent")
+        for down in downs(recording, robot, "plant"):
+            is_checked = True
+            due_s = down.start_s + limit_s
+            drives = np.array([state in _DRIVING for state in data.status.states], dtype=np.bool_)
+            times = data.status.t
+            before = int(np.searchsorted(times, due_s, side="right")) - 1
+            # What it said last holds until it says another thing, if it can speak.
+            if before >= 0 and not any(each.start_s <= due_s and each.end_s >= down.start_s for each in own):
+                times, drives = np.append(times, due_s + 1e-9), np.append(drives, drives[before])
+            first_s = _first(times, drives, down, limit_s, recording.end_s)
+            if first_s is not None:
+                message = (
+                    f"The agent of robot {robot} went on driving at {first_s:.2f} s: its plant was "
+                    f"{_DONE[down.what]} at {down.start_s:.2f} s, and {limit_s:.2f} s later it must be in "
+                    "fault."
+                )
+                found.append(Violation("plant_dead", first_s, message))
+    return found if is_checked else None
+
+
+def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) -> float | None:
+    """First of the times at which something is bad, from `limit_s` after a process went until it is back."""
+    when = times[bad & (times > down.start_s + limit_s) & (times < min(down.end_s, end_s))]
+    return float(when.min()) if len(when) else None
+
+
+def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """After a stop no plant drives until leave to resume, and every body comes to a stand."""
+    limit_s = STOP_S + reaction_s(recording) - REACTION_S + _wrench_delay_s(recording)
+    found, is_checked = [], False
+    for robot, data in recording.robots.items():
+        for start_s, end_s in recording.halts(robot):
+            is_checked = True
+            t = data.plant.t
+            after = (t > start_s + limit_s) & (t < end_s)
+            driven = t[after & (data.plant["driving"] > 0.0)]
+            if len(driven):
+                message = (
+                    f"The plant of robot {robot} drove at {driven[0]:.2f} s, {driven[0] - start_s:.2f} s "
+                    f"after the stop at {start_s:.2f} s: it must brake after {limit_s:.2f} s, until leave to "
+                    "resume."
+                )
+                found.append(Violation("stopped", float(driven[0]), message))
+                continue
+            moves_s = _moves(recording, fleet, data, start_s, end_s, limit_s)
+            if moves_s is not None:
+                message = f"Robot {robot} still moved at {moves_s:.2f} s, after the stop at {start_s:.2f} s."
+                found.append(Violation("stopped", moves_s, message))
+    return found if is_checked else None
+
+
+def _moves(
+    recording: Recording, fleet: Fleet, data: RobotData, start_s: float, end_s: float, limit_s: float
+) -> float | None:
+    """First time at which a body still moves although it has had the time to brake; None when it stands."""
+    body = fleet.robot(data.id)
+    t, speed = data.body.t, np.abs(data.body["speed"])
+    is_own = data.body["obeying"] > 0.0
+    braking_s = VEHICLE_STAND_S
+    if body.plant == "unicycle" or recording.mode == "simulate":
+        at = int(np.searchsorted(t, start_s))
+        most = float(speed[at : at + 20].max(initial=0.0))
+        hardest = BRAKE_DECELERATION_MAX if body.max_force_n is None else body.max_force_n / body.mass_kg
+        braking_s = most / min(BRAKE_DECELERATION_MAX, hardest) + 5.0 * BRAKE_TIME_S
+    due = t > start_s + limit_s + braking_s
+    for down in downs(recording, data.id, "plant"):
+        # It could not brake by rule while it was down, and begins when it is back.
+        due &= ~((t > down.start_s) & (t <= down.end_s + limit_s + braking_s))
+    late = t[due & (t < end_s) & (speed >= REST_SPEED) & is_own]
+    return float(late[0]) if len(late) else None
+
+
+def _wrench_delay_s(recording: Recording) -> float:
+    links = recording.links
+    delays = links.delay_us[links.topic == TOPICS.index("wrench")]
+    return float(delays.max(initial=0)) / 1e6
+
+
+def _cuts(faults: Impairments) -> bool:
+    """Whether these settings can keep two robots from hearing of each other for seconds."""
+    if isinstance(faults, Rule) and faults.partition is not None:
+        return True
+    if any(getattr(faults, name) is not None for name in ("corrupt", "rate", "slot", "hold", "range")):
+        return True
+    losses = () if faults.loss is None else (faults.loss.start, faults.loss.end)
+    delays = () if faults.delay is None else (faults.delay.start, faults.delay.end)
+    return any(loss is not None and loss.rate > _LOSS_MAX for loss in losses) or any(
+        delay is not None and (delay.trace or delay.mean + delay.jitter > _DELAY_MAX_S) for delay in delays
+    )
+
+
+def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """All agents know the same mission and the same last stop or resume, once they had the time to hear."""
+    end_s = recording.end_s
+    stamps = [mission.time_ns for mission in recording.missions]
+    stamps += [stop.time_ns for stop in recording.stops]
+    stamps += [resume.time_ns for resume in recording.resumes]
+    times = [recording.fleet_time_s(time_ns) for time_ns in stamps]
+    quiet_s = end_s - AGREED_S
+    if not recording.missions or any(quiet_s < t <= end_s for t in times) or end_s < AGREED_S:
+        return None
+    if any(_cuts(span.rule) and span.end_s >= quiet_s for span in windows(recording)) or _cuts(fleet.faults):
+        return None
+    known: dict[int, tuple[int, int]] = {}
+    for robot, data in recording.robots.items():
+        status = data.status
+        last = int(np.searchsorted(status.t, end_s, side="right")) - 1
+        if last < 0 or status.t[last] < end_s - HEARD_S:
+            continue
+        if any(down.end_s >= quiet_s for down in downs(recording, robot, "agent")):
+            continue
+        known[robot] = int(status.mission_versions[last]), int(status.order_versions[last])
+    if not known:
+        return None
+    found = []
+    for number, what in ((0, "mission"), (1, "last stop or resume")):
+        versions = {robot: pair[number] for robot, pair in known.items()}
+        newest = max([*versions.values(), a.mission_version] if number == 0 else versions.values())
+        behind = [robot for robot, version in versions.items() if version != newest]
+        if behind:
+            message = (
+                f"At {end_s:.1f} s not all knew the same {what}: robot {behind[0]} had version "
+                f"{versions[behind[0]]}, the newest is {newest}."
+            )
+            found.append(Violation("one_mission", end_s, message))
+    return found

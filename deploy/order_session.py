@@ -1,0 +1,63 @@
+"""Gives an order to a running fleet, and waits for what becomes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from agent.messages import Message, Mission
+from agent.order_sections import OrderSection
+from agent.plan import Plan
+from deploy.operating import NO_MISSION
+from deploy.operator_session import OperatorSession
+from deploy.ordering import Ordering
+from deploy.running import NoAnswerError
+
+TAKE_S: Final = 3.0
+"""Agents that do not say that they know a mission by then are named."""
+CONFIRM_S: Final = 1.0
+"""Agents do not say the same again within half a second."""
+
+
+class OrderSession(OperatorSession):
+    """A session that changes the mission.
+
+    Raises:
+        agent.bus.BusError: the bus cannot be opened.
+    """
+
+    _answers = 0
+
+    def feed(self, key: str, message: Message) -> None:
+        super().feed(key, message)
+        self._answers += type(message) is Mission
+
+    def order(self, make: Callable[[Plan], OrderSection]) -> tuple[Mission, Ordering]:
+        """Gives the order that `make` makes of what the fleet does now, and waits until all know of it.
+
+        Raises:
+            NoAnswerError: the fleet has no mission yet.
+            agent.orders.OrderError: the order cannot be carried out.
+        """
+        self.ask()
+        operator = self.operator
+        if operator.plan is None:
+            raise NoAnswerError(NO_MISSION)
+        mission = operator.give(make(operator.plan), self.now_ns())
+        assert type(mission) is Mission
+        ordering = Ordering(mission, self.fleet.ids)
+
+        def look() -> bool:
+            return ordering.look(self.agents, self.statuses, operator.mission)
+
+        def say() -> None:
+            if operator.mission is not None:  # the newest, whoever has made it
+                self.say(operator.mission)
+
+        self.until(look, say, TAKE_S)
+        if not ordering.overruled:
+            # Another operator's of the same version shows only in what the agents say it is.
+            self._answers = 0
+            self.until(lambda: self._answers > 0, self.say_ask, CONFIRM_S)
+            look()
+        return mission, ordering

@@ -1,0 +1,71 @@
+"""A new mission on its way to a fleet: who has it (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from agent.clock import NS_PER_S
+from agent.messages import Mission, Status, newer
+
+
+def words(mission: Mission) -> str:
+    """What a mission changes, and when, in fleet time."""
+    at_s = ((mission.from_ns or mission.epoch_ns) - mission.epoch_ns) / NS_PER_S
+    over = f", over {mission.blend_ns / NS_PER_S:.1f} s" if mission.blend_ns else ""
+    return f"{mission.note}: at {at_s:.1f} s{over}"
+
+
+class Ordering:
+    """What becomes of a mission.
+
+    Args:
+        mission: as it is sent.
+        ids: all robots of the fleet.
+    """
+
+    def __init__(self, mission: Mission, ids: Sequence[int]) -> None:
+        self._mission, self._ids = mission, ids
+        self._agents: Sequence[int] = ()
+        self._statuses: Mapping[int, Status] = {}
+        self._newest: Mission | None = None
+
+    def look(self, agents: Sequence[int], statuses: Mapping[int, Status], newest: Mission | None) -> bool:
+        """Told what is known now: the robots whose agents are there, what they said last, and the newest
+        mission that was heard. True when nothing is left to wait for."""
+        self._agents, self._statuses, self._newest = agents, statuses, newest
+        return self.overruled or (bool(agents) and all(map(self.has_it, agents)))
+
+    def has_it(self, robot: int) -> bool:
+        """Whether a robot's agent has said that it knows the mission."""
+        status = self._statuses.get(robot)
+        return status is not None and status.mission_version == self._mission.version
+
+    @property
+    def overruled(self) -> bool:
+        """Whether a newer mission of another operator holds instead."""
+        later = any(status.mission_version > self._mission.version for status in self._statuses.values())
+        return later or (self._newest is not None and newer(self._newest, self._mission))
+
+    @property
+    def done(self) -> bool:
+        """Whether every robot of the fleet has it."""
+        return not self.overruled and all(robot in self._agents and self.has_it(robot) for robot in self._ids)
+
+    def outcomes(self) -> list[str]:
+        """What became of it, in words."""
+        if self.overruled:
+            other = self._newest
+            known = other is not None and newer(other, self._mission)
+            what = f" ({other.note})" if other is not None and known and other.note else ""
+            return [f"not done: another operator's order was quicker{what}; look, and order again"]
+        return [f"robot {robot}: {self._outcome(robot)}" for robot in self._ids]
+
+    def _outcome(self, robot: int) -> str:
+        if robot not in self._agents:
+            return "its agent is not there; the others will tell it"
+        if self.has_it(robot):
+            return "knows"
+        status = self._statuses.get(robot)
+        if status is None:
+            return "nothing heard from its agent"
+        return f"has not taken it: {status.reason or status.state}"
