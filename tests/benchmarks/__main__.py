@@ -23,11 +23,15 @@ NAMES: Final = (
     "scaling",
     "tick",
     "startup",
+    "reactions",
+    "soak",
     "virtual_time",
     "load",
     "links",
     "robustness",
     "random_starts",
+    "membership",
+    "crowd",
     "step_response",
     "rovers",
     "bridge",
@@ -40,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; all without any")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds")
     parser.add_argument("--count", type=int, metavar="N", help="random starts (default: as each has it)")
+    parser.add_argument("--minutes", type=float, metavar="M", help="how long to soak (default: 10)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     return parser
 
@@ -80,7 +85,7 @@ def main() -> int:
     failed = False
     try:
         for name in options.names or NAMES:
-            result, record[name] = _run(name, Options(options.quick, options.count))
+            result, record[name] = _run(name, Options(options.quick, options.count, options.minutes))
             if result is None:
                 failed = True
             else:

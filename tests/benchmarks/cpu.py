@@ -1,10 +1,10 @@
 """CPU of one robot, agent and plant, against a bare Zenoh program that moves the same messages.
 
-All arms have the same processes, links, keys, message sizes (those that the agents really sent),
-rates, wake-ups and inboxes, and the same observer listens to them. They take turns, so that what
-else the machine does falls on all. The target is against Zenoh as it comes. The third arm, the bare
-program with our own setting of Zenoh's threads (`agent.bus.RUNTIME`), shows what is left as the cost
-of Python, decoding and the law.
+All arms have the same processes, links, keys, message sizes (those that the agents really sent), rates,
+wake-ups and inboxes, and the same observer listens to them; only robots that are near without being
+neighbours are listened to by ours alone. They take turns, so that what else the machine does falls on all.
+The target is against Zenoh as it comes. The third arm, the bare program with our own setting of Zenoh's
+threads (`agent.bus.RUNTIME`), shows what is left as the cost of Python, decoding and the law.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import tempfile
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Any, Final
 
-from agent import bus, keys
-from agent.core import STATUS_PERIOD_NS, Agent
+from agent import bus
+from agent.core import Agent
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.node import Node
@@ -36,15 +36,23 @@ UNSEEN_SIZE: Final = 64
 
 
 def start_bare(
-    group: Group, fleet: Fleet, _fleet_file: Path, *, seen: Traffic, environment: dict[str, str]
+    group: Group,
+    fleet: Fleet,
+    _fleet_file: Path,
+    *,
+    seen: Traffic,
+    window_s: float,
+    environment: dict[str, str],
 ) -> None:
-    """Bare programs in the places of the fleet's agents and plants; `seen` says how large messages are."""
+    """Bare programs in the places of the fleet's agents and plants.
+
+    `seen`, of a window of `window_s`, says how large messages are and how often they come.
+    """
+    ticks = fleet.fleet.rate_hz * window_s
 
     def publications(node: Node) -> list[tuple[str, int, int]]:
-        status = keys.status(fleet.fleet.name, "*").rpartition("/")[2]
-        every = round(STATUS_PERIOD_NS / fleet.period_ns)
         return [
-            (key, round(seen.sizes[key] / count), every if key.endswith(status) else 1)
+            (key, round(seen.sizes[key] / count), max(1, round(ticks / count)))
             for key in node.publications
             if (count := seen.counts.get(key, 0))
         ]
@@ -54,7 +62,7 @@ def start_bare(
         ends = {
             "agent": (
                 [fleet.agent_endpoint(robot)],
-                [fleet.agent_endpoint(other) for other in fleet.neighbours(robot) if other < robot],
+                [fleet.agent_endpoint(other) for other in fleet.ids[: fleet.index(robot)]],
             ),
             "plant": ([fleet.plant_endpoint(robot)], [fleet.agent_endpoint(robot)]),
         }
@@ -88,12 +96,15 @@ def run(options: Options) -> Result:
                 place = Path(folder) / f"handfast-{number}"
                 ours.append(measure(fleet, place, start_handfast, drive=True, **times))
 
+            def seen() -> dict[str, Any]:
+                return {"seen": ours[0].traffic, "window_s": times["window_s"]}
+
             def bare_once(number: int = number) -> None:
-                start = partial(start_bare, seen=ours[0].traffic, environment=AS_IT_COMES)
+                start = partial(start_bare, **seen(), environment=AS_IT_COMES)
                 bares.append(measure(fleet, Path(folder) / f"bare-{number}", start, drive=False, **times))
 
             def tuned_once(number: int = number) -> None:
-                start = partial(start_bare, seen=ours[0].traffic, environment=AS_OURS)
+                start = partial(start_bare, **seen(), environment=AS_OURS)
                 tuned.append(measure(fleet, Path(folder) / f"tuned-{number}", start, drive=False, **times))
 
             # The order of the arms changes from round to round.

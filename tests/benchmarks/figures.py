@@ -58,6 +58,7 @@ class Options:
 
     quick: bool = False
     count: int | None = None
+    minutes: float | None = None
 
 
 def number(value: float) -> str:

@@ -57,7 +57,7 @@ def row(arm: str, rows: Sequence[Row]) -> list[str]:
         *times,
         number(float(np.median(final_mm))) if final_mm else "-",
         number(final_mm[-1]) if final_mm else "-",
-        f"{min(each.numbers['min_distance_m.edge'] for each in rows if each.numbers):.3f}",
+        f"{min(each.numbers['min_distance_m.any'] for each in rows if each.numbers):.3f}",
     ]
 
 

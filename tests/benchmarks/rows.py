@@ -6,9 +6,9 @@ import sys
 import time
 from typing import Final
 
+from deploy.pool import Pool, cores
 from deploy.sweep import Plan
-from deploy.sweep_pool import Pool, cores
-from deploy.sweep_run import Row
+from deploy.sweep_run import Row, Runs
 
 TIMEOUT_S: Final = 300.0
 TELL_S: Final = 20.0
@@ -18,8 +18,8 @@ def drive(name: str, plan: Plan) -> list[Row]:
     """The rows of all runs, in their order; says from time to time how far it is."""
     begun = told = time.monotonic()
     rows = []
-    with Pool(plan, cores(), TIMEOUT_S) as pool:
-        for row in pool.rows(range(plan.runs), lambda: True):
+    with Pool(Runs(plan), cores(), TIMEOUT_S) as pool:
+        for row in pool.results(range(plan.runs), lambda: True):
             rows.append(row)
             if time.monotonic() - told > TELL_S:
                 told = time.monotonic()

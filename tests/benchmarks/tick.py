@@ -20,11 +20,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent import core, law
+from agent import barrier, core, law
 from agent.fleet import load_fleet
 from agent.formation import resolved
-from agent.neighbours import Neighbours
 from agent.node import Node, Outgoing
+from agent.peers import Peers
+from agent.reliance import Reliance
 from agent.supervision import State
 from deploy import simulation
 from deploy.arguments import fleet_path
@@ -43,12 +44,16 @@ COMMAND_TIMEOUT_S: Final = 60.0
 # Stage -> functions whose time it is; names that are not there any more are passed over.
 STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
     "decode": ((core, "decode"),),
-    "accept": ((Neighbours, "accept"), (core.Agent, "_accept_plant")),
-    "predict": ((Neighbours, "predict"),),
+    "accept": ((Peers, "accept"), (Peers, "accept_beacon"), (core.Agent, "_accept_plant")),
+    "rely": ((Reliance, "update"),),
+    "predict": ((Peers, "predict"),),
     "law": tuple(
         (law, name)
         for name in dir(law)
         if callable(getattr(law, name)) and name.islower() and getattr(law, name).__module__ == law.__name__
+    ),
+    "filter": tuple(
+        (barrier, name) for name in ("keep_apart", "keep_clear", "limit_speed", "limit_actuators", "project")
     ),
     "encode": ((core, "encode"),),
     "status": ((core.Agent, "_status"),),

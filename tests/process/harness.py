@@ -1,4 +1,4 @@
-"""A fleet of real processes under a test's eyes, and how to wait for what they do.
+"""Real processes under a test's eyes, `handfast` among them, and how to wait for what they do.
 
 Nothing here sleeps for luck: `wait_for` and its users wait for a condition, with a deadline that
 only a fault reaches, and then say what the processes said last.
@@ -8,39 +8,30 @@ from __future__ import annotations
 
 import os
 import re
-import secrets
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
 import numpy as np
-import tomli_w
 
-from agent import keys
-from agent.bus import Bus, Presence
-from agent.clock import NS_PER_S
-from agent.fleet import Fleet, digest, load_fleet, to_dict
-from agent.formation import resolved
-from agent.messages import Malformed, Message, Mission, PlantState, Status, Wrench, decode, encode
-from deploy.arguments import FLEETS
-from deploy.ports import Reservation
 from deploy.recording import Recording
 
 ROOT: Final = Path(__file__).parents[2]
 ADDRESS: Final = "127.0.0.1"
-BASE_PORT: Final = 21_120
-"""Tests look for ports from here on: clear of the bundled fleets' own."""
 PATIENCE_S: Final = 15.0
 """How long a test waits for what has no bound of its own; only a fault takes so long."""
 POLL_S: Final = 0.002
-MISSION_PERIOD_S: Final = 0.2
+BUSY: Final = (
+    *("--set", "fleet.rate_hz=25"),
+    *("--set", "control.wrench_timeout_s=0.5"),
+    *("--set", "control.plant_timeout_s=0.5"),
+)
+"""Where the verdict on a run counts: on a busy machine its robots shall be judged, not the scheduler."""
 TROUBLE: Final = ("Traceback", "Error:", "Exception", "panicked", "Warning:")
 """What no process of ours ever prints."""
 T = TypeVar("T")
@@ -232,8 +223,8 @@ class Command:
         return found
 
     def wait_until_driving(self) -> None:
-        """Waits until the fleet has driven for 2 s: its robots are fast then."""
-        self.wait_for_line(r"(?m)^ +2\.\d s .* all running(, faults: .*)?$")
+        """Waits until the fleet has driven for 2 s at least: its robots are fast then."""
+        self.wait_for_line(r"(?m)^ +[2-9]\.\d s .* all running(, faults: .*)?$")
         self.children()
 
     def wait_until_gone(self, pids: Sequence[int], timeout_s: float) -> float:
@@ -265,254 +256,3 @@ def _command(pid: int) -> str:
         return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
     except OSError:
         return ""
-
-
-# ---------------------------------------------------------------------- a fleet without the command
-
-
-def make_fleet(base: str = "pair", *overrides: str) -> Fleet:
-    """A bundled fleet under a name of its own, resolved."""
-    name = f"t-{secrets.token_hex(4)}"
-    return resolved(load_fleet(FLEETS / f"{base}.toml", [f'fleet.name="{name}"', *overrides]))
-
-
-@contextmanager
-def placed(fleet: Fleet, address: str = ADDRESS) -> Iterator[Fleet]:
-    """`fleet` on ports that no other test or run has, reserved while the context lasts."""
-    ports = Reservation(ADDRESS, BASE_PORT, 2 * len(fleet.robots))
-    try:
-        yield replace(fleet, network=replace(fleet.network, address=address, base_port=ports.base))
-    finally:
-        ports.close()
-
-
-@dataclass(frozen=True)
-class Heard:
-    """One message off the bus and when it came, wall-clock ns."""
-
-    at_ns: int
-    key: str
-    message: Message
-
-
-class Robots:
-    """Agents and plants of a fleet as processes, and an operator that listens and gives the mission.
-
-    Unlike `handfast run` it goes on when a process dies. A context manager: leaving ends everything.
-
-    Args:
-        fleet: resolved and placed.
-        folder: for the fleet file and the logs.
-    """
-
-    def __init__(self, fleet: Fleet, folder: Path) -> None:
-        self.fleet, self.folder = fleet, folder
-        self.name = fleet.fleet.name
-        self.heard: list[Heard] = []
-        self.latest: dict[str, Message] = {}
-        self.processes: dict[tuple[int, str], subprocess.Popen[bytes]] = {}
-        self._all: list[subprocess.Popen[bytes]] = []
-        self.mission: Mission | None = None
-        self._mission_due_s = 0.0
-        self.fleet_file = folder / "fleet.toml"
-        (folder / "logs").mkdir(parents=True)
-        self.fleet_file.write_text(tomli_w.dumps(to_dict(fleet)))
-
-    def __enter__(self) -> Robots:
-        fleet = self.fleet
-        endpoints = [
-            endpoint
-            for robot in fleet.ids
-            for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot))
-        ]
-        self.bus = Bus(listen=[], connect=endpoints)
-        for key in (keys.mission(self.name), keys.stop(self.name)):
-            self.bus.declare(key)
-        self.bus.subscribe(keys.everything(self.name), 65_536)
-        self.presence: Presence = self.bus.watch(keys.alive(self.name, "*", "*"))
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for process in self._all:
-            if process.poll() is None:
-                process.kill()  # a frozen one too
-        for process in self._all:
-            process.wait()
-        self.bus.close()
-
-    # ---------------------------------------------------------------- processes
-
-    def log(self, robot: int, role: str) -> Path:
-        return self.folder / "logs" / f"robot-{robot}-{role}.log"
-
-    def start(self, robot: int, role: str) -> None:
-        self.run(robot, role, role, "--fleet", str(self.fleet_file), "--robot", str(robot))
-
-    def run(self, robot: int, role: str, module: str, *arguments: str) -> None:
-        """Starts one process; its last words are in `log(robot, role)`."""
-        with open(self.log(robot, role), "ab") as output:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", module, *arguments, "--exit-with-parent"],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                env=environment(),
-                start_new_session=True,
-            )
-        self.processes[robot, role] = process
-        self._all.append(process)
-
-    def start_all(self) -> None:
-        for robot in self.fleet.ids:
-            for role in keys.ROLES:
-                self.start(robot, role)
-
-    def signal(self, robot: int, role: str, number: int) -> int:
-        """Sends a signal to one process; returns when, wall-clock ns."""
-        now_ns = time.time_ns()
-        self.processes[robot, role].send_signal(number)
-        return now_ns
-
-    def end(self, robot: int, role: str) -> int:
-        """Asks one process to end and waits for it; returns its exit status."""
-        process = self.processes[robot, role]
-        process.terminate()
-        return process.wait(PATIENCE_S)
-
-    def died(self) -> list[str]:
-        return [
-            f"robot {robot}'s {role} ended with {process.returncode}"
-            for (robot, role), process in self.processes.items()
-            if process.poll() is not None
-        ]
-
-    def told(self) -> str:
-        """What the processes said last, and what the bus did."""
-        out = self.died()
-        for robot, role in self.processes:
-            out.append(f"--- robot {robot} {role}")
-            out += last_lines(self.log(robot, role))
-        out.append("--- bus")
-        out += [f"{key}: {message}"[:300] for key, message in sorted(self.latest.items())]
-        return "\n".join(out)
-
-    # ---------------------------------------------------------------- bus
-
-    def collect(self) -> None:
-        """Takes what came; says the mission again to agents that lack it."""
-        now_ns = time.time_ns()
-        for key, payload in self.bus.drain():
-            try:
-                message = decode(payload)
-            except Malformed:
-                continue
-            self.heard.append(Heard(now_ns, key, message))
-            self.latest[key] = message
-        self.presence.update()
-        if self.mission is not None and time.monotonic() >= self._mission_due_s:
-            lacking = [
-                robot
-                for robot in self.fleet.ids
-                if (status := self.status(robot)) is None or status.mission_version != self.mission.version
-            ]
-            if lacking:
-                self._mission_due_s = time.monotonic() + MISSION_PERIOD_S
-                self.bus.publish(keys.mission(self.name), encode(self.mission))
-
-    def wait(self, look: Callable[[], T], what: str, timeout_s: float = PATIENCE_S) -> T:
-        """`wait_for`, with the bus at work and the processes' last words on failure."""
-
-        def collect_and_look() -> T:
-            self.collect()
-            return look()
-
-        return wait_for(collect_and_look, what, timeout_s, self.told)
-
-    def status(self, robot: int) -> Status | None:
-        found = self.latest.get(keys.status(self.name, robot))
-        return found if isinstance(found, Status) else None
-
-    def plant(self, robot: int) -> PlantState | None:
-        found = self.latest.get(keys.plant_state(self.name, robot))
-        return found if isinstance(found, PlantState) else None
-
-    def wrench(self, robot: int) -> Wrench | None:
-        found = self.latest.get(keys.wrench(self.name, robot))
-        return found if isinstance(found, Wrench) else None
-
-    def counters(self, robot: int) -> dict[str, int]:
-        status = self.status(robot)
-        return dict(status.counters) if status is not None else {}
-
-    def states(self) -> dict[int, str]:
-        """State of every robot whose agent has spoken."""
-        return {
-            robot: status.state
-            for robot in self.fleet.ids
-            if (status := self.status(robot)) is not None
-        }  # fmt: skip
-
-    def alive(self, robot: int, role: str) -> bool:
-        return keys.alive(self.name, robot, role) in self.presence.alive
-
-    def wait_until_alive(self, robot: int, role: str, timeout_s: float = PATIENCE_S) -> None:
-        self.wait(lambda: self.alive(robot, role), f"robot {robot}'s {role} alive", timeout_s)
-
-    def wait_until_all(self, state: str, timeout_s: float = PATIENCE_S) -> None:
-        self.wait(
-            lambda: self.states() == dict.fromkeys(self.fleet.ids, state), f"every robot {state}", timeout_s
-        )
-
-    def since(self, from_ns: int, kind: type[Any], robot: int) -> Iterator[tuple[int, Any]]:
-        """Messages of one class by one robot that were made after `from_ns`: (came at, message)."""
-        for each in self.heard:
-            if (
-                type(each.message) is kind
-                and each.message[0] == robot
-                and each.message.time_ns > from_ns
-                and each.at_ns > from_ns
-            ):
-                yield each.at_ns, each.message
-
-    def first(
-        self,
-        from_ns: int,
-        kind: type[Any],
-        robot: int,
-        which: Callable[[Any], bool],
-        what: str,
-        timeout_s: float = PATIENCE_S,
-    ) -> tuple[float, Any]:
-        """Waits for a message after `from_ns` that fits; returns how long after it came (s), and it."""
-
-        def look() -> tuple[int, Any] | None:
-            found = ((at, message) for at, message in self.since(from_ns, kind, robot) if which(message))
-            return next(found, None)
-
-        found = self.wait(look, what, timeout_s)
-        assert found is not None
-        return (found[0] - from_ns) / NS_PER_S, found[1]
-
-    def drive(self, duration_s: float = 600.0, ahead_s: float = 0.3) -> int:
-        """Gives the mission to a fleet that is ready, waits until it drives; returns its epoch, ns."""
-        self.wait_until_all("ready")
-        now_ns = time.time_ns()
-        period_ns = self.fleet.period_ns
-        epoch_ns = (now_ns + round(ahead_s * NS_PER_S)) // period_ns * period_ns
-        version = epoch_ns // 1_000_000
-        self.mission = Mission(version, now_ns, epoch_ns, round(duration_s * NS_PER_S), digest(self.fleet))
-        self.bus.publish(keys.mission(self.name), encode(self.mission))
-        self._mission_due_s = time.monotonic() + MISSION_PERIOD_S
-        self.wait_until_all("running")
-        return epoch_ns
-
-
-@contextmanager
-def robots(folder: Path, base: str = "pair", *overrides: str) -> Iterator[Robots]:
-    """Every process of a bundled fleet, ready for a mission."""
-    with placed(make_fleet(base, *overrides)) as fleet, Robots(fleet, folder) as all_robots:
-        all_robots.start_all()
-        all_robots.wait_until_all("ready")
-        yield all_robots

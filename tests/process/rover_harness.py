@@ -22,10 +22,11 @@ from deploy.placing import Vehicle, place, vehicle
 from deploy.ports import Reservation
 from deploy.processes import MODULES, VEHICLE, VEHICLE_MODULE
 from tests.ground_station import Operator
-from tests.process.harness import ADDRESS, PATIENCE_S, Robots
+from tests.process.fleet_harness import Robots
+from tests.process.harness import ADDRESS, PATIENCE_S
 
 BASE_PORT: Final = 24_320
-"""Clear of the ports of the fleets in `tests.process.harness`."""
+"""Clear of the ports of the fleets in `tests.process.fleet_harness`."""
 PAIR: Final = (
     "formation.edges=[[1,2]]",
     "formation.offsets=[[0.0,-1.5],[0.0,1.5]]",
@@ -94,12 +95,12 @@ class Rovers(Robots):
         super().__init__(fleet, folder)
         self.vehicles = vehicles
 
-    def start(self, robot: int, role: str) -> None:
+    def start(self, robot: int, role: str, *more: str) -> None:
         if role == VEHICLE:
             self.run(robot, role, VEHICLE_MODULE, *self.vehicles[robot].arguments)
         else:
             module = MODULES[self.fleet.robot(robot).plant] if role == "plant" else role
-            self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot))
+            self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot), *more)
 
     def start_all(self) -> None:
         for robot in self.fleet.ids:

@@ -30,8 +30,11 @@ from agent.bus import Bus
 from agent.fleet import Fleet, load_fleet, to_dict
 from agent.messages import (
     VERSION,
+    Ask,
+    Beacon,
     Checks,
     HandState,
+    Heartbeat,
     Malformed,
     Mission,
     PlantState,
@@ -42,18 +45,8 @@ from agent.messages import (
     decode,
     encode,
 )
-from tests.process.harness import (
-    Command,
-    Robots,
-    assert_same_way,
-    environment,
-    hands,
-    make_fleet,
-    measured,
-    no_trouble_in_logs,
-    placed,
-    robots,
-)
+from tests.process.fleet_harness import Robots, make_fleet, placed, robots
+from tests.process.harness import Command, assert_same_way, environment, hands, measured, no_trouble_in_logs
 from tests.wire import sealed
 
 AGREE_M = 0.02
@@ -160,7 +153,7 @@ def test_neighbour_whose_clock_is_a_little_ahead(tmp_path: Path) -> None:
             if time.time_ns() >= due_ns:
                 stamp_ns = due_ns + period_ns // 2
                 due_ns += period_ns
-                state = HandState(2, next(sequence), stamp_ns, False, 0.5, 0.0, *[0.0] * 6, (), ())
+                state = HandState(2, next(sequence), stamp_ns, False, 0, 0.5, 0.0, *[0.0] * 6, (), ())
                 all_robots.bus.publish(key, encode(state))
             return all_robots.counters(1).get("received", 0) >= 50
 
@@ -192,25 +185,31 @@ class Hostile:
         self._random = random.Random(seed)
         self._pause_s = pause_s
         name, ids = fleet.fleet.name, [*fleet.ids]
-        of_robot = (keys.hand, keys.status, keys.plant_state, keys.plant_truth, keys.wrench, keys.checks)
+        of_robot = (
+            keys.hand, keys.beacon, keys.status, keys.plant_state, keys.plant_truth, keys.wrench, keys.checks,
+        )  # fmt: skip
         self._keys = [
             *(of(name, robot) for of in of_robot for robot in ids),
             keys.mission(name),
             keys.stop(name),
             keys.resume(name),
+            keys.heartbeat(name),
+            keys.ask(name),
             f"{name}/faults",
             keys.hand(name, 9999),
             keys.status(name, 9999),
             f"{name}/{secrets.token_hex(4)}/made/up",
         ]
-        self._wild = [keys.hand(name, "*"), keys.wrench(name, "*"), keys.plant_state(name, "*"), f"{name}/**"]
+        self._wild = [
+            *(of(name, "*") for of in (keys.hand, keys.beacon, keys.wrench, keys.plant_state)),
+            f"{name}/**",
+        ]
         self._ids = ids
         self._endpoints = [
             endpoint
             for robot in ids
             for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot))
         ]
-        self._mission_key, self._mission_heard = keys.mission(name), False
         self._heard: list[tuple[float, str, bytes]] = []
         self._stop = threading.Event()
         self._failure: BaseException | None = None
@@ -255,7 +254,6 @@ class Hostile:
         self._heard += fresh
         del self._heard[:-2000]
         old = [(key, payload) for at_s, key, payload in self._heard if at_s < now_s - self.OLD_S]
-        self._mission_heard |= any(key == self._mission_key for key, _ in old)
         for key in self._keys:
             self._put(key, draw.choice(self._nonsense()))
             if old:
@@ -309,11 +307,14 @@ class Hostile:
             sealed(msgpack.packb([VERSION, 99, robot, 1, now_ns])),
             sealed(msgpack.packb({"robot": robot})),
             sealed(msgpack.packb([VERSION, 0, str(robot), 1, now_ns, True, *eight, [], []])),
-            encode(HandState(robot, 1, now_ns, True, nan, *[0.0] * 7, (), ())),
-            encode(HandState(robot, 1, now_ns, True, *[0.0] * 8, ((1, inf),), ())),
-            encode(HandState(stranger, 1, now_ns, True, *[0.0] * 8, (), ())),
-            encode(HandState(robot, 1, far_ns, True, *[0.0] * 8, (), ())),
-            encode(HandState(robot, 1, -now_ns, True, *[0.0] * 8, (), ())),
+            encode(HandState(robot, 1, now_ns, True, 0, nan, *[0.0] * 7, (), ())),
+            encode(HandState(robot, 1, now_ns, True, 0, *[0.0] * 8, ((1, inf),), ())),
+            encode(HandState(stranger, 1, now_ns, True, 0, *[0.0] * 8, (), ())),
+            encode(HandState(robot, 1, far_ns, True, 0, *[0.0] * 8, (), ())),
+            encode(HandState(robot, 1, -now_ns, True, 0, *[0.0] * 8, (), ())),
+            encode(Beacon(robot, 1, now_ns, True, inf, *[0.0] * 3, 0, 0, -1, -1)),
+            encode(Beacon(stranger, 1, now_ns, True, *[0.0] * 4, 2**61, 0, 2**61, 2**61)),
+            encode(Beacon(robot, 1, far_ns, True, *[0.0] * 4, 0, 0, -1, -1)),
             encode(PlantState(robot, 1, now_ns, *[nan] * 7, True, True, True, "")),
             encode(PlantState(stranger, 1, now_ns, *[0.0] * 7, True, False, True, "x" * 199)),
             encode(PlantState(robot, 1, 0, *[0.0] * 7, False, False, True, "from 1970")),
@@ -324,13 +325,13 @@ class Hostile:
             encode(Wrench(robot, 1, 1, 99.0, 9.0, False)),
             encode(Mission(2**61, now_ns, now_ns, 10**9, "0123456789abcdef")),  # for another fleet file
             encode(Mission(1, now_ns, now_ns, 0, "0123456789abcdef")),
-            # Before there is a mission, anybody's stop is one: a matter of authentication.
-            *([encode(Stop(1, now_ns, "of an older mission"))] if self._mission_heard else []),
             encode(Stop(-1, now_ns, "")),
             encode(Resume(-1, now_ns, ())),
-            encode(Resume(2**61, now_ns, (stranger, 2**40))),
+            encode(Resume(2**61, now_ns, (2**40,))),
+            encode(Heartbeat(-1, "")),
+            encode(Ask(2**63, "")),
             encode(Checks(robot, 1, now_ns, (("gps", "bad", "", ""),))),
-            encode(Status(stranger, 1, now_ns, "fault", "", 0, (), (), (), ())),
+            encode(Status(stranger, 1, now_ns, "fault", "", "", 0, 0, (), (), (), ())),
         ]
 
 
@@ -425,7 +426,6 @@ def test_old_messages_do_not_move_a_robot_that_starts_again(tmp_path: Path) -> N
         all_robots.wait(lambda: all_robots.states()[2] == "holding", "robot 2 holds")
         for key in (keys.hand(name, 1), keys.wrench(name, 1), keys.plant_state(name, 1)):
             bus.declare(key)
-        mission, all_robots.mission = all_robots.mission, None
         all_robots.start(1, "plant")
         from_ns = time.time_ns()
 
@@ -438,6 +438,5 @@ def test_old_messages_do_not_move_a_robot_that_starts_again(tmp_path: Path) -> N
         assert not any(m.driving for _, m in all_robots.since(from_ns, PlantState, 1))
         assert all_robots.states()[2] == "holding"
         all_robots.start(1, "agent")
-        all_robots.mission = mission
         all_robots.wait_until_all("running")
         assert not all_robots.died()

@@ -132,13 +132,13 @@ def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
     rules = rule(
         tmp_path,
         '[[faults.rule]]\nname = "crash"\nrobot = 2\nkill = "agent"\nat = 1.5\nfor = 1\n'
-        '[[faults.rule]]\nname = "again"\nrobot = 1\nrestart = "plant"\nat = 3\n',
+        '[[faults.rule]]\nname = "again"\nrobot = 1\nrestart = "plant"\nat = 7\n',
     )
-    with running_pair(tmp_path / "run", 12, *LINE, *rules) as (_, run):
+    with running_pair(tmp_path / "run", 15, *LINE, *rules) as (_, run):
         run.wait_for_line(r"(?m)^1\.5 s: rule 'crash' killed robot 2's agent$")
         assert "-m plant " in run.children()[run.child(1, "plant")]
         run.wait_for_line(r"(?m)^2\.5 s: rule 'crash' started robot 2's agent$")
-        run.wait_for_line(r"(?m)^3\.0 s: rule 'again' started robot 1's plant$")
+        run.wait_for_line(r"(?m)^7\.0 s: rule 'again' started robot 1's plant$")
         assert "--pose=" in run.children()[run.child(1, "plant")]
         assert run.wait(30.0) == 0, run.told()
     folder = tmp_path / "run" / "out"
@@ -153,7 +153,7 @@ def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
     ]
     assert recording.epoch_ns is not None
     late_s = [(each.time_ns - recording.epoch_ns) / NS_PER_S for each in recording.events]
-    assert np.allclose(late_s, (1.5, 2.5, 3.0, 3.0), atol=0.1)
+    assert np.allclose(late_s, (1.5, 2.5, 7.0, 7.0), atol=0.1)
     agent = recording.robots[2].status
     assert "running" in {state for t, state in zip(agent.t, agent.states, strict=True) if t > late_s[1]}
     body = recording.robots[1].plant

@@ -78,7 +78,11 @@ def test_a_sweep_leaves_rows_summaries_and_pictures(whole: tuple[Path, Command])
     assert [margin["failed"] for margin in summary["margins"]] == ["0"] * 3
     assert len(list(csv.reader((folder / "summary.csv").read_text().splitlines()))) == 7
     assert re.search(r"^12 runs \(6 cells, 2 of each\), 2 at a time, into out$", command.err, re.MULTILINE)
-    assert re.search(r"^12 of 12 runs, \d+\.\d\d a second, 0:00:00 left$", command.err, re.MULTILINE)
+    assert re.search(
+        r"^12 of 12 runs, \d+\.\d\d a second, 0:00:00 left, 12 unsafe or not settled$",
+        command.err,
+        re.MULTILINE,
+    )
     assert "margin of control.kp with control.c2=0.3: none, not even 0" in command.out
     assert command.out.endswith("\nout\n")
 

@@ -1,0 +1,80 @@
+"""45 robots whose places are not assigned: from random starts, and across a field of ten obstacles.
+
+The whole chain (plants, messages, agents) in virtual time, on all cores. Slots are not assigned, so the
+robots have to cross the whole crowd. Safe means that no two hands, neighbours or not, were ever nearer than
+the safe distance (`deploy.oracles`). Who did not settle is listed with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from deploy.arguments import fleet_path, fleet_text
+from deploy.sweep import Question, make_plan
+from deploy.sweep_run import Row
+from tests.benchmarks.figures import Figure, Options, Result, number, table
+from tests.benchmarks.rows import drive, share
+
+SIDE_M: Final = 9.0
+COUNT: Final = 50
+COUNT_QUICK: Final = 4
+STILL: Final = ("formation.assign=false", "trajectory.kind=hold", "fleet.duration_s=90")
+ACROSS: Final = (
+    "formation.assign=false",
+    "trajectory.kind=waypoints",
+    "trajectory.waypoints_m=[[0, 0], [24, 0]]",
+    "trajectory.speed_mps=0.4",
+    "fleet.duration_s=120",
+)
+OBSTACLES: Final = (
+    (7.0, 0.4, 0.4), (7.6, -3.4, 0.3), (8.2, 3.6, 0.5), (9.8, -1.4, 0.35), (10.4, 1.9, 0.25),
+    (11.6, 4.6, 0.4), (12.2, -4.0, 0.5), (13.0, 0.2, 0.45), (14.8, 2.4, 0.3), (15.2, -2.0, 0.4),
+)  # fmt: skip
+"""x, y, radius, m: gaps that single robots pass, and the formation does not."""
+
+
+def field() -> str:
+    """The obstacles as a fleet file has them."""
+    return "".join(f"\n[[obstacle]]\ncentre_m = [{x}, {y}]\nradius_m = {r}\n" for x, y, r in OBSTACLES)
+
+
+def line(name: str, rows: Sequence[Row]) -> list[str]:
+    settled = [each.numbers["settling_time_s"] for each in rows if each.settled]
+    times = [number(float(np.percentile(settled, at))) for at in (50, 95, 100)] if settled else ["-"] * 3
+    driven = [each for each in rows if each.numbers]
+    return [
+        name,
+        share(sum(each.safe is True for each in rows), len(rows)),
+        share(len(settled), len(rows)),
+        *times,
+        f"{min(each.numbers['min_distance_m.any'] for each in driven):.4f}",
+    ]
+
+
+def run(options: Options) -> Result:
+    count = options.count or (COUNT_QUICK if options.quick else COUNT)
+    path = fleet_path("lattice45")
+    result = Result()
+    lines = []
+    for name, text, overrides in (
+        ("free", fleet_text(path), STILL),
+        ("ten obstacles", fleet_text(path) + field(), ACROSS),
+    ):
+        rows = drive(name, make_plan(Question(str(path), text, "joint", overrides, (), count, SIDE_M)))
+        lines.append(line(name, rows))
+        safe = sum(each.safe is True for each in rows)
+        result.figures.append(
+            Figure(f"{name}: runs without a pair below r_s", 100.0 * safe / count, "%", 100.0, at_most=False)
+        )
+        settled = sum(each.settled is True for each in rows)
+        result.figures.append(Figure(f"{name}: runs that settle", 100.0 * settled / count, "%"))
+        result.details += [
+            f"{name}: run {each.run}: {each.reason}" for each in rows if each.verdict != "PASSED"
+        ]
+    heading = ["crowd", "safe %", "settled %", "median s", "p95 s", "max s", "closest pair m"]
+    result.details += table(heading, lines)
+    result.details.append(f"{count} starts each, {SIDE_M:g} m square")
+    return result

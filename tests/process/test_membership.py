@@ -1,0 +1,182 @@
+"""Orders to a fleet that drives, from other processes: nobody in the middle, and one mission everywhere."""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import signal
+import time
+from pathlib import Path
+
+from agent import keys
+from agent.messages import Ask, Mission, Status, encode
+from deploy.recording import Recording
+from tests.process.fleet_harness import Robots, all_ready
+from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
+from tests.process.small_fleets import triangle
+
+NETWORK = ("--set", "network.base_port=21120")
+REST_MPS = 0.06
+ASK_S = 0.2
+
+
+def ordered(folder: Path, *arguments: str) -> str:
+    """A `handfast` command for a run, to its end, which must be well; what it printed."""
+    with Command(folder / secrets.token_hex(4), *arguments) as command:
+        assert command.wait(30.0) == 0, command.told()
+        return command.out
+
+
+def agreed(fleet: Robots) -> Mission:
+    """The one mission that all agents end up with, whoever has been overruled."""
+
+    def look() -> bool:
+        newest = max(fleet.versions())
+        return fleet.versions() == {newest} and len(fleet.states()) == len(fleet.fleet.ids)
+
+    fleet.wait(look, "one version everywhere")
+    version = max(fleet.versions())
+    due_s = 0.0
+
+    def said() -> list[Mission]:
+        nonlocal due_s
+        if time.monotonic() >= due_s:
+            due_s = time.monotonic() + ASK_S
+            fleet.bus.publish(keys.ask(fleet.name), encode(Ask(time.time_ns(), "a test")))
+        return [mission for mission in fleet.orders(Mission) if mission.version == version]
+
+    missions = fleet.wait(said, "a robot says it again")
+    assert len(set(missions)) == 1, missions
+    return missions[0]
+
+
+def test_orders_to_a_run_from_other_processes(tmp_path: Path) -> None:
+    """All four kinds, one after another, while `handfast run` drives; oracles and verdict are fine."""
+    name = f"t-{secrets.token_hex(4)}"
+    arguments = ("run", "reserve", "--set", f"fleet.name={name}", "--duration", "44", "--out", "out")
+    with Command(tmp_path, *arguments, "--no-report", *NETWORK, *BUSY) as run:
+        run.wait_for_line(r"(?m)^ +[2-9]\.\d s ", 30.0)
+        run.children()
+        for order in (
+            ("join", name, "--robot", "7", "--edges", "4,5"),
+            ("reshape", name, "--scale", "1.2"),
+            ("leave", name, "--robot", "6"),
+            ("replace", name, "--robot", "1", "--by", "6"),
+        ):
+            out = ordered(tmp_path, *order)
+            assert out.count(": knows\n") == 7, out
+        assert run.wait(90.0) == 0, run.told()
+    folder = tmp_path / "out"
+    no_trouble_in_logs(folder)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["verdict"]["passed"], metrics["verdict"]
+    checked = {oracle for oracle, found in metrics["oracles"].items() if found["checked"]}
+    assert {"separation", "limits", "recovery"} <= checked, metrics["oracles"]
+    recording = Recording.from_folder(folder)
+    versions = sorted({mission.version for mission in recording.missions})
+    assert len(versions) == 5
+    last = {robot.id: robot.status for robot in recording.robots.values()}
+    assert {int(status.mission_versions[-1]) for status in last.values()} == {versions[-1]}
+    states = {
+        robot: [state for t, state in zip(status.t, status.states, strict=True) if t < 43.0][-1]
+        for robot, status in last.items()
+    }
+    assert states == dict.fromkeys((2, 3, 4, 5, 6, 7), "running") | {1: "standby"}
+
+
+def test_no_coordinator(tmp_path: Path) -> None:
+    """Who gave an order is killed as soon as one agent has it: all get it, and so does who starts again."""
+    with all_ready(triangle(), tmp_path / "r") as fleet:
+        fleet.drive()
+        assert fleet.mission is not None
+        before = fleet.mission.version
+        with fleet.command("join", "--robot", "4", "--edges", "2,3") as commander:
+            fleet.wait(lambda: max(fleet.versions()) > before, "an agent has the order", 30.0)
+            commander.process.kill()
+            commander.process.wait()
+        mission = agreed(fleet)
+        assert mission.note == "robot 4 joins (edges to 2 and 3)"
+        everybody = fleet.fleet.ids
+        fleet.wait(lambda: fleet.states() == dict.fromkeys(everybody, "running"), "all four drive")
+
+        fleet.signal(2, "agent", signal.SIGKILL)
+        fleet.processes[2, "agent"].wait()
+        started_ns = time.time_ns()
+        fleet.start(2, "agent")
+        _, status = fleet.first(started_ns, Status, 2, lambda m: m.state == "running", "the new agent drives")
+        assert status.mission_version == mission.version
+        fleet.wait(lambda: fleet.states() == dict.fromkeys(everybody, "running"), "all four drive on")
+        assert agreed(fleet) == mission
+        assert not fleet.died()
+        no_trouble_in_logs(fleet.folder)
+
+
+def test_two_operators_at_once(tmp_path: Path) -> None:
+    """One order holds, the same everywhere; who is told that all know has given that one, or was first."""
+    with all_ready(triangle(), tmp_path / "r") as fleet:
+        fleet.drive()
+        scales = ("1.3", "1.6")
+        with (
+            fleet.command("reshape", "--scale", scales[0]) as one,
+            fleet.command("reshape", "--scale", scales[1]) as other,
+        ):
+            both = one, other
+            fleet.wait(lambda: all(each.process.poll() is not None for each in both), "both end", 30.0)
+            ends = [each.wait() for each in both]
+            texts = [each.out for each in both]
+        assert set(ends) <= {0, 1}
+        assert 0 in ends, texts
+        for status, text in zip(ends, texts, strict=True):
+            if status:
+                assert text.startswith("not done: another operator's order was quicker"), text
+            else:
+                assert text.count(": knows\n") == 4, text
+        mission = agreed(fleet)
+        given = [f"reshaped: {scale} times the size" for scale in scales]
+        assert mission.note in given, mission
+        if 1 in ends:
+            assert mission.note == given[ends.index(0)]
+        fleet.wait_until_all("running")
+        assert not fleet.died()
+        no_trouble_in_logs(fleet.folder)
+
+
+def test_ctrl_c_in_the_middle_of_a_change(tmp_path: Path) -> None:
+    """A run that is to end while its formation grows brakes before it ends, and leaves a whole folder."""
+    name = f"t-{secrets.token_hex(4)}"
+    arguments = (
+        "run",
+        "reserve",
+        "--set",
+        f"fleet.name={name}",
+        "--duration",
+        "60",
+        "--out",
+        "out",
+        *NETWORK,
+    )
+    with Command(tmp_path, *arguments) as run:
+        run.wait_for_line(r"(?m)^ +[2-9]\.\d s ", 30.0)
+        pids = [*run.children()]
+        out = ordered(tmp_path, "reshape", name, "--scale", "2", "--over", "20s")
+        told = re.search(r"at (\d+\.\d) s, over 20\.0 s", out)
+        assert told is not None, out
+        at = int(float(told[1])) + 2
+        wait_for(
+            lambda: (lines := re.findall(r"(?m)^ +(\d+)\.\d s ", run.err)) and int(lines[-1]) >= at,
+            "the change is under way",
+            report=run.told,
+        )
+        run.process.send_signal(signal.SIGINT)
+        measured("gone, s", run.wait_until_gone(pids, 5.0))
+        assert run.wait(60.0) == 130, run.told()
+    folder = tmp_path / "out"
+    no_trouble_in_logs(folder)
+    recording = Recording.from_folder(folder)
+    assert not recording.warnings
+    for robot, data in recording.robots.items():
+        assert abs(float(data.plant["speed"][-1])) < REST_MPS, f"robot {robot} was not at rest"
+        assert not data.plant["driving"][-1]
+    assert max(float(data.plant["speed"].max()) for data in recording.robots.values()) > 0.1
+    assert all((folder / each).exists() for each in ("metrics.json", "report.html", "trajectories.png"))
