@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class Trace(NamedTuple):
-    """`times` (k,) s from the epoch; `hands` (k, n, 2) m, W, in the order of the fleet's robots."""
+    """`times` (k,) s from the epoch; `hands` (k, n, 2) m, W, in the order of `Fleet.members`."""
 
     fleet: Fleet
     times: Floats
@@ -71,7 +71,7 @@ class HandTrace:
         name = self._fleet.fleet.name
         columns = [
             self.rows.get(keys.plant_truth(name, robot)) or self.rows[keys.plant_state(name, robot)]
-            for robot in self._fleet.ids
+            for robot in resolve(self._fleet).ids
         ]
         end_ns = epoch_ns + round(duration_s * NS_PER_S)
         common = set.intersection(*map(set, columns))

@@ -20,7 +20,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.hand import Pose
-from agent.leave import AWAITED
+from agent.latch import AWAITED
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.frames import Geodetic, world_to_geodetic

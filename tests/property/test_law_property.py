@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, log, sqrt
+from math import ceil, hypot, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -312,3 +312,95 @@ def test_along_a_solution_energy_never_grows_and_edges_keep_their_bound(g: Group
     bound = RS + (g.d - RS) / (1.0 + sqrt(2.0 * first / g.gains.kp))
     for t, y in zip(solution.t, solution.y.T, strict=True):
         assert np.all(at(y, t).edges().distance >= bound * (1.0 - 1e-9))
+
+
+# ---------------------------------------------------------------------- far from the place (N1)
+
+ERROR = st.floats(-1e3, 1e3)
+GAIN = st.floats(0.05, 20.0)
+SPEED = st.floats(0.05, 20.0)
+
+
+@given(ERROR, ERROR, GAIN, GAIN, SPEED)
+def test_a_robot_makes_for_its_place_by_21_near_it_and_at_its_speed_limit_far_from_it(
+    x: float, y: float, c1: float, c2: float, most: float
+):
+    """Without friction -c1 share e - c2 edot comes to rest at edot = -(c1 / c2) share e."""
+    share = law.saturation(x, y, c1, c2, most)
+    wanted = c1 / c2 * hypot(x, y)
+    assert 0.0 < share <= 1.0
+    assert share * wanted == pytest.approx(min(wanted, most), rel=1e-9)
+    if wanted < most * (1.0 - 1e-9):
+        assert share == 1.0
+
+
+@given(ERROR, ERROR, ERROR, ERROR, GAIN, GAIN, SPEED)
+def test_the_pull_to_the_place_is_continuous(
+    x: float, y: float, dx: float, dy: float, c1: float, c2: float, most: float
+):
+    """It is c1 e cut to a circle: no two of them are further apart than what they are made of."""
+
+    def pull(ex: float, ey: float) -> tuple[float, float]:
+        share = law.saturation(ex, ey, c1, c2, most)
+        return c1 * share * ex, c1 * share * ey
+
+    one, other = pull(x, y), pull(x + 1e-3 * dx, y + 1e-3 * dy)
+    apart = hypot(one[0] - other[0], one[1] - other[1])
+    assert apart <= c1 * 1e-3 * hypot(dx, dy) + 1e-9 * c1 * (hypot(x, y) + 1.0)
+
+
+# ---------------------------------------------------------------------- one-sided and fading constraints
+
+
+@given(groups(clearance_min=1e-3), st.floats(-1e6, 1e6))
+def test_a_one_sided_constraint_never_pulls(g: Group, value: float):
+    e = g.edges()
+    for lam in (law.repelling(np.full(len(g.d), value)), law.repelling(joint(g))):
+        force = law.forces(e, lam)
+        assert (force[0] * e.normal[0] + force[1] * e.normal[1] >= 0.0).all()
+    assert law.repelling(value) == max(value, 0.0)
+
+
+@given(groups(clearance_min=0.1), st.floats(0.01, 1.0))
+def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: float):
+    """With k2 = 0 the constraint force would not know the weight: a constraint holds or does not."""
+    e, stiff = g.edges(), g.gains._replace(k2=0.0)
+    faded = law.weighted(e, weight)
+    full, less = (law.forces(each, law.multipliers_edge(each, stiff)) for each in (e, faded))
+    assert less == pytest.approx(full, rel=1e-9, abs=1e-12)
+    assert faded.normal is e.normal
+    assert faded.distance is e.distance
+
+
+@given(groups(clearance_min=0.1))
+def test_an_edge_without_weight_has_no_force(g: Group):
+    faded = law.weighted(g.edges(), 0.0)
+    assert not np.any(law.forces(faded, law.multipliers_edge(faded, g.gains)))
+
+
+@given(groups(clearance_min=0.1))
+def test_an_obstacle_is_a_constraint_of_one_body(g: Group):
+    """A A^T = phi'^2 where only one end can move: the same demand, met by one robot alone."""
+    e = g.edges()
+    lam = law.multipliers_edge(e, g.gains, 1)
+    assert lam * (g.gains.k2 + e.slope**2) == pytest.approx(e.demand, rel=1e-9)
+
+
+@given(groups(clearance_min=0.05), st.integers(0, 2**32 - 1))
+@settings(max_examples=100)
+def test_sweeps_with_one_sided_constraints_settle_as_fast(g: Group, seed: int):
+    """Cutting off what is below 0 brings no two vectors further apart: the sweep stays a contraction."""
+    sweeper, generator = Sweeper(g), np.random.default_rng(seed)
+    one_sided = generator.random(len(g.d)) < 0.5
+
+    def sweep(lam: Floats) -> Floats:
+        swept = sweeper.sweep(lam)
+        return np.where(one_sided, law.repelling(swept), swept)
+
+    def size(lam: Floats) -> float:
+        return sqrt(float(sweeper.weights @ lam**2))
+
+    one, other = generator.normal(size=(2, len(g.d))) * 10.0
+    for _ in range(20):
+        before, one, other = size(one - other), sweep(one), sweep(other)
+        assert size(one - other) <= sweeper.rate * before + 1e-9 * (size(one) + 1.0)

@@ -17,18 +17,23 @@ from agent.messages import (
     BYTES_MAX,
     CHECK_TEXT_MIN,
     CHECKS_MAX,
+    DEGREE_MAX,
     EVENTS,
     EVERY_AUTHOR,
     FLOAT_MAX,
     LEVELS,
     REASONS,
     TIME_NS_MAX,
+    TOPICS,
     VERSION,
     WHAT_MAX,
+    Ask,
+    Beacon,
     Checks,
     Event,
     Faults,
     HandState,
+    Heartbeat,
     LinkTrace,
     Malformed,
     Message,
@@ -40,6 +45,7 @@ from agent.messages import (
     Wrench,
     decode,
     encode,
+    newer,
 )
 from tests.wire import opened, sealed
 
@@ -51,17 +57,25 @@ MICROSECONDS = st.integers(-(2**31), 2**40)
 
 HANDS = st.builds(
     HandState,
-    *(ROBOT, NS, NS, st.booleans(), *[FLOAT] * 8),
+    *(ROBOT, NS, NS, st.booleans(), st.integers(0, DEGREE_MAX), *[FLOAT] * 8),
     st.lists(st.tuples(ROBOT, FLOAT), max_size=64).map(tuple),
     st.lists(st.tuples(ROBOT, MICROSECONDS), max_size=64).map(tuple),
 )
 PLANTS = st.builds(PlantState, *(ROBOT, NS, NS, *[FLOAT] * 7, *[st.booleans()] * 3, TEXT))
 WRENCHES = st.builds(Wrench, ROBOT, NS, NS, FLOAT, FLOAT, st.booleans())
-MISSIONS = st.builds(Mission, NS, NS, NS, st.integers(1, TIME_NS_MAX - 1), TEXT)
+NUMBER = st.integers(-(2**53), 2**53) | FLOAT
+SETTING = TEXT | st.booleans() | NUMBER | st.lists(st.tuples(NUMBER, NUMBER), max_size=5).map(tuple)
+MISSIONS = st.builds(
+    Mission,
+    *(NS, NS, NS, st.integers(1, TIME_NS_MAX - 1), TEXT, NS, NS, TEXT, NS),
+    st.lists(st.tuples(TEXT, SETTING), max_size=5).map(tuple),
+    st.lists(st.tuples(ROBOT, FLOAT, FLOAT), max_size=20).map(tuple),
+    st.lists(st.tuples(ROBOT, ROBOT, FLOAT), max_size=20).map(tuple),
+)
 STOPS = st.builds(Stop, NS, NS, TEXT)
 STATUSES = st.builds(
     Status,
-    *(ROBOT, NS, NS, TEXT, TEXT, NS),
+    *(ROBOT, NS, NS, TEXT, TEXT, TEXT, NS, NS),
     st.lists(st.tuples(ROBOT, *[MICROSECONDS] * 5), max_size=20).map(tuple),
     st.lists(MICROSECONDS, max_size=60).map(tuple),
     st.lists(MICROSECONDS, max_size=60).map(tuple),
@@ -71,7 +85,9 @@ PRINTABLE = st.text(min_size=1, max_size=AUTHOR_MAX).filter(
     lambda text: text.isprintable() and text != EVERY_AUTHOR
 )
 FAULTS = st.builds(Faults, NS, NS, PRINTABLE, NS, NS, st.text(max_size=2000))
-ENTRIES = st.tuples(ROBOT, st.integers(0, 2), NS, NS, st.integers(0, WHAT_MAX), st.integers(-1, 2**40))
+ENTRIES = st.tuples(
+    ROBOT, st.integers(0, len(TOPICS) - 1), NS, NS, st.integers(0, WHAT_MAX), st.integers(-1, 2**40)
+)
 TRACES = st.builds(LinkTrace, ROBOT, NS, NS, st.lists(ENTRIES, max_size=128).map(tuple))
 HAPPENINGS = st.builds(
     Event, ROBOT, NS, NS, st.sampled_from(["agent", "plant"]), st.sampled_from(EVENTS), TEXT
@@ -80,9 +96,15 @@ RESUMES = st.builds(Resume, NS, NS, st.lists(ROBOT, max_size=64).map(tuple))
 SHORT = st.text(max_size=50).filter(lambda text: len(text.encode()) <= CHECK_TEXT_MIN)
 LINES = st.tuples(SHORT, st.sampled_from(LEVELS), SHORT, SHORT)
 CHECKS = st.builds(Checks, ROBOT, NS, NS, st.lists(LINES, max_size=CHECKS_MAX).map(tuple))
-MESSAGES = st.one_of(
-    HANDS, PLANTS, WRENCHES, MISSIONS, STOPS, STATUSES, FAULTS, TRACES, HAPPENINGS, RESUMES, CHECKS
+BEACONS = st.builds(
+    Beacon, *(ROBOT, NS, NS, st.booleans(), *[FLOAT] * 4, *[st.integers(-1, TIME_NS_MAX - 1)] * 4)
 )
+HEARTBEATS = st.builds(Heartbeat, NS, TEXT)
+ASKS = st.builds(Ask, NS, TEXT)
+MESSAGES = st.one_of(
+    HANDS, PLANTS, WRENCHES, MISSIONS, STOPS, STATUSES, FAULTS, TRACES, HAPPENINGS, RESUMES, CHECKS, BEACONS,
+    HEARTBEATS, ASKS,
+)  # fmt: skip
 
 
 def floats_of(value: Any) -> list[float]:
@@ -93,14 +115,14 @@ def floats_of(value: Any) -> list[float]:
 
 def survives(payload: bytes) -> Message | None:
     """Decodes; whatever comes of it must be a refusal by a known reason or a valid message."""
-    start = time.perf_counter()
+    start = time.process_time()
     message: Message | None = None
     refused: Malformed | None = None
     try:
         message = decode(payload)
     except Malformed as error:
         refused = error
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     if refused is not None:
         assert refused.reason in REASONS
         assert len(str(refused)) < 300
@@ -137,6 +159,23 @@ def test_round_trip(message: Message):
     assert type(decode(payload)) is type(message)
 
 
+@given(
+    st.lists(MISSIONS.map(lambda mission: mission._replace(version=mission.version % 3)), max_size=8),
+    st.data(),
+)
+def test_the_mission_that_holds_does_not_depend_on_the_order_in_which_they_come(
+    missions: list[Mission], data: st.DataObject
+):
+    def last(order: list[Mission]) -> Mission | None:
+        known: Mission | None = None
+        for mission in order:
+            if newer(mission, known):
+                known = mission._replace(time_ns=0)  # when it was said is no part of it
+        return known
+
+    assert last(missions) == last(data.draw(st.permutations(missions * 2), label="order"))
+
+
 @given(st.binary(max_size=BYTES_MAX + 1))
 @example(b"\x91" * BYTES_MAX)
 @settings(max_examples=500)
@@ -145,7 +184,7 @@ def test_random_bytes(payload: bytes):
     survives(sealed(payload))
 
 
-@given(st.binary(max_size=200), st.integers(0, 12), st.integers(6, 15))
+@given(st.binary(max_size=200), st.integers(0, 15), st.integers(2, 15))
 @settings(max_examples=300)
 def test_random_bytes_after_a_good_head(payload: bytes, number: int, fields: int):
     survives(sealed(bytes([0x90 | fields, VERSION, number]) + payload))
@@ -256,7 +295,7 @@ def test_fields_repeated_left_out_or_swapped(message: Message, data: st.DataObje
 def test_a_number_that_is_not_finite_never_gets_through(message: HandState, place: int, value: float):
     place %= 8 + len(message.multipliers)
     if place < 8:
-        message = message._replace(**{HandState._fields[4 + place]: value})
+        message = message._replace(**{HandState._fields[5 + place]: value})
     else:
         multipliers = list(message.multipliers)
         multipliers[place - 8] = (multipliers[place - 8][0], value)
@@ -278,9 +317,10 @@ V = bytes([VERSION])
 OPENINGS = {"array": b"\x91", "array of two": b"\x92\x01", "map": b"\x81\x01", "long": b"\xdc\x00\x01"}
 HEADS = {
     b"": 0,
-    b"\x9f": 14,
-    b"\x9f" + V: 13,
-    b"\x9f" + V + b"\x00": 12,
+    b"\xdc\x00\x11": 16,
+    b"\xdc\x00\x11" + V: 15,
+    b"\xdc\x00\x11" + V + b"\x00": 14,
+    b"\x9e" + V + b"\x03": 11,
     b"\x98" + V + b"\x02\x01\x01\x01": 2,
     b"\x95" + V + b"\x09\x01\x01": 0,
     b"\x96" + V + b"\x0a\x01\x01\x01": 0,
@@ -288,7 +328,7 @@ HEADS = {
 
 
 @given(st.integers(1, 1100), st.sampled_from(sorted(OPENINGS)), st.sampled_from(sorted(HEADS)))
-@example(1000, "array", b"\x9f" + V)
+@example(1000, "array", b"\xdc\x00\x11" + V)
 @settings(max_examples=300)
 def test_nesting_of_any_depth(depth: int, opening: str, head: bytes):
     """Closed as it should be, so that MessagePack itself has nothing against it.

@@ -70,7 +70,7 @@ def solve(fleet: Fleet, times: Array) -> Array:
                 robot.x_m + robot.hand_offset_m * np.cos(robot.heading_rad),
                 robot.y_m + robot.hand_offset_m * np.sin(robot.heading_rad),
             )
-            for robot in fleet.robots
+            for robot in fleet.members
         ]
     )
     state = np.concatenate([start.ravel(), np.zeros(2 * n)])

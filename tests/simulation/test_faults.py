@@ -15,7 +15,7 @@ from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve, resolved
 from agent.messages import Event, Mission, PlantState, Status, decode
 from agent.node import INBOX_SIZE
-from agent.supervision import State
+from agent.supervision import DRIVING, State
 from deploy.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace
@@ -79,6 +79,18 @@ class Run:
 
     def distances(self) -> Floats:
         """Length of every edge over true time, every `STEP_S` from the epoch on, (k, m), m."""
+        i, j = resolve(self.fleet).edges.T
+        between = self.hands()[i] - self.hands()[j]
+        return np.hypot(between[:, 0], between[:, 1]).T
+
+    def apart(self) -> float:
+        """The closest that any two hands came, m."""
+        hands = self.hands()
+        i, j = np.triu_indices(len(hands), 1)
+        return float(np.hypot(*np.moveaxis(hands[i] - hands[j], 1, 0)).min())
+
+    def hands(self) -> Floats:
+        """Hand points of all robots at the same times, (n, 2, k), m; a body whose plant is gone stands."""
         epoch_ns, plan = self.simulation.epoch_ns, FaultPlan(self.fleet)
         times = np.arange(0.0, self.fleet.fleet.duration_s, STEP_S)
         hands = []
@@ -88,9 +100,7 @@ class Run:
             rows = rows or self._kept.rows[keys.plant_state("delta", robot)]
             stamps = [(clock.true_ns(stamp) - epoch_ns) / NS_PER_S for stamp in rows]
             hands.append([np.interp(times, stamps, axis) for axis in np.array(list(rows.values())).T])
-        i, j = resolve(self.fleet).edges.T
-        between = np.array(hands)[i] - np.array(hands)[j]
-        return np.hypot(between[:, 0], between[:, 1]).T
+        return np.array(hands)
 
     def expect_safe(self, final_error_m: float) -> None:
         """No edge ever too short, and every edge right at the end."""
@@ -130,11 +140,18 @@ def missions(run: Run) -> list[int]:
     return [round((time_ns - run.simulation.epoch_ns) / 1e6) for time_ns, k, _ in run.log if k == key]
 
 
-def test_a_fleet_that_is_ready_at_once_drives_after_ten_periods():
+def test_a_fleet_that_is_ready_at_once_drives_as_soon_as_it_has_listened():
     run = Run().until(1.0)
-    assert run.simulation.epoch_ns == 10 * PERIOD_NS
+    assert run.simulation.epoch_ns == 21 * PERIOD_NS  # of which agents listen for who is near for 20
     assert len(missions(run)) == 1
     assert run.agent_states() == {State.RUNNING}
+    assert min(state.time_ns for state in run.states(1) if state.driving) == run.simulation.epoch_ns
+
+
+def test_a_fleet_that_need_not_listen_for_who_is_near_drives_after_ten_periods():
+    run = Run(overrides=("avoidance.enabled=false",)).until(0.1)
+    assert run.simulation.epoch_ns == 10 * PERIOD_NS
+    assert min(state.time_ns for state in run.states(1) if state.driving) == run.simulation.epoch_ns
 
 
 def test_a_fleet_whose_messages_are_late_drives_half_a_second_after_it_is_ready():
@@ -145,12 +162,15 @@ def test_a_fleet_whose_messages_are_late_drives_half_a_second_after_it_is_ready(
     (said_ms,) = missions(run)
     assert -500 <= said_ms < -480
     run.until(0.5)
+    assert run.agent_states() == {State.DEGRADED}
+    assert "robot 2 (does not follow)" in run.agent(1).reason  # it did not yet, a second ago
+    run.until(3.0)
     assert run.agent_states() == {State.RUNNING}
 
 
 def test_a_fleet_that_is_never_ready_is_told_of_with_the_robots_and_why():
     run = Run("link = '2->1'\nloss = '100%'").drive()
-    assert run.simulation.reasons == ["Not ready within 60 s: robot 1 (silent neighbours: 2)."]
+    assert run.simulation.reasons == ["Not ready within 60 s: robot 1 (silent neighbours: robot 2)."]
     assert missions(run) == []
     assert run.simulation.now_ns == 60 * NS_PER_S
 
@@ -219,13 +239,13 @@ def test_a_robot_starts_by_its_own_clock():
 def test_a_clock_that_is_300_ms_off_keeps_the_fleet_from_starting(skew_s: float, waiting: set[int]):
     run = Run(f"robot = 3\nclock_skew = {skew_s}").drive()
     (reason,) = run.simulation.reasons
-    assert {robot for robot in run.fleet.ids if f"robot {robot} (" in reason} == waiting
+    assert {robot for robot in run.fleet.ids if f"robot {robot} (silent" in reason} == waiting
     assert "its clock is 0.28 s ahead" in reason
     assert all(not state.driving for robot in run.fleet.ids for state in run.states(robot))
 
 
 def test_a_clock_that_drifts_parts_from_the_epoch_on():
-    run = Run("robot = 3\nclock_drift = 0.001", duration_s=10.0).drive()
+    run = Run("robot = 3\nclock_drift = 0.001").drive()
     run.expect_safe(0.05)
     epoch_ns = run.simulation.epoch_ns
     ahead_us = {}
@@ -235,9 +255,9 @@ def test_a_clock_that_drifts_parts_from_the_epoch_on():
             ahead_us[(true_ns - epoch_ns) / NS_PER_S] = (decode(payload)[2] - true_ns) / 1e3
     times, ahead = np.array(sorted(ahead_us.items())).T
     assert ahead == pytest.approx(1e3 * np.maximum(times, 0.0), abs=0.002)
-    assert times[-1] > 9.9
+    assert times[-1] > 19.9
     # Its plant and its agent share a clock: no wrench is ever late.
-    end_ns = epoch_ns + 10 * NS_PER_S
+    end_ns = epoch_ns + 20 * NS_PER_S
     assert all(state.driving for state in run.states(3) if epoch_ns <= state.time_ns < end_ns)
 
 
@@ -246,7 +266,7 @@ def test_a_clock_that_drifts_parts_from_the_epoch_on():
 
 def test_five_ms_of_jitter_change_nothing_that_matters():
     run = Run("tick_jitter = 0.005").drive()
-    run.expect_safe(1e-3)
+    run.expect_safe(2e-3)
     for times in ([s.time_ns for s in run.states(1)], hand_stamps(run)):
         late = np.array(times) % (PERIOD_NS // 2)
         assert late.min() >= 0
@@ -297,15 +317,18 @@ def test_an_agent_that_starts_again_drives_again():
     before = run.agent(3)
     run.until(5.0)
     assert run.agent(3) is not before
-    run.until(5.45)
-    assert run.agent(3).state is State.READY  # it has heard all but the mission
+    run.until(5.1)
+    assert run.agent(3).condition == ("ready", "for a mission")
     assert run.plant(3).condition[0] == "braking"
-    run.until(5.6)
+    run.until(5.5)
+    assert run.agent(3).state is State.RUNNING  # its neighbours have told it of the mission
+    run.until(8.0)
     assert run.agent_states() == {State.RUNNING}
     run.until(20.0)
     assert run.events() == [(5.0, 3, "agent", "kill", "crash"), (5.0, 3, "agent", "start", "crash")]
     run.expect_safe(0.01)
-    assert missions(run)[1:] == [5500]
+    assert missions(run)[-1] == 5500
+    assert 5000 < missions(run)[1] < 5300
 
 
 def test_a_body_whose_plant_starts_again_stands_where_it_was():
@@ -328,40 +351,46 @@ def test_what_is_killed_says_and_hears_nothing_until_it_starts_again():
     assert not [key for key in late if key.startswith("delta/robot/3/")]
     run.until(6.015)
     # At its first tick it has its plant's state; what was sent to it while it was down is gone.
-    assert run.agent(3).condition == ("waiting", "silent neighbours: 1, 2, 5, 6")
+    assert run.agent(3).condition == ("waiting", "silent neighbours: robot 1, robot 2, robot 5, robot 6")
     run.until(7.0)
     assert run.agent(3).state is State.RUNNING
     run.until(20.0)
     run.expect_safe(0.01)
 
 
-def test_a_robot_that_is_killed_for_good_stops_its_neighbours_and_the_mission_ends():
-    run = Run("robot = 1\nat = 3\nkill = 'both'", duration_s=8.0).drive()
-    assert run.distances().min() > run.fleet.formation.safe_distance_m
+def test_a_robot_that_is_killed_for_good_is_driven_on_without_and_nobody_hits_it():
+    run = Run("robot = 2\nat = 5\nkill = 'both'").until(6.0)
+    for robot in (1, 3, 4, 5):
+        assert run.agent(robot).condition == ("degraded", "without robot 2 (its agent is gone)")
+    assert run.agent(6).state is State.RUNNING
+    run.until(19.9)
+    for robot in (1, 3, 4, 5, 6):
+        assert run.agent(robot).state in DRIVING
+    assert run.apart() > run.fleet.formation.safe_distance_m
+    run.until(21.0)
     assert [event[3] for event in run.events()] == ["kill", "kill"]
     assert run.simulation.stopped
-    assert run.simulation.now_ns < run.simulation.epoch_ns + 9 * NS_PER_S
 
 
 def test_a_paused_agent_skips_its_ticks_and_goes_on_with_the_newest():
-    run = Run("robot = 3\nat = 5.003\nfor = 1\npause = 'agent'").until(6.002)
+    run = Run("robot = 3\nat = 5.003\nfor = 2\npause = 'agent'", duration_s=25.0).until(7.002)
     agent = run.agent(3)
     ticks = len([1 for _, key, _ in run.log if key == keys.wrench("delta", 3)])
-    assert run.plant(3).condition == ("braking", "no fresh wrench for 1.01 s")
-    run.until(6.004)
+    assert run.plant(3).condition == ("braking", "no fresh wrench for 2.01 s")
+    run.until(7.004)
     assert len([1 for _, key, _ in run.log if key == keys.wrench("delta", 3)]) == ticks + 1
     wrench = next(decode(payload) for _, key, payload in reversed(run.log) if key == keys.wrench("delta", 3))
     # It woke between two deadlines: its tick is the last of those that it slept through.
-    assert wrench[2] == run.simulation.epoch_ns + round(5.99 * NS_PER_S)
-    run.until(20.0)
+    assert wrench[2] == run.simulation.epoch_ns + round(6.99 * NS_PER_S)
+    run.until(25.0)
     assert run.agent(3) is agent
     run.expect_safe(0.01)
     status = next(decode(payload) for _, key, payload in reversed(run.log) if key == keys.status("delta", 3))
     assert isinstance(status, Status)
     counters = dict(status.counters)
-    assert counters["overruns"] == 49
-    # Of the 51 messages of each neighbour since its last tick the newest 32 were kept.
-    assert counters["lost"] == 4 * (51 - INBOX_SIZE)
+    assert counters["overruns"] == 99
+    # Of the 101 messages of each neighbour, and of one that is near, the newest were kept.
+    assert counters["lost"] == 5 * (101 - INBOX_SIZE)
 
 
 def test_a_body_whose_plant_is_paused_brakes_by_itself():
@@ -385,4 +414,5 @@ def test_the_mission_is_said_again_as_it_was():
     run = Run("robot = 2\nat = 1\nrestart = 'agent'").until(2.0)
     said = [decode(payload) for _, key, payload in run.log if key == keys.mission("delta")]
     assert all(isinstance(message, Mission) for message in said)
-    assert [message._replace(time_ns=0) for message in said] == [said[0]._replace(time_ns=0)] * 2
+    assert len(said) > 1
+    assert {message._replace(time_ns=0) for message in said} == {said[0]._replace(time_ns=0)}

@@ -201,7 +201,8 @@ def test_agents_find_the_joint_multipliers_together():
     """One sweep a tick with what the neighbours sent: the faster, the nearer to the exact law."""
     errors = []
     for rate_hz in (50, 100, 200):
-        trace = drive(resolved(bundled("delta", f"fleet.rate_hz={rate_hz}", "fleet.duration_s=10")))
+        settings = (f"fleet.rate_hz={rate_hz}", "fleet.duration_s=10", "avoidance.enabled=false")
+        trace = drive(resolved(bundled("delta", *settings)))
         error = trace.hands - joint_solution(trace.fleet, trace.times)
         errors.append(np.hypot(error[..., 0], error[..., 1]))
     largest = [error.max() for error in errors]
@@ -269,8 +270,8 @@ def plant_of(simulation: Simulation, robot: int) -> PlantNode:
     return next(plant for plant in simulation.plants if plant.robot == robot)
 
 
-def running_delta() -> tuple[Simulation, HandTrace]:
-    fleet = resolved(bundled("delta", "control.prediction_horizon_s=1.0"))
+def running_delta(*overrides: str) -> tuple[Simulation, HandTrace]:
+    fleet = resolved(bundled("delta", "control.prediction_horizon_s=1.0", *overrides))
     kept = HandTrace(fleet)
     simulation = Simulation(fleet, kept)
     simulation.start(60 * NS_PER_S)
@@ -279,16 +280,17 @@ def running_delta() -> tuple[Simulation, HandTrace]:
     return simulation, kept
 
 
-def test_frozen_agent_leads_its_neighbours_to_hold_and_a_thaw_ends_it():
+def test_neighbours_of_a_frozen_agent_drive_on_without_it_and_take_it_back():
     simulation, kept = running_delta()
     agent = Freezable(agent_of(simulation, 1))  # its neighbours are 2 and 3
     agent.frozen = True
-    simulation.run_until(at(simulation, 5.9))
+    simulation.run_until(at(simulation, 5.4))
     assert agent_of(simulation, 2).state is State.RUNNING  # carried on by prediction
+    simulation.run_until(at(simulation, 5.9))
+    assert agent_of(simulation, 2).condition == ("degraded", "slower: robot 1 (0.9 s)")
     simulation.run_until(at(simulation, 6.1))
     for robot in (2, 3):
-        assert agent_of(simulation, robot).state is State.HOLDING
-        assert "silent neighbours: 1" in agent_of(simulation, robot).reason
+        assert agent_of(simulation, robot).condition == ("degraded", "without robot 1 (1.1 s)")
     for robot in (4, 5, 6):
         assert agent_of(simulation, robot).state is State.RUNNING  # 2 and 3 still tell where they are
     assert plant_of(simulation, 1).condition[0] == "braking"
@@ -302,22 +304,22 @@ def test_frozen_agent_leads_its_neighbours_to_hold_and_a_thaw_ends_it():
     assert trace.distances().min() > 0.22
 
 
-def test_dead_robot_stops_its_neighbours_for_good_and_nobody_is_hit():
-    simulation, kept = running_delta()
-    for node in (agent_of(simulation, 2), plant_of(simulation, 2)):
-        Freezable(node).frozen = True
-    simulation.run_until(at(simulation, 20.0))
-    for robot in (1, 3, 4, 5):
+def test_neighbours_of_a_frozen_agent_hold_where_the_fleet_file_says_so():
+    simulation, _ = running_delta("supervision.silence=hold")
+    agent = Freezable(agent_of(simulation, 1))
+    agent.frozen = True
+    simulation.run_until(at(simulation, 6.1))
+    for robot in (2, 3):
         assert agent_of(simulation, robot).state is State.HOLDING
-        assert "silent neighbours: 2" in agent_of(simulation, robot).reason
-    assert agent_of(simulation, 6).state is State.RUNNING
-    others = [k for k in range(6) if k != 1]
-    rows = [kept.rows[f"delta/robot/{k + 1}/plant/state"] for k in others]
-    stamp = max(rows[0])
-    end = np.array([row[stamp] for row in rows])
-    before = np.array([row[stamp - NS_PER_S] for row in rows])
-    at_rest = [others.index(robot - 1) for robot in (1, 3, 4, 5)]
-    assert np.abs(end - before)[at_rest].max() < 1e-3
+        assert agent_of(simulation, robot).reason.startswith(
+            "hears not all of its neighbours: robot 1 (1.1 s)"
+        )
+    for robot in (4, 5, 6):  # they hear all, and do not rely on those that hold
+        assert agent_of(simulation, robot).state is State.DEGRADED
+        assert "(does not follow)" in agent_of(simulation, robot).reason
+    agent.frozen = False
+    simulation.run_until(at(simulation, 8.0))
+    assert {agent.state for agent in simulation.agents} == {State.RUNNING}
 
 
 def test_frozen_plant_is_a_fault_of_its_agent_and_a_thaw_ends_it():
@@ -351,8 +353,8 @@ def test_progress_can_end_a_run():
 
     simulation = Simulation(resolved(bundled("pair")))
     simulation.run(progress)
-    assert told[-1] == pytest.approx(1.05)
-    assert simulation.now_ns == pytest.approx(at(simulation, 1.05))
+    assert 1.0 <= told[-1] < 1.25
+    assert simulation.now_ns == pytest.approx(at(simulation, told[-1]))
 
 
 def test_new_mission_while_driving_leaves_the_formation_together():

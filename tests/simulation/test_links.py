@@ -37,17 +37,25 @@ def back_after(times: Floats, distances: Floats) -> float:
 # --- three faults -----------------------------------------------------------------------------
 
 
-def test_two_halves_cut_off_for_five_seconds_come_together_again():
+def test_two_halves_cut_off_for_five_seconds_keep_back_and_come_together_again():
+    """Nobody knows whether the other half has stopped: who drives behind it keeps off its way."""
     times, distances = driven(delta("fleet.duration_s=26", scenario="partition"))
     assert distances.min() > SAFE_M
-    assert 17.0 < back_after(times, distances) < 21.0
+    assert 0.1 < np.abs(distances[times > 13.0] - 1.0).max() < 1.0
+    assert back_after(times, distances) < 23.0
+
+
+def test_two_halves_that_hold_while_they_are_cut_off_come_together_again():
+    times, distances = driven(delta("fleet.duration_s=28", "supervision.silence=hold", scenario="partition"))
+    assert distances.min() > SAFE_M
+    assert 17.0 < back_after(times, distances) < 24.0
     assert np.abs(distances[(times > 15.0) & (times < 17.0)] - 1.0).max() > 0.1  # it was felt
 
 
 def test_a_flapping_link_is_not_even_felt():
     times, distances = driven(delta("fleet.duration_s=24", scenario="flapping"))
     assert distances.min() > SAFE_M
-    assert back_after(times, distances) < 10.0
+    assert back_after(times, distances) < 14.0
 
 
 def test_a_robot_that_hears_nobody_for_ten_seconds_catches_up():
@@ -77,7 +85,7 @@ def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm:
 def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):
     fleet = random_fleet(delta("fleet.duration_s=25", *BAD, *NOISE, scenario="jitter"), seed)
     found = measure(fleet, lambda: True)  # between poses: with jitter each robot has its own times
-    assert found["min_distance_m"]["edge"] > SAFE_M
+    assert found["min_distance_m"]["any"] > SAFE_M
     assert found["settling_time_s"] < 15.0
 
 

@@ -22,7 +22,8 @@ Floats = NDArray[np.float64]
 
 ROVERS = Path(__file__).parents[2] / "deploy" / "fleets" / "rovers.toml"
 SETTLED_M = 0.15
-SETTLED_S = 20.0
+SETTLED_S = 30.0
+"""They start up to 9 m from their places, which move away at 0.34 m/s, and drive at no more than 0.9 m/s."""
 LATE_S = 15.0
 
 

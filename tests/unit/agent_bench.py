@@ -11,11 +11,14 @@ from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
 from agent.messages import (
+    Beacon,
     HandState,
     Message,
     Mission,
     PlantState,
+    Resume,
     Status,
+    Stop,
     Wrench,
     decode,
     encode,
@@ -31,10 +34,14 @@ trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
 """
 PERIOD = 20_000_000
 START = 1000 * NS_PER_S
-HAND, WRENCH, STATUS = (f"two/robot/1/{name}" for name in ("hand", "plant/wrench", "status"))
+HAND, WRENCH, STATUS, BEACON = (
+    f"two/robot/1/{name}" for name in ("hand", "plant/wrench", "status", "beacon")
+)
 PLANT, OTHER, MISSION, STOP = "two/robot/1/plant/state", "two/robot/2/hand", "two/mission", "two/stop"
-RESUME = "two/resume"
+RESUME, HEARTBEAT, ASK = "two/resume", "two/heartbeat", "two/ask"
+OTHERS_BEACON, ALIVE = "two/robot/2/beacon", "two/alive/robot/2/agent"
 TIMEOUT_TICKS = 5  # control.plant_timeout_s
+LISTEN_TICKS = 2 * 10 + 1  # two beacons of everybody
 BRAKE = (0.0, 0.0, True)
 
 
@@ -48,6 +55,7 @@ class Out(NamedTuple):
     wrench: Wrench
     hand: HandState | None
     status: Status | None
+    beacon: Beacon | None
     raw: list[tuple[str, bytes]]
 
 
@@ -76,6 +84,7 @@ class Bench:
         self.pose: Pose | None = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
         self.plant: Mapping[str, Any] = {}  # fields of the plant's state that are not the usual
         self.other: tuple[float, float, float, float] | None = (1.5, 0.2, 0.0, 0.0)
+        self.other_follows = True
         self.ticks = 0
         self.last: Status | None = None
 
@@ -91,6 +100,12 @@ class Bench:
         duration_ns = round(duration_s * NS_PER_S)
         self.give(MISSION, Mission(version, self.now, epoch_ns, duration_ns, digest(self.fleet)))
 
+    def stop(self, version: int, reason: str = "") -> None:
+        self.give(STOP, Stop(version, self.now, reason))
+
+    def resume(self, version: int, *robots: int) -> None:
+        self.give(RESUME, Resume(version, self.now, robots))
+
     def tick(self, *extra: tuple[str, bytes]) -> Out:
         """Plant and neighbour speak, then `extra` comes, then the agent ticks."""
         if self.pose is not None:
@@ -101,7 +116,10 @@ class Bench:
         if self.other is not None:
             stamp = self.now - PERIOD
             copies = ((1, 0.0),)
-            self.give(OTHER, HandState(2, self.ticks, stamp, True, *self.other, *[0.0] * 4, copies, ()))
+            self.give(
+                OTHER,
+                HandState(2, self.ticks, stamp, self.other_follows, 1, *self.other, *[0.0] * 4, copies, ()),
+            )
         for key, payload in extra:
             self.give(key, payload)
         raw = self.agent.tick(self.now)
@@ -113,14 +131,18 @@ class Bench:
             found[key] = decode(payload)  # nothing that a receiver would refuse
             check_finite(found[key])
         self.last = found.get(STATUS, self.last)
-        return Out(found[WRENCH], found.get(HAND), found.get(STATUS), raw)
+        return Out(found[WRENCH], found.get(HAND), found.get(STATUS), found.get(BEACON), raw)
 
     def run(self, ticks: int) -> list[Out]:
         return [self.tick() for _ in range(ticks)]
 
+    def listen(self) -> list[Out]:
+        """So long that the robot knows who is near: who comes into a drive waits for that."""
+        return self.run(LISTEN_TICKS)
+
     def drive(self) -> Out:
         """To the state RUNNING."""
-        self.tick()
+        self.listen()
         self.mission()
         for _ in range(5):
             out = self.tick()

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from agent.fleet import load_fleet
+from deploy.arguments import FLEETS
+from deploy.check import check
 from deploy.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -60,6 +63,46 @@ def test_a_fleet_of_simulated_robots_has_nothing_to_check(capsys: pytest.Capture
     ]
 
 
-def test_there_is_nobody_to_resume(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["resume", "no-such-fleet-runs"]) == 2
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("stop", "--reason", "x"),
+        ("resume",),
+        ("join", "--robot", "7", "--edges", "3,5"),
+        ("leave", "--robot", "4"),
+        ("replace", "--robot", "3", "--by", "7"),
+        ("reshape", "--scale", "1.5"),
+        ("heartbeat",),
+    ],
+)
+def test_there_is_nobody_to_order(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    command, *options = arguments
+    assert main([command, "no-such-fleet-runs", *options]) == 2
     assert 'no fleet of the name "no-such-fleet-runs" runs here' in capsys.readouterr().err
+
+
+def test_a_reshaping_must_change_something(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reshape", "delta", "--over", "5s"]) == 2
+    assert capsys.readouterr().err == ("handfast: reshape changes nothing: give --scale, --from or --set\n")
+    assert main(["reshape", "delta", "--from", "no-such-fleet"]) == 2
+    assert "no bundled fleet of that name" in capsys.readouterr().err
+
+
+def test_a_fleet_without_a_switch_needs_no_heartbeats(capsys: pytest.CaptureFixture[str]) -> None:
+    """A fleet file that runs nowhere here is taken as it is."""
+    assert main(["heartbeat", str(FLEETS / "pair.toml")]) == 2
+    assert "pair has no dead-man's switch" in capsys.readouterr().err
+
+
+def test_orders_need_no_numerics_before_they_are_sent() -> None:
+    """A stop must be quick: the command line loads no numpy until something needs it."""
+    code = (
+        "import sys, deploy.cli, deploy.stop_session; deploy.cli._parser(); sys.exit('numpy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
+
+
+def test_the_fleet_with_a_reserve_can_be_driven() -> None:
+    fleet = load_fleet(FLEETS / "reserve.toml")
+    assert [robot.id for robot in fleet.robots if robot.reserve] == [7]
+    assert [finding for finding in check(fleet) if finding.level in ("error", "warning")] == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from math import hypot
 
 import numpy as np
@@ -11,28 +11,37 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.core import Agent
+from agent.core import TOLD_NS, Agent
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration
 from agent.messages import (
     TEXT_MAX,
+    Ask,
+    Beacon,
     HandState,
+    Heartbeat,
     Mission,
     PlantState,
+    Resume,
     Stop,
     Wrench,
     decode,
     encode,
 )
-from agent.neighbours import FUTURE_NS_MAX
+from agent.peers import FUTURE_NS_MAX
 from agent.supervision import State
 from agent.trajectory import make_trajectory
 from plant.backend import Command
 from plant.unicycle import from_fleet
 from tests.unit.agent_bench import (
+    ASK,
+    BEACON,
     HAND,
+    HEARTBEAT,
+    LISTEN_TICKS,
     MISSION,
     OTHER,
+    OTHERS_BEACON,
     PERIOD,
     PLANT,
     RESUME,
@@ -51,10 +60,14 @@ from tests.wire import sealed
 
 def test_keys_are_those_of_its_neighbours_and_its_own_plant():
     agent = Bench().agent
-    assert set(agent.subscriptions) == {PLANT, OTHER, MISSION, STOP, RESUME, "two/faults"}
-    assert set(agent.publications) == {
-        HAND, WRENCH, STATUS, "two/robot/1/links", "two/robot/1/faults",
+    assert set(agent.subscriptions) == {
+        PLANT, OTHER, MISSION, STOP, RESUME, HEARTBEAT, ASK, "two/faults", "two/robot/*/beacon",
     }  # fmt: skip
+    assert agent.subscriptions[:2] == (STOP, RESUME)  # who catches up must not drive first
+    assert set(agent.publications) == {
+        HAND, WRENCH, STATUS, BEACON, STOP, RESUME, MISSION, "two/robot/1/links", "two/robot/1/faults",
+    }  # fmt: skip
+    assert agent.watched == "two/alive/robot/*/agent"
     assert agent.alive_key == keys.alive("two", 1, "agent")
     assert (agent.period_ns, agent.phase_ns) == (PERIOD, PERIOD // 2)
 
@@ -76,12 +89,13 @@ def test_the_life_of_a_robot():
     assert out.hand is None  # it does not know where it is
     bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
     out = bench.tick()
-    assert bench.agent.condition == ("waiting", "silent neighbours: 2")
+    assert bench.agent.condition == ("waiting", "silent neighbours: robot 2")
     assert out.hand is not None
     assert not out.hand.following
     bench.other = (1.5, 0.2, 0.0, 0.0)
     bench.tick()
     assert bench.agent.condition == ("ready", "for a mission")
+    bench.listen()
     epoch = bench.now + 3 * PERIOD + PERIOD // 2
     bench.mission(epoch_ns=epoch, duration_s=1.0)
     out = bench.tick()
@@ -105,7 +119,7 @@ def test_the_life_of_a_robot():
     assert brakes(out)
     assert not out.hand.following
     assert out.hand.multipliers == ()
-    assert out.hand[8:12] == (0.0, 0.0, 0.0, 0.0)
+    assert out.hand[9:13] == (0.0, 0.0, 0.0, 0.0)
     bench.run(20)
     assert bench.state is State.STOPPING  # it still moves
     bench.pose = Pose(0.0, 0.0, 0.0, 0.01, 0.0)
@@ -166,10 +180,14 @@ def test_stale_plant_is_a_fault_within_its_timeout_and_back():
     assert bench.agent.condition == ("fault", "plant silent for 0.11 s")
     assert (bench.now - PERIOD) - silent_since <= 100_000_000 + PERIOD
     assert brakes(outs[-1])
-    assert outs[-1].hand is None  # it no longer knows where it is
+    assert not outs[-1].hand.following  # others learn at once that it brakes
     assert not any(map(brakes, outs[:-1]))
-    bench.run(10)
+    outs = bench.run(10)
     assert bench.state is State.FAULT
+    assert all(out.hand is not None and not out.hand.following for out in outs)
+    bench.run(TOLD_NS // PERIOD)
+    out = bench.tick()
+    assert (out.hand, out.beacon) == (None, None)  # it no longer knows where it is
     bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
     bench.tick()
     assert bench.state is State.WAITING
@@ -184,7 +202,7 @@ def test_unhealthy_plant_is_a_fault_and_says_why():
     out = bench.tick()
     assert bench.agent.condition == ("fault", "plant unhealthy: estimator lost")
     assert brakes(out)
-    assert out.hand is None
+    assert not out.hand.following
     bench.plant = {"healthy": False}
     bench.tick()
     assert bench.agent.reason == "plant unhealthy: no reason given"
@@ -201,22 +219,27 @@ def test_plant_that_never_came_is_waited_for():
     assert bench.agent.condition == ("waiting", "for its plant")
 
 
-def test_silent_neighbour_leads_to_holding_after_the_horizon_and_back():
+def test_a_robot_that_hears_no_neighbour_drives_slower_then_holds_and_goes_on():
     bench = Bench()
     bench.drive()
     bench.run(5)
     bench.other, silent_since = None, bench.now - 2 * PERIOD
-    outs = []
-    while bench.state is State.RUNNING:
-        outs.append(bench.tick())
-    age = bench.now - PERIOD - silent_since
-    assert NS_PER_S // 2 < age <= NS_PER_S // 2 + PERIOD
-    assert bench.agent.condition == ("holding", "silent neighbours: 2 (0.5 s)")
-    assert brakes(outs[-1])
-    assert not outs[-1].hand.following
-    assert not any(map(brakes, outs[:-1]))
-    bench.run(10)
-    assert bench.agent.condition == ("holding", "silent neighbours: 2 (0.7 s)")
+    seen: list[tuple[str, int]] = []
+    while bench.state is not State.HOLDING:
+        out = bench.tick()
+        age = bench.now - PERIOD - silent_since
+        if not seen or seen[-1][0] != bench.state.value:
+            seen.append((bench.state.value, age))
+        assert brakes(out) == (bench.state is State.HOLDING)
+        assert out.hand.following == (bench.state is not State.HOLDING)
+    (_, _), (slower, slow_age), (holding, held_age) = seen
+    assert (slower, holding) == ("degraded", "holding")
+    horizon = NS_PER_S // 2
+    assert 3 * horizon // 4 < slow_age <= 3 * horizon // 4 + PERIOD
+    assert horizon < held_age <= horizon + PERIOD
+    assert bench.agent.condition == ("holding", "hears none of its neighbours: robot 2 (0.5 s)")
+    assert all(map(brakes, bench.run(10)))
+    assert bench.agent.condition == ("holding", "hears none of its neighbours: robot 2 (0.7 s)")
     bench.other = (1.5, 0.2, 0.0, 0.0)
     assert not brakes(bench.tick())
     assert bench.agent.condition == ("running", "")
@@ -246,7 +269,7 @@ def test_a_robot_without_neighbours_drives_alone():
     agent = Agent(made, 3)
     now = START + PERIOD // 2
     agent.receive(now, "two/mission", encode(Mission(1, now, now, NS_PER_S, digest(made))))
-    for k in range(5):
+    for k in range(LISTEN_TICKS):
         state = PlantState(3, k, now - PERIOD // 2, 0.5, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, True, True, "")
         agent.receive(now, "two/robot/3/plant/state", encode(state))
         out = dict(agent.tick(now))
@@ -254,7 +277,7 @@ def test_a_robot_without_neighbours_drives_alone():
     assert agent.state is State.RUNNING
     message = decode(out["two/robot/3/hand"])
     assert message.multipliers == ()
-    assert message[10:12] == (0.0, 0.0)
+    assert message[11:13] == (0.0, 0.0)
     assert decode(out["two/robot/3/plant/wrench"]).force < 0.0  # back to where it belongs
 
 
@@ -285,7 +308,7 @@ def test_mission_for_another_fleet_file_is_refused_and_says_so():
 
 def test_older_and_repeated_missions_are_ignored():
     bench = Bench()
-    bench.tick()
+    bench.listen()
     bench.mission(version=5)
     bench.run(4)
     assert bench.state is State.RUNNING
@@ -324,45 +347,48 @@ def test_a_later_mission_leaves_nothing_of_the_one_before():
     epoch = START - 30 * NS_PER_S
     bench.mission(2, epoch_ns=epoch)
     bench.tick()
-    trajectory = make_trajectory(bench.fleet.trajectory)
-    for stamp, known in bench.agent._controller._references.items():
-        assert known == pytest.approx(trajectory.at((stamp - epoch) / NS_PER_S)), stamp - bench.now
+    reference = make_trajectory(bench.fleet.trajectory).at((bench.now - epoch) / NS_PER_S)
+    course = bench.agent._controller.course
+    assert course.motion(1, bench.now) == pytest.approx(reference)  # its place is at the reference point
+    assert [edge[:3] for edge in course.edges(1, bench.now)] == [(2, 1.0, 1.0)]
 
 
-def test_stop_stops_and_only_a_later_mission_starts_again():
+def test_stop_stops_and_only_a_later_leave_starts_again():
     bench = Bench()
     bench.drive()
     bench.pose = Pose(0.0, 0.0, 0.0, 0.3, 0.0)
-    bench.give(STOP, Stop(1, bench.now, "somebody in the way"))
+    bench.stop(1, "somebody in the way")
     assert brakes(bench.tick())
     assert bench.agent.condition == ("stopping", "stop: somebody in the way")
     bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
     bench.tick()
     assert bench.agent.condition == ("stopped", "stop: somebody in the way")
-    bench.mission(1)
-    bench.run(5)
-    assert bench.state is State.STOPPED
-    bench.mission(2)
-    bench.run(5)
-    assert bench.state is State.RUNNING
+    bench.mission(9)
+    bench.resume(1)
+    bench.resume(2, 2)  # for the other robot
+    assert all(map(brakes, bench.run(10)))
+    assert bench.agent.condition == ("stopped", "stop: somebody in the way")
+    bench.resume(3)
+    assert brakes(bench.tick())
+    assert not brakes(bench.tick())
+    assert bench.agent.condition == ("running", "")
 
 
-def test_a_stop_of_an_older_mission_is_ignored():
+def test_a_stop_from_before_the_last_leave_is_ignored():
     bench = Bench()
-    bench.tick()
-    bench.mission(7)
-    bench.run(4)
-    bench.give(STOP, Stop(6, bench.now, "too late"))
-    bench.run(2)
+    bench.drive()
+    bench.resume(7)
+    bench.stop(6, "too late")
+    assert not any(map(brakes, bench.run(5)))
     assert bench.state is State.RUNNING
-    assert bench.counters()["rejected.out_of_order"] == 1
 
 
 def test_an_older_stop_that_comes_late_does_not_weaken_a_newer_one():
     bench = Bench()
     bench.tick()
-    bench.give(STOP, Stop(5, bench.now, "at once"))
-    bench.give(STOP, Stop(3, bench.now, "earlier"))
+    bench.stop(5, "at once")
+    bench.stop(3, "earlier")
+    bench.resume(4)
     bench.mission(4)
     for out in bench.run(8):
         assert brakes(out)
@@ -370,25 +396,26 @@ def test_an_older_stop_that_comes_late_does_not_weaken_a_newer_one():
     assert bench.counters()["rejected.out_of_order"] == 1
 
 
-@pytest.mark.parametrize("stop_version", [3, 4])
-def test_a_stop_wins_over_its_mission_whichever_comes_first(stop_version: int):
-    """Two keys, two channels: the stop of a mission may overtake it. Only a later mission ends a stop."""
+@pytest.mark.parametrize("order", list(permutations(("stop", "mission", "resume"))))
+def test_a_stop_and_the_leave_after_it_may_come_in_any_order(order: tuple[str, ...]):
+    """Three keys, three channels: each may overtake the others."""
     bench = Bench()
-    bench.tick()
-    bench.give(STOP, Stop(stop_version, bench.now, "at once"))
-    bench.mission(3)
-    for out in bench.run(8):
-        assert brakes(out)
-    assert bench.agent.condition == ("stopped", "stop: at once")
-    bench.mission(stop_version + 1)
+    bench.listen()
+    for what in order:
+        if what == "mission":
+            bench.mission(9, epoch_ns=bench.now)
+        else:
+            getattr(bench, what)(3 if what == "stop" else 4)
     bench.run(5)
     assert bench.state is State.RUNNING
 
 
 def test_a_robot_that_starts_in_the_middle_of_a_mission_joins_it():
     bench = Bench()
-    bench.tick()
     bench.mission(epoch_ns=START - 10 * NS_PER_S)
+    for out in bench.run(LISTEN_TICKS - 1):
+        assert brakes(out)
+        assert bench.agent.condition == ("waiting", "hears who is near")  # there may be somebody in its way
     assert not brakes(bench.tick())
     assert bench.state is State.RUNNING
 
@@ -446,8 +473,8 @@ def test_acceleration_is_clipped_in_its_direction():
 
     wanted = asked(1000.0)
     size = hypot(*wanted)
-    assert 1.0 < size < 100.0
-    for share in (0.02, 0.9):
+    assert 0.5 < size < 100.0
+    for share in (0.1, 0.9):
         assert asked(share * size) == pytest.approx(np.multiply(wanted, share))
     assert asked(1.001 * size) == pytest.approx(wanted)
 
@@ -457,7 +484,7 @@ def test_hand_state_is_where_the_hand_is_now():
     bench.pose = Pose(0.2, -0.1, 0.7, 0.5, 0.4)
     out = bench.drive()
     after = Pose(0.2 + 0.005 * np.cos(0.702), -0.1 + 0.005 * np.sin(0.702), 0.704, 0.5, 0.4)
-    assert out.hand[4:8] == pytest.approx(tuple(hand(after, 0.1)), abs=1e-8)
+    assert out.hand[5:9] == pytest.approx(tuple(hand(after, 0.1)), abs=1e-8)
 
 
 def test_a_neighbour_that_is_too_near_is_pushed_away_from():
@@ -491,10 +518,10 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
     command: Command | None = None
     forces = []
     bench.mission(epoch_ns=bench.now - PERIOD // 2)
-    for tick in range(30):
+    for tick in range(120):
         stamp = bench.now - PERIOD // 2
         reading = body.step(stamp, command)
-        if tick < 30 - late:
+        if tick < 120 - late:
             state = (*reading.pose, reading.force, reading.torque)
             bench.give(PLANT, PlantState(1, tick, stamp, *state, command is not None, True, True, ""))
         # The neighbour jumps to and fro, so that no wrench is like the one before it.
@@ -503,11 +530,11 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
         command = None if out.wrench.brake else Command(out.wrench.force, out.wrench.torque)
         forces.append(out.wrench.force)
     assert bench.state is State.RUNNING
-    assert np.abs(np.diff(forces[-5:])).min() > 0.5
+    assert np.abs(np.diff(forces[-5:])).min() > 0.4
     # Half a period after its last step, with what it was given there.
     truth = body.step(stamp + PERIOD // 2, None).pose
     assert out.hand.time_ns == stamp + PERIOD // 2
-    assert out.hand[4:8] == pytest.approx(tuple(hand(truth, 0.1)), abs=1e-6)
+    assert out.hand[5:9] == pytest.approx(tuple(hand(truth, 0.1)), abs=1e-6)
 
 
 # ---------------------------------------------------------------------- garbage
@@ -516,7 +543,7 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
 def garbage(bench: Bench) -> list[tuple[str, bytes]]:
     """What may come in one tick and must change nothing, with the reason it is counted under."""
     now, mine = bench.now, digest(bench.fleet)
-    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, *[3.0] * 8, ((1, 9.0),), ())
+    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, 1, *[3.0] * 8, ((1, 9.0),), ())
     plant = PlantState(1, 10**6, now - PERIOD // 4, *[3.0] * 7, True, True, True, "")
     every = (PLANT, OTHER, MISSION, STOP, HAND, WRENCH, STATUS, "two/robot/9/hand", "", "two/**")
     junk = (b"", b"\x00", b"\xff" * 20_000, b"\x91\x01", b"junk" * 20, sealed(b"junk"))
@@ -541,7 +568,13 @@ def garbage(bench: Bench) -> list[tuple[str, bytes]]:
         (PLANT, encode(Mission(99, now, 0, 1, mine))),
     ]
     out += [(MISSION, encode(Stop(99, now, ""))), (STOP, encode(Mission(99, now, 0, 1, mine)))]
-    out += [(STOP, encode(Stop(0, now, "older than the mission")))]
+    out += [(MISSION, encode(Mission(99, now, now, NS_PER_S, mine, robots=((7, 0.0, 0.0),))))]
+    out += [(MISSION, encode(Mission(99, now, now, NS_PER_S, mine, edges=((1, 2, 0.1),))))]
+    beacon = Beacon(2, 0, now - PERIOD // 4, True, 3.0, 3.0, 0.0, 0.0, 99, 0, 99, -1)
+    out += [(OTHERS_BEACON, encode(beacon._replace(robot=3))), (OTHER, encode(beacon))]
+    out += [(OTHERS_BEACON, encode(beacon._replace(time_ns=now + FUTURE_NS_MAX + 1)))]
+    out += [(STOP, encode(Resume(99, now, ()))), (RESUME, encode(Stop(99, now, "")))]
+    out += [(STOP, encode(Heartbeat(now, "x"))), (HEARTBEAT, encode(Ask(now, "x")))]
     return out
 
 
@@ -574,7 +607,7 @@ def test_garbage_on_every_key_changes_nothing_and_is_counted():
     assert sum(reasons.values()) == counted
     assert {name.partition(".")[2] for name in reasons} == {
         "checksum", "malformed", "oversized", "not_finite", "wrong_key", "future", "out_of_order", "digest",
-        "version",
+        "version", "mission",
     }  # fmt: skip
     assert after["corrupted"] > 0
     assert after["received"] == before["received"]
@@ -624,7 +657,7 @@ def test_absurd_plant_states_never_reach_the_wire_nor_end_the_agent(name: str, v
 
 
 @pytest.mark.parametrize("value", EXTREMES)
-@pytest.mark.parametrize("name", HandState._fields[4:12])
+@pytest.mark.parametrize("name", HandState._fields[5:13])
 @pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
 def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, value: float, coupling: str):
     bench = Bench(f"control.coupling={coupling}")
@@ -632,7 +665,7 @@ def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, val
     with np.errstate(all="ignore"):
         for tick in range(6):
             stamp = bench.now - PERIOD // 2
-            absurd = HandState(2, 10**6 + tick, stamp, True, *[0.0] * 8, ((1, 0.0),), ())._replace(
+            absurd = HandState(2, 10**6 + tick, stamp, True, 1, *[0.0] * 8, ((1, 0.0),), ())._replace(
                 **{name: value}
             )
             out = bench.tick((OTHER, encode(absurd)))
@@ -747,7 +780,7 @@ def test_status_fits_however_many_neighbours_there_are(spokes: int):
     bench.other = None
     bench.run(30)
     assert bench.last.state == "waiting"
-    assert bench.last.reason.startswith("silent neighbours: 9000")
+    assert bench.last.reason.startswith("silent neighbours: robot 9000")
     assert len(bench.last.neighbours) == spokes
 
 

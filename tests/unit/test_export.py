@@ -87,6 +87,9 @@ def test_parquet_holds_the_same(run: Path) -> None:
         for name, column in expected.items():
             values = column if isinstance(column, list) else column.tolist()
             assert stored[name].to_pylist() == [None if value != value else value for value in values]
+    statuses = tables["statuses"]
+    assert set(statuses["transition"]) == {"epoch"}
+    assert set(np.asarray(statuses["mission_version"]).tolist()) == {1}
     kinds = {field.name: str(field.type) for field in pq.read_schema(run / "export" / "statuses.parquet")}
     assert (kinds["t_s"], kinds["robot"], kinds["state"], kinds["sent"]) == (
         "double",

@@ -21,6 +21,13 @@ def test_keys_of_what_operators_say_to_plants_and_hear_of_them():
     assert keys.checks("delta", "*") == "delta/robot/*/plant/checks"
 
 
+def test_keys_of_what_a_fleet_says_to_all():
+    assert keys.beacon("delta", 3) == "delta/robot/3/beacon"
+    assert keys.beacon("delta", "*") == "delta/robot/*/beacon"
+    assert keys.heartbeat("delta") == "delta/heartbeat"
+    assert keys.ask("delta") == "delta/ask"
+
+
 def test_no_key_is_used_twice():
     by_robot = (
         keys.hand,
@@ -30,6 +37,7 @@ def test_no_key_is_used_twice():
         keys.wrench,
         keys.links,
         keys.checks,
+        keys.beacon,
     )
     used = [key("delta", 3) for key in (*by_robot, keys.plant_links)]
     used += [keys.faults_held("delta", 3, role) for role in keys.ROLES]
@@ -40,6 +48,8 @@ def test_no_key_is_used_twice():
         keys.resume("delta"),
         keys.faults("delta"),
         keys.events("delta"),
+        keys.heartbeat("delta"),
+        keys.ask("delta"),
     ]
     assert len(set(used)) == len(used)
 

@@ -9,7 +9,9 @@ import pytest
 from agent import keys
 from agent.formation import resolve
 from agent.messages import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
-from deploy.link_metrics import ages, clock_offsets, clock_warnings, describe_links, idle_rules
+from deploy import link_metrics
+from deploy.analysis import analyse
+from deploy.link_metrics import ages, clock_offsets, clock_warnings
 from deploy.metrics import compute
 from deploy.recording import Recording, RunData
 from tests.unit.simulated_run import driven, recorded, trio
@@ -34,13 +36,21 @@ def fed(*extra: Sent, statuses: bool = True) -> Recording:
     return data.recording()
 
 
+def describe_links(recording: Recording) -> dict[str, Any]:
+    return link_metrics.describe_links(recording, analyse(recording, resolve(recording.fleet)))
+
+
+def idle_rules(recording: Recording) -> list[str]:
+    return link_metrics.idle_rules(recording, analyse(recording, resolve(recording.fleet)))
+
+
 def trace(robot: int, *entries: tuple[int, int, int, int, int, int]) -> Sent:
     return at(1.9), keys.links(NAME, robot), LinkTrace(robot, 0, at(1.9), entries)
 
 
 def status(robot: int, t: float, *neighbours: tuple[int, ...], ages_us: tuple[int, ...] = ()) -> Sent:
     rows: Any = neighbours
-    message = Status(robot, 0, at(t), "running", "", 1, rows, (), ages_us, ())
+    message = Status(robot, 0, at(t), "running", "epoch", "", 1, 0, rows, (), ages_us, ())
     return at(t), keys.status(NAME, robot), message
 
 

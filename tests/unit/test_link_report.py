@@ -58,7 +58,7 @@ def test_the_section_says_what_was_done_and_that_it_is_proven(folder: Path) -> N
     page = (folder / "report.html").read_text()
     start = page.index("<h2>Links</h2>")
     words = text_of(page[start : page.index("<h2>Forces", start)])
-    assert re.search(r"Of [\d,]+ messages under fault rules \d+ were lost \(\d+\.\d %\)", words)
+    assert re.search(r"Of [\d,]+ messages under fault rules, beacons left out, \d+ were lost \(\d+\.", words)
     assert re.search(r"were made to wait \d+\.\d ms on average, (7\d|80) at most", words)
     assert re.search(r"[\d,]+ of [\d,]+ recorded decisions are the same and none differs", words)
     assert "loss 100% (<b>cut</b>, from 0.5 to 1 s); delay 60ms 20ms" in words

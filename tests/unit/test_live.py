@@ -8,9 +8,9 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet import Fleet, digest, parse_fleet
 from agent.formation import resolve
-from agent.messages import Faults, Status
+from agent.messages import Faults, HandState, Mission, Status, Stop
 from deploy.arguments import FLEETS
 from deploy.live import Lines, Watch, faults_line, summary
 
@@ -24,13 +24,13 @@ def fleet(more: str = "") -> Fleet:
 def watch(more: str = "") -> Watch:
     made = fleet(more)
     watched = Watch(made, resolve(made))
-    watched.begin(EPOCH_NS)
+    watched.feed(keys.mission("pair"), Mission(1, EPOCH_NS, EPOCH_NS, 60 * NS_PER_S, digest(made)))
     return watched
 
 
 def status(robot: int, offset_us: int, error_us: int) -> Status:
     neighbour = (3 - robot, 20_000, 10, 0, offset_us, error_us)
-    return Status(robot, 1, EPOCH_NS, "running", "", 1, (neighbour,), (), (), ())
+    return Status(robot, 1, EPOCH_NS, "running", "", "", 1, 0, (neighbour,), (), (), ())
 
 
 def live(time_s: float, rules: str, lease_ns: int = 0) -> Faults:
@@ -113,7 +113,7 @@ def test_plain_lines_end_with_the_faults() -> None:
 
 
 def told(watched: Watch, robot: int, state: str, reason: str, after_ns: int) -> None:
-    status = Status(robot, 1, EPOCH_NS + after_ns, state, reason, 1, (), (), (), ())
+    status = Status(robot, 1, EPOCH_NS + after_ns, state, "", reason, 1, 0, (), (), (), ())
     watched.feed(keys.status("pair", robot), status)
 
 
@@ -145,9 +145,10 @@ def test_a_released_robot_whose_plant_is_lost_is_not_back_before_it_drives() -> 
     watched = watch()
     told(watched, 2, "released", "mode MANUAL, not GUIDED", 1)
     watched.news(1.0)
-    for after_ns, state in enumerate(("fault", "waiting"), 2):
-        told(watched, 2, state, "plant silent for 0.60 s", after_ns)
-        assert watched.news(2.0) == []
+    told(watched, 2, "fault", "plant silent for 0.60 s", 2)
+    assert watched.news(2.0) == ["2.0 s: robot 2 is in fault: plant silent for 0.60 s"]
+    told(watched, 2, "waiting", "for its plant", 3)
+    assert watched.news(2.5) == []
     told(watched, 2, "running", "", 4)
     assert watched.news(3.0) == ["3.0 s: robot 2 is back: running"]
 
@@ -156,8 +157,68 @@ def test_a_released_robot_is_not_back_when_the_drive_is_over() -> None:
     watched = watch()
     told(watched, 2, "released", "disarmed", 1)
     watched.news(1.0)
+    over_s = fleet().fleet.duration_s
     for after_ns, state in enumerate(("stopping", "stopped"), 2):
         told(watched, 2, state, "the mission is over", after_ns)
-        assert watched.news(2.0) == []
+        assert watched.news(over_s) == []
     told(watched, 2, "running", "", 4)  # of the next mission: no news
+    assert watched.news(over_s + 1.0) == []
+
+
+def test_orders_of_anybody_are_news_once() -> None:
+    watched = watch()
+    stop = Stop(7, EPOCH_NS, "a person")
+    for _ in range(2):
+        watched.feed(keys.stop("pair"), stop)
+    assert watched.news(2.0) == ["2.0 s: every robot is told to stop: a person"]
+    watched.feed(keys.stop("pair"), stop._replace(version=6))
     assert watched.news(3.0) == []
+
+
+def hand(robot: int, x: float, y: float) -> HandState:
+    return HandState(robot, 1, EPOCH_NS, True, 1, x, y, *[0.0] * 6, (), ())
+
+
+def test_the_picture_is_of_the_edges_in_force() -> None:
+    """A mission of anybody changes what distances are measured against, when it is taken over."""
+    made = fleet()
+    watched = Watch(made, resolve(made))
+    wanted = float(resolve(made).distances[0])
+    assert watched.picture(None).worst is None, "nothing is heard yet"
+    for robot, x in ((1, 0.0), (2, wanted + 0.25)):
+        watched.feed(keys.hand("pair", robot), hand(robot, x, 0.0))
+    worst = watched.picture(None).worst
+    assert worst is not None
+    assert worst == (pytest.approx(0.25), 1, 2)
+    longer = Mission(
+        1,
+        EPOCH_NS,
+        EPOCH_NS,
+        60 * NS_PER_S,
+        digest(made),
+        EPOCH_NS + 5 * NS_PER_S,
+        2 * NS_PER_S,
+        "longer",
+        0,
+        (),
+        ((1, 0.0, 0.0), (2, wanted + 0.25, 0.0)),
+        ((1, 2, wanted + 0.25),),
+    )
+    watched.feed(keys.mission("pair"), longer)
+    errors = [picture.worst[0] for at in (4.0, 6.0, 8.0) if (picture := watched.picture(at)).worst]
+    assert errors == [pytest.approx(0.25), pytest.approx(0.125), pytest.approx(0.0)]
+    told(watched, 1, "running", "", 1)
+    assert watched.picture(6.0).robots[1].error_m == pytest.approx(0.125)
+    fading = longer._replace(version=2, from_ns=EPOCH_NS + 9 * NS_PER_S, edges=())
+    watched.feed(keys.mission("pair"), fading)
+    assert watched.picture(8.9).worst is not None
+    assert watched.picture(9.2).worst is None, "it is on its way out"
+
+
+def test_robots_in_reserve_are_shown() -> None:
+    watched = watch("[[robot]]\nid = 9\nx_m = 5\ny_m = 5\nreserve = true\n")
+    for robot in (1, 2):
+        told(watched, robot, "running", "", 1)
+    told(watched, 9, "standby", "in reserve", 1)
+    assert watched.states() == {1: "running", 2: "running", 9: "standby"}
+    assert summary(watched.picture(1.0)).endswith("running: 1, 2, standby: 9")

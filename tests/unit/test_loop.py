@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import cast
 
 import pytest
@@ -50,6 +50,10 @@ class Wire:
     def __init__(self, clock: Clock, incoming: dict[int, tuple[str, bytes]]) -> None:
         self._clock, self._incoming = clock, incoming
         self.stamps: list[int] = []
+        self.listened: list[Sequence[str]] = []
+
+    def listen(self, subscriptions: Sequence[str]) -> None:
+        self.listened.append(subscriptions)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         for time_ns in sorted(self._incoming):

@@ -12,9 +12,12 @@ from typing import Any
 import pytest
 
 from agent import keys
+from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.messages import Message, Mission, PlantState, Status, Stop
+from agent.order_sections import OrderSection
+from agent.safety_sections import AvoidanceSection
 from deploy.metrics import compute, write
 from deploy.recorder import RecordingError
 from deploy.recording import Recording, RunData
@@ -53,9 +56,10 @@ def test_a_perfect_run() -> None:
     found = driven(PAIR, standing(0, 0), standing(1, 0))
     assert list(found) == [
         "fleet", "law", "seed", "mode", "robots", "edges", "rate_hz", "duration_s", "min_distance_m",
-        "settling_time_s", "final_distance_error_m", "final_tracking_error_m", "rms_distance_error_m",
-        "messages", "age_of_information_ms", "tick", "links", "injected", "links_audit", "clock_offsets",
-        "verdict", "messages_rejected_by_reason",
+        "settling_time_s", "changes", "final_distance_error_m", "final_tracking_error_m",
+        "rms_distance_error_m", "messages", "age_of_information_ms", "tick", "links", "injected",
+        "links_audit", "clock_offsets",
+        "oracles", "verdict", "messages_rejected_by_reason",
     ]  # fmt: skip
     assert {name: found[name] for name in ("fleet", "law", "seed", "mode", "robots", "edges")} == {
         "fleet": "made-up", "law": "joint", "seed": 3, "mode": "run", "robots": 2, "edges": 1,
@@ -111,11 +115,16 @@ def test_a_pair_without_an_edge_below_the_safe_distance() -> None:
     line = make_fleet([(0, 0), (1, 0), (2, 0)], [(1, 2), (2, 3)])
     found = driven(line, standing(0, 0), standing(1, 0), lambda t: (0 if abs(t - 1) < 0.001 else 2, 0.1, 0.0))
     assert found["min_distance_m"] == {"edge": pytest.approx(1.0), "any": 0.1}
-    assert found["verdict"]["passed"]  # the law promises nothing for them
-    assert found["verdict"]["warnings"] == [
+    sentence = (
         "Robots 1 and 3, which share no edge, came within 0.100 m of each other at 1.00 s; "
-        "the safe distance is 0.220 m. The law keeps apart only robots that share an edge."
-    ]
+        "the safe distance is 0.220 m."
+    )
+    assert found["verdict"] == {"passed": False, "reasons": [sentence], "warnings": []}
+    bare = replace(line, avoidance=AvoidanceSection(enabled=False))
+    paths = standing(0, 0), standing(1, 0), lambda t: (0 if abs(t - 1) < 0.001 else 2, 0.1, 0.0)
+    found = driven(bare, *paths)
+    assert found["verdict"]["passed"]  # the bare law promises nothing for them
+    assert found["verdict"]["warnings"] == [f"{sentence} The law keeps apart only robots that share an edge."]
 
 
 def test_every_unsafe_pair_is_counted() -> None:
@@ -132,11 +141,36 @@ def test_every_unsafe_pair_is_counted() -> None:
     )
 
 
+def test_what_oracles_say_of_the_end_is_said_once() -> None:
+    """Robot 2 is off its distance from the fault on: not recovered, and not settled at the end."""
+    base = make_fleet([(0, 0), (1, 0)], [(1, 2)], duration_s=30.0, rate_hz=10.0)
+    rule = Rule(robot=1, speed_noise_mps=0.1, at=2.0, duration=1.0)
+    fleet = replace(base, faults=FaultsSection(rules=(rule,)))
+    found = driven(fleet, standing(0, 0), lambda t: (1.2 if t > 2 else 1.0, 0.0, 0.0))
+    assert found["oracles"]["recovery"]["violations"] == 1
+    (reason,) = found["verdict"]["reasons"]
+    assert reason.startswith("The formation had not settled at the end")
+    found = driven(fleet, standing(0, 0), lambda t: (1.2 if 2 < t < 25 else 1.0, 0.0, 0.0))
+    assert found["verdict"]["reasons"] == [found["oracles"]["recovery"]["first"]]
+
+
 def test_tracking_error_is_against_the_robots_own_place() -> None:
     fleet = make_fleet([(0, 0), (1, 0)], [(1, 2)], velocity=(0.5, 0.0))
     found = driven(fleet, lambda t: (0.5 * t, 0.03, 0.0), lambda t: (1 + 0.5 * t, 0.04, 0.0))
     assert found["final_tracking_error_m"] == pytest.approx(0.04, abs=1e-6)
     assert found["final_distance_error_m"] == pytest.approx(sqrt(1 + 0.01**2) - 1, abs=1e-6)
+
+
+def test_a_robot_that_its_operator_has_is_not_off_its_place() -> None:
+    paths = [_body(standing(0, 0), 0.1), _body(lambda t: (1.0, 3.0 if t > 1 else 0.0, 0.0), 0.1)]
+
+    def told(message: Message) -> Message:
+        taken = type(message) is Status and message.robot == 2 and message.time_ns > EPOCH_NS + 9 * 10**8
+        return message._replace(state="released") if taken and type(message) is Status else message
+
+    found = judged(PAIR, [(t, key, told(message)) for t, key, message in messages(PAIR, paths)])
+    assert found["final_tracking_error_m"] == 0.0
+    assert found["final_distance_error_m"] is None
 
 
 def test_each_edge_has_its_own_distance() -> None:
@@ -176,7 +210,7 @@ def with_statuses(*statuses: Status) -> list[Sent]:
 
 
 def status(robot: int, t: float, **fields: Any) -> Status:
-    base = Status(robot, 0, EPOCH_NS + round(t * 1e9), "running", "", 1, (), (), (), ())
+    base = Status(robot, 0, EPOCH_NS + round(t * 1e9), "running", "epoch", "", 1, 0, (), (), (), ())
     return base._replace(**fields)
 
 
@@ -198,7 +232,7 @@ def test_tick_times_and_ages() -> None:
     ("state", "reason", "sentence"),
     [
         ("fault", "why", "in state fault: it braked because something of its own was wrong (why)."),
-        ("holding", "", "in state holding: it braked because a neighbour was silent for too long."),
+        ("holding", "", "in state holding: it braked, and waited until it might drive again."),
         ("waiting", "no mission", "in state waiting: it did not drive (no mission)."),
         ("running", "", None),
         ("stopping", "", None),
@@ -264,9 +298,15 @@ def test_a_run_that_was_cut_short_says_so() -> None:
     sent = list(messages(PAIR, in_formation(PAIR)))
     at_ns = EPOCH_NS + 1_200_000_000
     stop: Sent = (at_ns, keys.stop(NAME), Stop(1, at_ns, "enough"))
-    assert judged(PAIR, [*sent, stop])["verdict"]["reasons"] == [
+    braked = [
+        (t, key, m._replace(driving=False, speed=0.0) if type(m) is PlantState and t > at_ns else m)
+        for t, key, m in sent
+    ]
+    assert judged(PAIR, [*braked, stop])["verdict"]["reasons"] == [
         "The run ended after 1.2 s of the 2.0 s that were planned: it was stopped."
     ]
+    ordered = replace(PAIR, orders=(OrderSection(at=1.2, kind="stop"),))
+    assert judged(ordered, [*braked, stop])["verdict"]["reasons"] == []  # as its file says
     early = recorded(PAIR, (each for each in sent if each[0] < at_ns), interrupted=True)
     found = compute(early, PAIR, resolve(PAIR), mode="run", seed=0)
     assert found["duration_s"] == 1.18

@@ -21,11 +21,12 @@ from agent.messages import (
     Mission,
     PlantState,
     Resume,
+    Stop,
     Wrench,
     decode,
     encode,
 )
-from agent.neighbours import FUTURE_NS_MAX
+from agent.peers import FUTURE_NS_MAX
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.node import CHECKS_PERIOD_NS, PlantNode
 from plant.unicycle import from_fleet
@@ -45,7 +46,7 @@ WRENCH_KEY = "two/robot/1/plant/wrench"
 STATE_KEY = "two/robot/1/plant/state"
 TRUTH_KEY = "two/robot/1/plant/truth"
 MISSION_KEY = "two/mission"
-RESUME_KEY = "two/resume"
+STOP_KEY, RESUME_KEY = "two/stop", "two/resume"
 CHECKS_KEY = "two/robot/1/plant/checks"
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -108,7 +109,7 @@ def state(node: PlantNode, now_ns: int) -> PlantState:
 
 
 def test_keys_and_ticks(node: PlantNode):
-    assert node.subscriptions == (WRENCH_KEY, MISSION_KEY, RESUME_KEY, "two/faults")
+    assert node.subscriptions == (STOP_KEY, RESUME_KEY, WRENCH_KEY, MISSION_KEY, "two/faults")
     links = "two/robot/1/plant/links"
     assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
     assert node.alive_key == keys.alive("two", 1, "plant") == "two/alive/robot/1/plant"
@@ -177,7 +178,7 @@ def test_obeys_a_wrench_that_brakes(node: PlantNode, backend: Backend):
         (WRENCH_KEY, wrench(T0 + 2, robot=2), "wrong_key"),
         ("two/robot/2/plant/wrench", wrench(T0 + 2), "wrong_key"),
         (STATE_KEY, wrench(T0 + 2), "wrong_key"),
-        (WRENCH_KEY, encode(HandState(1, 0, T0 + 2, True, *[0.0] * 8, (), ())), "wrong_key"),
+        (WRENCH_KEY, encode(HandState(1, 0, T0 + 2, True, 1, *[0.0] * 8, (), ())), "wrong_key"),
         (WRENCH_KEY, b"", "checksum"),
         (WRENCH_KEY, b"\xff" * 20_000, "oversized"),
         (WRENCH_KEY, wrench(T0 + 2)[:-1], "checksum"),
@@ -237,8 +238,8 @@ def test_leaving_does_not_wait_for_a_body_that_somebody_else_drives(node: PlantN
     assert node.done
 
 
-def mission(version: int, of: str = "") -> bytes:
-    return encode(Mission(version, T0, T0 + NS_PER_S, 60 * NS_PER_S, of or digest(fleet())))
+def mission(version: int, of: str = "", epoch_ns: int = T0 + NS_PER_S) -> bytes:
+    return encode(Mission(version, T0, epoch_ns, 60 * NS_PER_S, of or digest(fleet())))
 
 
 def resume(version: int, *robots: int) -> bytes:
@@ -251,7 +252,9 @@ def test_a_mission_is_leave_to_drive_once(node: PlantNode, backend: Backend):
         node.receive(now, MISSION_KEY, mission(4))
     node.receive(T0 + 3, MISSION_KEY, mission(3))
     assert backend.go_aheads == 1
-    node.receive(T0 + 4, MISSION_KEY, mission(5))
+    node.receive(T0 + 4, MISSION_KEY, mission(5))  # another formation of the same drive: no leave either
+    assert backend.go_aheads == 1
+    node.receive(T0 + 5, MISSION_KEY, mission(6, epoch_ns=T0 + 9 * NS_PER_S))
     assert backend.go_aheads == 2
     assert not node.rejected
 
@@ -286,6 +289,56 @@ def test_old_leave_to_resume_is_refused(node: PlantNode, backend: Backend):
     node.receive(T0 + 1, RESUME_KEY, resume(6))
     assert backend.go_aheads == 1
     assert dict(node.rejected) == {"out_of_order": 1}
+
+
+def stop(version: int, reason: str = "") -> bytes:
+    return encode(Stop(version, T0, reason))
+
+
+def test_a_stop_brakes_the_plant_whatever_its_agent_says(node: PlantNode, backend: Backend):
+    """A stop must not hang on one process."""
+    node.receive(T0, WRENCH_KEY, wrench(T0))
+    assert state(node, T0).driving
+    node.receive(T0 + PERIOD, STOP_KEY, stop(3, "somebody in the way"))
+    for tick in range(1, 20):
+        now = T0 + tick * PERIOD
+        node.receive(now, WRENCH_KEY, wrench(now))
+        assert not state(node, now).driving
+        assert backend.calls[-1].command is None
+    assert node.condition == ("braking", "stop: somebody in the way")
+    node.receive(now, STOP_KEY, stop(2, "older"))
+    node.receive(now, RESUME_KEY, resume(3))  # of equal versions the stop holds
+    node.receive(now, RESUME_KEY, resume(4, 2))  # for another robot
+    node.receive(now, MISSION_KEY, mission(9))  # a mission does not end it
+    assert not state(node, now).driving
+    node.receive(now, RESUME_KEY, resume(5))
+    assert state(node, now).driving
+    assert dict(node.rejected) == {"out_of_order": 1}
+    node.receive(now, STOP_KEY, stop(4))  # the leave was given after it
+    assert state(node, now).driving
+
+
+def test_a_plant_that_starts_in_a_stop_does_not_drive(node: PlantNode):
+    node.receive(T0, STOP_KEY, stop(0))
+    node.receive(T0, WRENCH_KEY, wrench(T0))
+    assert not state(node, T0).driving
+    assert node.condition == ("braking", "stop")
+
+
+@pytest.mark.parametrize(
+    ("key", "payload"),
+    [
+        (MISSION_KEY, stop(7)),
+        (RESUME_KEY, stop(7)),
+        (STOP_KEY, resume(7)),
+        ("three/stop", stop(7)),
+    ],
+)
+def test_a_stop_on_another_key_is_none(node: PlantNode, key: str, payload: bytes):
+    node.receive(T0, key, payload)
+    node.receive(T0, WRENCH_KEY, wrench(T0))
+    assert state(node, T0).driving
+    assert dict(node.rejected) == {"wrong_key": 1}
 
 
 @pytest.mark.parametrize(

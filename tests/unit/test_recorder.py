@@ -22,10 +22,13 @@ from agent.messages import (
     HELD,
     TOPICS,
     WHAT_MAX,
+    Ask,
+    Beacon,
     Checks,
     Event,
     Faults,
     HandState,
+    Heartbeat,
     LinkTrace,
     Message,
     Mission,
@@ -69,16 +72,26 @@ delays = st.lists(st.tuples(robots, microseconds), max_size=5).map(tuple)
 neighbours = st.lists(
     st.tuples(robots, microseconds, counts, counts, microseconds, microseconds), max_size=5
 ).map(tuple)
-entries = st.tuples(robots, st.integers(0, 2), counts, counts, st.integers(0, WHAT_MAX), microseconds)
+entries = st.tuples(
+    robots, st.integers(0, len(TOPICS) - 1), counts, counts, st.integers(0, WHAT_MAX), microseconds
+)
 rows = st.lists(counts, max_size=5).map(tuple)
+pairs_of_numbers = st.lists(st.tuples(floats, floats), max_size=3).map(tuple)
+settings = st.one_of(floats, counts, texts, st.booleans(), pairs_of_numbers)
+"""Values of a trajectory's fields."""
 any_message = st.one_of(
-    st.builds(HandState, counts, counts, counts, st.booleans(), *(floats,) * 8, pairs, delays),
+    st.builds(HandState, counts, counts, counts, st.booleans(), counts, *(floats,) * 8, pairs, delays),
     st.builds(PlantState, counts, counts, counts, *(floats,) * 7, *(st.booleans(),) * 3, texts),
     st.builds(Wrench, counts, counts, counts, floats, floats, st.booleans()),
-    st.builds(Mission, counts, counts, counts, counts, texts),
+    st.builds(
+        Mission, counts, counts, counts, counts, texts, counts, counts, texts, counts,
+        st.lists(st.tuples(texts, settings), max_size=5).map(tuple),
+        st.lists(st.tuples(robots, floats, floats), max_size=5).map(tuple),
+        st.lists(st.tuples(robots, robots, floats), max_size=5).map(tuple),
+    ),
     st.builds(Stop, counts, counts, texts),
     st.builds(
-        Status, counts, counts, counts, texts, texts, counts, neighbours, rows, rows,
+        Status, counts, counts, counts, texts, texts, texts, counts, counts, neighbours, rows, rows,
         st.lists(st.tuples(texts, counts), max_size=5).map(tuple),
     ),
     st.builds(Faults, counts, counts, texts, counts, counts, texts),
@@ -86,6 +99,9 @@ any_message = st.one_of(
     st.builds(Event, counts, counts, counts, texts, texts, texts),
     st.builds(Resume, counts, counts, rows),
     st.builds(Checks, counts, counts, counts, st.lists(st.tuples(*(texts,) * 4), max_size=5).map(tuple)),
+    st.builds(Beacon, counts, counts, counts, st.booleans(), *(floats,) * 4, counts, counts),
+    st.builds(Heartbeat, counts, texts),
+    st.builds(Ask, counts, texts),
 )  # fmt: skip
 
 
@@ -124,7 +140,7 @@ def test_json_holds_all_of_a_message_and_is_what_its_schema_says(message: Messag
 def test_a_link_trace_reads_like_text() -> None:
     entries = tuple((2, topic, 7, EPOCH_NS, CORRUPTED | HELD, 80_000) for topic in range(len(TOPICS)))
     content = json.loads(to_json(LinkTrace(1, 5, EPOCH_NS, entries)))
-    assert [entry["topic"] for entry in content["entries"]] == ["hand", "state", "wrench"]
+    assert [entry["topic"] for entry in content["entries"]] == ["hand", "state", "wrench", "beacon"]
     assert content["entries"][1] == {
         "source": 2, "topic": "state", "sequence": 7, "time_ns": EPOCH_NS, "what": 20, "delay_us": 80_000
     }  # fmt: skip
@@ -152,14 +168,18 @@ OF_EARLIER_VERSIONS = {
         {"robot": 1, "sequence": 5, "time_ns": 9, "following": True, "x": 1.0, "y": 2.0, "vx": 0.0, "vy": 0.0,
          "navigation_x": 0.0, "navigation_y": 0.0, "constraint_x": 0.0, "constraint_y": 0.5,
          "multipliers": [{"neighbour": 2, "value": 1.5}]},
-        HandState(1, 5, 9, True, 1.0, 2.0, *[0.0] * 5, 0.5, ((2, 1.5),), ()),
+        HandState(1, 5, 9, True, 1, 1.0, 2.0, *[0.0] * 5, 0.5, ((2, 1.5),), ()),
     ),
     Status: (
         {"robot": 1, "sequence": 5, "time_ns": 9, "state": "running", "reason": "", "mission_version": 1,
          "neighbours": [{"robot": 2, "age_us": 20000}, {"robot": 3, "age_us": -1}], "tick_us": [90],
          "ages_us": [], "counters": [{"name": "sent", "value": 3}]},
-        Status(1, 5, 9, "running", "", 1, ((2, 20_000, 0, 0, 0, -1), (3, -1, 0, 0, 0, -1)), (90,), (),
+        Status(1, 5, 9, "running", "", "", 1, 0, ((2, 20_000, 0, 0, 0, -1), (3, -1, 0, 0, 0, -1)), (90,), (),
                (("sent", 3),)),
+    ),
+    Mission: (  # to version 3
+        {"version": 2, "time_ns": 9, "epoch_ns": 8, "duration_ns": 7, "digest": "abc"},
+        Mission(2, 9, 8, 7, "abc"),
     ),
     PlantState: (  # of version 1 and 2
         {"robot": 1, "sequence": 5, "time_ns": 9, "x": 1.0, "y": 2.0, "heading": 0.5, "speed": 0.25,
@@ -390,6 +410,29 @@ def test_foxglove_sees_robots_and_edges_ten_times_a_second(tmp_path: Path) -> No
     ends = [(point["x"], point["y"]) for point in line["points"]]
     hands = {1: (1.0 + 0.2 * 0.8775825618903728, 2.0 + 0.2 * 0.479425538604203), 2: (3.2, 2.0), 3: (2.2, 4.0)}
     assert ends == [pytest.approx(hands[i]) for edge in fleet.formation.edges for i in edge]
+
+
+def test_foxglove_draws_the_edges_of_the_mission_in_force() -> None:
+    def edges(scene: Scene, t: float) -> int:
+        still = (*(0.0,) * 7, True, True, True, "")
+        poses = [PlantState(robot, 0, EPOCH_NS, *still) for robot in (1, 2, 3)]
+        drawn = [
+            json.loads(content)["entities"][0]["lines"][0]["points"]
+            for pose in poses
+            for key, _, content in scene.update(EPOCH_NS + round(t * 1e9), pose)
+            if key.endswith("edges")
+        ]
+        return len(drawn[-1]) // 2
+
+    scene = Scene(FLEET)
+    places = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))
+    mission = Mission(
+        1, EPOCH_NS, EPOCH_NS, 10**10, "", EPOCH_NS + 2 * 10**9, 10**9, robots=places, edges=((1, 2, 1.0),)
+    )
+    edges(scene, -1.0)
+    scene.take(mission)
+    scene.take(mission._replace(version=2, robots=((99, 0.0, 0.0),)))  # of nobody's fleet
+    assert [edges(scene, t) for t in (0.0, 2.5, 4.0)] == [3, 3, 1]
 
 
 def test_foxglove_draws_the_edges_of_assigned_slots(tmp_path: Path) -> None:

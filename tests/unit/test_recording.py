@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from io import BytesIO
-from math import cos, pi, sin
+from math import cos, inf, pi, sin
 from pathlib import Path
 from typing import Any
 
@@ -75,9 +75,12 @@ def assert_same(a: Recording, b: Recording) -> None:
             assert np.array_equal(mine.values, theirs.values)
             assert np.array_equal(mine.stamps_ns, theirs.stamps_ns)
             assert np.array_equal(mine.sequences, theirs.sequences)
-        for name in ("t", "tick_us", "tick_counts", "ages_us", "age_counts", "neighbour_counts"):
+        for name in (
+            "t", "tick_us", "tick_counts", "ages_us", "age_counts", "neighbour_counts", "mission_versions",
+            "order_versions",
+        ):  # fmt: skip
             assert np.array_equal(getattr(one.status, name), getattr(other.status, name))
-        for name in ("states", "reasons", "counters"):
+        for name in ("states", "reasons", "transitions", "counters"):
             assert list(getattr(one.status, name)) == list(getattr(other.status, name))
 
 
@@ -101,7 +104,9 @@ def test_fed_live_and_read_back_are_the_same(tmp_path: Path) -> None:
 
 
 def test_counters_that_nobody_can_count_to_are_kept_in_bounds() -> None:
-    status = Status(1, 7, EPOCH_NS, "running", "", 1, (), (), (), (("sent", 2**64 - 1), ("lost", -(2**63))))
+    status = Status(
+        1, 7, EPOCH_NS, "running", "epoch", "", 1, 0, (), (), (), (("sent", 2**64 - 1), ("lost", -(2**63)))
+    )
     sent: list[Sent] = [MISSION, (EPOCH_NS, keys.status(NAME, 1), status)]
     statuses = tabulate(fed(FLEET, sent))["statuses"]
     assert (int(statuses["sent"][0]), int(statuses["lost"][0])) == (2**62, -(2**62))
@@ -112,11 +117,24 @@ def test_every_column_holds_what_was_sent() -> None:
         1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, True, "dizzy"
     )
     force = (0.1, 0.2, 0.3, 0.4)
-    hand = HandState(1, 5, EPOCH_NS + 2 * 10**9, True, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)), ())
+    hand = HandState(
+        1, 5, EPOCH_NS + 2 * 10**9, True, 3, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)), ()
+    )
     wrench = Wrench(1, 6, EPOCH_NS + 3 * 10**9, 10.0, 11.0, True)
     neighbours = ((2, -1, 0, 0, 0, -1),)
     status = Status(
-        1, 7, EPOCH_NS + 4 * 10**9, "running", "well", 1, neighbours, (90, 95), (5, -1, 6), (("sent", 3),)
+        1,
+        7,
+        EPOCH_NS + 4 * 10**9,
+        "running",
+        "epoch",
+        "well",
+        8,
+        9,
+        neighbours,
+        (90, 95),
+        (5, -1, 6),
+        (("sent", 3),),
     )
     sent: list[Sent] = [
         (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, "")),
@@ -136,7 +154,7 @@ def test_every_column_holds_what_was_sent() -> None:
         "force": 3.0, "torque": 4.0, "driving": 1.0, "healthy": 0.0, "obeying": 1.0,
     }  # fmt: skip
     assert row(robot.hand) == {
-        "t": 2.0, "following": 1.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
+        "t": 2.0, "following": 1.0, "degree": 3.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
         "navigation_x": 0.1, "navigation_y": 0.2, "constraint_x": 0.3, "constraint_y": 0.4,
     }  # fmt: skip
     assert row(robot.wrench) == {"t": 3.0, "force": 10.0, "torque": 11.0, "brake": 1.0}
@@ -147,6 +165,8 @@ def test_every_column_holds_what_was_sent() -> None:
     assert robot.status.ages_us.tolist() == [5, 6]  # a neighbour that was never heard has no age
     assert robot.status.age_counts.tolist() == [2]
     assert robot.status.totals() == {"sent": 3}
+    assert (robot.status.states, robot.status.transitions) == (("running",), ("epoch",))
+    assert (robot.status.mission_versions.tolist(), robot.status.order_versions.tolist()) == ([8], [9])
     assert robot.status.neighbours.tolist() == [[2, -1, 0, 0, 0, -1]]
     assert robot.status.neighbour_counts.tolist() == [1]
     assert (robot.plant.sequences.tolist(), robot.hand.sequences.tolist()) == ([4], [5])
@@ -304,6 +324,30 @@ def test_the_drive_ends_as_planned_or_when_stopped_or_with_the_data() -> None:
     assert fed(FLEET, []).grid.tolist() == [0.0]
 
 
+def test_a_stop_lasts_until_leave_of_a_greater_version_for_that_robot() -> None:
+    sent = list(messages(FLEET, in_formation(FLEET)))
+
+    def stop(t: float, version: int) -> Sent:
+        return (EPOCH_NS + round(t * 1e9), keys.stop(NAME), Stop(version, EPOCH_NS + round(t * 1e9), ""))
+
+    def leave(t: float, version: int, *robots: int) -> Sent:
+        stamp = EPOCH_NS + round(t * 1e9)
+        return (stamp, keys.resume(NAME), Resume(version, stamp, robots))
+
+    def halts(*orders: Sent) -> tuple[float, dict[int, list[tuple[float, float]]]]:
+        recording = fed(FLEET, [*sent, *orders])
+        return recording.end_s, {robot: recording.halts(robot) for robot in (1, 2)}
+
+    assert halts() == (1.6, {1: [], 2: []})
+    assert halts(stop(0.5, 7)) == (0.5, {1: [(0.5, inf)], 2: [(0.5, inf)]})
+    assert halts(stop(0.5, 7), leave(0.8, 8)) == (1.6, {1: [(0.5, 0.8)], 2: [(0.5, 0.8)]})
+    assert halts(stop(0.5, 7), leave(0.8, 7)) == halts(stop(0.5, 7), leave(0.2, 6)) == halts(stop(0.5, 7))
+    assert halts(leave(0.2, 8), stop(0.5, 7)) == halts()
+    assert halts(stop(0.5, 7), leave(0.8, 8, 2)) == (1.6, {1: [(0.5, inf)], 2: [(0.5, 0.8)]})
+    again = halts(stop(0.5, 7), leave(0.8, 8), stop(1.0, 9), stop(1.2, 10))
+    assert again == (1.0, {robot: [(0.5, 0.8), (1.0, inf)] for robot in (1, 2)})
+
+
 def test_late_and_repeated_messages_are_put_in_order() -> None:
     sent = list(messages(FLEET, in_formation(FLEET, 0.5)))
     shuffled = sent + [each for each in sent if "plant/state" in each[1]]
@@ -409,10 +453,18 @@ def test_other_programs_ways_of_writing_are_read(
     assert_same(Recording.from_mcap(tmp_path / "a.mcap"), Recording.from_mcap(tmp_path / "b.mcap"))
 
 
+def without_transitions(data: bytes) -> bytes:
+    return data.replace(b'"transition":"epoch"', b'"transition":""')
+
+
 def as_version_1(data: bytes) -> bytes:
     """A message's JSON without what version 1 of the messages had not."""
-    content = json.loads(data)
-    content.pop("heard", None)
+    content = json.loads(without_transitions(data))
+    for name in ("heard", "degree", "obeying", "transition", "order_version"):
+        content.pop(name, None)
+    if "digest" in content:
+        for name in Mission._field_defaults:
+            del content[name]
     for neighbour in content.get("neighbours", ()):
         for name in ("received", "lost", "offset_us", "error_us"):
             del neighbour[name]
@@ -421,7 +473,7 @@ def as_version_1(data: bytes) -> bytes:
 
 def test_a_recording_of_version_1_is_read_as_well(tmp_path: Path, whole: bytes) -> None:
     old = rewritten(whole, as_version_1)
-    (tmp_path / "new.mcap").write_bytes(whole)
+    (tmp_path / "new.mcap").write_bytes(rewritten(whole, without_transitions))
     (tmp_path / "old.mcap").write_bytes(old)
     found = {
         name
@@ -430,7 +482,7 @@ def test_a_recording_of_version_1_is_read_as_well(tmp_path: Path, whole: bytes) 
         for name in json.loads(stored.data)
     }
     assert {"multipliers", "neighbours"} <= found
-    assert "heard" not in found
+    assert not {"heard", "degree", "transition", "order_version"} & found
     assert_same(Recording.from_mcap(tmp_path / "old.mcap"), Recording.from_mcap(tmp_path / "new.mcap"))
 
 

@@ -20,13 +20,14 @@ from agent import keys
 from agent.fleet import Fleet, to_dict
 from agent.fleet_sections import TrajectorySection
 from agent.formation import resolve
-from agent.messages import Status, encode
+from agent.messages import Mission, Status, encode
 from deploy import figures
-from deploy.metrics import analyse, compute
+from deploy.analysis import analyse
+from deploy.metrics import compute
 from deploy.recorder import Recorder, RecordingError
 from deploy.recording import Recording, RunData
 from deploy.report import finish, rebuild, write_report
-from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, triangle
+from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)
 FILES = ("metrics.json", "report.html", *(f"{name}.png" for name in figures.NAMES))
@@ -168,6 +169,48 @@ def test_virtual_time_has_no_tick_time(tmp_path: Path) -> None:
     page = Page((tmp_path / "report.html").read_text())
     assert "in virtual time" in page.text
     assert "started" not in page.text.split("Passed")[0]
+
+
+def test_the_page_says_what_was_kept_what_changed_and_who_was_in_which_state(tmp_path: Path) -> None:
+    """The formation is to stand 10 m further off from 1 s on, and nobody goes there."""
+    assert FLEET.formation.offsets is not None
+    places = enumerate(FLEET.formation.offsets, start=1)
+    robots = tuple((robot, x, y + 10.0) for robot, (x, y) in places)
+    first, *sent = good_run()
+    assert type(first[2]) is Mission
+    moved = first[2]._replace(
+        version=2, from_ns=first[2].epoch_ns + 10**9, note="<moved>", robots=robots, edges=((1, 2, 1.5),)
+    )
+    told = []
+    for received_ns, key, message in sent:
+        if type(message) is Status:
+            message = message._replace(mission_version=2)
+            if message.robot == 2 and received_ns > moved.from_ns + 10**9:
+                message = message._replace(state="degraded", transition="row <b>", reason="why <b>")
+        told.append((received_ns, key, message))
+    sent = [first, (first[0], first[1], moved), *told]
+    found = finish(tmp_path, leave_run(tmp_path, FLEET, sent))
+    assert [(each["t_s"], each["note"], each["settled_after_s"]) for each in found["changes"]] == [
+        (1.0, "<moved>", None)
+    ]
+    text = Page((tmp_path / "report.html").read_text()).text
+    for words in (
+        "Changes of mission", "<moved>", "What must always hold", "separation", "does not apply", "row <b>",
+        "why <b>", "runningdegraded",
+    ):  # fmt: skip
+        assert words in text
+    assert found["oracles"]["separation"] == {"checked": True, "violations": 0, "first": None}
+    assert "violated" not in text
+
+
+def test_the_page_names_an_oracle_that_was_violated(tmp_path: Path) -> None:
+    close = [standing(0.1 * robot, 0.0) for robot in range(len(FLEET.robots))]
+    found = finish(tmp_path, leave_run(tmp_path, FLEET, messages(FLEET, close)))
+    sentence = found["oracles"]["separation"]["first"]
+    text = Page((tmp_path / "report.html").read_text()).text
+    assert f"violated: {sentence} (1 more)" in text
+    assert text.count(sentence) == 2  # the verdict's reasons have it, too
+    assert "Changes of mission" not in text
 
 
 def test_a_truncated_recording_is_reported_with_a_note(tmp_path: Path) -> None:

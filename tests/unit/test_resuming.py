@@ -9,34 +9,47 @@ import pytest
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import load_fleet
-from agent.leave import AWAITED
-from agent.messages import PlantState, Status
+from agent.latch import AWAITED
+from agent.messages import PlantState, Resume, Status
 from deploy.arguments import FLEETS, InputError, robots_named
 from deploy.resuming import Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")
 T0 = 1_800_000_000 * NS_PER_S
+VERSION = T0 // 1_000_000
+
+
+def resuming_of(*robots: int) -> Resuming:
+    return Resuming(ROVERS, Resume(VERSION, T0, robots))
+
+
+def status(robot: int, state: str, reason: str = "", orders: int = VERSION) -> Status:
+    return Status(robot, 1, T0, state, "", reason, 1, orders, (), (), (), ())
 
 
 def say(
-    resuming: Resuming, robot: int, state: str, *, healthy: bool = True, obeying: bool = True, note: str = ""
+    resuming: Resuming,
+    robot: int,
+    state: str,
+    *,
+    healthy: bool = True,
+    obeying: bool = True,
+    driving: bool = True,
+    note: str = "",
+    orders: int = VERSION,
 ) -> None:
-    status = Status(robot, 1, T0, state, note, 1, (), (), (), ())
-    plant = PlantState(robot, 1, T0, *[0.0] * 7, obeying, healthy, obeying, note)
-    resuming.feed(keys.status("rovers", robot), status)
+    plant = PlantState(robot, 1, T0, *[0.0] * 7, obeying and driving, healthy, obeying, note)
+    resuming.feed(keys.status("rovers", robot), status(robot, state, note, orders))
     resuming.feed(keys.plant_state("rovers", robot), plant)
 
 
-def test_the_message_names_those_that_are_meant() -> None:
-    assert Resuming(ROVERS, [3], T0).message == (T0 // 1_000_000, T0, (3,))
-    every = Resuming(ROVERS, [], T0)
-    assert every.message.robots == ()
-    assert every.robots == ROVERS.ids
-    assert Resuming(ROVERS, [], T0 + 2_000_000).message.version > every.message.version
+def test_those_that_are_meant() -> None:
+    assert resuming_of(3).robots == (3,)
+    assert resuming_of().robots == ROVERS.ids
 
 
 def test_done_when_all_that_are_meant_run() -> None:
-    resuming = Resuming(ROVERS, [2, 3], T0)
+    resuming = resuming_of(2, 3)
     say(resuming, 2, "running")
     assert not resuming.done
     say(resuming, 3, "released", obeying=False, note="mode MANUAL, not GUIDED")
@@ -45,14 +58,43 @@ def test_done_when_all_that_are_meant_run() -> None:
     assert resuming.outcome(3) == (
         "robot 3: still released: mode MANUAL, not GUIDED: its operator must give it back first"
     )
-    say(resuming, 3, "running")
+    say(resuming, 3, "degraded")
     assert resuming.done
 
 
+def test_a_robot_without_a_place_stays_where_it_is() -> None:
+    resuming = resuming_of(3)
+    say(resuming, 3, "standby", driving=False)
+    assert resuming.done
+    assert resuming.outcome(3) == "robot 3: standby"
+
+
+def test_a_state_from_before_the_leave_does_not_count() -> None:
+    """As of robots that have not heard yet of the stop that was given just before."""
+    resuming = resuming_of(3)
+    say(resuming, 3, "running", orders=VERSION - 1)
+    assert not resuming.done
+    assert resuming.outcome(3) == "robot 3: running; it has not heard of the leave"
+
+
 def test_an_agent_that_has_not_heard_yet_that_its_body_left_does_not_count() -> None:
-    resuming = Resuming(ROVERS, [3], T0)
+    resuming = resuming_of(3)
     say(resuming, 3, "running", obeying=False, note="disarmed")
     assert not resuming.done
+
+
+def test_a_plant_that_has_missed_the_leave_does_not_count() -> None:
+    resuming = resuming_of(3)
+    say(resuming, 3, "running", driving=False)
+    assert not resuming.done
+    assert resuming.outcome(3) == "robot 3: running: its plant brakes"
+
+
+def test_a_later_stop_is_told_as_such() -> None:
+    resuming = resuming_of(3)
+    say(resuming, 3, "stopped", note="stop: a person", orders=VERSION + 1)
+    assert not resuming.done
+    assert resuming.outcome(3) == "robot 3: stopped: stop: a person; ordered after this leave"
 
 
 @pytest.mark.parametrize(
@@ -64,18 +106,18 @@ def test_an_agent_that_has_not_heard_yet_that_its_body_left_does_not_count() -> 
     ],
 )
 def test_other_reasons_are_told(state: str, healthy: bool, note: str, told: str) -> None:
-    resuming = Resuming(ROVERS, [3], T0)
+    resuming = resuming_of(3)
     say(resuming, 3, state, healthy=healthy, note=note)
     assert not resuming.done
     assert resuming.outcome(3) == told
 
 
 def test_silence_is_told() -> None:
-    resuming = Resuming(ROVERS, [3], T0)
+    resuming = resuming_of(3)
     assert resuming.outcome(3) == "robot 3: nothing heard from its agent"
-    resuming.feed(keys.status("rovers", 4), Status(3, 1, T0, "running", "", 1, (), (), (), ()))
+    resuming.feed(keys.status("rovers", 4), status(3, "running"))
     assert resuming.outcome(3) == "robot 3: nothing heard from its agent", "on another robot's key"
-    resuming.feed(keys.status("rovers", 3), Status(3, 1, T0, "running", "", 1, (), (), (), ()))
+    resuming.feed(keys.status("rovers", 3), status(3, "running"))
     assert resuming.outcome(3) == "robot 3: nothing heard from its plant"
 
 
@@ -92,7 +134,7 @@ def test_robots_that_are_not_there_are_named() -> None:
 
 
 def test_a_leave_that_came_too_late_is_not_blamed_on_its_operator() -> None:
-    resuming = Resuming(ROVERS, [3], T0)
+    resuming = resuming_of(3)
     say(
         resuming,
         3,

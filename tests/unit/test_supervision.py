@@ -6,20 +6,24 @@ from itertools import product
 
 import pytest
 
-from agent.supervision import TRANSITIONS, Conditions, State, step
+from agent.supervision import DOES, DRIVING, TRANSITIONS, Conditions, State, step
 
 WELL = Conditions(
-    plant="", body="", numbers="", neighbours="", mission="", stop="", started=True, at_rest=False
-)
-TROUBLE = Conditions("no plant", "MANUAL", "NaN", "silent 2", "no mission", "stopped", True, True)
+    plant="", body="", numbers="", place="", neighbours="", mission="", stop="", hold="", degraded="",
+    started=True, at_rest=False,
+)  # fmt: skip
+TROUBLE = Conditions(
+    "no plant", "MANUAL", "NaN", "in reserve", "silent 2", "no mission", "stopped", "no heartbeat",
+    "without 3", True, True,
+)  # fmt: skip
 TEXTS = sum(isinstance(value, str) for value in WELL)
 EVERY = [
     Conditions._make((TROUBLE[k] if told else "") if k < TEXTS else told for k, told in enumerate(bits))
     for bits in product((False, True), repeat=len(WELL))
 ]
 CASES = list(product(State, EVERY))
-STANDING = frozenset({State.WAITING, State.READY, State.STOPPED})
-BRAKING = frozenset(State) - {State.RUNNING}
+STANDING = frozenset({State.WAITING, State.READY, State.STANDBY, State.STOPPED})
+BRAKING = frozenset(State) - DRIVING
 
 
 def settled(state: State, conditions: Conditions) -> State:
@@ -74,8 +78,15 @@ def test_step_takes_the_first_row_that_applies():
 
 def test_values_are_what_status_messages_carry():
     assert {state.value for state in State} == {
-        "waiting", "ready", "running", "holding", "released", "stopping", "stopped", "fault"
+        "waiting", "ready", "standby", "running", "degraded", "holding", "released", "stopping", "stopped",
+        "fault",
     }  # fmt: skip
+
+
+def test_every_state_says_what_a_robot_does_in_it():
+    assert set(DOES) == set(State)
+    for state, does in DOES.items():
+        assert does.startswith("Drives" if state in DRIVING else "Brakes"), state
 
 
 # ---------------------------------------------------------------------- invariants over everything
@@ -84,12 +95,39 @@ def test_values_are_what_status_messages_carry():
 @pytest.mark.parametrize("state", State)
 def test_drives_only_when_all_is_well(state: State):
     for conditions in EVERY:
-        if step(state, conditions)[0] is State.RUNNING:
+        if step(state, conditions)[0] in DRIVING:
             assert not conditions.numbers
             assert not conditions.plant
             assert not conditions.body
-            assert not conditions.neighbours
+            assert not conditions.place
             assert not conditions.stop
+            if state in (State.WAITING, State.READY):
+                assert not conditions.neighbours
+
+
+@pytest.mark.parametrize("state", State)
+def test_never_drives_while_it_has_to_hold(state: State):
+    """Not for one tick: without an operator's heartbeat a fleet must not move at its epoch."""
+    for conditions in EVERY:
+        if conditions.hold:
+            assert step(state, conditions)[0] not in DRIVING, conditions
+
+
+@pytest.mark.parametrize("state", State)
+def test_a_robot_without_a_place_never_drives_and_stands_by(state: State):
+    for conditions in EVERY:
+        if conditions.place:
+            assert step(state, conditions)[0] not in DRIVING
+            if not (conditions.plant or conditions.numbers or conditions.stop):
+                assert settled(state, conditions) is State.STANDBY
+
+
+@pytest.mark.parametrize("state", [State.RUNNING, State.DEGRADED, State.HOLDING])
+def test_a_robot_is_degraded_exactly_while_there_is_a_reason(state: State):
+    for conditions in EVERY:
+        after = step(state, conditions)[0]
+        if after in DRIVING:
+            assert after is (State.DEGRADED if conditions.degraded else State.RUNNING)
 
 
 @pytest.mark.parametrize("state", State)
@@ -98,7 +136,7 @@ def test_drives_only_from_the_epoch_on(state: State):
     until then is to stand, and so they are predicted."""
     for conditions in EVERY:
         if not conditions.started:
-            assert step(state, conditions)[0] is not State.RUNNING, conditions
+            assert step(state, conditions)[0] not in DRIVING, conditions
 
 
 @pytest.mark.parametrize("state", State)
@@ -119,7 +157,7 @@ def test_a_fault_of_the_plant_ends_with_it():
 
 
 def test_a_robot_that_moves_without_its_plant_is_in_fault():
-    for state in (State.RUNNING, State.HOLDING, State.RELEASED, State.STOPPING):
+    for state in (*DRIVING, State.HOLDING, State.RELEASED, State.STOPPING):
         for conditions in EVERY:
             if conditions.plant:
                 assert step(state, conditions)[0] is State.FAULT
@@ -151,7 +189,8 @@ def test_a_robot_is_stopped_when_it_stands_and_not_before():
             assert conditions.stop
 
 
-def test_a_stopped_robot_moves_only_after_a_new_mission():
+def test_a_stopped_robot_moves_only_when_what_stopped_it_is_over():
+    """A stop, by leave to drive again; the end of a mission, by a new one."""
     for conditions in EVERY:
         after, _ = step(State.STOPPED, conditions)
         if conditions.numbers:
@@ -160,19 +199,25 @@ def test_a_stopped_robot_moves_only_after_a_new_mission():
             assert after is (State.STOPPED if conditions.stop else State.WAITING)
 
 
-def test_a_silent_neighbour_holds_a_running_robot_and_lets_it_go_on():
-    silent = WELL._replace(neighbours="silent neighbours: 2")
-    after, row = step(State.RUNNING, silent)
-    assert (after, row.reason(silent)) == (State.HOLDING, "silent neighbours: 2")
-    assert step(State.HOLDING, silent)[0] is State.HOLDING
+def test_a_silent_neighbour_degrades_a_robot_and_the_last_one_holds_it():
+    one = WELL._replace(neighbours="silent 2", degraded="without robot 2 (0.5 s)")
+    after, row = step(State.RUNNING, one)
+    assert (after, row.name, row.reason(one)) == (State.DEGRADED, "degraded", "without robot 2 (0.5 s)")
+    none = WELL._replace(neighbours="silent 2, 3", hold="hears none of its neighbours: robot 2 (0.9 s)")
+    after, row = step(State.DEGRADED, none)
+    assert (after, row.name, row.reason(none)) == (State.HOLDING, "hold", none.hold)
+    assert step(State.HOLDING, none)[0] is State.HOLDING
+    assert step(State.HOLDING, one)[0] is State.DEGRADED
     after, row = step(State.HOLDING, WELL)
-    assert (after, row.name) == (State.RUNNING, "neighbour_back")
+    assert (after, row.name) == (State.RUNNING, "hold_ended")
+    after, row = step(State.DEGRADED, WELL)
+    assert (after, row.name) == (State.RUNNING, "well_again")
 
 
 RELEASED = WELL._replace(body="mode MANUAL")
 
 
-@pytest.mark.parametrize("state", [State.RUNNING, State.HOLDING, State.RELEASED])
+@pytest.mark.parametrize("state", [State.RUNNING, State.DEGRADED, State.HOLDING, State.RELEASED])
 def test_a_body_that_its_operator_takes_is_released_and_comes_back(state: State):
     after, row = step(state, RELEASED)
     assert (after, row.name, row.reason(RELEASED)) == (State.RELEASED, "body_released", "mode MANUAL")
@@ -184,7 +229,7 @@ def test_a_body_that_its_operator_takes_is_released_and_comes_back(state: State)
 
 
 def test_a_body_that_is_given_back_waits_for_its_neighbours():
-    silent = WELL._replace(neighbours="silent neighbours: 2")
+    silent = WELL._replace(hold="hears none of its neighbours: robot 2 (0.6 s)")
     assert step(State.RELEASED, silent)[0] is State.HOLDING
     assert step(State.RELEASED, silent._replace(body="mode MANUAL"))[0] is State.RELEASED
 
@@ -207,7 +252,8 @@ def test_of_a_released_robot_more_than_its_body_may_be_wrong():
         (stop._replace(plant="no plant"), State.FAULT),
         (stop, State.STOPPING),
         (stop._replace(stop=""), State.READY),
-        (RELEASED._replace(neighbours="silent 2"), State.RELEASED),
+        (RELEASED._replace(hold="silent 2", degraded="slower"), State.RELEASED),
+        (RELEASED._replace(place="it has left the formation"), State.STANDBY),
     ]:
         assert step(State.RELEASED, conditions)[0] is expected, conditions
 
@@ -217,8 +263,7 @@ def test_a_stop_while_released_lasts_although_the_operator_drives_on():
     assert settled(State.RELEASED, stop) is State.STOPPING
     assert settled(State.STOPPING, stop._replace(at_rest=True)) is State.STOPPED
     assert step(State.STOPPED, WELL._replace(stop="stop: lunch"))[0] is State.STOPPED
-    new_mission = RELEASED
-    assert settled(State.STOPPED, new_mission) is State.WAITING
+    assert settled(State.STOPPED, RELEASED) is State.WAITING
     assert settled(State.STOPPED, WELL) is State.RUNNING
 
 
@@ -229,7 +274,9 @@ def test_a_body_that_is_lost_while_released_is_released_again_when_it_is_back():
 
 
 def test_the_way_to_running():
-    begin = Conditions("for its plant", "", "", "silent neighbours: 2", "for a mission", "", False, False)
+    begin = WELL._replace(
+        plant="for its plant", neighbours="silent neighbours: 2", mission="for a mission", started=False
+    )
     state = State.WAITING
     for change, expected, reason in [
         ({}, State.WAITING, "for its plant"),
@@ -246,13 +293,27 @@ def test_the_way_to_running():
         assert row.reason(conditions) == reason
 
 
+def test_from_reserve_into_the_formation_and_out_again():
+    reserve = WELL._replace(place="in reserve")
+    state, row = step(State.WAITING, reserve)
+    assert (state, row.name, row.reason(reserve)) == (State.STANDBY, "without_place", "in reserve")
+    state, row = step(State.STANDBY, WELL)
+    assert (state, row.name) == (State.WAITING, "standby_ended")
+    assert settled(State.STANDBY, WELL) is State.RUNNING
+    left = WELL._replace(place="it has left the formation")
+    for state in (*DRIVING, State.HOLDING, State.READY):
+        assert step(state, left)[0] is State.STANDBY
+    assert settled(State.STANDBY, WELL._replace(neighbours="silent 3")) is State.WAITING
+    assert settled(State.STANDBY, left._replace(stop="stop", at_rest=True)) is State.STOPPED
+
+
 def test_every_braking_state_says_why():
     """But for STOPPED, which keeps the reason of the stop, and for what lasts one tick."""
     for state, conditions in CASES:
         if conditions.started and not conditions.mission:
             conditions = conditions._replace(at_rest=False)
         after, row = step(state, conditions)
-        if row is None or row.name in ("plant_back", "restart"):
+        if row is None or row.name in ("plant_back", "stop_ended", "standby_ended"):
             continue
         if after in BRAKING:
             assert row.reason(conditions), (state, conditions, row.name)

@@ -15,17 +15,19 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from agent.fleet import FleetError, to_dict
+from agent.fleet import Fleet, FleetError, to_dict
 from agent.formation import resolve, start_hands
 from agent.messages import decode
-from deploy import metrics, sweep_run
+from deploy import judged, metrics
 from deploy.arguments import FLEETS, fleet_text
-from deploy.recording import RunData
+from deploy.pool import Abandoned, GoOn
+from deploy.recording import Recording, RunData
+from deploy.run_tables import Table
 from deploy.simulation import Simulation
 from deploy.sweep import Axis, Plan, Question, SweepError, make_plan, parse_axis
 from deploy.sweep_figures import PANELS_MAX, write_sweep_figures
 from deploy.sweep_folder import SweepFolder, read_question
-from deploy.sweep_run import CRASHED, FAILED, NUMBERS, PASSED, Abandoned, Row, execute, measure, unfinished
+from deploy.sweep_run import CRASHED, FAILED, NUMBERS, PASSED, Row, execute, measure, unfinished
 from deploy.sweep_summary import Share, margin_axis, margins, summarise, summary_json, summary_table
 
 DELTA = FLEETS / "delta.toml"
@@ -40,12 +42,12 @@ def ask(*over: str, fleet: str = "delta", **rest: Any) -> Question:
 def made(plan: Plan, run: int, **numbers: float) -> Row:
     """A row of a run that was safe and settled, but for what is given."""
     known = {
-        "settling_time_s": 5.0, "min_distance_m.edge": 0.5, "min_distance_m.any": 0.4,
+        "settling_time_s": 5.0, "min_distance_m.edge": 0.6, "min_distance_m.any": 0.5,
         "rms_distance_error_m": 0.25, "final_distance_error_m": 1e-3, "final_tracking_error_m": 1e-2,
         "age_p50_ms": 20.0, "age_p99_ms": 20.0, "age_max_ms": 40.0,
     } | numbers  # fmt: skip
     known = {name: value for name, value in known.items() if np.isfinite(value)}
-    safe, settled = known["min_distance_m.edge"] >= 0.22, "settling_time_s" in known
+    safe, settled = known["min_distance_m.any"] >= 0.22, "settling_time_s" in known
     verdict, reason = (PASSED, "") if safe and settled else (FAILED, "Something, and\nmore.")
     return Row(run, plan.run_seed(run), verdict, reason.replace("\n", " "), safe, settled, known, 0.125)
 
@@ -243,15 +245,36 @@ def test_a_run_that_is_not_safe_says_so() -> None:
     overrides = (SHORT, "robot.2.x_m=-1.0", "robot.2.y_m=1.3", "robot.2.heading_rad=0")
     row = execute(make_plan(ask(overrides=overrides)), 0)
     assert (row.safe, row.settled, row.good, row.verdict) == (False, False, False, FAILED)
-    assert row.numbers["min_distance_m.edge"] < 0.22
+    assert row.numbers["min_distance_m.any"] < 0.22
     assert "came within" in row.reason
+
+
+def test_robots_without_an_edge_count_as_well_unless_nothing_keeps_them_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def met(fleet: Fleet, go_on: GoOn) -> Recording:
+        """Robots 1 and 4, which share no edge, meet after half of the time."""
+        recording = real(fleet, go_on)
+        one, four = recording.robots[1], recording.robots[4]
+        values = four.plant.values.copy()
+        half = len(values) // 2
+        values[half:, :3] = one.plant.values[half : len(values), :3]
+        other = replace(four, plant=Table(four.plant.names, four.plant.t, values))
+        return replace(recording, robots={**recording.robots, 4: other})
+
+    real = judged.drive
+    monkeypatch.setattr(judged, "drive", met)
+    row = execute(make_plan(ask(overrides=(SHORT,))), 0)
+    assert (row.safe, row.verdict) == (False, FAILED)
+    assert row.reason.startswith("Robots 1 and 4, which share no edge, came within 0.000 m")
+    assert execute(make_plan(ask(overrides=(SHORT, "avoidance.enabled=false"))), 0).safe is True
 
 
 def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("some\nthing")
 
-    monkeypatch.setattr(sweep_run, "Simulation", broken)
+    monkeypatch.setattr(judged, "Simulation", broken)
     row = execute(make_plan(ask(repeat=2)), 1)
     assert (row.run, row.verdict, row.safe, row.settled, row.numbers) == (1, CRASHED, None, None, {})
     assert row.reason.startswith("ZeroDivisionError: some thing (test_sweep.py, line ")
@@ -298,8 +321,8 @@ def test_rows_outlive_the_process_and_the_sweep_goes_on(tmp_path: Path) -> None:
     assert [row["run"] for row in table] == [str(run) for run in range(8)]
     assert table[2] | {"seed": ""} == {
         "run": "2", "control.kp": "0", "control.coupling": "joint", "repeat": "0", "seed": "",
-        "settled": "false", "safe": "true", "settling_time_s": "", "min_distance_m.edge": "0.5",
-        "min_distance_m.any": "0.4", "rms_distance_error_m": "0.25", "final_distance_error_m": "0.001",
+        "settled": "false", "safe": "true", "settling_time_s": "", "min_distance_m.edge": "0.6",
+        "min_distance_m.any": "0.5", "rms_distance_error_m": "0.25", "final_distance_error_m": "0.001",
         "final_tracking_error_m": "0.01", "age_p50_ms": "20.0", "age_p99_ms": "20.0", "age_max_ms": "40.0",
         "verdict": "failed", "reason": "Something, and more.", "wall_s": "0.125",
     }  # fmt: skip
@@ -402,7 +425,7 @@ def test_a_cell_in_numbers() -> None:
     times = [4.0, 9.0, 5.0, NEVER, 7.0]
     nearest = [0.5, 0.21, 0.3, 0.4, 0.6]
     rows = {
-        run: made(plan, run, **{"settling_time_s": times[run], "min_distance_m.edge": nearest[run]})
+        run: made(plan, run, **{"settling_time_s": times[run], "min_distance_m.any": nearest[run]})
         for run in range(5)
     }
     first, second = summarise(plan, rows_of(plan, rows))
@@ -410,9 +433,16 @@ def test_a_cell_in_numbers() -> None:
     assert first.least_m == 0.21
     assert first.quantiles["settling_time_s"] == {"q25": 5.0, "median": 7.0, "q75": 9.0}
     expected = np.percentile(nearest, [25, 50, 75]).tolist()
-    assert list(first.quantiles["min_distance_m.edge"].values()) == pytest.approx(expected)
+    assert list(first.quantiles["min_distance_m"].values()) == pytest.approx(expected)
     assert first.trouble == "1 of 5 unsafe, 1 of 5 not settled"
     assert (second.good, second.trouble) == (5, "")
+
+
+def test_the_closest_are_those_that_the_law_is_to_keep_apart() -> None:
+    plan = make_plan(ask("avoidance.enabled=true,false"))
+    on, off = summarise(plan, {run: made(plan, run) for run in range(2)})
+    assert (on.least_m, off.least_m) == (0.5, 0.6)
+    assert (on.quantiles["min_distance_m"]["median"], off.quantiles["min_distance_m"]["median"]) == (0.5, 0.6)
 
 
 def test_runs_that_never_settle_count_as_later_than_all_others() -> None:
@@ -433,7 +463,7 @@ def bad_from(plan: Plan, axis: int, least: Mapping[str, int]) -> dict[int, Row]:
     for cell in range(len(plan.cells)):
         values = plan.values(cell)
         if plan.axes[axis].values.index(values[axis]) >= least[values[1 - axis]]:
-            rows[cell * plan.repeat] = made(plan, cell * plan.repeat, **{"min_distance_m.edge": 0.1})
+            rows[cell * plan.repeat] = made(plan, cell * plan.repeat, **{"min_distance_m.any": 0.1})
     return rows
 
 

@@ -148,7 +148,7 @@ def test_warnings_of_many_are_said_once() -> None:
 
 
 def status(robot: int, state: str, reason: str) -> Status:
-    return Status(robot, 1, T0, state, reason, 0, (), (), (), ())
+    return Status(robot, 1, T0, state, "", reason, 0, 0, (), (), (), ())
 
 
 def plant(robot: int, *, healthy: bool = True, obeying: bool = True, note: str = "") -> PlantState:

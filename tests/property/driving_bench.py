@@ -1,0 +1,127 @@
+"""Robots that are only their control law and an exact body, among obstacles: a closed loop, tick by tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, dist, hypot, inf, sin
+from typing import NamedTuple
+
+from agent.clock import NS_PER_S
+from agent.controller import Controller
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolve
+from agent.hand import Pose, advance, hand
+from agent.messages import HandState, Mission, PlantState
+from agent.plan import plan_of
+
+Point = tuple[float, float]
+
+T0 = 1000 * NS_PER_S
+REACHED_M = 0.1
+STAYS_TICKS = 25
+REACH = 0.1
+FLEET = """
+fleet.name = "bench"
+formation = {{ edges = [], offsets = [{places}], safe_distance_m = 0.22, assign = false }}
+trajectory = {{ kind = "line", start_m = [0.0, 0.0], velocity_mps = [{velocity[0]}, {velocity[1]}] }}
+avoidance = {{ distance_m = 0.61 }}
+obstacle = [{obstacles}]
+robot = [{robots}]
+"""
+
+
+class Drive(NamedTuple):
+    """How a drive went: seconds until all were at their places, None if they never were; closest pair, and
+    nearest to an obstacle, m."""
+
+    seconds: float | None
+    pair: float
+    obstacle: float
+
+
+def fleet_of(
+    starts: Sequence[Point], places: Sequence[Point], velocity: Point, obstacles: Sequence[str]
+) -> Fleet:
+    """Robots whose hand points start at `starts`, without edges."""
+    text = FLEET.format(
+        places=", ".join(f"[{x!r}, {y!r}]" for x, y in places),
+        velocity=velocity,
+        obstacles=", ".join(obstacles),
+        robots=", ".join(
+            f"{{ id = {n}, x_m = {x - REACH!r}, y_m = {y!r}, hand_offset_m = {REACH} }}"
+            for n, (x, y) in enumerate(starts, 1)
+        ),
+    )
+    return parse_fleet(text, source="bench.toml")
+
+
+class _Robot:
+    def __init__(self, fleet: Fleet, robot: int) -> None:
+        body = fleet.robot(robot)
+        self.body, self.controller = body, Controller(fleet, resolve(fleet), robot)
+        self.controller.plan(plan_of(Mission(1, T0, T0, 10**12, ""), fleet, resolve(fleet)))
+        self.pose = Pose(body.x_m, body.y_m, body.heading_rad, 0.0, 0.0)
+        self.acts = self.asked = (0.0, 0.0)
+
+    def think(self, count: int, tick_ns: int, now_ns: int) -> HandState:
+        controller, robot = self.controller, self.body.id
+        state = PlantState(robot, count, tick_ns, *self.pose, *self.acts, True, True, True, "")
+        here = controller.hand_at(state, now_ns)
+        controller.look(now_ns)
+        controller.around.look(now_ns, here, ())
+        drive = controller.drive(state, now_ns)
+        controller.sent(now_ns, drive.force, drive.torque)
+        self.asked = drive.force, drive.torque
+        forces = drive.navigation_x, drive.navigation_y, drive.constraint_x, drive.constraint_y
+        return HandState(
+            robot, count, now_ns, True, drive.degree, *here, *forces, controller.multipliers(), ()
+        )
+
+    def move(self, period_s: float) -> None:
+        self.pose = advance(self.pose, *self.acts, self.body.mass_kg, self.body.inertia_kgm2, period_s)
+        self.acts = self.asked
+
+
+def drive(fleet: Fleet, seconds: float) -> Drive:
+    """Drives until all robots are at their places and stay there, or for so many seconds."""
+    robots = [_Robot(fleet, robot) for robot in fleet.ids]
+    period_ns, period_s = fleet.period_ns, fleet.period_ns / NS_PER_S
+    pair = obstacle = inf
+    said: list[HandState] = []
+    there = 0
+    for count in range(round(seconds / period_s)):
+        tick_ns = T0 + count * period_ns
+        now_ns = tick_ns + period_ns // 2
+        for robot in robots:
+            for message in said:
+                if message.robot != robot.body.id:
+                    robot.controller.peers.accept(message, now_ns)
+        said = [robot.think(count, tick_ns, now_ns) for robot in robots]
+        hands = [hand(robot.pose, REACH)[:2] for robot in robots]
+        pair = min([pair, *(dist(a, b) for n, a in enumerate(hands) for b in hands[:n])])
+        around = robots[0].controller.around.obstacles
+        obstacle = min(
+            [obstacle, *(near.distance for at in hands for b in around for near in b.near(*at, 1.0))]
+        )
+        places = [robot.controller.course.motion(robot.body.id, tick_ns) for robot in robots]
+        away = max(
+            hypot(at[0] - p[0], at[1] - p[1]) for at, p in zip(hands, places, strict=True) if p is not None
+        )
+        there = there + 1 if away < REACHED_M else 0
+        if there >= STAYS_TICKS:
+            return Drive(count * period_s, pair, obstacle)
+        for robot in robots:
+            robot.move(period_s)
+    return Drive(None, pair, obstacle)
+
+
+def polygon(points: Sequence[Point], x: float, y: float, turn: float, scale: float) -> str:
+    """An obstacle of a fleet file: a shape, scaled, turned and then moved."""
+    c, s = scale * cos(turn), scale * sin(turn)
+    corners = ", ".join(f"[{x + c * px - s * py!r}, {y + s * px + c * py!r}]" for px, py in points)
+    return f"{{ points_m = [{corners}] }}"
+
+
+def circle(x: float, y: float, radius: float) -> str:
+    """An obstacle of a fleet file."""
+    return f"{{ centre_m = [{x!r}, {y!r}], radius_m = {radius!r} }}"

@@ -1,0 +1,65 @@
+"""agent.avoidance: from which distances on robots keep apart, and how fast they may close in."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from agent.avoidance import (
+    avoidance_distance,
+    barrier_rate,
+    braking_room,
+    clearance,
+    least_apart,
+    sensing_distance,
+)
+from agent.barrier import keep_apart
+from tests.unit.fleet_texts import small
+
+LINE = {1: (0.0, 0.0), 2: (1.0, 0.0), 3: (2.0, 0.0)}
+CHAIN = {(2, 1): 1.0, (2, 3): 1.0}
+
+
+def test_the_distance_of_avoidance_is_half_way_to_the_shortest_edge() -> None:
+    assert avoidance_distance(None, 0.2, CHAIN, LINE) == pytest.approx(0.6)
+    assert avoidance_distance(None, 0.2, {**CHAIN, (1, 3): 0.5}, LINE) == pytest.approx(0.35)
+    assert avoidance_distance(0.9, 0.2, CHAIN, LINE) == 0.9
+
+
+def test_the_distance_of_avoidance_is_below_what_the_formation_puts_between_robots() -> None:
+    close = {**LINE, 3: (0.0, 0.5)}
+    assert least_apart(CHAIN, LINE) == 2.0
+    assert least_apart(CHAIN, close) == 0.5
+    assert avoidance_distance(None, 0.2, CHAIN, close) == pytest.approx(0.45)
+    # Below the safe distance there would be nothing to push from.
+    assert avoidance_distance(None, 0.48, CHAIN, close) == pytest.approx(1.05 * 0.48)
+
+
+def test_the_distance_of_avoidance_without_edges() -> None:
+    assert avoidance_distance(None, 0.2, {}, {1: (0.0, 0.0)}) == pytest.approx(0.5)
+    assert avoidance_distance(None, 0.2, {}, {1: (0.0, 0.0), 2: (0.4, 0.0)}) == pytest.approx(0.36)
+    assert least_apart({(1, 2): 1.0}, {1: (0.0, 0.0), 2: (1.0, 0.0)}) == inf
+
+
+def test_the_clearance_is_half_the_safe_distance() -> None:
+    assert (clearance(None, 0.3), clearance(0.5, 0.3)) == (0.15, 0.5)
+
+
+def test_the_rate_of_the_barrier_is_what_every_robot_can_brake_with() -> None:
+    assert barrier_rate(small()) == 3.0
+    slow = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
+    assert barrier_rate(small(*slow)) == pytest.approx(0.8)
+    assert barrier_rate(small(*slow, "avoidance.barrier_rate=2.5")) == 2.5
+
+
+def test_who_is_near_is_listened_to_in_time_to_brake() -> None:
+    assert sensing_distance(small("avoidance.sensing_m=1.0"), 0.6) == 1.0
+    assert sensing_distance(small(), 0.6) == pytest.approx(1.5)
+    fast = small("control.max_speed_mps=6", "control.max_acceleration=9", "avoidance.margin_m=0.1")
+    assert braking_room(fast) == pytest.approx(0.2 + 0.1 + 2.0 * 6.0 / 1.5)
+    assert sensing_distance(fast, 0.6) == braking_room(fast)
+    # There the barrier admits two that come at each other as fast as they may, and no nearer.
+    for room, admitted in ((braking_room(fast), True), (braking_room(fast) - 1e-6, False)):
+        plane = keep_apart("peer", (room, 0.0), (-6.0, 0.0), (6.0, 0.0), 0.3, barrier_rate(fast))
+        assert (plane.least <= barrier_rate(fast) * 6.0 + 1e-9) is admitted

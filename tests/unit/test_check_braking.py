@@ -1,0 +1,86 @@
+"""What `handfast check` says of robots that cannot brake as the last stage counts on."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.avoidance import barrier_rate
+from agent.fleet import Fleet, load_fleet
+from deploy.arguments import FLEETS
+from deploy.check import check
+from deploy.check_braking import check_braking
+from deploy.finding import Finding
+from tests.unit.fleet_texts import small
+
+SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
+
+
+def found(fleet: Fleet, distance: float | None = 0.6) -> dict[str, Finding]:
+    findings = list(check_braking(fleet, distance))
+    assert len({finding.place for finding in findings}) == len(findings)
+    assert all(finding.level == "warning" for finding in findings)
+    return {finding.place: finding for finding in findings}
+
+
+def test_what_follows_from_the_rest_is_sound() -> None:
+    assert found(small()) == found(small(*SLOW)) == found(small(*SLOW), None) == {}
+
+
+@pytest.mark.parametrize("name", ["delta", "lattice45", "line10", "pair", "reserve", "rovers"])
+def test_bundled_fleets_can_brake(name: str) -> None:
+    findings = check(load_fleet(FLEETS / f"{name}.toml"))
+    assert [finding for finding in findings if finding.level != "info"] == []
+
+
+def test_a_rate_that_is_given_and_too_high() -> None:
+    rate = found(small(*SLOW, "avoidance.barrier_rate=2"))["avoidance.barrier_rate"]
+    assert "brake with 3 m/s2, more than control.max_acceleration = 1.2" in rate.message
+    assert "take 0.8 1/s or less, or leave it out" in rate.message
+    assert found(small(*SLOW, "avoidance.barrier_rate=0.8")) == {}
+    assert found(small(*SLOW, "avoidance.barrier_rate=2", "avoidance.enabled=false")) == {}
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("robot.7.max_force_n=9.9", "robot 7 cannot brake {} max_force_n of robot 7 allows 1.1;"),
+        (
+            "robot_defaults.max_torque_nm=1.3",
+            "robots 3, 7 and 5 cannot brake {} max_torque_nm of robot 5 allows 0.999;",
+        ),
+    ],
+)
+def test_a_body_that_is_too_weak(override: str, words: str) -> None:
+    body = (
+        "robot_defaults.hand_offset_m=0.1",
+        "robot_defaults.inertia_kgm2=0.13",
+        "robot.5.hand_offset_m=0.0999",
+    )
+    weak = (*SLOW, *body, override)
+    text = found(small(*weak))["avoidance.barrier_rate"].message
+    begin, end = words.split("{}")
+    assert text.startswith(begin)
+    assert end in text
+    assert "that takes 1.2 m/s2" in text
+    rate = text.split("set it to ")[1].split()[0]
+    assert found(small(*weak, f"avoidance.barrier_rate={rate}")) == {}
+    assert found(small(*weak, f"avoidance.barrier_rate={float(rate) + 0.01}")) != {}
+
+
+def test_vehicles_by_what_their_bridges_ask_of_them() -> None:
+    rovers, weak = FLEETS / "rovers.toml", "robot.4.mavlink.max_acceleration=0.5"
+    assert barrier_rate(load_fleet(rovers)) == pytest.approx(0.8 / 0.9)
+    text = found(load_fleet(rovers, (weak,)))["avoidance.barrier_rate"].message
+    assert text.startswith("robot 4 cannot brake")
+    assert "mavlink.max_acceleration of robot 4 allows 0.5; set it to 0.555 1/s or less" in text
+    assert found(load_fleet(rovers, (weak, "robot.4.plant=unicycle"))) == {}
+
+
+def test_a_sensing_distance_that_is_too_short_to_part_or_to_brake_in() -> None:
+    part = found(small("avoidance.sensing_m=0.5"))["avoidance.sensing_m"].message
+    assert "0.5 m is not above the distance at which robots begin to part, 0.6 m here" in part
+    assert "take 1.5 m" in part
+    brake = found(small("avoidance.sensing_m=1.2"))["avoidance.sensing_m"].message
+    assert "1.2 m is not the 1.25 m in which two robots at control.max_speed_mps = 1.5 can brake" in brake
+    assert found(small("avoidance.sensing_m=1.25")) == {}
+    assert "take 1.25 m" in found(small("avoidance.sensing_m=1.2"), None)["avoidance.sensing_m"].message

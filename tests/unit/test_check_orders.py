@@ -1,0 +1,56 @@
+"""What `handfast check` says of orders that cannot be carried out, in the turn in which they are given."""
+
+from __future__ import annotations
+
+import pytest
+
+from deploy.check import check
+from deploy.finding import Finding
+from tests.unit.order_fleets import SQUARE, square
+
+JOIN = '[[order]]\nat = {at}\nkind = "join"\nrobot = 7\nedges = [3, 4]\noffset_m = [0.5, 1.9]\n'
+LEAVE = '[[order]]\nat = {at}\nkind = "leave"\nrobot = {robot}\n'
+
+
+def found(*orders: str) -> list[Finding]:
+    """What is said of the orders of the square."""
+    findings = check(square("fleet.duration_s=60", text=SQUARE + "".join(orders)))
+    return [finding for finding in findings if finding.place.startswith("order")]
+
+
+def test_orders_that_can_be_carried_out_are_not_spoken_of() -> None:
+    stop = '[[order]]\nat = 9\nkind = "stop"\n[[order]]\nat = 12\nkind = "resume"\n'
+    assert found(JOIN.format(at=5), LEAVE.format(at=20, robot=7), stop) == []
+
+
+def test_an_order_depends_on_those_that_are_given_before_it() -> None:
+    (finding,) = found(JOIN.format(at=5), JOIN.format(at=6))
+    assert finding == Finding(
+        "error", "order[2]", "at 6 s, join: robot 7 has a place in the formation already"
+    )
+    assert found(JOIN.format(at=20), LEAVE.format(at=10, robot=7), JOIN.format(at=5)) == []
+
+
+def test_the_place_is_that_in_the_file() -> None:
+    (finding,) = found(LEAVE.format(at=20, robot=4), LEAVE.format(at=10, robot=4))
+    assert (finding.level, finding.place) == ("error", "order[1]")
+
+
+@pytest.mark.parametrize(
+    ("at", "over", "says"),
+    [
+        (60, "", "60 s is not before the run's end at 60 s: it is never given"),
+        (58, "over_s = 5\n", "what is ordered at 58 s is done at 64.02 s, after the run's end at 60 s"),
+    ],
+)
+def test_orders_that_come_too_late_are_warned_of(at: float, over: str, says: str) -> None:
+    (finding,) = found(LEAVE.format(at=at, robot=4) + over)
+    assert (finding.level, finding.place) == ("warning", "order[1].at")
+    assert says in finding.message
+
+
+def test_a_graph_that_falls_apart_is_warned_of_once() -> None:
+    cut = '[[order]]\nat = 5\nkind = "reshape"\nformation.edges = [[1, 2], [3, 4]]\n'
+    (finding,) = found(cut, LEAVE.format(at=10, robot=4))
+    assert (finding.level, finding.place) == ("warning", "order[1]")
+    assert "the graph is in 2 parts, {1, 2}, {3, 4}" in finding.message

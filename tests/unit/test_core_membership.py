@@ -1,0 +1,286 @@
+"""Robots join, leave and start again, and the formation changes, while the fleet drives."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import hypot, sqrt
+
+import pytest
+
+from agent.clock import NS_PER_S
+from agent.course import Edge
+from agent.hand import hand_acceleration
+from agent.messages import Beacon, HandState, Mission, Stop, Wrench
+from agent.supervision import DRIVING, State
+from tests.unit.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
+
+PLACES = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))
+EDGES = ((1, 2, 1.0), (2, 3, sqrt(2.0)), (1, 3, 1.0))
+JOINED = (*PLACES, (4, 0.0, -1.0))
+JOINED_EDGES = (*EDGES, (1, 4, 1.0), (2, 4, sqrt(2.0)))
+BLEND_NS = 2 * NS_PER_S
+
+
+def change(
+    bench: FleetBench,
+    version: int,
+    robots: tuple[tuple[int, float, float], ...],
+    edges: tuple[tuple[int, int, float], ...],
+    ahead_ns: int = NS_PER_S // 2,
+) -> Mission:
+    """Another formation for a fleet that drives, said to all."""
+    known = bench.sayings(MISSION)[0]
+    assert isinstance(known, Mission)
+    from_ns = bench.now // PERIOD * PERIOD + ahead_ns
+    mission = known._replace(version=version, from_ns=from_ns, blend_ns=BLEND_NS, robots=robots, edges=edges)
+    bench.say(MISSION, mission)
+    return mission
+
+
+@pytest.fixture
+def bench() -> FleetBench:
+    made = FleetBench(three())
+    made.drive()
+    made.run(6.0)
+    return made
+
+
+def edges(bench: FleetBench, robot: int) -> dict[int, Edge]:
+    return {edge.other: edge for edge, _ in bench.agents[robot]._controller.edges}
+
+
+def commands(bench: FleetBench, robot: int, seconds: float) -> list[tuple[float, float]]:
+    """What is asked of a body in every tick meanwhile, as an acceleration of its hand; none may brake."""
+    body, asked = bench.fleet.robot(robot), []
+    for _ in range(round(seconds * NS_PER_S / PERIOD)):
+        bench.step()
+        wrench = bench.wrenches(robot)[-1]
+        assert isinstance(wrench, Wrench)
+        assert not wrench.brake
+        asked.append(
+            hand_acceleration(
+                wrench.force,
+                wrench.torque,
+                bench.bodies[robot].pose,
+                body.mass_kg,
+                body.inertia_kgm2,
+                body.hand_offset_m,
+            )
+        )
+    return asked
+
+
+def largest_step(asked: list[tuple[float, float]]) -> float:
+    return max(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(asked))
+
+
+# ---------------------------------------------------------------------- standing by
+
+
+def test_a_robot_in_reserve_stands_by_and_tells_where_it_is(bench: FleetBench):
+    agent = bench.agents[4]
+    assert agent.condition == ("standby", "in reserve")
+    assert all(wrench.brake for wrench in bench.wrenches(4) if isinstance(wrench, Wrench))
+    assert not [key for key in agent.subscriptions if key.endswith("/hand")]
+    told = [message for message in bench.sayings("few/robot/4/beacon") if isinstance(message, Beacon)]
+    assert not told[-1].following
+    assert told[-1].mission_version == 1  # it knows the mission all the same
+    period_ns = told[-1].time_ns - told[-2].time_ns
+    assert period_ns == NS_PER_S // 5
+
+
+def test_a_robot_in_reserve_takes_a_stop_as_all_do(bench: FleetBench):
+    bench.say(STOP, Stop(1, bench.now, ""))
+    bench.run(0.2)
+    assert bench.state(4) is State.STOPPED
+    assert bench.plants[4].condition == ("braking", "stop")
+
+
+def test_a_reserve_is_no_reason_to_wait_for():
+    bench = FleetBench(three())
+    bench.cut = lambda key, _node: key.startswith("few/robot/4")
+    bench.run(0.2)
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.READY}
+
+
+# ---------------------------------------------------------------------- joining
+
+
+def test_a_robot_joins_at_the_time_that_the_mission_says_and_not_before(bench: FleetBench):
+    mission = change(bench, 2, JOINED, JOINED_EDGES)
+    while bench.now < mission.from_ns - PERIOD:
+        bench.step()
+        assert bench.agents[4].condition == ("standby", "in reserve")
+        assert edges(bench, 1).keys() == {2, 3}
+    bench.run(0.1)
+    assert bench.state(4) is State.RUNNING
+    assert edges(bench, 1).keys() == {2, 3, 4}
+    assert edges(bench, 4).keys() == {1, 2}
+    assert edges(bench, 3).keys() == {1, 2}
+
+
+def test_who_shares_an_edge_is_listened_to_from_then_on(bench: FleetBench):
+    key = "few/robot/4/hand"
+    assert key not in bench.agents[1].subscriptions
+    before = bench.agents[1].subscriptions
+    bench.step()
+    assert bench.agents[1].subscriptions is before  # another object only when they change
+    change(bench, 2, JOINED, JOINED_EDGES)
+    bench.run(1.0)
+    assert key in bench.agents[1].subscriptions
+    assert key in bench.agents[2].subscriptions
+    assert {"few/robot/1/hand", "few/robot/2/hand"} <= set(bench.agents[4].subscriptions)
+
+
+def test_new_edges_come_in_by_and_by_and_the_command_makes_no_jump(bench: FleetBench):
+    change(bench, 2, JOINED, JOINED_EDGES)
+    weights = []
+    asked: list[tuple[float, float]] = []
+    for _ in range(30):
+        asked += commands(bench, 1, 0.1)
+        weights.append(edges(bench, 1)[4].weight if 4 in edges(bench, 1) else 0.0)
+    assert weights == sorted(weights)
+    assert weights[0] == 0.0
+    assert weights[-1] == 1.0
+    assert max(b - a for a, b in pairwise(weights)) < 0.15
+    assert largest_step(asked) < 0.02
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
+
+
+@pytest.mark.parametrize("silence", ["drop", "hold"])
+def test_nobody_holds_for_a_robot_that_has_just_joined(silence: str):
+    """It is not heard yet, nor does its edge weigh anything."""
+    bench = FleetBench(three(f"supervision.silence={silence}"))
+    bench.drive()
+    change(bench, 2, JOINED, JOINED_EDGES)
+    for _ in range(75):
+        bench.step()
+        assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
+
+
+def test_a_robot_that_joined_comes_to_its_place(bench: FleetBench):
+    change(bench, 2, JOINED, JOINED_EDGES)
+    bench.run(25.0)
+    (x1, y1), (x2, y2), (x4, y4) = (bench.position(robot) for robot in (1, 2, 4))
+    assert hypot(x4 - x1, y4 - y1) == pytest.approx(1.0, abs=0.02)
+    assert hypot(x4 - x2, y4 - y2) == pytest.approx(sqrt(2.0), abs=0.02)
+    assert (x4, y4) == pytest.approx((x1, y1 - 1.0), abs=0.03)
+
+
+# ---------------------------------------------------------------------- leaving
+
+
+def test_a_robot_that_leaves_stands_by_and_is_let_go(bench: FleetBench):
+    change(bench, 2, PLACES[:2], EDGES[:1])
+    asked = commands(bench, 1, 1.5)
+    assert bench.agents[3].condition == ("standby", "it has left the formation")
+    last = bench.wrenches(3)[-1]
+    assert isinstance(last, Wrench)
+    assert last.brake
+    assert edges(bench, 1).keys() == {2}
+    assert largest_step(asked) < 0.03
+    bench.run(20.0)  # until it is out of sight
+    assert "few/robot/3/hand" not in bench.agents[1].subscriptions
+    assert bench.state(1) is State.RUNNING
+
+
+def test_who_left_is_still_kept_away_from(bench: FleetBench):
+    """It stands where it left: beside the others' way, within the sensing region."""
+    change(bench, 2, PLACES[:2], EDGES[:1])
+    bench.run(1.2)
+    assert [peer.robot for peer in bench.agents[1]._around.close] == [3]
+    assert "few/robot/3/hand" in bench.agents[1].subscriptions
+
+
+def test_who_left_may_join_again(bench: FleetBench):
+    change(bench, 2, PLACES[:2], EDGES[:1])
+    bench.run(2.0)
+    change(bench, 3, PLACES, EDGES)
+    bench.run(3.0)
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
+
+
+def test_a_robot_is_replaced_by_another(bench: FleetBench):
+    swapped = tuple((4 if robot == 3 else robot, x, y) for robot, x, y in PLACES)
+    change(bench, 2, swapped, ((1, 2, 1.0), (2, 4, sqrt(2.0)), (1, 4, 1.0)))
+    bench.run(30.0)
+    assert [bench.state(robot) for robot in (1, 2, 3, 4)] == [
+        State.RUNNING, State.RUNNING, State.STANDBY, State.RUNNING,
+    ]  # fmt: skip
+    (x1, y1), (x4, y4) = bench.position(1), bench.position(4)
+    assert hypot(x4 - x1, y4 - y1) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("off_ns", [PERIOD // 4, PERIOD // 2])
+def test_a_mission_may_be_taken_over_at_any_time(bench: FleetBench, off_ns: int):
+    """An operator's clock, and its program, need not know of the agents' ticks."""
+    change(bench, 2, PLACES[:2], EDGES[:1], NS_PER_S // 2 + off_ns)
+    bench.run(1.0)
+    assert bench.state(3) is State.STANDBY
+
+
+# ---------------------------------------------------------------------- another formation
+
+
+def test_another_formation_is_taken_over_by_all_without_a_jump(bench: FleetBench):
+    wide = tuple((robot, 1.5 * x, 1.5 * y) for robot, x, y in PLACES)
+    mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))
+    asked = commands(bench, 2, 4.0)
+    # A quintic blend of D m within T s has a jerk of 60 D / T^3 at most.
+    assert largest_step(asked) < 60.0 * 0.5 / (BLEND_NS / NS_PER_S) ** 3 * PERIOD / NS_PER_S
+    assert {agent._mission for agent in bench.agents.values()} == {mission}
+    bench.run(15.0)
+    (x1, y1), (x2, y2) = bench.position(1), bench.position(2)
+    assert hypot(x2 - x1, y2 - y1) == pytest.approx(1.5, abs=0.03)
+
+
+def test_a_mission_that_cannot_be_driven_is_refused_and_the_fleet_drives_on(bench: FleetBench):
+    change(bench, 2, (*PLACES, (9, 5.0, 5.0)), EDGES)
+    bench.run(1.0)
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
+    assert [agent._mission.version for agent in bench.agents.values() if agent._mission] == [1] * 4
+    assert all(agent.rejected["mission"] == 1 for agent in bench.agents.values())
+
+
+def test_what_is_wrong_with_a_mission_is_told_by_who_waits_for_one():
+    bench = FleetBench(three())
+    bench.run(0.2)
+    bench.say(MISSION, bench.mission(robots=(*PLACES, (9, 5.0, 5.0)), edges=EDGES))
+    bench.run(0.1)
+    state, reason = bench.agents[1].condition
+    assert state == "ready"
+    assert reason.startswith("the mission cannot be driven: robot 9 is not in the fleet")
+
+
+# ---------------------------------------------------------------------- starting again
+
+
+def test_an_agent_that_starts_again_takes_its_place_again(bench: FleetBench):
+    change(bench, 2, JOINED, JOINED_EDGES)
+    bench.run(20.0)
+    bench.restart(4)
+    while bench.state(4) not in DRIVING:
+        bench.step()
+    bench.run(3.0)
+    assert {bench.state(robot) for robot in (1, 2, 3, 4)} == {State.RUNNING}
+    assert edges(bench, 4).keys() == {1, 2}
+    assert all(edge.weight == 1.0 for edge in edges(bench, 4).values())
+
+
+def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: FleetBench):
+    """A second late: from then on it follows the same blend as the others."""
+    bench.cut = lambda key, node: key == MISSION and node is bench.agents[2]
+    wide = tuple((robot, 1.5 * x, 1.5 * y) for robot, x, y in PLACES)
+    mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))
+    while bench.now < mission.from_ns + NS_PER_S:
+        bench.step()
+    assert bench.agents[2]._mission != mission
+    bench.cut = lambda _key, _node: False
+    bench.run(0.8)
+    at_ns = bench.now
+    one, other = (bench.agents[robot]._controller.course for robot in (1, 2))
+    assert bench.agents[2]._mission == mission
+    assert one.motion(2, at_ns) == other.motion(2, at_ns)
+    hand = bench.sayings("few/robot/2/hand")[-1]
+    assert isinstance(hand, HandState)
+    assert hand.following

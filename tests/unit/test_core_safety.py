@@ -1,0 +1,423 @@
+"""What a robot never does: drive in a stop, without its operator, into others, obstacles or the fence."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import hypot
+
+import pytest
+
+from agent import law
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, parse_fleet
+from agent.hand import Pose
+from agent.messages import (
+    Beacon,
+    Heartbeat,
+    Resume,
+    Stop,
+    Wrench,
+)
+from agent.supervision import State
+from plant.node import PlantNode
+from tests.unit.agent_bench import (
+    ALIVE,
+    HEARTBEAT,
+    OTHER,
+    OTHERS_BEACON,
+    PERIOD,
+    Bench,
+    brakes,
+)
+from tests.unit.fleet_bench import RESUME, STOP, FleetBench, three
+
+# ---------------------------------------------------------------------- stop
+
+
+@pytest.mark.parametrize("version", [0, 1, 7])
+def test_from_the_tick_that_hears_a_stop_on_no_wrench_drives(version: int):
+    bench = Bench()
+    bench.drive()
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.5, 0.1)
+    bench.stop(version)
+    for out in bench.run(100):
+        assert brakes(out)
+        assert not out.hand.following
+    assert bench.state is State.STOPPING
+    bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert all(map(brakes, bench.run(100)))
+    assert bench.state is State.STOPPED
+
+
+@pytest.mark.parametrize("trouble", ["silence", "taken", "unhealthy", "plant gone", "left", "new mission"])
+def test_a_stop_lasts_whatever_else_comes_and_goes(trouble: str):
+    bench = Bench()
+    bench.drive()
+    bench.stop(1)
+    bench.run(3)
+    others = bench.other
+    if trouble == "silence":
+        bench.other = None
+    elif trouble == "taken":
+        bench.plant = {"obeying": False, "note": "mode MANUAL"}
+    elif trouble == "unhealthy":
+        bench.plant = {"healthy": False}
+    elif trouble == "plant gone":
+        bench.pose = None
+    elif trouble == "left":
+        bench.agent.present(ALIVE, False)
+    else:
+        bench.mission(9)
+    outs = bench.run(60)
+    bench.other, bench.plant, bench.pose = others, {}, Pose(0.0, 0.0, 0.0, 0.0, 0.0)
+    bench.agent.present(ALIVE, True)
+    outs += bench.run(60)
+    assert all(map(brakes, outs))
+    assert bench.agent.condition == ("stopped", "stop")
+    bench.resume(2)
+    bench.run(3)
+    assert bench.state is State.RUNNING
+
+
+def test_status_and_beacon_tell_the_last_order_that_is_known():
+    bench = Bench()
+    bench.drive()
+    bench.stop(4)
+    outs = bench.run(12)
+    assert bench.last is not None
+    assert bench.last.order_version == 4
+    assert bench.last.transition in ("stop", "at_rest")
+    told = [out.beacon for out in outs if out.beacon is not None]
+    assert (told[-1].stop_version, told[-1].resume_version) == (4, -1)
+    assert told[-1].mission_version == 1
+
+
+def wrenches(bench: FleetBench, robot: int, since_ns: int) -> list[Wrench]:
+    found = [message for message in bench.wrenches(robot) if isinstance(message, Wrench)]
+    return [wrench for wrench in found if wrench.time_ns >= since_ns]
+
+
+@pytest.mark.parametrize("after_s", [0.06, 0.3, 5.0])
+def test_a_robot_that_starts_again_in_a_stop_does_not_drive(after_s: float):
+    """Its agent and its plant know nothing: who tells them of the mission tells them of the stop first."""
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, "here"))
+    bench.run(after_s)
+    bench.restart(3)
+    bench.plants[3] = PlantNode(bench.fleet, 3, bench.bodies[3])
+    since_ns = bench.now
+    bench.run(3.0)
+    assert bench.agents[3].condition == ("stopped", "stop: here")
+    assert all(wrench.brake for wrench in wrenches(bench, 3, since_ns))
+
+
+def test_a_stop_reaches_robots_that_no_operator_reaches():
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, "here"), [bench.agents[2]])
+    bench.run(1.0)
+    assert {bench.state(robot) for robot in bench.fleet.ids} == {State.STOPPED}
+    assert {plant.condition for plant in bench.plants.values()} == {("braking", "stop: here")}
+
+
+def test_two_operators_who_stop_and_resume_at_once_end_in_one_state():
+    bench = FleetBench(three())
+    bench.drive()
+    for robot, agent in bench.agents.items():
+        orders = [(STOP, Stop(3, bench.now, "a")), (RESUME, Resume(3, bench.now, ()))]
+        for key, order in orders if robot % 2 else reversed(orders):
+            bench.say(key, order, [agent, bench.plants[robot]])
+    bench.run(2.0)
+    assert {bench.state(robot) for robot in bench.fleet.ids} == {State.STOPPED}  # the stop holds
+
+
+# ---------------------------------------------------------------------- dead-man's switch
+
+
+def beat(bench: Bench) -> None:
+    bench.give(HEARTBEAT, Heartbeat(bench.now, "Ada"))
+
+
+def test_without_heartbeats_a_fleet_with_a_dead_mans_switch_holds_and_goes_on():
+    bench = Bench("supervision.deadman_s=1.0")
+    beat(bench)
+    bench.drive()
+    last_ns = bench.now
+    beat(bench)
+    bench.tick()
+    outs = []
+    while bench.state is State.RUNNING:
+        outs.append(bench.tick())
+        assert len(outs) < 100
+    assert bench.agent.condition == ("holding", "no operator's heartbeat for 1.0 s")
+    assert 1_000_000_000 < bench.now - PERIOD - last_ns <= 1_000_000_000 + PERIOD
+    assert not any(map(brakes, outs[:-1]))
+    assert all(map(brakes, bench.run(50)))
+    beat(bench)
+    assert not brakes(bench.tick())
+    assert bench.state is State.RUNNING
+
+
+def test_without_an_operator_no_drive_begins():
+    bench = Bench("supervision.deadman_s=0.4")
+    bench.tick()
+    bench.mission()
+    assert all(map(brakes, bench.run(20)))
+    assert bench.state is State.HOLDING
+    assert bench.agent.reason == "no operator's heartbeat"
+    beat(bench)
+    assert not brakes(bench.tick())
+
+
+def test_without_a_dead_mans_switch_heartbeats_do_not_matter():
+    bench = Bench()
+    bench.drive()
+    beat(bench)
+    assert not any(map(brakes, bench.run(200)))
+
+
+# ---------------------------------------------------------------------- others that share no edge
+
+APART = "formation.edges=[]", "trajectory.kind=hold", "formation.offsets=[[0,0],[3,0]]"
+THROUGH = "formation.edges=[]", "trajectory.kind=hold", "formation.offsets=[[2,0],[-2,0]]"
+
+
+def near(gap: float, speed: float = 0.0, closing: float = 0.0, *overrides: str) -> Bench:
+    """Robot 1's hand at (0.1, 0), the other's `gap` m further east; they share no edge. d_a is 0.5 m.
+
+    Each makes for a place behind the other.
+    """
+    bench = Bench(*THROUGH, "avoidance.distance_m=0.5", *overrides)
+    bench.pose, bench.other = Pose(0.0, 0.0, 0.0, speed, 0.0), (0.1 + gap, 0.0, speed - closing, 0.0)
+    bench.drive()
+    bench.run(5)
+    return bench
+
+
+@pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
+@pytest.mark.parametrize("gap", [0.21, 0.3, 0.4, 0.49])
+@pytest.mark.parametrize("closing", [-2.0, -0.5, -0.1, 0.0, 0.1, 0.5])
+def test_who_shares_no_edge_is_pushed_away_and_never_pulled(coupling: str, gap: float, closing: float):
+    """The law alone, before the last filter: constraint forces are told to others."""
+    out = near(gap, 0.0, closing, f"control.coupling={coupling}").tick()
+    assert out.hand.constraint_x <= 0.0
+    assert out.hand.constraint_y == pytest.approx(0.0)
+    assert out.hand.degree == len(out.hand.multipliers)
+    assert all(robot == 2 and multiplier >= 0.0 for robot, multiplier in out.hand.multipliers)
+    if closing >= 0.0:
+        assert out.hand.degree == 1
+        assert out.hand.constraint_x < 0.0
+
+
+def test_beyond_d_a_there_is_no_force():
+    out = near(0.52).tick()
+    assert out.hand.degree == 0
+    assert (out.hand.constraint_x, out.hand.multipliers) == (0.0, ())
+
+
+def test_a_stranger_is_heard_by_its_beacons_until_it_is_close_and_then_closely():
+    bench = Bench(*APART)
+    bench.other = None
+    bench.tick()
+    assert OTHER not in bench.agent.subscriptions
+
+    def beacon(x: float) -> None:
+        told = Beacon(2, 0, bench.now - PERIOD, True, x, 0.0, 0.0, 0.0, 0, 0, -1, -1)
+        bench.give(OTHERS_BEACON, told)
+
+    for x, listens in ((9.0, False), (1.0, True), (9.0, False)):
+        for _ in range(10):
+            beacon(x)
+            bench.tick()
+        assert (OTHER in bench.agent.subscriptions) is listens, x
+
+
+def test_uncertainty_about_a_silent_robot_keeps_others_further_away():
+    """It stood 0.7 m off when it was last heard; d_a is 0.5 m, and it may have come nearer since."""
+    bench = near(0.7)
+    bench.other_follows = False
+    assert bench.run(2)[-1].hand.degree == 0
+    bench.other = None
+    out = bench.run(150)[-1]
+    assert out.hand.degree == 1
+    assert out.hand.constraint_x <= 0.0
+
+
+def test_the_filter_brakes_who_runs_into_another_and_says_so():
+    bench = near(0.35, 1.0, 0.9, "control.coupling=penalty", "control.kp=0.001", "control.kd=0.001")
+    out = bench.tick()
+    assert out.wrench.force < 0.0
+    counters = bench.counters()
+    assert counters["filtered.any"] > 0
+    assert counters["filtered.robot 2"] > 0
+
+
+def test_speed_is_kept_whatever_the_law_says():
+    bench = Bench("control.max_speed_mps=0.5", "formation.offsets=[[0,0],[1,0]]", "trajectory.kind=hold")
+    bench.pose = Pose(-50.0, 0.0, 0.0, 0.6, 0.0)
+    assert bench.drive().wrench.force < 0.0
+    assert bench.counters()["filtered.speed"] > 0
+
+
+def test_actuators_are_not_asked_for_more_than_they_have():
+    bench = Bench(
+        "robot_defaults.max_force_n=2.0", "robot_defaults.max_torque_nm=0.01", "trajectory.kind=hold"
+    )
+    bench.pose = Pose(-5.0, 3.0, 0.3, 0.0, 0.0)
+    for out in (bench.drive(), *bench.run(20)):
+        assert abs(out.wrench.force) <= 2.0 + 1e-6
+        assert abs(out.wrench.torque) <= 0.01 + 1e-8
+
+
+def test_three_robots_that_swap_places_never_come_too_near():
+    """No edge among them: the constraints and the filter alone keep them apart."""
+    made = parse_fleet(
+        """
+        robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 3, y_m = 0 }, { id = 3, x_m = 1.5, y_m = 2 }]
+        fleet = { name = "few", rate_hz = 50 }
+        formation = { edges = [], offsets = [[3, 0.1], [0, -0.1], [1.5, -2]], safe_distance_m = 0.3 }
+        """,
+        source="here",
+    )
+    bench = FleetBench(made)
+    bench.run(0.2)
+    bench.say("few/mission", bench.mission())
+    least = 9.0
+    for _ in range(1500):
+        bench.step()
+        places = [bench.position(robot) for robot in made.ids]
+        least = min(
+            least,
+            *(hypot(a[0] - b[0], a[1] - b[1]) for k, a in enumerate(places) for b in places[:k]),
+        )
+    assert least > made.formation.safe_distance_m
+    assert hypot(places[0][0] - 3.0, places[0][1] - 0.1) < 0.1
+
+
+# ---------------------------------------------------------------------- obstacles and the geofence
+
+
+def alone(text: str, x: float = 0.0, speed: float = 0.0) -> Bench:
+    """Robot 1 at x, on its way to (3, 0) along the x axis; its neighbour is beside its place."""
+    made: Fleet = parse_fleet(
+        f"""
+        robot = [{{ id = 1, x_m = 0, y_m = 0 }}, {{ id = 2, x_m = 3, y_m = 3 }}]
+        fleet = {{ name = "two", rate_hz = 50 }}
+        formation = {{ edges = [], offsets = [[3, 0], [3, 3]], safe_distance_m = 0.2 }}
+        {text}
+        """,
+        source="here",
+    )
+    bench = Bench(made=made)
+    bench.other = (3.0, 3.0, 0.0, 0.0)
+    bench.pose = Pose(x, 0.0, 0.0, speed, 0.0)
+    bench.drive()
+    return bench
+
+
+SHED = 'obstacle = [{ name = "shed", centre_m = [1.5, 0.0], radius_m = 0.5 }]'
+FENCE = "geofence = { points_m = [[-5, -5], [1, -5], [1, 5], [-5, 5]], warn_m = 0.5 }"
+
+
+@pytest.mark.parametrize("text", [SHED, FENCE], ids=["shed", "fence"])
+def test_an_obstacle_and_the_fence_push_and_never_pull(text: str):
+    for x in (0.5, 0.65, 0.75, 0.85):
+        bench = alone(text, x)
+        out = bench.run(10)[-1]
+        assert out.hand.constraint_x <= 0.0, x
+        assert out.hand.constraint_y == pytest.approx(0.0, abs=1e-9)
+        assert out.hand.multipliers == ()  # nobody shares them
+    assert out.hand.degree == 1
+    assert out.hand.constraint_x < 0.0
+
+
+def test_far_from_an_obstacle_there_is_no_force():
+    assert alone(SHED, -1.5).run(3)[-1].hand.degree == 0
+
+
+@pytest.mark.parametrize(("text", "cause"), [(SHED, "shed"), (FENCE, "geofence")])
+def test_who_runs_into_an_obstacle_or_the_fence_is_braked(text: str, cause: str):
+    bench = alone(text, 0.45, 1.5)
+    assert bench.tick().wrench.force < 0.0
+    assert bench.counters()[f"filtered.{cause}"] > 0
+
+
+def test_near_the_fence_a_robot_says_so_and_outside_it_holds():
+    bench = alone(FENCE, -1.0)
+    assert bench.state is State.RUNNING
+    bench.pose = Pose(0.6, 0.0, 0.0, 0.0, 0.0)
+    assert not brakes(bench.tick())
+    assert bench.agent.condition == ("degraded", "0.30 m from the geofence")
+    bench.pose = Pose(1.1, 0.0, 0.0, 0.0, 0.0)
+    assert brakes(bench.tick())
+    assert bench.agent.condition == ("holding", "0.20 m outside the geofence")
+    bench.pose = Pose(-1.0, 0.0, 0.0, 0.0, 0.0)
+    bench.tick()
+    assert bench.state is State.RUNNING
+
+
+# ---------------------------------------------------------------------- silence and numbers
+
+
+def test_silence_of_all_never_keeps_a_tick():
+    """Every tick gives a wrench at once, whatever does not come."""
+    bench = Bench()
+    bench.drive()
+    bench.other = bench.pose = None
+    for _ in range(200):
+        now = bench.now
+        assert bench.tick().wrench.time_ns == now
+
+
+def test_beacons_come_a_few_times_a_second_in_every_state_and_robots_take_turns():
+    bench = Bench()
+    states = set()
+    told = []
+    for phase in ("drive", "stop"):
+        bench.drive() if phase == "drive" else bench.stop(1)
+        for _ in range(50):
+            out = bench.tick()
+            states.add(bench.state)
+            told += [out.beacon] * (out.beacon is not None)
+    assert {State.RUNNING, State.STOPPED} <= states
+    steps = {b.time_ns - a.time_ns for a, b in pairwise(told)}
+    assert steps == {NS_PER_S // 5}
+    assert told[0].following
+    assert not told[-1].following
+
+
+def test_robots_take_turns_with_their_beacons():
+    bench = FleetBench(three())
+    bench.run(1.0)
+    turns = {message.time_ns % (NS_PER_S // 5) for _, _, message in bench.said if isinstance(message, Beacon)}
+    assert len(turns) == len(bench.fleet.ids)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_numbers_that_fail_are_a_fault_in_every_driving_state(silent: bool):
+    bench = FleetBench(three())
+    bench.drive()
+    if silent:
+        bench.cut = lambda key, node: key == "few/robot/3/hand" and node is bench.agents[1]
+        bench.run(3.0)
+        assert bench.state(1) is State.DEGRADED
+    bench.agents[1]._controller._gains = law.Gains(float("nan"), 1.0, 1.0)
+    bench.step()
+    assert isinstance(wrench := bench.wrenches(1)[-1], Wrench)
+    assert wrench.brake
+    bench.run(1.0)
+    assert bench.state(1) is State.FAULT
+    assert bench.agents[1].reason.startswith("the law gave force")
+    assert bench.state(2) is State.DEGRADED  # it does not follow any more
+
+
+def test_a_robot_that_does_not_know_where_it_is_does_not_say_that_it_drives():
+    bench = Bench()
+    bench.drive()
+    bench.plant = {"x": 1e15}
+    out = bench.run(3)[-1]
+    assert brakes(out)
+    assert out.beacon is None
+    assert bench.state is State.FAULT
+    assert bench.agent.reason

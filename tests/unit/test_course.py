@@ -1,0 +1,250 @@
+"""The course: missions taken one after another, what each robot is to do, and who its neighbours are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from agent.course import LEAVE_FADE_NS, Course, Edge
+from agent.fleet import Fleet
+from agent.formation import resolve
+from agent.messages import Mission
+from agent.order_sections import ShapeSection
+from agent.plan import Plan, mission_parts, plan_of
+from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
+
+FLEET = square()
+GEOMETRY = resolve(FLEET)
+FIRST = first_plan(FLEET)
+
+
+def course(*plans: Plan, fleet: Fleet = FLEET) -> Course:
+    made = Course(fleet, resolve(fleet))
+    for plan in plans:
+        made.take(plan)
+    return made
+
+
+def changed(what: Any, before: Plan = FIRST, **rest: Any) -> Plan:
+    return after(what, before, FLEET, **rest)[1]
+
+
+def at(plan: Plan, share: float) -> int:
+    """The time at which so much of the plan's blend is over."""
+    return plan.from_ns + round(share * plan.blend_ns)
+
+
+JOIN = order("join", robot=7, edges=(2, 3), distance_m=1.0, over_s=4.0)
+JOIN_ELSEWHERE = order("join", robot=8, edges=(1, 4), distance_m=1.0, over_s=3.0)
+LEAVE = order("leave", robot=2, over_s=4.0)
+LARGER = order("reshape", scale=2.0, over_s=4.0)
+
+
+def test_before_any_mission_the_formation_of_the_file_stands_where_its_trajectory_begins():
+    made = course()
+    assert made.plan is None
+    assert made.members(EPOCH) == (1, 2, 3, 4)
+    assert made.motion(3, EPOCH) == (6.0, 7.0, 0.0, 0.0, 0.0, 0.0)
+    assert made.motion(7, EPOCH) is None
+    assert made.edges(1, EPOCH) == (Edge(2, 1.0, 1.0), Edge(3, pytest.approx(2**0.5), 1.0), Edge(4, 1.0, 1.0))
+
+
+def test_the_first_mission_starts_the_trajectory_at_its_epoch():
+    made = course(FIRST)
+    assert made.plan is made.active(0) is FIRST
+    assert made.motion(2, EPOCH - S) == (6.0, 6.0, 0.0, 0.0, 0.0, 0.0)
+    assert made.motion(2, EPOCH + S) == pytest.approx((6.3, 6.1, 0.3, 0.1, 0.0, 0.0))
+
+
+def test_a_blend_comes_from_what_was_to_what_is():
+    larger = changed(LARGER)
+    made = course(FIRST, larger)
+    for share, part, rate in ((0.0, 0.0, 0.0), (0.5, 0.5, 15 / 8), (1.0, 1.0, 0.0), (3.0, 1.0, 0.0)):
+        time_ns = at(larger, share)
+        x, y = FIRST.reference(time_ns)[:2]
+        speed = rate / 4.0  # robot 2 goes from (1, 0) to (2, 0) in 4 s
+        assert made.motion(2, time_ns) == pytest.approx((x + 1 + part, y, 0.3 + speed, 0.1, 0.0, 0.0))
+        apart, growing = pytest.approx(1 + part), pytest.approx(speed, abs=1e-9)
+        ends = Edge(1, apart, 1.0, growing, pytest.approx(0.0, abs=1e-9))
+        assert made.edges(2, time_ns) == (ends, ends._replace(other=3))
+    assert made.active(larger.from_ns - 1) is FIRST
+    assert made.active(larger.from_ns) is larger
+
+
+def test_a_blend_within_a_blend_starts_from_the_blended_motion():
+    larger = changed(LARGER)
+    smaller = changed(order("reshape", scale=0.5, over_s=4.0), larger, at_s=12.0)
+    assert smaller.from_ns == at(larger, 0.5)
+    made, without = course(FIRST, larger, smaller), course(FIRST, larger)
+    assert made.motion(2, smaller.from_ns) == without.motion(2, smaller.from_ns)
+    assert made.motion(2, at(smaller, 1.0)) == pytest.approx(course(FIRST).motion(2, at(smaller, 1.0)))
+    (edge, _), (was, _) = made.edges(2, at(smaller, 0.25)), without.edges(2, at(smaller, 0.25))
+    share = 10 / 4**3 - 15 / 4**4 + 6 / 4**5
+    assert edge.distance == pytest.approx((1 - share) * was.distance + share)
+
+
+def test_a_robot_that_joins_is_at_its_place_at_once_and_its_edges_come():
+    join = changed(JOIN)
+    made = course(FIRST, join)
+    x, y = FIRST.reference(join.from_ns)[:2]
+    assert made.motion(7, join.from_ns - 1) is None
+    assert not made.is_member(7, join.from_ns - 1)
+    assert made.motion(7, join.from_ns) == pytest.approx((x + 1.8660, y + 0.5, 0.3, 0.1, 0, 0), abs=1e-4)
+    assert made.edges(7, join.from_ns) == ()  # no weight yet
+    assert made.edges(7, at(join, 0.5)) == (
+        Edge(2, pytest.approx(1.0), 0.5),
+        Edge(3, pytest.approx(1.0), 0.5),
+    )
+    assert Edge(7, pytest.approx(1.0), 0.5) in made.edges(2, at(join, 0.5))
+    assert made.edges(7, at(join, 1.0)) == (Edge(2, 1.0, 1.0), Edge(3, 1.0, 1.0))
+    assert made.motion(2, at(join, 0.5)) == pytest.approx(course(FIRST).motion(2, at(join, 0.5)))
+
+
+def test_edges_of_a_robot_that_leaves_are_gone_soon():
+    leave = changed(LEAVE)
+    made = course(FIRST, leave)
+    assert made.motion(2, leave.from_ns) is None
+    assert made.edges(2, leave.from_ns) == ()
+    assert made.edges(1, leave.from_ns)[0] == Edge(2, 1.0, 1.0)
+    assert made.edges(1, leave.from_ns + LEAVE_FADE_NS // 2)[0] == Edge(2, 1.0, 0.5)
+    assert [edge.other for edge in made.edges(1, leave.from_ns + LEAVE_FADE_NS)] == [3, 4]
+    assert [edge.weight for edge in made.edges(1, leave.from_ns + LEAVE_FADE_NS)] == [1.0, 1.0]
+
+
+def test_an_edge_between_members_that_stay_goes_within_the_blend():
+    fewer = changed(
+        order("reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (3, 4), (1, 4))), over_s=4.0)
+    )
+    made = course(FIRST, fewer)
+    weights = [{e.other: e.weight for e in made.edges(1, at(fewer, s))}.get(3, 0) for s in (0, 0.5, 1)]
+    assert weights == [1.0, 0.5, 0.0]
+    assert made.edges(1, at(fewer, 0.999))[1].weight > 0.0
+
+
+def test_the_revision_tells_of_every_change_of_members_and_edges_and_of_no_other():
+    leave = changed(LEAVE)
+    join = changed(JOIN_ELSEWHERE, leave, at_s=12.0)
+    made = course()
+    known = made.revision(EPOCH)
+    seen: dict[int, Any] = {known: content(made, EPOCH)}
+    for plan in (FIRST, leave, join):
+        made.take(plan)
+        assert made.revision(EPOCH) > known
+        for k in range(-200, 6000):
+            time_ns = plan.from_ns + k * S // 1000
+            revision = made.revision(time_ns)
+            assert seen.setdefault(revision, content(made, time_ns)) == content(made, time_ns)
+            known = max(known, revision)
+    for edge_ns in (
+        leave.from_ns,
+        leave.from_ns + LEAVE_FADE_NS,
+        join.from_ns,
+        join.from_ns + 1,
+        at(join, 1),
+    ):
+        assert made.revision(edge_ns) != made.revision(edge_ns - 1)
+
+
+def content(made: Course, time_ns: int) -> Any:
+    edges = {robot: [edge.other for edge in made.edges(robot, time_ns)] for robot in FLEET.ids}
+    return made.members(time_ns), edges
+
+
+def test_a_later_mission_for_an_earlier_time_takes_the_place_of_the_one_before():
+    leave = changed(LEAVE, at_s=20.0)
+    larger = changed(LARGER, at_s=15.0)
+    assert larger.from_ns < leave.from_ns
+    made = course(FIRST, leave, version(larger, 3))
+    assert made.is_member(2, leave.from_ns + S)
+    # the other way round it comes after it
+    both = course(FIRST, larger, version(leave, 3))
+    assert both.motion(1, at(larger, 0.5)) == course(FIRST, larger).motion(1, at(larger, 0.5))
+    assert not both.is_member(2, leave.from_ns)
+
+
+def version(plan: Plan, number: int) -> Plan:
+    return plan_of(plan.mission._replace(version=number), FLEET, GEOMETRY)
+
+
+@pytest.mark.parametrize("plans", [(0, 1, 2), (2, 1, 0), (1, 0, 2, 1), (2, 2, 0), (2,)])
+def test_in_whatever_order_missions_come_the_end_is_the_same(plans: tuple[int, ...]):
+    larger = changed(LARGER)
+    join = changed(JOIN, larger, at_s=12.0)
+    given = (FIRST, larger, join)
+    made, all_of_them = course(*(given[k] for k in plans)), course(*given)
+    assert made.plan is join
+    for robot in FLEET.ids:
+        assert made.motion(robot, at(join, 1.0)) == all_of_them.motion(robot, at(join, 1.0))
+        assert made.edges(robot, at(join, 1.0)) == all_of_them.edges(robot, at(join, 1.0))
+
+
+def test_of_two_missions_of_one_version_the_same_wins_whichever_comes_first():
+    a, b = changed(LARGER), changed(LEAVE)
+    one, other = course(FIRST, a, b), course(FIRST, b, a)
+    assert one.plan is other.plan
+
+
+def test_who_missed_the_first_mission_supposes_the_files_until_the_next_is_taken_over():
+    larger = changed(LARGER)
+    made = course(larger)
+    assert made.motion(2, larger.from_ns - S) == course(FIRST).motion(2, larger.from_ns - S)
+    assert made.motion(2, at(larger, 0.3)) == course(FIRST, larger).motion(2, at(larger, 0.3))
+
+
+def test_a_mission_for_before_the_epoch_holds_from_the_beginning():
+    join = changed(JOIN, at_s=-1.5)
+    assert (join.from_ns, join.blend_ns) == (EPOCH, 0)
+    made = course(FIRST, join)
+    assert made.members(EPOCH - 10 * S) == (1, 2, 3, 4, 7)
+    assert made.edges(7, EPOCH - 10 * S) == (Edge(2, 1.0, 1.0), Edge(3, 1.0, 1.0))
+    x, y = FIRST.reference(EPOCH)[:2]
+    assert made.motion(7, EPOCH - S) == pytest.approx((x + 1.8660, y + 0.5, 0, 0, 0, 0), abs=1e-4)
+
+
+def test_a_mission_of_another_epoch_begins_anew():
+    larger = changed(LARGER)
+    again = plan_of(Mission(9, EPOCH, EPOCH + 100 * S, 60 * S, "x"), FLEET, GEOMETRY)
+    made = course(FIRST, larger, again)
+    assert made.motion(2, EPOCH + 90 * S) == (6.0, 6.0, 0.0, 0.0, 0.0, 0.0)
+    assert made.active(EPOCH + 20 * S) is again
+    larger_again = plan_of(
+        larger.mission._replace(version=10, epoch_ns=EPOCH + 100 * S, from_ns=EPOCH + 120 * S),
+        FLEET,
+        GEOMETRY,
+    )
+    made = course(FIRST, larger, larger_again)  # it missed the first mission of the new drive
+    assert made.motion(2, EPOCH + 90 * S) == (6.0, 6.0, 0.0, 0.0, 0.0, 0.0)
+    assert made.motion(2, EPOCH + 110 * S) == pytest.approx((9.0, 7.0, 0.3, 0.1, 0.0, 0.0))
+
+
+def test_a_mission_changes_what_has_been_asked_for_before():
+    larger = changed(LARGER)
+    made = course(FIRST)
+    time_ns = at(larger, 0.5)
+    was = made.motion(2, time_ns), made.edges(2, time_ns)
+    made.take(larger)
+    assert (made.motion(2, time_ns), made.edges(2, time_ns)) != was
+    assert made.motion(2, time_ns) == course(FIRST, larger).motion(2, time_ns)
+
+
+def test_of_many_missions_only_the_latest_are_kept():
+    plans = [FIRST]
+    for k in range(30):
+        robots, edges, trajectory = mission_parts(plans[-1])
+        robots = tuple((robot, x + 0.1, y) for robot, x, y in robots)
+        from_ns = EPOCH + (k + 1) * S // 10
+        mission = Mission(
+            k + 2, EPOCH, EPOCH, 60 * S, "", from_ns, 2 * S, "", EPOCH, trajectory, robots, edges
+        )
+        plans.append(plan_of(mission, FLEET, GEOMETRY))
+    made = course(*plans)
+    assert made.active(EPOCH) is plans[-8]  # what is older is forgotten
+    for k in range(200):
+        time_ns = plans[-1].from_ns + k * S // 50
+        motion = made.motion(2, time_ns)
+        assert motion is not None
+        x = FIRST.reference(time_ns)[0]
+        assert x + 1.0 < motion[0] <= x + 4.0 + 1e-9
+        assert [edge.other for edge in made.edges(2, time_ns)] == [1, 3]
+    assert made.motion(2, at(plans[-1], 1.0))[0] == pytest.approx(FIRST.reference(at(plans[-1], 1))[0] + 4.0)

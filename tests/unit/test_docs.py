@@ -1,0 +1,154 @@
+"""The docs say what the code does: tables, commands, links, and the orders and fleets that they show."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from agent.fleet import load_fleet, parse_fleet
+from agent.formation import resolve, resolved
+from agent.safety_sections import AvoidanceSection, SupervisionSection
+from agent.schema import entries
+from agent.supervision import DOES, TRANSITIONS, State
+from deploy import cli
+from deploy.arguments import FLEETS
+from deploy.check import check
+from deploy.oracles import ORACLES
+
+ROOT = Path(__file__).parents[2]
+DOCS = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+ORDERS = sorted((ROOT / "docs" / "orders").glob("*.toml"))
+ALL = {state.value for state in State}
+
+
+def text(name: str) -> str:
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
+def rows(name: str, heading: str) -> list[list[str]]:
+    """Cells of the first table below a heading, without its own."""
+    (part,) = re.findall(rf"^## {heading}\n(.*?)(?=^## |\Z)", text(name), re.MULTILINE | re.DOTALL)
+    lines = [line for line in part.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[1:]]
+
+
+def words(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def test_states() -> None:
+    shown = [(words(name)[0], does) for name, does in rows("supervision.md", "States")]
+    assert shown == [(state.value, does) for state, does in DOES.items()]
+
+
+def test_transitions() -> None:
+    shown = []
+    for name, sources, target, when in rows("supervision.md", "Transitions"):
+        named = set(words(sources))
+        assert when
+        shown.append((words(name)[0], ALL - named if sources.startswith("any") else named, words(target)[0]))
+    assert shown == [
+        (row.name, {state.value for state in row.sources}, row.target.value) for row in TRANSITIONS
+    ]
+
+
+def test_oracles() -> None:
+    shown = [(words(name)[0], says) for name, says, _ in rows("supervision.md", "Oracles")]
+    assert shown == [(oracle.name, oracle.says) for oracle in ORACLES]
+
+
+def test_parameters_of_avoidance() -> None:
+    shown = [words(name)[0] for name, *_ in rows("avoidance.md", "Parameters")]
+    assert sorted(shown) == sorted(entries(AvoidanceSection).keys() - {"enabled"})
+    assert (
+        set(re.findall(r"`supervision\.(\w+)", text("supervision.md"))) <= entries(SupervisionSection).keys()
+    )
+
+
+# --- what is shown --------------------------------------------------------------------------------
+
+
+def blocks(path: Path) -> list[str]:
+    return re.findall(r"^```toml\n(.*?)^```$", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def test_orders_of_membership_are_sound() -> None:
+    (block,) = blocks(ROOT / "docs" / "membership.md")
+    parsed = parse_fleet(
+        (FLEETS / "reserve.toml").read_text(encoding="utf-8"),
+        source="reserve.toml",
+        orders=block,
+        orders_source="docs/membership.md",
+    )
+    assert [order.kind for order in parsed.orders] == ["join", "reshape", "stop", "resume"]
+
+
+@pytest.mark.parametrize("path", ORDERS, ids=lambda path: path.stem)
+def test_files_of_orders_are_for_the_reserve(path: Path) -> None:
+    fleet = resolved(load_fleet(FLEETS / "reserve.toml", orders=path))
+    assert fleet.orders
+    assert {finding.level for finding in check(fleet)} <= {"info", "warning"}
+    assert f"docs/orders/{path.name}" in path.read_text(encoding="utf-8"), "it says how it is driven"
+
+
+def test_ten_obstacles_are_ten() -> None:
+    fleet = load_fleet(FLEETS / "obstacles.toml")
+    assert len(fleet.obstacles) == 10
+    assert len(resolve(fleet).ids) == 6
+
+
+def commands(path: Path) -> list[str]:
+    """Every line of code that begins with ``handfast``, continued ones joined."""
+    source = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = [line.strip() for line in source.splitlines() if re.match(r" {4,}handfast \w", line)]
+    # The rover simulator reads its arguments by itself; what comes after > is the shell's.
+    return [line.partition(" > ")[0] for line in lines if "rover-simulator" not in line]
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.stem)
+def test_commands_are_commands(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = cli._parser()
+    for line in commands(path):
+        words = shlex.split(line, comments=True)[1:]
+        try:
+            parser.parse_args(words)
+        except SystemExit:
+            pytest.fail(f"{path.name}: {line}\n{capsys.readouterr().err}")
+
+
+def test_the_commands_of_the_readme_are_most_there_are() -> None:
+    named = {line.split()[1] for line in commands(ROOT / "README.md")}
+    assert {"run", "simulate", "check", "join", "leave", "reshape", "stop", "resume", "heartbeat"} <= named
+
+
+# --- links ----------------------------------------------------------------------------------------
+
+
+def anchors(path: Path) -> set[str]:
+    """As the forge makes them of headings."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.stem)
+def test_links_lead_somewhere(path: Path) -> None:
+    prose = re.sub(r"^ {4,}.*$", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose):
+        if target.startswith("http"):
+            continue
+        file, _, anchor = target.partition("#")
+        there = (path.parent / file).resolve() if file else path
+        assert there.exists(), f"{path.name}: {target}"
+        if anchor:
+            assert anchor in anchors(there), f"{path.name}: {target}"
+
+
+def test_every_picture_is_shown() -> None:
+    shown = {name for path in DOCS for name in re.findall(r"images/([\w-]+\.png)", path.read_text("utf-8"))}
+    assert shown == {path.name for path in (ROOT / "docs" / "images").glob("*.png")}

@@ -1,0 +1,216 @@
+"""What is said again so that others catch up: by whom, when, and what all end with."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+
+import pytest
+
+from agent.clock import NS_PER_S
+from agent.fleet import Fleet, parse_fleet
+from agent.gossip import AGAIN_NS, SPREAD_NS, STEPS, Gossip
+from agent.messages import Ask, Mission, Resume, Stop
+from agent.supervision import DRIVING, State
+from tests.unit.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
+
+T0 = 1000 * NS_PER_S
+
+
+class Teller:
+    """Calls `due` every tick, as an agent does."""
+
+    def __init__(self, robot: int = 3, version: int = 5) -> None:
+        self.version = version
+        self.gossip = Gossip(robot, lambda: (self.version, 0))
+
+    def says(self, begin_ns: int, end_ns: int) -> list[int]:
+        """Ticks from `begin_ns` until before `end_ns` at which it says it."""
+        return [now for now in range(begin_ns, end_ns, PERIOD) if self.gossip.due(now)]
+
+
+# ---------------------------------------------------------------------- one robot
+
+
+def test_it_is_said_once_to_who_knows_less():
+    teller = Teller(robot=3)
+    teller.gossip.lacks(T0, (4, 0))
+    assert teller.says(T0, T0 + 5 * NS_PER_S) == [T0 + 3 * SPREAD_NS]
+
+
+@pytest.mark.parametrize("version", [5, 6])
+def test_it_is_not_said_to_who_knows_as_much(version: int):
+    teller = Teller()
+    teller.gossip.lacks(T0, (version, 0))
+    assert teller.says(T0, T0 + NS_PER_S) == []
+
+
+def test_robots_wait_for_different_times():
+    first = []
+    for robot in range(STEPS):
+        teller = Teller(robot)
+        teller.gossip.lacks(T0, (0, 0))
+        first += teller.says(T0, T0 + NS_PER_S)
+    assert len(set(first)) == STEPS
+    assert max(first) < T0 + STEPS * SPREAD_NS
+
+
+def test_who_hears_another_say_it_is_quiet():
+    teller = Teller()
+    teller.gossip.lacks(T0, (4, 0))
+    teller.gossip.said(T0 + PERIOD, (5, 0))
+    assert teller.says(T0 + PERIOD, T0 + NS_PER_S) == []
+
+
+def test_an_older_one_that_another_says_is_not_it():
+    teller = Teller()
+    teller.gossip.lacks(T0, (3, 0))
+    teller.gossip.said(T0 + PERIOD, (4, 0))
+    assert len(teller.says(T0 + PERIOD, T0 + NS_PER_S)) == 1
+
+
+def test_it_is_not_said_again_at_once_but_it_is_said_again():
+    """The beacon of a robot that was just told may be on its way still."""
+    teller = Teller(robot=0)
+    said = []
+    for now in range(T0, T0 + 2 * NS_PER_S, PERIOD):
+        teller.gossip.lacks(now, (4, 0))  # nobody hears it
+        said += [now] * teller.gossip.due(now)
+    assert said[:3] == [T0, T0 + AGAIN_NS, T0 + 2 * AGAIN_NS]
+
+
+def test_who_asks_is_told_though_it_was_said_lately():
+    """It may not hear what others have said."""
+    teller = Teller(robot=1)
+    teller.gossip.said(T0, (5, 0))
+    teller.gossip.asked(T0 + PERIOD)
+    assert teller.says(T0 + PERIOD, T0 + NS_PER_S) == [T0 + PERIOD + SPREAD_NS]
+
+
+# ---------------------------------------------------------------------- a fleet
+
+
+def ring(robots: int) -> Fleet:
+    """Each with two neighbours, in place."""
+    places = [
+        (cos(2 * pi * k / robots) * robots / 4, sin(2 * pi * k / robots) * robots / 4) for k in range(robots)
+    ]
+    rows = ", ".join(f"{{ id = {k + 1}, x_m = {x:.3f}, y_m = {y:.3f} }}" for k, (x, y) in enumerate(places))
+    text = f"""
+    robot = [{rows}]
+    fleet = {{ name = "few", rate_hz = 50 }}
+    formation = {{ edges = {[[k + 1, (k + 1) % robots + 1] for k in range(robots)]},
+                  offsets = {[[round(x, 3), round(y, 3)] for x, y in places]}, safe_distance_m = 0.2 }}
+    """
+    return parse_fleet(text.replace("\n                  ", " "), source="here")
+
+
+@pytest.mark.parametrize("made", [three(), ring(10)], ids=["3 and a reserve", "10"])
+def test_an_agent_that_starts_again_is_told_the_mission_by_about_one_other(made: Fleet):
+    """There is no commander any more."""
+    bench = FleetBench(made)
+    bench.drive()
+    bench.restart(3)
+    since, before = bench.now, len(bench.sayings(MISSION))
+    while bench.state(3) not in DRIVING:
+        bench.step()
+        assert bench.now - since < NS_PER_S
+    bench.run(3.0)
+    assert bench.state(3) is State.RUNNING
+    assert 1 <= len(bench.sayings(MISSION)) - before <= 2
+    assert not any(agent.rejected for agent in bench.agents.values())
+
+
+def test_a_robot_that_missed_a_mission_is_told_it():
+    bench = FleetBench(three())
+    bench.drive()
+    known = bench.sayings(MISSION)[0]
+    assert isinstance(known, Mission)
+    bench.say(MISSION, known._replace(version=7), [bench.agents[2]])
+    bench.run(1.0)
+    assert {agent._mission.version for agent in bench.agents.values() if agent._mission} == {7}
+
+
+def test_a_robot_that_missed_a_stop_and_then_the_leave_is_told_them():
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, "here"), [bench.agents[1], bench.plants[1]])
+    bench.run(1.0)
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.STOPPED}
+    assert all("stop: here" in plant.condition for plant in bench.plants.values())
+    bench.say(RESUME, Resume(2, bench.now, ()), [bench.agents[3]])
+    bench.run(3.0)
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
+    assert {plant.condition for robot, plant in bench.plants.items() if robot < 4} == {("driving", "")}
+
+
+def test_a_plant_that_missed_the_leave_is_told_it_by_its_agent():
+    """Plants say of no orders which they know: an agent sees that its own does not obey."""
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, ""))
+    bench.run(0.5)
+    bench.say(RESUME, Resume(2, bench.now, ()), [node for node in bench.nodes if node is not bench.plants[2]])
+    bench.run(0.3)
+    assert bench.plants[2].condition == ("braking", "stop")
+    bench.run(1.0)
+    assert bench.plants[2].condition == ("driving", "")
+
+
+def test_who_asks_is_told_all():
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, ""))
+    bench.say(RESUME, Resume(2, bench.now, ()))
+    bench.run(1.0)
+    bench.said.clear()
+    bench.say(ASK, Ask(bench.now, "Ada"))
+    bench.run(0.5)
+    assert len(bench.sayings(MISSION)) == len(bench.sayings(STOP)) == len(bench.sayings(RESUME)) == 1
+
+
+def test_nothing_is_said_again_while_all_know_it():
+    bench = FleetBench(three())
+    bench.drive()
+    bench.said.clear()
+    bench.run(3.0)
+    assert not bench.sayings(MISSION)
+    assert not bench.sayings(STOP)
+
+
+def two_of_one_version(bench: FleetBench) -> tuple[Mission, Mission]:
+    first = bench.sayings(MISSION)[0]
+    assert isinstance(first, Mission)
+    from_ns = bench.now + NS_PER_S
+    made = first._replace(version=2, from_ns=from_ns, blend_ns=NS_PER_S)
+    wider, longer = (
+        ((1, 0.0, 0.0), (2, 1.5, 0.0), (3, 0.0, 1.0)),
+        ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.5)),
+    )
+    edges = ((1, 2, 1.2), (1, 3, 1.2), (2, 3, 1.8))
+    return made._replace(robots=wider, edges=edges), made._replace(robots=longer, edges=edges)
+
+
+def last_missions(bench: FleetBench) -> set[Mission | None]:
+    return {agent._mission for agent in bench.agents.values()}
+
+
+def test_two_operators_at_once_end_in_one_state():
+    bench = FleetBench(three())
+    bench.drive()
+    one, other = two_of_one_version(bench)
+    for robot, agent in bench.agents.items():
+        for mission in (one, other) if robot % 2 else (other, one):
+            bench.say(MISSION, mission, [agent])
+    bench.run(2.5)
+    assert last_missions(bench) in ({one}, {other})
+    assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
+
+
+def test_two_operators_at_once_each_heard_by_some_end_in_one_state():
+    bench = FleetBench(three())
+    bench.drive()
+    one, other = two_of_one_version(bench)
+    for robot, agent in bench.agents.items():
+        bench.say(MISSION, one if robot % 2 else other, [agent])
+    bench.run(2.5)
+    assert last_missions(bench) in ({one}, {other})

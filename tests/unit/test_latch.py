@@ -1,0 +1,130 @@
+"""Stop, and leave to drive again: what is left of any messages in any order."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.latch import Latch
+from agent.messages import Resume, Stop
+
+ROBOT = 1
+
+
+class Owner:
+    """Counts the leaves that it is given."""
+
+    def __init__(self) -> None:
+        self.leaves = 0
+        self.latch = Latch(ROBOT, self.grant)
+
+    def grant(self) -> None:
+        self.leaves += 1
+
+    def take(self, *orders: Stop | Resume) -> list[str | None]:
+        return [
+            self.latch.accept_stop(each) if isinstance(each, Stop) else self.latch.accept_resume(each)
+            for each in orders
+        ]
+
+
+def stop(version: int, reason: str = "") -> Stop:
+    return Stop(version, 0, reason)
+
+
+def resume(version: int, *robots: int) -> Resume:
+    return Resume(version, 0, robots)
+
+
+def test_before_any_order():
+    latch = Owner().latch
+    assert (latch.stopped, latch.version, latch.latest) == ("", 0, ())
+
+
+def test_a_stop_holds_until_a_later_leave():
+    owner = Owner()
+    assert owner.take(stop(0, "somebody in the way")) == [None]  # of version 0, too
+    assert owner.latch.stopped == "stop: somebody in the way"
+    assert owner.take(resume(1)) == [None]
+    assert owner.latch.stopped == ""
+    assert owner.take(stop(2)) == [None]
+    assert owner.latch.stopped == "stop"
+    assert owner.latch.version == 2
+
+
+def test_of_equal_versions_the_stop_holds():
+    for orders in ([stop(5), resume(5)], [resume(5), stop(5)]):
+        owner = Owner()
+        owner.take(*orders)
+        assert owner.latch.stopped
+
+
+def test_what_is_said_again_is_no_new_order_and_what_is_older_is_refused():
+    owner = Owner()
+    assert owner.take(stop(3), resume(4)) == [None, None]
+    assert owner.take(stop(3), resume(4)) == [None, None]
+    assert owner.take(stop(2), resume(3)) == ["out_of_order", "out_of_order"]
+    assert owner.leaves == 1
+    assert owner.latch.latest == (stop(3), resume(4))
+
+
+def test_leave_for_others_is_none_for_this_one():
+    owner = Owner()
+    owner.take(stop(3), resume(4, 2, 7))
+    assert owner.latch.stopped
+    assert owner.leaves == 0
+    assert owner.latch.version == 4  # it is known all the same, and said again
+    owner.take(resume(5, 2, ROBOT))
+    assert not owner.latch.stopped
+    assert owner.leaves == 1
+
+
+@pytest.mark.parametrize("own", [resume(4), resume(4, ROBOT)])
+@pytest.mark.parametrize("others", [4, 5])
+def test_a_later_leave_for_others_takes_nothing_away(own: Resume, others: int):
+    for orders in ([own, resume(others, 2)], [resume(others, 2), own]):
+        owner = Owner()
+        owner.take(stop(3), *orders)
+        assert not owner.latch.stopped, orders
+        assert owner.leaves == 1
+
+
+VERSIONS = st.integers(0, 6)
+STOPS = st.builds(stop, VERSIONS)
+GENERAL = st.builds(resume, VERSIONS)
+ANY = st.builds(Resume, VERSIONS, st.just(0), st.sampled_from([(), (1,), (2,), (1, 2)]))
+
+
+@given(st.lists(STOPS | GENERAL, max_size=10), st.data())
+def test_only_versions_decide_not_the_order_nor_how_often(orders: list[Stop | Resume], data: st.DataObject):
+    one, other = Owner(), Owner()
+    one.take(*orders)
+    other.take(*data.draw(st.permutations(orders + orders[::2]), label="order"))
+    assert other.latch.stopped == one.latch.stopped
+    assert other.latch.version == one.latch.version
+    assert set(other.latch.latest) == set(one.latch.latest)
+    stops = [each.version for each in orders if isinstance(each, Stop)]
+    leaves = [each.version for each in orders if isinstance(each, Resume)]
+    assert bool(one.latch.stopped) == (bool(stops) and max(stops) >= max(leaves, default=-1))
+
+
+@given(st.lists(STOPS | ANY, max_size=10), st.data())
+def test_with_leaves_for_some_the_own_greatest_decides(orders: list[Stop | Resume], data: st.DataObject):
+    owner = Owner()
+    owner.take(*data.draw(st.permutations(orders), label="order"))
+    stops = [each.version for each in orders if isinstance(each, Stop)]
+    own = [e.version for e in orders if isinstance(e, Resume) and (not e.robots or ROBOT in e.robots)]
+    assert bool(owner.latch.stopped) == (bool(stops) and max(stops) >= max(own, default=-1))
+    assert owner.latch.version == max((each.version for each in orders), default=0)
+    assert owner.leaves <= len(set(own))
+
+
+@given(st.lists(STOPS | GENERAL, max_size=10))
+def test_who_is_told_the_latest_knows_as_much_as_who_heard_all(orders: list[Stop | Resume]):
+    """What a robot says again is enough for one that has just started."""
+    heard_all, started = Owner(), Owner()
+    heard_all.take(*orders)
+    started.take(*heard_all.latch.latest)
+    assert started.latch.stopped == heard_all.latch.stopped
+    assert started.latch.version == heard_all.latch.version

@@ -1,0 +1,67 @@
+"""A new mission on its way: who knows it, and whether another one was quicker."""
+
+from __future__ import annotations
+
+from agent.messages import Mission, Status
+from deploy.ordering import Ordering, words
+from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
+
+FLEET = square()
+MISSION, _ = after(order("join", robot=7, edges=(2, 3), over_s=2.0), first_plan(FLEET), FLEET, 4.0, 50)
+
+
+def statuses(version: int = MISSION.version, **other: int) -> dict[int, Status]:
+    found = dict.fromkeys(FLEET.ids, version) | {int(key[1:]): each for key, each in other.items()}
+    return {
+        robot: Status(robot, 1, EPOCH, "running", "why not", "", each, 0, (), (), (), ())
+        for robot, each in found.items()
+    }
+
+
+def test_what_is_changed_and_when() -> None:
+    assert words(MISSION) == "robot 7 joins (edges to 2 and 3): at 5.0 s, over 2.0 s"
+    assert words(Mission(1, EPOCH, EPOCH, S, "", 0, 0, "as it was")) == "as it was: at 0.0 s"
+
+
+def test_done_when_all_know() -> None:
+    made = Ordering(MISSION, FLEET.ids)
+    assert not made.look(FLEET.ids, {}, MISSION)
+    assert not made.look(FLEET.ids, statuses(r3=1), MISSION)
+    assert not made.done
+    assert made.outcomes()[2] == "robot 3: has not taken it: running"
+    assert made.look(FLEET.ids, statuses(), MISSION)
+    assert made.done
+    assert made.outcomes() == [f"robot {robot}: knows" for robot in FLEET.ids]
+
+
+def test_who_is_not_there_is_named_and_not_waited_for() -> None:
+    made = Ordering(MISSION, FLEET.ids)
+    there = [robot for robot in FLEET.ids if robot != 3]
+    assert made.look(there, statuses(r3=1), MISSION)
+    assert not made.done
+    assert made.outcomes()[2] == "robot 3: its agent is not there; the others will tell it"
+    assert not made.look([], {}, MISSION), "nobody is there as yet"
+
+
+def test_a_greater_version_was_quicker() -> None:
+    made = Ordering(MISSION, FLEET.ids)
+    assert made.look(FLEET.ids, statuses(r2=MISSION.version + 1), MISSION)
+    assert made.overruled
+    assert not made.done
+    assert made.outcomes() == ["not done: another operator's order was quicker; look, and order again"]
+
+
+def test_of_equal_versions_the_one_that_holds_everywhere_was() -> None:
+    other = MISSION._replace(note="robot 9 joins (edges to 2 and 3)")
+    made = Ordering(MISSION, FLEET.ids)
+    made.look(FLEET.ids, statuses(), other)
+    assert made.outcomes() == [
+        "not done: another operator's order was quicker (robot 9 joins (edges to 2 and 3)); "
+        "look, and order again"
+    ]
+    winner = Ordering(other, FLEET.ids)
+    winner.look(FLEET.ids, statuses(), MISSION)
+    assert winner.done
+    restamped = Ordering(MISSION, FLEET.ids)
+    restamped.look(FLEET.ids, statuses(), MISSION._replace(time_ns=EPOCH + 7))
+    assert restamped.done

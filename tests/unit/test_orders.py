@@ -1,0 +1,412 @@
+"""Orders of an operator made into missions: what they change, and which cannot be carried out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import dist, hypot, sqrt
+from typing import Any
+
+import pytest
+
+from agent.blend import BLEND_MAX_S, blend_ns_for
+from agent.course import Course
+from agent.fleet import Fleet, digest
+from agent.fleet_sections import TrajectorySection
+from agent.formation import resolve
+from agent.messages import decode, encode, newer
+from agent.order_sections import OrderSection, ShapeSection
+from agent.orders import LEAD_NS, OrderError, first_mission, ordered
+from agent.plan import Plan, mission_parts
+from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
+
+FLEET = square()
+FIRST = first_plan(FLEET)
+NO_EDGES = square("formation.edges=[]", "control.max_speed_mps=0.5")
+
+
+def plan_after(what: OrderSection, plan: Plan = FIRST, fleet: Fleet = FLEET, **rest: Any) -> Plan:
+    return after(what, plan, fleet, **rest)[1]
+
+
+def refused(what: OrderSection, plan: Plan = FIRST, fleet: Fleet = FLEET) -> str:
+    with pytest.raises(OrderError) as caught:
+        ordered(what, plan, fleet, EPOCH + 10 * S, 2)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_the_first_mission_is_the_fleet_file():
+    mission = first_mission(FLEET, 5, EPOCH - S, EPOCH, 60 * S)
+    assert mission[:5] == (5, EPOCH - S, EPOCH, 60 * S, digest(FLEET))
+    assert not any(mission[5:])
+
+
+def test_what_is_not_ordered_stays():
+    mission, plan = after(order("join", robot=7, edges=(2, 3), distance_m=1.0), FIRST, FLEET)
+    assert mission[:5] == (2, EPOCH + 10 * S, *FIRST.mission[2:5])
+    assert newer(mission, FIRST.mission)
+    assert decode(encode(mission)) == mission
+    assert plan.section == FIRST.section
+    assert plan.trajectory_ns == FIRST.trajectory_ns
+    assert {r: plan.offsets[r] for r in FIRST.members} == FIRST.offsets
+    assert {e: plan.edges[e] for e in FIRST.edges} == FIRST.edges
+
+
+# --- times ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_s", [10.0, 10.001, 10.019, 10.02, 37.5])
+def test_an_order_is_taken_over_on_the_first_tick_after_the_lead(at_s: float):
+    mission, _ = after(order("leave", robot=2), FIRST, FLEET, at_s=at_s)
+    assert mission.from_ns % FLEET.period_ns == 0
+    assert 0 < mission.from_ns - mission.time_ns - LEAD_NS <= FLEET.period_ns
+
+
+def test_an_order_waits_for_the_one_before_it():
+    """Two at once: the second begins after the first, so that no robot jumps over what was between."""
+    first = plan_after(order("leave", robot=2))
+    second, _ = after(order("leave", robot=4), first, FLEET)
+    assert second.from_ns == first.from_ns + FLEET.period_ns
+    assert second.version == 3
+
+
+def test_an_order_before_the_drive_holds_from_its_begin():
+    for at_s in (-30.0, -1.02):
+        mission, _ = after(order("leave", robot=2, over_s=5.0), FIRST, FLEET, at_s=at_s)
+        assert (mission.from_ns, mission.blend_ns) == (EPOCH, 0)
+    again, plan = after(order("leave", robot=4), plan_after(order("leave", robot=2), at_s=-5), FLEET, at_s=-4)
+    assert (again.from_ns, plan.members) == (EPOCH, (1, 3))
+    assert after(order("leave", robot=2), FIRST, FLEET, at_s=-0.9)[0].from_ns > EPOCH
+
+
+def test_over_s_is_the_blend():
+    assert plan_after(order("leave", robot=2, over_s=2.5)).blend_ns == 2.5 * S
+    assert plan_after(order("leave", robot=2)).blend_ns == S
+
+
+# --- join -------------------------------------------------------------------------------------
+
+
+def test_who_joins_by_two_distances_stands_away_from_the_others():
+    mission, plan = after(order("join", robot=7, edges=(3, 2), distance_m=(1.0, 1.0)), FIRST, FLEET)
+    assert plan.offsets[7] == pytest.approx((1.0 + sqrt(0.75), 0.5))
+    assert (plan.edges[2, 7], plan.edges[3, 7]) == (1.0, 1.0)
+    assert plan.members == (1, 2, 3, 4, 7)
+    assert mission.note == "robot 7 joins (edges to 3 and 2)"
+
+
+def test_who_joins_without_distances_takes_the_mean_of_those_there_are():
+    mean = (4 + sqrt(2)) / 5
+    mission, plan = after(order("join", robot=7, edges=(3,)), FIRST, FLEET)
+    assert plan.edges[3, 7] == pytest.approx(mean)
+    assert plan.offsets[7] == pytest.approx((1.0 + mean / sqrt(2), 1.0 + mean / sqrt(2)))  # outwards
+    assert mission.note == "robot 7 joins (edge to 3)"
+
+
+def test_who_joins_at_a_place_takes_the_distances_from_there():
+    plan = plan_after(order("join", robot=7, edges=(2, 3), offset_m=(2.0, 0.0)))
+    assert (plan.edges[2, 7], plan.edges[3, 7]) == (1.0, sqrt(2))
+    assert after(order("join", robot=8, edges=(), offset_m=(3.0, 0.0)), plan, FLEET)[0].note == (
+        "robot 8 joins (no edges)"
+    )
+
+
+def test_who_joins_by_three_distances_has_one_place():
+    wanted = (1.7, 0.4)
+    ends = (1, 2, 4)
+    distances = tuple(round(dist(wanted, FIRST.offsets[end]), 2) for end in ends)
+    plan = plan_after(order("join", robot=8, edges=ends, distance_m=distances))
+    assert dist(plan.offsets[8], wanted) < 0.02
+    assert tuple(plan.edges[end, 8] for end in ends) == distances
+
+
+def test_who_joins_a_single_robot_stands_beside_it():
+    alone = FIRST
+    for robot in (2, 3, 4):
+        alone = plan_after(order("leave", robot=robot), alone)
+    assert (alone.members, alone.edges) == ((1,), {})
+    plan = plan_after(order("join", robot=7, edges=(1,), distance_m=0.8), alone)
+    assert plan.offsets == {1: (0.0, 0.0), 7: (0.8, 0.0)}
+    assert refused(order("join", robot=7, edges=(1,)), alone) == (
+        "where robot 7 is to be is not known: give offset_m or distance_m"
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        (
+            order("join", robot=9, edges=(1,)),
+            "robot 9 is not in the fleet: its ids are 1, 2, 3, 4, 7, 8",
+        ),
+        (order("join", robot=2, edges=(1,)), "robot 2 has a place in the formation already"),
+        (
+            order("join", robot=7, edges=(8,)),
+            "robot 8 has no place in the formation: members are 1, 2, 3 and 4",
+        ),
+        (
+            order("join", robot=7, edges=(7,)),
+            "robot 7 has no place in the formation: members are 1, 2, 3 and 4",
+        ),
+        (order("join", robot=7, edges=(2, 2)), "robot 7 is to share an edge with robot 2 twice"),
+        (order("join", edges=(2, 3)), "join needs robot"),
+        (order("join", robot=7), "join needs edges"),
+        (
+            order("join", robot=7, edges=()),
+            "where robot 7 is to be is not known without edges: give offset_m",
+        ),
+        (
+            order("join", robot=7, edges=(2, 3), distance_m=(1.0,)),
+            "distance_m has 1 distances for 2 edges",
+        ),
+        (
+            order("join", robot=7, edges=(2, 4), distance_m=0.5),
+            "no place for robot 7 is 0.5 m from robot 2 and 0.5 m from robot 4",
+        ),
+        (
+            order("join", robot=7, edges=(2,), offset_m=(2.0, 0.0), distance_m=1.1),
+            "robot 7 at [2, 0] would be 1 m from robot 2, not 1.1 m",
+        ),
+        (
+            order("join", robot=7, edges=(2,), offset_m=(0.9, 1.1)),
+            "robots 3 and 7 would stand 0.1414 m apart, less than the safe distance of 0.2 m",
+        ),
+        (
+            order("join", robot=7, edges=(2,), distance_m=0.15),
+            "robots 2 and 7 would stand 0.15 m apart, less than the safe distance of 0.2 m",
+        ),
+    ],
+)
+def test_who_cannot_join_is_told_why(what: OrderSection, said: str):
+    assert refused(what) == said
+
+
+# --- leave, replace ---------------------------------------------------------------------------
+
+
+def test_who_leaves_takes_its_edges_along():
+    mission, plan = after(order("leave", robot=2), FIRST, FLEET)
+    assert plan.members == (1, 3, 4)
+    assert set(plan.edges) == {(3, 4), (1, 4), (1, 3)}
+    assert mission.note == "robot 2 leaves"
+
+
+def test_a_leave_that_cuts_the_graph_says_so_once():
+    cut = plan_after(order("reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (3, 4)))))
+    mission, plan = after(order("leave", robot=3), cut, FLEET)
+    assert mission.note == "robot 3 leaves; the formation graph falls into 2 parts"
+    assert after(order("leave", robot=2), plan, FLEET)[0].note == "robot 2 leaves"  # in two parts before
+
+
+def test_who_has_left_can_join_again():
+    left = plan_after(order("leave", robot=2))
+    assert plan_after(order("join", robot=2, edges=(1, 3), distance_m=1.0), left).offsets[2] == (
+        pytest.approx((1.0, 0.0))
+    )
+
+
+def test_the_last_one_cannot_leave():
+    alone = FIRST
+    for robot in (1, 2, 3):
+        alone = plan_after(order("leave", robot=robot), alone)
+    assert refused(order("leave", robot=4), alone) == (
+        "robot 4 is the last one in the formation: stop the fleet instead"
+    )
+    assert refused(order("leave", robot=1), alone).startswith("robot 1 has no place in the formation")
+
+
+def test_who_replaces_another_takes_its_place_and_edges():
+    mission, plan = after(order("replace", robot=3, by=7), FIRST, FLEET)
+    assert plan.members == (1, 2, 4, 7)
+    assert plan.offsets[7] == FIRST.offsets[3]
+    assert plan.edges == {(2, 7): 1.0, (4, 7): 1.0, (1, 2): 1.0, (1, 4): 1.0, (1, 7): sqrt(2)}
+    assert mission.note == "robot 7 takes the place of robot 3"
+    assert refused(order("replace", robot=7, by=8)).startswith("robot 7 has no place")
+    assert refused(order("replace", robot=3, by=1)) == "robot 1 has a place in the formation already"
+    assert refused(order("replace", robot=3, by=3)) == "robot 3 has a place in the formation already"
+    assert refused(order("replace", robot=3)) == "replace needs by"
+
+
+# --- reshape ----------------------------------------------------------------------------------
+
+
+def test_new_places_bring_their_distances():
+    offsets = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (0.0, 1.0))
+    mission, plan = after(order("reshape", formation=ShapeSection(offsets=offsets)), FIRST, FLEET)
+    assert tuple(plan.offsets.values()) == offsets
+    assert list(plan.edges) == list(FIRST.edges)
+    assert list(plan.edges.values()) == pytest.approx([3.0, 1.0, 3.0, 1.0, sqrt(10)])
+    assert mission.note == "new places"
+
+
+def test_new_edges_keep_the_distances_that_stay():
+    plan = plan_after(order("reshape", scale=1.5))
+    stretched = order("reshape", formation=ShapeSection(distance_m=(1.51, 1.5, 1.5, 1.5, 2.12)))
+    plan = plan_after(stretched, plan)
+    mission, plan = after(order("reshape", formation=ShapeSection(edges=((2, 1), (2, 4)))), plan, FLEET)
+    assert plan.edges == {(1, 2): 1.51, (2, 4): pytest.approx(1.5 * sqrt(2), rel=0.01)}
+    assert mission.note == "new edges"
+
+
+def test_new_distances_are_met_near_the_old_places():
+    diagonal = 1.2
+    distances = (1.0, 1.0, 1.0, 1.0, diagonal)  # the square becomes a rhombus
+    mission, plan = after(order("reshape", formation=ShapeSection(distance_m=distances)), FIRST, FLEET)
+    for (i, j), distance in plan.edges.items():
+        assert dist(plan.offsets[i], plan.offsets[j]) == pytest.approx(distance, rel=1e-6)
+    centre = [sum(place[k] for place in plan.offsets.values()) / 4 for k in (0, 1)]
+    assert centre == pytest.approx([0.5, 0.5])
+    assert all(dist(plan.offsets[robot], FIRST.offsets[robot]) < 0.2 for robot in plan.members)
+    assert mission.note == "new distances"
+
+
+def test_scale_makes_all_of_it_larger():
+    mission, plan = after(order("reshape", scale=1.5), FIRST, FLEET)
+    assert plan.offsets[3] == (1.5, 1.5)
+    assert plan.edges[1, 3] == pytest.approx(1.5 * sqrt(2))
+    assert mission.note == "reshaped: 1.5 times the size"
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        (order("reshape"), "reshape changes nothing: give formation, scale or trajectory"),
+        (
+            order("reshape", formation=ShapeSection(offsets=((0.0, 0.0),))),
+            "formation.offsets has 1 places for 4 robots: one each for 1, 2, 3 and 4",
+        ),
+        (
+            order("reshape", formation=ShapeSection(edges=((1, 7),))),
+            "robot 7 has no place in the formation: members are 1, 2, 3 and 4",
+        ),
+        (
+            order("reshape", formation=ShapeSection(edges=((1, 2), (2, 1)))),
+            "the edge [2, 1] is given twice",
+        ),
+        (
+            order("reshape", formation=ShapeSection(edges=((1, 1),))),
+            "the edge [1, 1] joins a robot to itself",
+        ),
+        (
+            order("reshape", formation=ShapeSection(distance_m=(1.0,))),
+            "formation.distance_m has 1 distances for 5 edges",
+        ),
+        (
+            order("reshape", formation=ShapeSection(edges=(), distance_m=1.0)),
+            "formation.distance_m is given, but the formation has no edges",
+        ),
+        (
+            order("reshape", formation=ShapeSection(distance_m=(1.0, 1.0, 1.0, 1.0, 3.0))),
+            "found no places that meet all 5 distances: in the nearest [2, 3] is 1.25 m long, not",
+        ),
+        (order("reshape", scale=0.15), "robots 1 and 2 would stand 0.15 m apart, less than the safe distan"),
+        (
+            order("reshape", trajectory=TrajectorySection("line")),
+            "the mission's trajectory.velocity_mps: must be an array of 2 numbers (m/s), such as",
+        ),
+        (order("stop"), 'an order of kind "stop" does not change the mission'),
+    ],
+)
+def test_what_cannot_be_the_new_formation_is_told_why(what: OrderSection, said: str):
+    assert refused(what).startswith(said)
+
+
+def test_distances_that_need_a_whole_graph_say_so():
+    apart = plan_after(order("reshape", formation=ShapeSection(edges=((1, 2), (3, 4)))))
+    # From where they are each pair is stretched by itself.
+    stretched = plan_after(order("reshape", formation=ShapeSection(distance_m=2.0)), apart)
+    assert dist(stretched.offsets[1], stretched.offsets[2]) == pytest.approx(2.0)
+    alone = order(
+        "reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (1, 3)), distance_m=(1.0, 1.0, 5.0))
+    )
+    assert refused(alone).endswith(": give formation.offsets")
+
+
+def test_a_new_line_goes_on_from_where_the_formation_is():
+    line = TrajectorySection("line", velocity_mps=(0.0, -0.5))
+    mission, plan = after(order("reshape", trajectory=line), FIRST, FLEET)
+    assert plan.trajectory_ns == plan.from_ns
+    assert plan.reference(plan.from_ns)[:2] == FIRST.reference(plan.from_ns)[:2]
+    assert mission.note == "new trajectory (line)"
+    aside = plan_after(order("reshape", trajectory=replace(line, start_m=(1.0, 2.0))))
+    x, y = FIRST.reference(aside.from_ns)[:2]
+    assert aside.reference(aside.from_ns)[:2] == (x + 1.0, y + 2.0)
+
+
+def test_a_circle_and_waypoints_are_where_they_are_given():
+    circle = TrajectorySection("circle", centre_m=(1.0, 2.0), radius_m=2.0, speed_mps=0.4)
+    plan = plan_after(order("reshape", trajectory=circle, scale=1.2))
+    assert plan.reference(plan.from_ns)[:2] == (3.0, 2.0)
+    assert plan.mission.note == "reshaped: 1.2 times the size and trajectory (circle)"
+
+
+# --- length of the blend ----------------------------------------------------------------------
+
+
+def peaks(fleet: Fleet, *plans: Plan) -> tuple[float, float]:
+    """Greatest speed and acceleration of any member within the last plan's blend."""
+    course = Course(fleet, resolve(fleet))
+    for plan in plans:
+        course.take(plan)
+    last, speed, acceleration = plans[-1], 0.0, 0.0
+    for robot in last.members:
+        for k in range(1001):
+            sample = course.motion(robot, last.from_ns + last.blend_ns * k // 1000)
+            assert sample is not None
+            speed = max(speed, hypot(sample[2], sample[3]))
+            acceleration = max(acceleration, hypot(sample[4], sample[5]))
+    return speed, acceleration
+
+
+@pytest.mark.parametrize("speed_max", [0.5, 1.5, 100.0])
+@pytest.mark.parametrize("scale", [1.1, 3.0, 8.0])
+def test_a_blend_is_as_long_as_its_limits_need_and_not_much_longer(speed_max: float, scale: float):
+    fleet = square(f"control.max_speed_mps={speed_max}", "control.max_acceleration=3")
+    first = first_plan(fleet)
+    plan = plan_after(order("reshape", scale=scale), first, fleet)
+    speed, acceleration = peaks(fleet, first, plan)
+    assert speed <= speed_max * 1.01
+    assert acceleration <= 1.01
+    if plan.blend_ns > S:
+        assert speed >= 0.85 * speed_max or acceleration >= 0.8
+
+
+def test_a_blend_into_an_unfinished_one_is_longer():
+    first = plan_after(order("reshape", scale=5.0))
+    second = order(
+        "reshape", formation=ShapeSection(offsets=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
+    )
+    early, late = plan_after(second, first, at_s=11.0), plan_after(second, first, at_s=40.0)
+    assert early.blend_ns > late.blend_ns
+    assert peaks(FLEET, FIRST, first, early)[1] <= FLEET.control.max_acceleration / 3 * 1.01
+
+
+def test_a_course_too_fast_for_any_blend_gets_one_that_its_places_need():
+    fast = TrajectorySection("line", velocity_mps=(1.4, 0.0))
+    plan = plan_after(order("reshape", trajectory=fast, scale=2.0))
+    seconds = plan.blend_ns / S
+    assert 15 / 8 * sqrt(2) <= 0.25 * 1.5 * seconds <= 15 / 8 * sqrt(2) * 1.1
+    far = plan_after(order("reshape", trajectory=replace(fast, start_m=(9e5, 0.0))))
+    assert far.blend_ns == BLEND_MAX_S * S
+
+
+def test_who_only_comes_and_goes_needs_the_least_blend():
+    alone = plan_after(order("replace", robot=1, by=7))
+    assert blend_ns_for(FIRST, alone, FLEET) == S
+    nobody = plan_after(order("leave", robot=1))
+    assert blend_ns_for(FIRST, replace(nobody, members=()), FLEET) == S
+
+
+def test_orders_one_after_another_build_on_each_other():
+    plan = FIRST
+    for what in (
+        order("join", robot=7, edges=(2, 3), distance_m=1.0),
+        order("reshape", scale=2.0),
+        order("replace", robot=1, by=8),
+        order("leave", robot=3),
+    ):
+        plan = plan_after(what, plan)
+    assert plan.mission.version == 5
+    assert plan.members == (2, 4, 7, 8)
+    assert plan.edges == {(2, 8): 2.0, (4, 8): 2.0, (2, 7): 2.0}
+    assert mission_parts(plan)[0][2] == (7, *plan.offsets[7])

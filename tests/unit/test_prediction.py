@@ -1,0 +1,260 @@
+"""Where a robot is taken to be: its last message carried forward, against its equations solved finely."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, exp, hypot, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from agent.law import navigation_force, saturation
+from agent.messages import HandState
+from agent.prediction import (
+    APPROACH_SHARE,
+    BRAKING_TIME_S,
+    Prediction,
+    approach,
+    as_it_came,
+    coasting,
+    constraint_decay,
+    following,
+    transition,
+)
+from agent.trajectory import Sample
+
+C1, C2 = 0.4, 0.6
+DECAY = constraint_decay(1.8, 1.0)
+MOST = 1.5
+
+Floats = NDArray[np.float64]
+Vector = tuple[float, float]
+
+
+def message(
+    position: Vector,
+    velocity: Vector = (0.0, 0.0),
+    constraint: Vector = (0.0, 0.0),
+    navigation: Vector = (0.0, 0.0),
+) -> HandState:
+    return HandState(2, 0, 0, True, 1, *position, *velocity, *navigation, *constraint, (), ())
+
+
+def circling(t: float) -> Sample:
+    """A place with an acceleration."""
+    return cos(t), 2 * sin(t), -sin(t), 2 * cos(t), -cos(t), -2 * sin(t)
+
+
+def straight(t: float) -> Sample:
+    return 0.5 * t, 0.0, 0.5, 0.0, 0.0, 0.0
+
+
+def solved(
+    said: HandState, motion: Callable[[float], Sample], age: float, decay: float, most: float | None
+) -> Prediction:
+    """The robot itself: its navigation loop (21), (N1), with a constraint force that dies away."""
+
+    def forces(t: float, y: Floats) -> tuple[Floats, Floats]:
+        place = np.array(motion(t))
+        e = y[:2] - place[:2]
+        share = 1.0
+        if most is not None:
+            share = saturation(
+                float(e[0]), float(e[1]), C1, C2, approach(place[2], place[3], float(e[0]), float(e[1]), most)
+            )
+        navigation = navigation_force(place[4:], share * e, y[2:] - place[2:4], C1, C2)
+        return np.asarray(navigation), np.array(said[11:13]) * exp(-decay * t)
+
+    end = np.array(said[5:9])
+    if age:
+        solution = solve_ivp(
+            lambda t, y: np.concatenate([y[2:], sum(forces(t, y))]),
+            (0.0, age), end, method="DOP853", rtol=1e-11, atol=1e-12, max_step=0.05,
+        )  # fmt: skip
+        end = solution.y[:, -1]
+    navigation, constraint = forces(age, end)
+    return Prediction(
+        (end[0], end[1]), (end[2], end[3]), (navigation[0], navigation[1]), (constraint[0], constraint[1])
+    )
+
+
+def predicted(
+    said: HandState, motion: Callable[[float], Sample], age: float, decay: float, most: float | None
+) -> Prediction:
+    return following(said, motion(age), motion(0.0), age, C1, C2, decay, most)
+
+
+def gap(one: Prediction, other: Prediction) -> float:
+    """How far apart the two have the robot, m."""
+    return hypot(one.position[0] - other.position[0], one.position[1] - other.position[1])
+
+
+# ---------------------------------------------------------------------- the exact step
+
+
+@pytest.mark.parametrize("c1", [0.01, 0.4, 1.0, 25.0])
+@pytest.mark.parametrize("c2", [0.01, 0.6, 2.0, 3.0, 40.0])  # c2^2 < 4 c1, = and >
+@pytest.mark.parametrize("decay", [0.0, 0.05, 0.9, 7.0])
+@pytest.mark.parametrize("age", [0.0, 0.001, 0.02, 0.5, 2.0, 5.0])
+def test_transition_is_the_matrix_exponential(c1: float, c2: float, decay: float, age: float):
+    a = np.array([[0.0, 1.0, 0.0], [-c1, -c2, 1.0], [0.0, 0.0, -decay]])  # with F_c as a third state
+    expected = expm(a * age)
+    a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
+    got = np.array([[a11, a12, b1], [a21, a22, b2], [0.0, 0.0, remains]])
+    assert got == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("c1", "c2", "decay"), [(0.4, 1.3, 0.5), (0.4, 1.3, 0.8), (1.0, 2.0, 1.0)])
+@pytest.mark.parametrize("off", [0.0, 1e-12, -1e-9, 1e-6])
+def test_a_decay_like_the_loops_own_is_no_exception(c1: float, c2: float, decay: float, off: float):
+    """There c1 - c2 decay + decay^2 = 0, and the particular solution has another form."""
+    decay *= 1.0 + off
+    expected = expm(np.array([[0.0, 1.0, 0.0], [-c1, -c2, 1.0], [0.0, 0.0, -decay]]) * 1.5)
+    got = transition(c1, c2, decay, 1.5)
+    assert [got[4], got[5]] == pytest.approx(expected[:2, 2], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kd", "kp", "expected"), [(1.8, 1.0, 0.9), (3.0, 2.0, 1.0), (1.8, 0.0, 0.0), (0.0, 1.0, 0.0)]
+)
+def test_constraint_forces_die_away_as_the_edges_errors_do(kd: float, kp: float, expected: float):
+    assert constraint_decay(kd, kp) == pytest.approx(expected)
+    if kd > 0.0:
+        assert -expected == pytest.approx(max(np.roots([1.0, kd, kp]).real))
+
+
+@pytest.mark.parametrize(
+    "c2", [2.0, 2.0 * (1 + 1e-15), 2.0 * (1 - 1e-15), 2.0 * (1 + 1e-9), 2.0 * (1 - 1e-9)]
+)
+def test_transition_near_critical_damping(c2: float):
+    expected = expm(np.array([[0.0, 1.0, 0.0], [-1.0, -c2, 1.0], [0.0, 0.0, 0.0]]) * 0.7)
+    a11, a12, a21, a22, b1, b2, _ = transition(1.0, c2, 0.0, 0.7)
+    assert np.array([[a11, a12, b1], [a21, a22, b2]]) == pytest.approx(expected[:2], rel=1e-7)
+
+
+def test_transition_backwards_undoes_it():
+    forth, back = (np.array(transition(C1, C2, 0.0, age)[:4]).reshape(2, 2) for age in (0.3, -0.3))
+    assert forth @ back == pytest.approx(np.eye(2))
+
+
+@pytest.mark.parametrize(("c1", "c2", "age"), [(0.4, 1000.0, 2.0), (1.0, 30.0, 60.0), (1e4, 1e4, 60.0)])
+def test_strong_damping_does_not_overflow(c1: float, c2: float, age: float):
+    """Gains and horizons that the fleet file allows: cosh(omega T) alone would leave the floats."""
+    step = transition(c1, c2, 0.0, age)
+    assert np.isfinite(step).all()
+    slow = c1 / (0.5 * c2 + np.sqrt(0.25 * c2 * c2 - c1))  # the slow pole
+    assert step[0] == pytest.approx(exp(-slow * age), rel=0.05)
+
+
+# ---------------------------------------------------------------------- a robot that follows
+
+
+@pytest.mark.parametrize("decay", [0.0, DECAY])
+@pytest.mark.parametrize("age", [0.0, 0.01, 0.06, 0.5, 2.0])
+def test_prediction_is_the_navigation_loop_solved(age: float, decay: float):
+    """e'' = -c1 e - c2 e' + F_c exp(-decay t), by scipy; F_n follows by (21)."""
+    generator = np.random.default_rng(3)
+    for _ in range(3):
+        position, velocity, constraint = ((float(x), float(y)) for x, y in generator.normal(size=(3, 2)))
+        said = message(position, velocity, constraint)
+        got, expected = (find(said, circling, age, decay, None) for find in (predicted, solved))
+        for vector, wanted in zip(got, expected, strict=True):
+            assert vector == pytest.approx(wanted, abs=1e-9)
+
+
+def test_near_its_place_a_speed_limit_changes_nothing():
+    said = message((1.4, 0.2), (0.3, 1.8), (0.1, -0.1))
+    assert predicted(said, circling, 0.5, DECAY, 5.0) == predicted(said, circling, 0.5, DECAY, None)
+
+
+@pytest.mark.parametrize("age", [0.02, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("away", [5.0, 10.0, 40.0])
+def test_a_robot_far_behind_on_a_straight_way_is_predicted_exactly(away: float, age: float):
+    """Its pull keeps its direction and its size: (N1) is solved in closed form."""
+    said = message((-away, 0.0), (1.1, 0.0), (0.2, 0.0))
+    got, expected = (find(said, straight, age, DECAY, MOST) for find in (predicted, solved))
+    for vector, wanted in zip(got, expected, strict=True):
+        assert vector == pytest.approx(wanted, abs=1e-8)
+    assert gap(predicted(said, straight, age, DECAY, None), expected) > 0.4 * age * age * (0.4 * away - 1.0)
+
+
+@settings(max_examples=60)
+@given(
+    away=st.floats(4.0, 30.0),
+    direction=st.floats(0.0, 2 * pi),
+    speed=st.floats(0.0, MOST),
+    heading=st.floats(0.0, 2 * pi),
+    age=st.floats(0.02, 1.0),
+    push=st.floats(0.0, 1.0),
+)
+def test_a_robot_far_from_its_place_is_predicted_to_a_small_error(
+    away: float, direction: float, speed: float, heading: float, age: float, push: float
+):
+    """What is left out is how its pull turns meanwhile, and with it the speed that it may have: at most
+    c2 v age |edot| / |e| each, twice integrated."""
+    said = message(
+        (away * cos(direction), away * sin(direction)),
+        (speed * cos(heading), speed * sin(heading)),
+        (push * sin(heading), push * cos(heading)),
+    )
+    got, expected = (find(said, straight, age, DECAY, MOST) for find in (predicted, solved))
+    rate = speed + 0.5 + push * age
+    turned = C2 * (MOST + 0.5) * rate * age / (away - rate * age)
+    assert gap(got, expected) <= 2.0 * turned * age * age / 6.0 + 1e-9
+    assert got.constraint == pytest.approx(expected.constraint)
+
+
+@pytest.mark.parametrize("decay", [0.0, 1e-12, C2, C2 + 1e-9, C2 - 1e-7, 3.0])
+def test_any_decay_of_a_far_robots_constraint_force_is_solved(decay: float):
+    """At 0 and at c2 the integrals have limits of their own."""
+    said = message((-20.0, 0.0), (1.0, 0.0), (0.7, 0.0))
+    got, expected = (find(said, straight, 0.5, decay, MOST) for find in (predicted, solved))
+    for vector, wanted in zip(got, expected, strict=True):
+        assert vector == pytest.approx(wanted, abs=2e-6)
+
+
+@pytest.mark.parametrize("age", [0.02, 0.2, 0.5])
+def test_where_the_speed_limit_begins_to_count_there_is_no_step_to_speak_of(age: float):
+    border = C2 * approach(0.5, 0.0, 1.0, 0.0, MOST) / C1
+    near, far = (
+        predicted(message((-border * share, 0.0), (1.2, 0.3)), straight, age, DECAY, MOST)
+        for share in (1.0 - 1e-9, 1.0 + 1e-9)
+    )
+    assert gap(near, far) <= C1 * hypot(0.7, 0.3) * age**3 / 6.0
+
+
+def test_how_fast_a_robot_makes_for_its_place():
+    assert approach(0.0, 0.0, 1.0, 0.0, 2.0) == 2.0
+    assert approach(0.3, 0.4, -3.0, -4.0, 2.0) == pytest.approx(1.5)  # it is behind its place
+    assert approach(0.3, 0.4, 3.0, 4.0, 2.0) == pytest.approx(2.5)  # its place comes to it
+    assert approach(0.5, 0.0, 0.0, 1.0, 2.0) == pytest.approx((4.0 - 0.25) ** 0.5)
+    assert approach(5.0, 0.0, -1.0, 0.0, 2.0) == APPROACH_SHARE * 2.0  # it still arrives
+
+
+# ---------------------------------------------------------------------- one that does not
+
+
+def test_a_braking_robot_coasts_to_a_stop():
+    said = message((1.0, 2.0), (0.5, -0.3), (9.0, 9.0))
+    for age in (0.0, 0.1, 0.4, 2.0):
+        found = coasting(said, age)
+        remains = exp(-age / BRAKING_TIME_S)
+        way = BRAKING_TIME_S * (1.0 - remains)
+        assert found.velocity == pytest.approx((0.5 * remains, -0.3 * remains))
+        assert found.position == pytest.approx((1.0 + 0.5 * way, 2.0 - 0.3 * way))
+        assert found.constraint == (0.0, 0.0)
+        before, after = (coasting(said, age + step).velocity for step in (0.0, 1e-6))
+        braking = ((after[0] - before[0]) / 1e-6, (after[1] - before[1]) / 1e-6)
+        assert found.navigation == pytest.approx(braking, rel=1e-4)
+
+
+def test_as_it_came():
+    said = message((1.0, 2.0), (0.5, -0.3), (0.1, 0.2), (0.7, 0.8))
+    assert as_it_came(said) == ((1.0, 2.0), (0.5, -0.3), (0.7, 0.8), (0.1, 0.2))
+    braking = said._replace(following=False)
+    assert as_it_came(braking) == coasting(braking, 0.0)

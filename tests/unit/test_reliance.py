@@ -1,0 +1,279 @@
+"""A neighbour falls silent, dies, or does not follow: what the robot beside it does, and when."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import hypot
+from typing import NamedTuple
+
+import pytest
+
+from agent.clock import NS_PER_S
+from agent.hand import hand_acceleration
+from agent.messages import HandState, Status, Stop, Wrench
+from agent.peers import TRUST_GAINED_S, TRUST_LOST_S
+from agent.reliance import SLOWEST
+from agent.supervision import State
+from tests.unit.fleet_bench import PERIOD, FleetBench, three
+
+HORIZON_S, SLOW_S = 2.0, 1.5  # control.prediction_horizon_s, and three quarters of it
+PERIOD_S = PERIOD / NS_PER_S
+
+
+class Row(NamedTuple):
+    """Robot 1 after one step; `seconds` since the silence began, as robot 1 can see it."""
+
+    seconds: float
+    state: State
+    reason: str
+    trust: float
+    slower: float
+    brakes: bool
+    acceleration: tuple[float, float]
+
+
+def silence(bench: FleetBench, *robots: int) -> None:
+    """Robot 1 hears nothing of them any more, nor they of it."""
+    lost = {f"few/robot/{robot}/{what}" for robot in robots for what in ("hand", "beacon")}
+    own = {"few/robot/1/hand", "few/robot/1/beacon"}
+    agents = [bench.agents[robot] for robot in robots]
+    bench.cut = lambda key, node: (node is bench.agents[1] and key in lost) or (node in agents and key in own)
+
+
+def heal(bench: FleetBench) -> None:
+    bench.cut = lambda _key, _node: False
+
+
+def watch(bench: FleetBench, seconds: float) -> list[Row]:
+    agent, body = bench.agents[1], bench.fleet.robot(1)
+    rows = []
+    begun = bench.now
+    for _ in range(round(seconds / PERIOD_S)):
+        bench.step()
+        wrench = bench.wrenches(1)[-1]
+        assert isinstance(wrench, Wrench)
+        pose = bench.bodies[1].pose
+        acceleration = hand_acceleration(
+            wrench.force, wrench.torque, pose, body.mass_kg, body.inertia_kgm2, body.hand_offset_m
+        )
+        rows.append(
+            Row(
+                (bench.now - begun) / NS_PER_S,
+                agent.state,
+                agent.reason,
+                agent._peers.get(3).trust,
+                agent._reliance.slower,
+                wrench.brake,
+                acceleration,
+            )
+        )
+    return rows
+
+
+def jumps(rows: list[Row]) -> float:
+    """The largest change of the command from one tick to the next, m/s^2."""
+    return max(
+        hypot(b.acceleration[0] - a.acceleration[0], b.acceleration[1] - a.acceleration[1])
+        for a, b in pairwise(rows)
+    )
+
+
+@pytest.fixture
+def bench() -> FleetBench:
+    made = FleetBench(three())
+    made.drive()
+    made.run(8.0)
+    return made
+
+
+# ---------------------------------------------------------------------- silence
+
+
+def test_a_silent_neighbour_is_predicted_then_driven_slower_for_then_given_up(bench: FleetBench):
+    silence(bench, 3)
+    rows = watch(bench, 4.0)
+    at_once = [row for row in rows if row.seconds <= SLOW_S]
+    assert {(row.state, row.trust, row.slower) for row in at_once} == {(State.RUNNING, 1.0, 1.0)}
+    slow = [row for row in rows if SLOW_S + 2 * PERIOD_S < row.seconds <= HORIZON_S]
+    assert {row.state for row in slow} == {State.DEGRADED}
+    assert slow[0].reason.startswith("slower: robot 3 (1.")
+    shares = [row.slower for row in slow]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] > 0.9
+    assert SLOWEST <= shares[-1] < SLOWEST + 0.06
+    assert {row.trust for row in slow} == {1.0}
+    given_up = [row for row in rows if row.seconds > HORIZON_S + 2 * PERIOD_S]
+    assert {row.state for row in given_up} == {State.DEGRADED}
+    assert given_up[0].reason.startswith("without robot 3 (2.")
+    fades = [row.trust for row in given_up if row.trust > 0.0]
+    assert all(before - after == pytest.approx(PERIOD_S / TRUST_LOST_S) for before, after in pairwise(fades))
+    assert given_up[-1].trust == 0.0
+    assert given_up[-1].slower == 1.0
+    assert not any(row.brakes for row in rows)
+
+
+def test_a_neighbour_that_comes_back_comes_back_without_a_bump(bench: FleetBench):
+    silence(bench, 3)
+    rows = watch(bench, 4.0)
+    heal(bench)
+    back = watch(bench, 3.0)
+    assert {row.state for row in back[2:]} == {State.RUNNING}
+    gains = [row.trust for row in back if 0.0 < row.trust < 1.0]
+    assert all(
+        after - before == pytest.approx(PERIOD_S / TRUST_GAINED_S) for before, after in pairwise(gains)
+    )
+    assert back[-1].trust == 1.0
+    # The whole silence, from the last word to full trust: what changes in one tick is little.
+    assert jumps(rows + back) < 0.05
+    assert jumps(back) < 0.005
+    faster = [b.slower - a.slower for a, b in pairwise(rows + back)]
+    assert max(faster) <= PERIOD_S / TRUST_GAINED_S + 1e-9  # nor does its speed come back at once
+
+
+def test_a_displaced_neighbour_that_comes_back_makes_no_jump(bench: FleetBench):
+    """It was pushed 0.3 m aside while nobody heard it: the edge pulls by and by."""
+    silence(bench, 3)
+    watch(bench, 4.0)
+    body = bench.bodies[3]
+    body._pose = body.pose._replace(y=body.pose.y + 0.3)
+    heal(bench)
+    back = watch(bench, 2.0)
+    assert jumps(back) < 0.003
+    assert max(hypot(*row.acceleration) for row in back) > 0.005  # it does pull
+
+
+def test_speed_comes_back_as_slowly_as_it_went(bench: FleetBench):
+    """A neighbour is heard again just before it is given up."""
+    silence(bench, 3)
+    slowed = watch(bench, HORIZON_S - 0.1)[-1].slower
+    heal(bench)
+    back = watch(bench, 2.0)
+    shares = [row.slower for row in back]
+    assert slowed < 0.5
+    assert all(b - a <= PERIOD_S / TRUST_GAINED_S + 1e-9 for a, b in pairwise(shares))
+    assert shares[-1] == 1.0
+
+
+def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
+    silence(bench, 2, 3)
+    rows = watch(bench, HORIZON_S + 0.2)
+    assert rows[-1].state is State.HOLDING
+    assert rows[-1].brakes
+    assert rows[-1].reason.startswith("hears none of its neighbours: robot 2 (2.")
+    held = [row.seconds for row in rows if row.brakes]
+    assert held[0] == pytest.approx(HORIZON_S, abs=3 * PERIOD_S)
+    heal(bench)
+    back = watch(bench, 2.5)
+    assert back[-1].state is State.RUNNING
+    assert next(row.trust for row in back if not row.brakes) < 0.05
+
+
+def test_where_silence_holds_one_silent_neighbour_is_enough():
+    bench = FleetBench(three("supervision.silence=hold"))
+    bench.drive()
+    silence(bench, 3)
+    rows = watch(bench, HORIZON_S + 0.2)
+    assert rows[-1].state is State.HOLDING
+    assert rows[-1].reason.startswith("hears not all of its neighbours: robot 3 (2.")
+    heal(bench)
+    assert watch(bench, 0.1)[-1].state is State.RUNNING
+
+
+def test_slowing_down_begins_when_the_fleet_file_says():
+    bench = FleetBench(three("supervision.slow_after_s=0.4"))
+    bench.drive()
+    silence(bench, 3)
+    slow = [row.seconds for row in watch(bench, 1.0) if row.slower < 1.0]
+    assert slow[0] == pytest.approx(0.4, abs=3 * PERIOD_S)
+
+
+def test_silence_does_not_start_a_drive():
+    """All neighbours are needed to begin; one that is there carries a robot that comes back into a drive."""
+    bench = FleetBench(three())
+    silence(bench, 3)
+    bench.run(0.3)
+    assert bench.agents[1].condition == ("waiting", "silent neighbours: robot 3")
+    bench.say("few/mission", bench.mission())
+    bench.run(0.3)
+    assert bench.state(1) is State.DEGRADED
+
+
+# ---------------------------------------------------------------------- gone, or not following
+
+
+def tell(bench: FleetBench, robot: int, here: bool) -> None:
+    for other, agent in bench.agents.items():
+        if other != robot:
+            agent.present(f"few/alive/robot/{robot}/agent", here)
+
+
+def test_a_neighbour_whose_process_is_gone_is_given_up_at_once(bench: FleetBench):
+    """Long before its silence would say so."""
+    silence(bench, 3)
+    tell(bench, 3, False)
+    rows = watch(bench, 1.0)
+    assert rows[0].state is State.DEGRADED
+    assert rows[0].reason == "without robot 3 (its agent is gone)"
+    assert rows[round(TRUST_LOST_S / PERIOD_S)].trust == 0.0
+    heal(bench)
+    tell(bench, 3, True)
+    back = watch(bench, 2.0)
+    assert back[-1].state is State.RUNNING
+    assert back[-1].trust == 1.0
+
+
+def test_a_token_alone_brings_nobody_back(bench: FleetBench):
+    silence(bench, 3)
+    tell(bench, 3, False)
+    watch(bench, 0.2)
+    tell(bench, 3, True)
+    assert watch(bench, 0.5)[-1].state is State.DEGRADED
+
+
+def test_when_all_neighbours_are_gone_the_robot_holds(bench: FleetBench):
+    tell(bench, 2, False)
+    tell(bench, 3, False)
+    assert watch(bench, 0.04)[-1].state is State.HOLDING
+
+
+def test_a_neighbour_that_does_not_follow_loses_its_edge_but_not_its_room(bench: FleetBench):
+    bench.say("few/stop", Stop(1, bench.now, ""), [bench.agents[3], bench.plants[3]])
+    bench.cut = lambda key, _node: key == "few/stop"
+    rows = watch(bench, 1.0)
+    assert rows[-1].state is State.DEGRADED
+    assert rows[-1].reason == "without robot 3 (does not follow)"
+    assert rows[-1].trust == 0.0
+    assert 3 in {peer.robot for _, peer in bench.agents[1]._controller.edges}
+
+
+def test_before_the_drive_a_neighbour_that_stands_ready_is_trusted_at_once():
+    """At the epoch edges have their whole force: there is nothing to come back from."""
+    bench = FleetBench(three())
+    bench.run(0.5)
+    bench.say("few/mission", bench.mission())
+    rows = watch(bench, 0.3)
+    assert next(row.trust for row in rows if row.state is State.RUNNING) == 1.0
+
+
+def test_a_neighbour_with_a_wrong_clock_is_named():
+    bench = FleetBench(three())
+    bench.run(0.2)
+    agent = bench.agents[1]
+    for _ in range(120):
+        bench.cut = lambda key, node: node is agent and key == "few/robot/3/hand"
+        bench.step()
+        stamp = bench.now + NS_PER_S
+        state = HandState(3, 0, stamp, True, 0, *[0.0] * 8, (), ())
+        bench.say("few/robot/3/hand", state, [])
+        agent._peers.accept(state, bench.now)
+    bench.step()
+    assert agent.condition == ("waiting", "silent neighbours: robot 3 (its clock is 1.00 s ahead)")
+
+
+def test_ages_of_all_neighbours_are_told(bench: FleetBench):
+    silence(bench, 3)
+    watch(bench, 1.0)
+    status = [message for message in bench.sayings("few/robot/1/status") if isinstance(message, Status)][-1]
+    ages = {neighbour[0]: neighbour[1] for neighbour in status.neighbours}
+    assert ages[2] == PERIOD // 1000
+    assert 600_000 < ages[3] < 1_100_000

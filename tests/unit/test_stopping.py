@@ -1,0 +1,94 @@
+"""`handfast stop`: who is known to brake, and how fast."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent import keys
+from agent.messages import PlantState, Status
+from deploy.stopping import Stopping
+from tests.unit.order_fleets import EPOCH, S, square
+
+FLEET = square()
+MS = S // 1000
+VERSION = EPOCH // 1_000
+
+
+def stopping(reason: str = "") -> Stopping:
+    return Stopping(FLEET, EPOCH, reason)
+
+
+def agent(made: Stopping, robot: int, after_ms: int, state: str, orders: int | None = None) -> None:
+    version = made.message.version if orders is None else orders
+    status = Status(robot, 1, EPOCH, state, "", "", 1, version, (), (), (), ())
+    made.feed(EPOCH + after_ms * MS, keys.status("square", robot), status)
+
+
+def plant(made: Stopping, robot: int, after_ms: int, *, driving: bool) -> None:
+    state = PlantState(robot, 1, EPOCH, *[0.0] * 7, driving, True, True, "")
+    made.feed(EPOCH + after_ms * MS, keys.plant_state("square", robot), state)
+
+
+def brake(made: Stopping, *robots: int) -> None:
+    for robot in robots:
+        agent(made, robot, 20, "stopping")
+        plant(made, robot, 30, driving=False)
+
+
+def test_it_is_done_when_every_agent_and_plant_brakes() -> None:
+    made = stopping("a person")
+    assert (made.message.version, made.message.reason) == (VERSION, "a person")
+    brake(made, *FLEET.ids[:-1])
+    assert not made.done
+    agent(made, 8, 25, "running", 0)
+    plant(made, 8, 30, driving=True)
+    assert not made.done
+    assert made.outcome(8) == "robot 8: running: its agent has not taken the stop, its plant does not brake"
+    agent(made, 8, 40, "stopping")
+    assert not made.done
+    plant(made, 8, 50, driving=False)
+    plant(made, 8, 70, driving=False)
+    agent(made, 8, 90, "stopped")
+    assert made.done
+    assert made.outcome(8) == "robot 8: stopped after 40 ms, its plant brakes after 50 ms"
+
+
+@pytest.mark.parametrize("state", ["stopped", "standby", "fault"])
+def test_states_in_which_a_stop_changes_nothing_count_once_it_was_heard(state: str) -> None:
+    made = stopping()
+    brake(made, *FLEET.ids[1:])
+    plant(made, 1, 10, driving=False)
+    agent(made, 1, 10, state, VERSION - 1)
+    assert not made.done
+    agent(made, 1, 20, state)
+    assert made.done
+
+
+def test_who_does_not_answer_is_named() -> None:
+    made = stopping()
+    assert made.outcome(3) == "robot 3: nothing heard from its agent, nothing heard from its plant"
+    made.feed(EPOCH, keys.status("square", 2), Status(3, 1, EPOCH, "stopped", "", "", 1, 9, (), (), (), ()))
+    assert "nothing heard from its agent" in made.outcome(3), "on another robot's key"
+
+
+def test_a_later_leave_that_an_agent_knew_before_is_outdone() -> None:
+    """As when this machine's clock is behind that of the operator who gave it."""
+    made = stopping()
+    agent(made, 1, 10, "running", VERSION + 500)
+    assert made.message.version == VERSION + 501
+    brake(made, *FLEET.ids)
+    assert made.done
+    agent(made, 2, 20, "stopping", VERSION)
+    assert not made.done, "it has taken the first one only"
+
+
+def test_a_leave_that_is_given_after_it_is_not() -> None:
+    made = stopping()
+    brake(made, *FLEET.ids)
+    agent(made, 4, 300, "running", VERSION + 1)
+    plant(made, 4, 300, driving=True)
+    assert made.message.version == VERSION
+    assert not made.done
+    assert made.outcome(4) == (
+        "robot 4: running: another operator has let it drive again, its plant does not brake"
+    )

@@ -1,0 +1,198 @@
+"""Whom and what a robot keeps away from without sharing an edge: who counts as close, and for how long."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from agent.fleet import Fleet, parse_fleet
+from agent.formation import resolve
+from agent.hand import Hand
+from agent.messages import Beacon, HandState, Mission
+from agent.peers import DOUBT_MAX, Peers
+from agent.plan import plan_of
+from agent.surroundings import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Surroundings
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1, y_m = 0 }, { id = 3, x_m = 5, y_m = 0 }]
+fleet = { name = "few" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 3]], safe_distance_m = 0.2 }
+avoidance = { distance_m = 0.5, sensing_m = 2.0 }
+obstacle = [{ name = "shed", centre_m = [3, 3], radius_m = 0.5 }]
+geofence = { points_m = [[-10, -10], [10, -10], [10, 10], [-10, 10]], warn_m = 0.4 }
+"""
+T0 = 1_000_000_000_000
+S = 1_000_000_000
+PERIOD = 20_000_000
+HERE = Hand(0.0, 0.0, 0.0, 0.0)
+
+
+class Scene:
+    """Robot 1 at the origin, and what it hears of robot 3."""
+
+    def __init__(self, *overrides: str) -> None:
+        self.fleet: Fleet = parse_fleet(FLEET, source="here", overrides=overrides)
+        self.peers = Peers(1, 0.4, 0.6, PERIOD, lambda _robot, _time: None)
+        self.around = Surroundings(self.fleet, 1, self.peers)
+        self.now = T0
+        self.mission(Mission(1, 0, T0, S, ""))
+
+    def mission(self, mission: Mission) -> None:
+        self.around.plan(plan_of(mission, self.fleet, resolve(self.fleet)))
+
+    def beacon(self, x: float, vx: float = 0.0, robot: int = 3, follows: bool = True) -> None:
+        told = Beacon(robot, 0, self.now - PERIOD, follows, x, 0.0, vx, 0.0, 0, 0, -1, -1)
+        assert self.peers.accept_beacon(told, self.now) is None
+
+    def look(self, here: Hand = HERE, neighbours: tuple[int, ...] = (2,)) -> bool:
+        return self.around.look(self.now, here, neighbours)
+
+    def wait(self, ns: int = LOOK_PERIOD_NS) -> None:
+        self.now += ns
+
+    @property
+    def close(self) -> list[int]:
+        return [peer.robot for peer in self.around.close]
+
+
+def test_who_comes_within_the_sensing_region_is_close_and_stays_a_little_longer():
+    scene = Scene()
+    seen = []
+    for x in (2.1, 1.9, 2.1, 2.0 + STAY_M + 0.1, 2.1):
+        scene.beacon(x)
+        changed = scene.look()
+        seen.append((changed, scene.close))
+        scene.wait()
+    assert seen == [(False, []), (True, [3]), (False, [3]), (True, []), (False, [])]
+
+
+def test_who_comes_fast_is_listened_to_earlier():
+    scene = Scene()
+    scene.beacon(2.0 + 0.9 * AHEAD_S, vx=-1.0)
+    assert scene.look()
+    other = Scene()
+    other.beacon(2.0 + 0.9 * AHEAD_S, vx=1.0)
+    assert not other.look()
+    own = Scene()
+    own.beacon(2.0 + 0.9 * AHEAD_S)
+    assert own.look(HERE._replace(vx=1.0))  # whoever of the two it is that comes
+
+
+def test_it_is_looked_a_few_times_a_second():
+    scene = Scene()
+    assert not scene.look()
+    scene.beacon(1.0)
+    scene.wait(LOOK_PERIOD_NS - 1)
+    assert not scene.look()
+    scene.wait(1)
+    assert scene.look()
+
+
+def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
+    scene = Scene()
+    for robot in (7, 3, 2):
+        scene.beacon(1.0, robot=robot)
+    scene.look()
+    assert scene.close == [3, 7]
+    scene.wait()
+    assert scene.look(neighbours=(2, 7))
+    assert scene.close == [3]
+
+
+def test_a_robot_that_is_not_heard_for_a_while_is_looked_for_in_a_wider_region():
+    scene = Scene()
+    scene.beacon(2.0 + 0.9 * DOUBT_MAX)
+    assert not scene.look()
+    scene.wait(60 * S)
+    assert scene.look()
+
+
+def test_between_beacons_a_robot_that_drives_goes_on():
+    driving, braking = Scene(), Scene()
+    driving.beacon(3.3, vx=-1.0)
+    braking.beacon(3.3, vx=-1.0, follows=False)
+    for scene, close in ((driving, [3]), (braking, [])):
+        assert not scene.look()
+        scene.wait(9 * S // 10)
+        scene.look()
+        assert scene.close == close
+
+
+def test_who_is_not_close_any_more_is_not_expected_to_be_heard():
+    """Its hand states are not listened to: that they do not come is no loss."""
+    scene = Scene()
+
+    def hand(number: int, x: float) -> None:
+        state = HandState(3, number, scene.now - PERIOD, True, 0, x, *[0.0] * 7, (), ())
+        assert scene.peers.accept(state, scene.now) is None
+
+    hand(0, 1.0)
+    scene.look()
+    scene.wait()
+    hand(5, 3.0)
+    scene.look()
+    assert scene.close == []
+    scene.wait(10 * S)
+    hand(505, 1.0)
+    assert scene.peers.get(3).lost == 4
+
+
+def test_a_robot_that_left_and_died_stands_where_it_was_until_it_has_been_carried_off():
+    scene = Scene()
+    scene.beacon(1.0)
+    scene.mission(Mission(2, 0, T0, S, "", robots=((1, 0.0, 0.0), (2, 1.0, 0.0)), edges=((1, 2, 1.0),)))
+    scene.peers.present(3, False)
+    for _ in range(5):
+        scene.look()
+        assert scene.close == [3]
+        scene.wait(GHOST_NS // 5)
+    scene.wait(S)
+    assert scene.look()
+    assert scene.close == []
+    assert not list(scene.peers.known)
+
+
+def test_a_member_that_died_is_never_forgotten():
+    scene = Scene()
+    scene.beacon(1.0)
+    scene.peers.present(3, False)
+    scene.wait(10 * GHOST_NS)
+    scene.look()
+    assert scene.close == [3]
+
+
+def test_a_silent_robot_whose_process_lives_is_never_forgotten():
+    scene = Scene()
+    scene.beacon(1.0, follows=False)
+    scene.wait(10 * GHOST_NS)
+    scene.look()
+    assert scene.close == [3]
+
+
+def test_without_avoidance_nobody_is_close_and_there_are_no_obstacles():
+    scene = Scene("avoidance.enabled=false")
+    scene.beacon(0.1)
+    assert not scene.look()
+    assert scene.around.obstacles == ()
+    assert scene.around.fence is not None  # whoever leaves the geofence holds nevertheless
+
+
+def test_distances_are_those_of_the_file_and_of_the_formation_in_force():
+    scene = Scene()
+    assert (scene.around.distance, scene.around.sensing, scene.around.clearance) == (0.5, 2.0, 0.1)
+    made = parse_fleet(FLEET.replace("distance_m = 0.5, ", ""), source="here")
+    around = Surroundings(made, 1, scene.peers)
+    wide = Mission(1, 0, T0, S, "", robots=((1, 0.0, 0.0), (2, 3.0, 0.0)), edges=((1, 2, 3.0),))
+    for mission, distance in ((Mission(1, 0, T0, S, ""), 0.6), (wide, 1.6)):
+        around.plan(plan_of(mission, made, resolve(made)))
+        assert around.distance == pytest.approx(distance)  # half way between r_s and the shortest edge
+
+
+def test_how_far_inside_the_geofence_a_point_is():
+    around = Scene().around
+    assert around.fence_distance(9.7, 0.0) == pytest.approx(0.3)
+    assert around.fence_distance(10.5, 0.0) == pytest.approx(-0.5)
+    assert around.fence_distance(0.0, 0.0) > around.warn
+    made = parse_fleet(FLEET[: FLEET.index("geofence")], source="here")
+    assert Surroundings(made, 1, Scene().peers).fence_distance(99.0, 0.0) == inf
