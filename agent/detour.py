@@ -36,7 +36,7 @@ and back."""
 TURN: Final = 1.5
 """rad/s: how fast it turns round a corner that it has lost."""
 STEER: Final = 3.0
-"""rad/s: how fast the direction that is asked for turns. A hand that is asked to turn at once makes its body swing."""
+"""rad/s: how fast the direction that is asked for turns; a body cannot turn at once, and would swing."""
 HUG: Final = 0.05
 """How much it leans against what it follows; less than `AGAINST`."""
 
