@@ -232,6 +232,8 @@ class Agent:
         if type(message) is Beacon:
             self._mission_gossip.lacks(now_ns, (message.mission_version, message.mission_tag))
             self._order_gossip.lacks(now_ns, (message.stop_version, message.resume_version))
+            if message.silent:
+                self._peers.accept_silent(message, now_ns)
             return self._peers.accept_beacon(message, now_ns)
         assert type(message) is PlantState
         return self._accept_plant(message, now_ns)
@@ -540,6 +542,7 @@ class Agent:
             *here,
             *self._mission_mark,
             *self._latch.mark,
+            self._peers.silent(now_ns, here.x, here.y),
         )
         out.append((self._key_beacon, encode(beacon)))
 

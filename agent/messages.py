@@ -37,6 +37,8 @@ AUTHOR_MAX: Final = 60
 """Characters of `Faults.author`."""
 EVERY_AUTHOR: Final = "*"
 """As `Faults.author`, without rules: clears the rules of every author."""
+SILENT_MAX: Final = 16
+"""Robots of which one `Beacon` tells that they are silent."""
 TRACE_MAX: Final = 128
 """Entries of one `LinkTrace`."""
 FLOAT_MAX: Final = 1e15
@@ -283,7 +285,8 @@ class Beacon(NamedTuple):
 
     Hand point and its velocity (m, m/s, W) at `time_ns`, `following` as in `HandState`. Then what it knows:
     the mission (its version and `tag`), the last stop and the last resume (-1: none). Who knows later ones
-    says them again.
+    says them again. `silent` are robots that it has not heard for a while, as they were when it did:
+    ``(robot, time_ns, following, x, y, vx, vy)``. One that has just started cannot know of them else.
     """
 
     robot: int
@@ -298,6 +301,7 @@ class Beacon(NamedTuple):
     mission_tag: int
     stop_version: int
     resume_version: int
+    silent: tuple[tuple[int, int, bool, float, float, float, float], ...] = ()
 
 
 class Heartbeat(NamedTuple):
@@ -350,7 +354,7 @@ _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
     (int, int, int, str, str, str),
     (int, int, tuple),
     (int, int, int, tuple),
-    (int, int, int, bool, float, float, float, float, int, int, int, int),
+    (int, int, int, bool, float, float, float, float, int, int, int, int, tuple),
     (int, str),
     (int, str),
 )
@@ -436,7 +440,7 @@ def decode(payload: bytes) -> Message:
                 and 0 <= array[4] < TIME_NS_MAX
                 and sum(map(abs, array[floats])) <= FLOAT_MAX  # false for NaN and infinities, too
                 and (number != _HAND_STATE or (0 <= array[6] <= DEGREE_MAX and _plain(array[-2], array[-1])))
-                and (number != _BEACON or _known(array[-4:]))
+                and (number != _BEACON or (not array[-1] and _known(array[-5:-1])))
             ):
                 message: Message = tuple.__new__(cls, array[_HEAD:])
                 return message
@@ -701,9 +705,14 @@ def _checks(fields: tuple[Any, ...]) -> Checks:
 def _beacon(fields: tuple[Any, ...]) -> Beacon:
     beacon = Beacon._make(fields)
     _check_times(beacon.robot, beacon.sequence, beacon.time_ns)
-    if not _known(beacon[-4:]):
+    if not _known(beacon[-5:-1]):
         raise Malformed("range", "a version of a beacon is negative or absurd")
-    return beacon
+    if len(beacon.silent) > SILENT_MAX:
+        raise Malformed("range", f"{len(beacon.silent)} silent robots, at most {SILENT_MAX} are accepted")
+    rows = tuple(_row(row, (int, int, bool, *(float,) * 4), "Beacon.silent") for row in beacon.silent)
+    for row in rows:
+        _check_times(row[0], 0, row[1])
+    return beacon._replace(silent=rows)
 
 
 def _known(versions: tuple[int, ...]) -> bool:

@@ -14,7 +14,7 @@ from typing import Final
 
 from agent.clock import NS_PER_S
 from agent.clock_offset import ClockOffset
-from agent.messages import NEIGHBOURS_MAX, Beacon, HandState
+from agent.messages import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
 from agent.prediction import Prediction, as_it_came, coasting, following
 from agent.trajectory import Sample
 
@@ -26,8 +26,12 @@ than the predicted one makes of a robot's place in a second."""
 DOUBT_AFTER_S: Final = 0.1
 DOUBT_MAX: Final = 0.3
 """m"""
-UNSURE_NS: Final = NS_PER_S // 2
+UNSURE_NS: Final = NS_PER_S // 4
 """One that has not been heard for so long may have stopped."""
+TOLD_NS: Final = NS_PER_S
+"""Others are told of one that has been silent for so long,"""
+HEARSAY_NS: Final = 60 * NS_PER_S
+"""and no longer than this."""
 WAY_STEPS: Final = 4
 """Its way since is taken as so many straight pieces."""
 TRUST_LOST_S: Final = 0.5
@@ -36,6 +40,8 @@ TRUST_GAINED_S: Final = 1.5
 """Within this time it has it again: back without a bump."""
 _NEVER: Final = -1
 
+Silent = tuple[int, int, bool, float, float, float, float]
+"""A row of `Beacon.silent`."""
 Motion = Callable[[int, int], Sample | None]
 """(robot, wall time ns) -> its desired motion, None for one without a place: `agent.course.Course.motion`."""
 
@@ -217,6 +223,28 @@ class Peers:
         else:
             self._early_beacons.append((peer, beacon))
         return None
+
+    def accept_silent(self, beacon: Beacon, now_ns: int) -> None:
+        """Takes what a beacon tells of robots that its sender does not hear, where it is news here."""
+        for robot, time_ns, follows, x, y, vx, vy in beacon.silent:
+            if robot == self._owner or not now_ns - HEARSAY_NS < time_ns <= now_ns:
+                continue
+            peer = self.get(robot)
+            if time_ns > peer.time_ns:
+                peer.message = HandState(
+                    robot, 0, time_ns, follows, peer.degree, x, y, vx, vy, 0.0, 0.0, 0.0, 0.0, (), ()
+                )
+                peer.time_ns = time_ns
+
+    def silent(self, now_ns: int, x: float, y: float) -> tuple[Silent, ...]:
+        """Robots that have not been heard for a while: those nearest to (x, y), m, as a beacon tells them."""
+        found = []
+        for peer in self._known.values():
+            message = peer.message
+            if message is not None and TOLD_NS < now_ns + peer.clock.used_ns - peer.time_ns < HEARSAY_NS:
+                square = _square((message.x, message.y), x, y)
+                found.append((square, peer.robot, peer.time_ns, message.following, *message[5:9]))
+        return tuple(row[1:] for row in sorted(found)[:SILENT_MAX])
 
     def _take_beacon(self, peer: Peer, beacon: Beacon) -> None:
         robot, sequence, time_ns, follows, x, y, vx, vy, *_ = beacon

@@ -168,6 +168,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "mission_tag": "Tells missions of one version apart",
         "stop_version": "Version of the last stop that it knows, -1 for none",
         "resume_version": "Version of the last resume that it knows, -1 for none",
+        "silent": "Robots that it has not heard for a while, as they were when it did",
     },
     Heartbeat: {"time_ns": _TIME, "author": "Who is there"},
     Ask: {"time_ns": _TIME, "author": "Who asks for the mission and the last stop or resume"},
@@ -221,6 +222,17 @@ _ROWS: Final[dict[type[Message], dict[str, tuple[_Column, ...]]]] = {
             _Column("robot", "integer"),
             _Column("other", "integer"),
             _Column("distance", "number", "Wanted distance of their hand points, m"),
+        ),
+    },
+    Beacon: {
+        "silent": (
+            _Column("robot", "integer"),
+            _Column("time_ns", "integer", _TIME),
+            _Column("following", "boolean"),
+            _Column("x", "number", "Hand point, east, m (world ENU)"),
+            _Column("y", "number", "Hand point, north, m (world ENU)"),
+            _Column("vx", "number", "Velocity of the hand point, east, m/s"),
+            _Column("vy", "number", "Velocity of the hand point, north, m/s"),
         ),
     },
     Status: {
@@ -357,8 +369,10 @@ def _wrench(m: Wrench) -> str:
 
 
 def _beacon(m: Beacon) -> str:
-    robot, sequence, time_ns, following, *rest = m
-    return _BEACON % (robot, sequence, time_ns, _TRUTH[following], *rest)
+    robot, sequence, time_ns, following, *rest, silent = m
+    names = [column.name for column in _ROWS[Beacon]["silent"]]
+    rows = ",".join([_dumps(dict(zip(names, row, strict=True))) for row in silent])
+    return _BEACON % (robot, sequence, time_ns, _TRUTH[following], *rest, rows)
 
 
 def _other(m: Message) -> str:

@@ -206,3 +206,21 @@ def test_all_tell_the_same_versions_in_the_end():
     last = {message.robot: message for _, _, message in run.log if isinstance(message, Status)}
     assert len({(status.mission_version, status.order_version) for status in last.values()}) == 1
     assert next(iter(last.values())).order_version > 0
+
+
+def test_who_starts_again_is_told_of_a_robot_that_nobody_hears_any_more():
+    """Robot 3's agent dies for good; then 2's starts again, and could know of 3 from nobody else."""
+    rules = [
+        "[[faults.rule]]\nname = 'dead'\nrobot = 3\nat = 3\nkill = 'agent'",
+        "[[faults.rule]]\nname = 'again'\nrobot = 2\nat = 5\nfor = 0.2\nkill = 'agent'",
+    ]
+    run = Run(*rules).until(5.9)
+    known = run.simulation.agents[1]._peers.get(3).message
+    there = run.simulation.plants[2]
+    assert known is not None
+    pose = there._backend.pose  # type: ignore[attr-defined]
+    assert hypot(known.x - pose.x - 0.1, known.y - pose.y) < 0.15
+    run.until(20.0)
+    hands = {agent.robot: agent._position for agent in run.simulation.agents}
+    assert hands[2] is not None
+    assert hypot(hands[2][0] - pose.x - 0.1, hands[2][1] - pose.y) > 0.2

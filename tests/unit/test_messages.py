@@ -25,6 +25,7 @@ from agent.messages import (
     NEIGHBOURS_MAX,
     REASONS,
     RULES_MAX,
+    SILENT_MAX,
     TEXT_MAX,
     TIME_NS_MAX,
     TOPICS,
@@ -88,7 +89,8 @@ TRACE = LinkTrace(3, 11, 10**18, (ENTRY, (3, 1, 9, 10**18, 33, -1), (3, 2, 9, 10
 EVENT = Event(3, 12, 10**18, "plant", EVENTS[2], "pause at noon")
 RESUME = Resume(5, 10**18, (3, 9999, 1))
 LINE = ("gps", "warning", "fix 3D, 7 satellites", "wait for more")
-BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 2, 7, 6, -1)
+SILENT = (4, 10**18 - 5, True, 1.5, -2.5, 0.0, 0.25), (5, 10**17, False, 0.0, 0.0, 0.0, 0.0)
+BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 2, 7, 6, -1, SILENT)
 HEARTBEAT = Heartbeat(10**18, "Ada@bench")
 ASK = Ask(10**18, "Ada@bench")
 CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED"), ("link", "ok", "", "")))
@@ -381,6 +383,9 @@ def test_absurd_numbers_whose_sum_overflows():
         changed(BEACON, time_ns=-1),
         changed(BEACON, mission_version=-2),
         changed(BEACON, stop_version=TIME_NS_MAX),
+        changed(BEACON, silent=((0, 1, True, 0.0, 0.0, 0.0, 0.0),)),
+        changed(BEACON, silent=((2, -1, True, 0.0, 0.0, 0.0, 0.0),)),
+        changed(BEACON, silent=((2, 1, True, 0.0, 0.0, 0.0, 0.0),) * (SILENT_MAX + 1)),
         changed(HEARTBEAT, time_ns=-1),
         changed(ASK, time_ns=TIME_NS_MAX),
         changed(STOP, version=-1),

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from agent.law import saturation
-from agent.messages import NEIGHBOURS_MAX, Beacon, HandState, decode, encode
+from agent.messages import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, decode, encode
 from agent.peers import (
     DOUBT_AFTER_S,
     DOUBT_MAX,
     DOUBT_RATE,
     FUTURE_NS_MAX,
+    HEARSAY_NS,
     TRUST_GAINED_S,
     TRUST_LOST_S,
     UNSURE_NS,
@@ -638,14 +639,14 @@ def test_who_is_silent_for_long_may_be_anywhere_on_its_way_since():
     known = heard(peers(), message(2, 5, T0, position=(1.0, 0.0), velocity=(0.5, 0.0)))
     peer = known.get(2)
     assert peer.message is not None
-    early, late = T0 + UNSURE_NS - 1, T0 + 3 * UNSURE_NS
+    early, late = T0 + UNSURE_NS - 1, T0 + 3 * S
     assert known.whereabouts(peer, early, -9.0, 2.0) == known.predict(peer, early)
     goes_on = known.predict(peer, late)
     found = known.whereabouts(peer, late, *goes_on.position)
     assert found.position == pytest.approx(goes_on.position)
     assert found.velocity == pytest.approx(goes_on.velocity)
     for share in (0.0, 0.2, 0.5, 0.75):  # a way with a bend
-        stood = known.predict(peer, round(T0 + share * 3 * UNSURE_NS))
+        stood = known.predict(peer, round(T0 + share * 3 * S))
         found = known.whereabouts(peer, late, *stood.position)
         assert dist(found.position, stood.position) < 0.1 < dist(stood.position, goes_on.position)
         assert found.velocity == (0.0, 0.0) or share == 0.75
@@ -655,3 +656,36 @@ def test_who_is_silent_for_long_may_be_anywhere_on_its_way_since():
     peer.here = False  # it brakes, or has only been cut off
     assert known.whereabouts(peer, late, *goes_on.position).position == pytest.approx(goes_on.position)
     assert dist(known.predict(peer, late).position, (1.0, 0.0)) < 0.11
+
+
+# ---------------------------------------------------------------------- hearsay
+
+
+def test_who_has_not_been_heard_for_a_while_is_told_of_and_taken_for_what_it_was():
+    knows, new = heard(peers(), message(2, 5, T0, position=(1.0, 2.0), velocity=(0.5, 0.0))), peers()
+    assert knows.silent(T0 + S, 0.0, 0.0) == ()
+    rows = knows.silent(T0 + S + 1, 0.0, 0.0)
+    assert rows == ((2, T0, True, 1.0, 2.0, 0.5, 0.0),)
+    new.accept_silent(beacon(3)._replace(silent=rows), T0 + 2 * S)
+    assert predicted(new, 2, T0).position == (1.0, 2.0)
+    assert predicted(new, 2, T0).velocity == (0.5, 0.0)
+    assert new.get(2).age_ns(T0 + S) is None  # an edge needs hand states
+
+
+def test_hearsay_is_no_news_of_who_was_heard_since_of_oneself_or_of_long_ago():
+    known = heard(peers(), message(2, 5, T0 + S, position=(1.0, 2.0)), now_ns=T0 + 2 * S)
+    rows = ((2, T0, True, 9.0, 9.0, 0.0, 0.0), (1, T0, True, 9.0, 9.0, 0.0, 0.0))
+    old, future = T0 - HEARSAY_NS, T0 + 3 * S
+    rows += ((4, old, True, 9.0, 9.0, 0.0, 0.0), (5, future, True, 9.0, 9.0, 0.0, 0.0))
+    known.accept_silent(beacon(3)._replace(silent=rows), T0 + 2 * S)
+    assert predicted(known, 2, T0 + S).position == (1.0, 2.0)
+    assert {peer.robot for peer in known.known if peer.message is not None} == {2}
+
+
+def test_of_many_silent_robots_the_nearest_are_told():
+    known = peers()
+    for robot in range(2, 2 + 2 * SILENT_MAX):
+        heard(known, message(robot, 5, T0, position=(float(robot), 0.0)))
+    rows = known.silent(T0 + 2 * S, 100.0, 0.0)
+    assert [row[0] for row in rows] == list(range(1 + 2 * SILENT_MAX, 1 + SILENT_MAX, -1))
+    assert known.silent(T0 + HEARSAY_NS, 0.0, 0.0) == ()

@@ -99,7 +99,10 @@ any_message = st.one_of(
     st.builds(Event, counts, counts, counts, texts, texts, texts),
     st.builds(Resume, counts, counts, rows),
     st.builds(Checks, counts, counts, counts, st.lists(st.tuples(*(texts,) * 4), max_size=5).map(tuple)),
-    st.builds(Beacon, counts, counts, counts, st.booleans(), *(floats,) * 4, counts, counts),
+    st.builds(
+        Beacon, counts, counts, counts, st.booleans(), *(floats,) * 4, *(counts,) * 4,
+        st.lists(st.tuples(robots, counts, st.booleans(), *(floats,) * 4), max_size=3).map(tuple),
+    ),
     st.builds(Heartbeat, counts, texts),
     st.builds(Ask, counts, texts),
 )  # fmt: skip
