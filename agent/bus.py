@@ -36,7 +36,7 @@ class BusError(RuntimeError):
 
 
 def _config(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
-    """A peer on explicit endpoints: no multicast, no gossip, so links are the formation graph's."""
+    """A peer on explicit endpoints: no multicast, no gossip, so links are those that were asked for."""
     settings: dict[str, Any] = {
         "mode": "peer",
         "listen/endpoints": list(listen),

@@ -20,13 +20,10 @@ from agent.fleet import Fleet
 from agent.formation import Geometry
 from agent.messages import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns
-from agent.peers import DOUBT_MAX, Peer, Peers
+from agent.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
 from agent.plan import Plan
 from agent.prediction import Prediction, approach, constraint_decay
 from agent.surroundings import Surroundings
-
-FRESH_NS: Final = NS_PER_S // 4
-"""A robot that was heard this lately is taken to keep its part of the distance."""
 
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
@@ -314,7 +311,7 @@ class Controller:
             message is not None
             and message.following
             and peer.here
-            and now_ns + peer.clock.used_ns - peer.time_ns < FRESH_NS
+            and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
         )
         plane = barrier.keep_apart(
             f"robot {peer.robot}",

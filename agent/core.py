@@ -53,7 +53,7 @@ STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
 LISTEN_ROUNDS: Final = 2
 """So many times all others have told where they are before a robot joins in a drive."""
-TOLD_NS: Final = NS_PER_S
+LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
 this grows uncertain."""
 UNMOVED_NS: Final = NS_PER_S // 2
@@ -377,7 +377,7 @@ class Agent:
 
         The others must not go on taking it for a robot that drives.
         """
-        if self._seen is None or now_ns - self._seen[0] > TOLD_NS:
+        if self._seen is None or now_ns - self._seen[0] > LAST_PLACE_NS:
             return None
         since_ns, here = self._seen
         remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)

@@ -154,6 +154,16 @@ def multipliers_penalty(e: Edges, gains: Gains) -> Scalar:
     return -(gains.kp * e.phi + gains.kd * e.rate)
 
 
+def multipliers_fleet(
+    coupling: str, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int, gains: Gains
+) -> Array:
+    """Multipliers of all edges of a fleet, (m,), as its `control.coupling` finds them; "joint" exactly."""
+    if coupling == "joint":
+        return multipliers_joint(e, i, j, robots, gains)
+    found = multipliers_edge(e, gains) if coupling == "edge" else multipliers_penalty(e, gains)
+    return np.asarray(found, dtype=np.float64)
+
+
 def forces(e: Edges, multipliers: Scalar) -> Vector:
     """Constraint force of every edge on its robot i: A_i^T lambda = phi' lambda n (29), m/s^2."""
     size = e.slope * multipliers

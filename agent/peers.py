@@ -27,8 +27,8 @@ DOUBT_AFTER_S: Final = 0.1
 DOUBT_MAX: Final = 0.3
 """m"""
 UNSURE_NS: Final = NS_PER_S // 4
-"""One that has not been heard for so long may have stopped."""
-TOLD_NS: Final = NS_PER_S
+"""One that has not been heard for so long may have stopped, and is not counted on to keep a distance."""
+SILENT_NS: Final = NS_PER_S
 """Others are told of one that has been silent for so long,"""
 HEARSAY_NS: Final = 60 * NS_PER_S
 """and no longer than this."""
@@ -241,7 +241,7 @@ class Peers:
         found = []
         for peer in self._known.values():
             message = peer.message
-            if message is not None and TOLD_NS < now_ns + peer.clock.used_ns - peer.time_ns < HEARSAY_NS:
+            if message is not None and SILENT_NS < now_ns + peer.clock.used_ns - peer.time_ns < HEARSAY_NS:
                 square = _square((message.x, message.y), x, y)
                 found.append((square, peer.robot, peer.time_ns, message.following, *message[5:9]))
         return tuple(row[1:] for row in sorted(found)[:SILENT_MAX])

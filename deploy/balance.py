@@ -56,11 +56,6 @@ def _forces(a: Analysis, fleet: Fleet) -> law.Array:
         fleet.formation.safe_distance_m,
         gains,
     )
-    if control.coupling == "joint":
-        multipliers = law.multipliers_joint(edges, i, j, n, gains)
-    elif control.coupling == "edge":
-        multipliers = law.multipliers_edge(edges, gains)
-    else:
-        multipliers = law.multipliers_penalty(edges, gains)
+    multipliers = law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
     total: law.Array = navigation + law.total_forces(law.forces(edges, multipliers), i, j, n)
     return total

@@ -16,16 +16,14 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent import keys
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve, resolved
-from agent.messages import decode
 from deploy import oracles
 from deploy.analysis import Analysis, analyse
 from deploy.balance import caught
+from deploy.judged import drive as simulate
 from deploy.pool import Abandoned, GoOn
-from deploy.recording import Recording, RunData
-from deploy.simulation import Simulation
+from deploy.recording import Recording
 from deploy.violations import Violation
 
 CRASH: Final = "crash"
@@ -86,7 +84,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     begun_s = time.perf_counter()
     fleet = resolved(parse_fleet(text, source=source))
     try:
-        outcome = judged(_simulate(fleet, go_on), fleet)
+        outcome = judged(simulate(fleet, go_on), fleet)
     except Abandoned:
         raise
     except Exception as error:
@@ -110,34 +108,6 @@ def judged(recording: Recording, fleet: Fleet) -> Outcome:
         _ended(analysis, fleet),
         recording.end_s,
     )
-
-
-def _simulate(fleet: Fleet, go_on: GoOn) -> Recording:
-    name = fleet.fleet.name
-    data = RunData(fleet, mode="simulate")
-    # No oracle looks at hand states and beacons, which are most of the messages.
-    wanted = {keys.mission(name), keys.stop(name), keys.resume(name), keys.events(name)}
-    for robot in fleet.ids:
-        wanted |= {
-            keys.plant_state(name, robot),
-            keys.plant_truth(name, robot),
-            keys.plant_links(name, robot),
-            keys.wrench(name, robot),
-            keys.status(name, robot),
-        }
-
-    def sink(received_ns: int, key: str, payload: bytes) -> None:
-        if key in wanted:
-            data.feed(received_ns, key, decode(payload))
-
-    def progress(_: float) -> bool:
-        if not go_on():
-            raise Abandoned
-        return True
-
-    simulation = Simulation(fleet, sink)
-    simulation.run(progress)
-    return data.recording(reasons=simulation.reasons)
 
 
 def _exercised(recording: Recording) -> tuple[dict[str, int], dict[str, int], int]:

@@ -175,12 +175,7 @@ def at_start(fleet: Fleet, geometry: Geometry) -> Start:
         fleet.formation.safe_distance_m,
         gains,
     )
-    if control.coupling == "joint":
-        multipliers = law.multipliers_joint(edges, i, j, n, gains)
-    elif control.coupling == "edge":
-        multipliers = law.multipliers_edge(edges, gains)
-    else:
-        multipliers = law.multipliers_penalty(edges, gains)
+    multipliers = law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
     total = navigation + law.total_forces(law.forces(edges, multipliers), i, j, n)
     return Start(np.hypot(*total), np.hypot(*error), law.energy(edges, error, rate, control.c1, gains))
 

@@ -7,16 +7,13 @@ the safe distance (`deploy.oracles`). Who did not settle is listed with the reas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
-
-import numpy as np
 
 from deploy.arguments import fleet_path, fleet_text
 from deploy.sweep import Question, make_plan
-from deploy.sweep_run import Row
-from tests.benchmarks.figures import Figure, Options, Result, number, table
-from tests.benchmarks.rows import drive, share
+from tests.benchmarks.figures import Figure, Options, Result, table
+from tests.benchmarks.random_starts import HEADING, line
+from tests.benchmarks.rows import drive
 
 SIDE_M: Final = 9.0
 COUNT: Final = 50
@@ -41,19 +38,6 @@ def field() -> str:
     return "".join(f"\n[[obstacle]]\ncentre_m = [{x}, {y}]\nradius_m = {r}\n" for x, y, r in OBSTACLES)
 
 
-def line(name: str, rows: Sequence[Row]) -> list[str]:
-    settled = [each.numbers["settling_time_s"] for each in rows if each.settled]
-    times = [number(float(np.percentile(settled, at))) for at in (50, 95, 100)] if settled else ["-"] * 3
-    driven = [each for each in rows if each.numbers]
-    return [
-        name,
-        share(sum(each.safe is True for each in rows), len(rows)),
-        share(len(settled), len(rows)),
-        *times,
-        f"{min(each.numbers['min_distance_m.any'] for each in driven):.4f}",
-    ]
-
-
 def run(options: Options) -> Result:
     count = options.count or (COUNT_QUICK if options.quick else COUNT)
     path = fleet_path("lattice45")
@@ -74,7 +58,6 @@ def run(options: Options) -> Result:
         result.details += [
             f"{name}: run {each.run}: {each.reason}" for each in rows if each.verdict != "PASSED"
         ]
-    heading = ["crowd", "safe %", "settled %", "median s", "p95 s", "max s", "closest pair m"]
-    result.details += table(heading, lines)
+    result.details += table(("crowd", *HEADING), lines)
     result.details.append(f"{count} starts each, {SIDE_M:g} m square")
     return result

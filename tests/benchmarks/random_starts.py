@@ -25,6 +25,10 @@ DURATION_S: Final = 40.0
 COUNT: Final = 1000
 COUNT_QUICK: Final = 60
 SETTLING_TARGET_S: Final = 8.5
+HEADING: Final = (
+    "above r_s %", "settled %", "median s", "p95 s", "max s", "closest edge m", "closest pair m",
+)  # fmt: skip
+"""Of what `line` gives after the name."""
 
 
 def line(law: str, rows: Sequence[Row]) -> list[str]:
@@ -66,9 +70,6 @@ def run(options: Options) -> Result:
         bad = sorted(each.run for each in rows if not each.good)
         if bad:
             result.details.append(f"{law}: runs not safe or not settled: {', '.join(map(str, bad[:20]))}")
-    heading = [
-        "law", "above r_s %", "settled %", "median s", "p95 s", "max s", "closest edge m", "closest pair m",
-    ]  # fmt: skip
-    result.details += table(heading, lines)
+    result.details += table(("law", *HEADING), lines)
     result.details.append(f"{count} starts each, {SIDE_M:g} m square, {DURATION_S:g} s")
     return result

@@ -22,8 +22,10 @@ Floats = NDArray[np.float64]
 
 ROVERS = Path(__file__).parents[2] / "deploy" / "fleets" / "rovers.toml"
 SETTLED_M = 0.15
-SETTLED_S = 30.0
-"""They start up to 9 m from their places, which move away at 0.34 m/s, and drive at no more than 0.9 m/s."""
+SETTLED_S = 20.0
+SETTLED_TURNING_S = 30.0
+"""They start up to 9 m from their places, which move away at 0.34 m/s, and drive at no more than 0.9 m/s: who
+has to turn round first takes longer."""
 LATE_S = 15.0
 
 
@@ -75,8 +77,8 @@ def rovers(*settings: str) -> Fleet:
     return resolved(load_fleet(ROVERS, settings))
 
 
-def check(found: Driven, late: float) -> None:
-    assert found.settled <= SETTLED_S, found.verdict
+def check(found: Driven, late: float, settled: float = SETTLED_S) -> None:
+    assert found.settled <= settled, found.verdict
     assert found.late <= late, found.verdict
     assert found.pairs.min() > 1.0, found.verdict
 
@@ -96,7 +98,7 @@ def test_from_other_headings(heading_deg: float):
     """Along the way, backwards and across it: a hand that is pulled backwards turns its rover around."""
     fleet = load_fleet(ROVERS)
     robots = tuple(replace(robot, heading_rad=radians(heading_deg)) for robot in fleet.robots)
-    check(driven(resolved(replace(fleet, robots=robots))), 0.05)
+    check(driven(resolved(replace(fleet, robots=robots))), 0.05, SETTLED_TURNING_S)
 
 
 @pytest.mark.slow

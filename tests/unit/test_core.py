@@ -11,7 +11,7 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.core import TOLD_NS, Agent
+from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration
 from agent.messages import (
@@ -185,7 +185,7 @@ def test_stale_plant_is_a_fault_within_its_timeout_and_back():
     outs = bench.run(10)
     assert bench.state is State.FAULT
     assert all(out.hand is not None and not out.hand.following for out in outs)
-    bench.run(TOLD_NS // PERIOD)
+    bench.run(LAST_PLACE_NS // PERIOD)
     out = bench.tick()
     assert (out.hand, out.beacon) == (None, None)  # it no longer knows where it is
     bench.pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
