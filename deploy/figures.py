@@ -143,7 +143,8 @@ def _moments(a: Analysis) -> list[int]:
 
 
 def _draw_formation(axes: Axes, a: Analysis, k: int, shade: float, few: bool) -> None:
-    places = a.hands[k]
+    # Of robots with a place alone: one in reserve, or that has left, is no part of the formation.
+    places = np.where(np.isfinite(a.desired[k]), a.hands[k], np.nan)
     in_force = a.edges[np.isfinite(a.wanted[k])]
     lines = [places[edge] for edge in in_force if np.isfinite(places[edge]).all()]
     color = str(0.82 * (1.0 - shade) + 0.1)
