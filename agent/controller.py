@@ -37,8 +37,9 @@ boundary with a number."""
 class Drive(NamedTuple):
     """What one tick of the law gives.
 
-    force (N) and torque (N m) to ask of the plant; the navigation force F_n and the
-    constraint force F_c, m/s^2, W; how many constraints acted; what the last stage changed it for.
+    force (N) and torque (N m) to ask of the plant; the navigation force F_n, the constraint force F_c and
+    the correction that make up the acceleration, m/s^2, W; how many constraints acted; what the last
+    stage changed it for.
     """
 
     force: float
@@ -47,8 +48,15 @@ class Drive(NamedTuple):
     navigation_y: float
     constraint_x: float
     constraint_y: float
+    correction_x: float
+    correction_y: float
     degree: int
     causes: tuple[str, ...]
+
+    @property
+    def forces(self) -> tuple[float, ...]:
+        """Forces and correction as a `HandState` has them."""
+        return self[2:8]
 
 
 class _Constraint(NamedTuple):
@@ -172,14 +180,15 @@ class Controller:
         pull = share * self._c1 / self._c2
         wanted = vx - pull * ex, vy - pull * ey
         turned = self.detour.velocity(wanted, (own.vx, own.vy), self._blockers)
+        gx, gy = nx, ny
         if turned is not None:
             # Round corners c_2 would be too slow: the wall is lost, and with it the way.
             gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
-            nx, ny = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
+            gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
         planes: list[barrier.HalfPlane] = []
-        constraints = self._constraints(acting_ns, now_ns, own, nx, ny, planes)
+        constraints = self._constraints(acting_ns, now_ns, own, gx, gy, planes)
         cx, cy = self._solve(constraints)
-        ux, uy = nx + cx, ny + cy
+        ux, uy = gx + cx, gy + cy
         causes: tuple[str, ...] = ()
         if self.around.enabled:
             ux, uy, causes = self._last_stage(ux, uy, planes, body, own, (vx, vy), slower)
@@ -189,7 +198,8 @@ class Controller:
                 ux, uy = ux * self._acceleration_max / size, uy * self._acceleration_max / size
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         force, torque = _within(force, self._force_max), _within(torque, self._torque_max)
-        return Drive(force, torque, nx, ny, cx, cy, len(constraints), causes)
+        correction = ux - nx - cx, uy - ny - cy
+        return Drive(force, torque, nx, ny, cx, cy, *correction, len(constraints), causes)
 
     def hand_at(self, plant: PlantState, time_ns: int) -> hand.Hand:
         """Own hand at a wall time after the plant's state, from what acts on the body until then."""
@@ -313,22 +323,26 @@ class Controller:
             and peer.here
             and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
         )
-        plane = barrier.keep_apart(
-            f"robot {peer.robot}",
-            (dx, dy),
-            (own.vx, own.vy),
-            other.velocity,
-            self._safe_distance + self._margin + doubt,
-            self._barrier_rate,
-            alone=not shares,
-            other_acceleration=(
-                other.navigation[0] + other.constraint[0],
-                other.navigation[1] + other.constraint[1],
-            ),
-        )
+        gaps = [(self._safe_distance + self._margin + doubt, barrier.SEPARATION)]
         if doubt >= DOUBT_MAX:  # where it is, nobody knows: those that are heard come first
-            plane = plane._replace(rank=barrier.UNSURE)
-        planes.append(plane)
+            gaps = [(gaps[0][0], barrier.UNSURE)]
+            if message is not None and not message.following:  # it stood, and most likely still does
+                gaps.append((self._safe_distance + self._margin, barrier.SEPARATION))
+        for gap, rank in gaps:
+            plane = barrier.keep_apart(
+                f"robot {peer.robot}",
+                (dx, dy),
+                (own.vx, own.vy),
+                other.velocity,
+                gap,
+                self._barrier_rate,
+                alone=not shares,
+                other_acceleration=(
+                    other.navigation[0] + other.constraint[0],
+                    other.navigation[1] + other.constraint[1],
+                ),
+            )
+            planes.append(plane._replace(rank=rank))
 
     def _keep_clear(
         self,

@@ -12,13 +12,14 @@ from typing import Final
 
 from agent import hand, keys
 from agent.clock import NS_PER_S
-from agent.controller import Controller, Drive
+from agent.controller import Controller
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.gossip import Gossip
 from agent.latch import AWAITED, Latch
 from agent.messages import (
     FLOAT_MAX,
+    NO_FORCES,
     TOPICS,
     Ask,
     Beacon,
@@ -480,7 +481,7 @@ class Agent:
         assert self._plant is not None
         drive = self._controller.drive(self._plant, now_ns, self._reliance.slower)
         multipliers = self._controller.multipliers()
-        numbers = (drive.force, drive.torque, *_forces(drive), *(value for _, value in multipliers))
+        numbers = (drive.force, drive.torque, *drive.forces, *(value for _, value in multipliers))
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
             self._numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
@@ -492,7 +493,7 @@ class Agent:
         self._interventions["any"] += bool(drive.causes)
         return [
             self._wrench(now_ns, drive.force, drive.torque, brake=False),
-            self._hand(now_ns, here, True, _forces(drive), multipliers),
+            self._hand(now_ns, here, True, drive.forces, multipliers),
         ]
 
     def _brake(self, now_ns: int, here: hand.Hand | None) -> list[Outgoing]:
@@ -500,7 +501,7 @@ class Agent:
         self._degree = 0
         out = [self._wrench(now_ns, 0.0, 0.0, brake=True)]
         if here is not None:
-            out.append(self._hand(now_ns, here, self._follows, (0.0,) * 4, ()))
+            out.append(self._hand(now_ns, here, self._follows, NO_FORCES, ()))
         return out
 
     @property
@@ -607,7 +608,3 @@ class Agent:
         self._tick_us.clear()
         self._ages_us.clear()
         return self._key_status, encode(status)
-
-
-def _forces(drive: Drive) -> tuple[float, ...]:
-    return drive.navigation_x, drive.navigation_y, drive.constraint_x, drive.constraint_y

@@ -23,7 +23,7 @@ from zlib import crc32
 
 import msgpack
 
-VERSION: Final = 4
+VERSION: Final = 5
 BYTES_MAX: Final = 10_240
 MISSION_BYTES_MAX: Final = 49_152
 """Of a `Mission`, which may write out a formation: some 900 robots. Beyond `BYTES_MAX` the checksum finds
@@ -87,6 +87,8 @@ class HandState(NamedTuple):
     Position, velocity (m, m/s, W) are those at `time_ns`; forces are per unit mass (m/s^2, W).
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
+    The correction is what the last stage and a way round what blocks it make of the two forces: it
+    accelerates by the sum of all three.
     `degree` is how many constraints act on it: edges, and what it is kept away from.
     `multipliers` are the sender's copies of lambda, one ``(robot, lambda)`` for each of its edges and each
     robot that it is kept away from.
@@ -108,8 +110,14 @@ class HandState(NamedTuple):
     navigation_y: float
     constraint_x: float
     constraint_y: float
+    correction_x: float
+    correction_y: float
     multipliers: tuple[tuple[int, float], ...]
     heard: tuple[tuple[int, int], ...]
+
+
+NO_FORCES: Final = (0.0,) * 6
+"""The forces and the correction of a `HandState` where there are none, or none are known."""
 
 
 class PlantState(NamedTuple):
@@ -343,7 +351,7 @@ _TYPE_OF: Final = {cls: number for number, cls in enumerate(_CLASSES)}
 
 # Exact types of the fields on the wire; a tuple stands for a variable part, checked on its own.
 _FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
-    (int, int, int, bool, int, *(float,) * 8, tuple, tuple),
+    (int, int, int, bool, int, *(float,) * 10, tuple, tuple),
     (int, int, int, *(float,) * 7, bool, bool, bool, str),
     (int, int, int, float, float, bool),
     (int, int, int, int, str, int, int, str, int, tuple, tuple, tuple),
@@ -554,7 +562,7 @@ def _hand_state(fields: tuple[Any, ...]) -> HandState:
     _check_times(fields[0], fields[1], fields[2])
     if not 0 <= fields[4] <= DEGREE_MAX:
         raise Malformed("range", f"degree {fields[4]} is not within 0..{DEGREE_MAX}")
-    multipliers, heard = fields[13:]
+    multipliers, heard = fields[-2:]
     for entries, what in ((multipliers, "multipliers"), (heard, "neighbours heard")):
         if len(entries) > NEIGHBOURS_MAX:
             raise Malformed("range", f"{len(entries)} {what}, at most {NEIGHBOURS_MAX} are accepted")

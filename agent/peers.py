@@ -14,7 +14,7 @@ from typing import Final
 
 from agent.clock import NS_PER_S
 from agent.clock_offset import ClockOffset
-from agent.messages import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
+from agent.messages import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
 from agent.prediction import Prediction, as_it_came, coasting, following
 from agent.trajectory import Sample
 
@@ -232,7 +232,7 @@ class Peers:
             peer = self.get(robot)
             if time_ns > peer.time_ns:
                 peer.message = HandState(
-                    robot, 0, time_ns, follows, peer.degree, x, y, vx, vy, 0.0, 0.0, 0.0, 0.0, (), ()
+                    robot, 0, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, (), ()
                 )
                 peer.time_ns = time_ns
 
@@ -249,7 +249,7 @@ class Peers:
     def _take_beacon(self, peer: Peer, beacon: Beacon) -> None:
         robot, sequence, time_ns, follows, x, y, vx, vy, *_ = beacon
         peer.message = HandState(
-            robot, sequence, time_ns, follows, peer.degree, x, y, vx, vy, 0.0, 0.0, 0.0, 0.0, (), ()
+            robot, sequence, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, (), ()
         )
         peer.time_ns = time_ns
         peer.here = peer.token

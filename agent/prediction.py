@@ -85,7 +85,8 @@ def approach(vx: float, vy: float, ex: float, ey: float, most: float) -> float:
 class Prediction(NamedTuple):
     """One robot at one instant, vectors (x, y) in W.
 
-    position m, velocity m/s, navigation force F_n and constraint force F_c m/s^2.
+    position m, velocity m/s, navigation force F_n with what is left of its correction, and constraint
+    force F_c, m/s^2.
     """
 
     position: tuple[float, float]
@@ -114,7 +115,7 @@ def following(
         decay: of its constraint force, 1/s.
         most: speed limit (m/s) by which it makes for its place (N1), None without one.
     """
-    _, _, _, _, _, x, y, vx, vy, _, _, fx, fy, _, _ = message
+    _, _, _, _, _, x, y, vx, vy, _, _, fx, fy, gx, gy, _, _ = message
     a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
     x0, y0, vx0, vy0, _, _ = since
     x1, y1, vx1, vy1, ax1, ay1 = then
@@ -123,12 +124,16 @@ def following(
         share = saturation(ex, ey, c1, c2, approach(vx1, vy1, ex, ey, most))
         if share < 1.0:
             return _approaching(message, then, (ex, ey), (edot_x, edot_y), age, c1, c2, decay, share)
-    new_x, new_y = a11 * ex + a12 * edot_x + b1 * fx, a11 * ey + a12 * edot_y + b1 * fy
-    new_vx, new_vy = a21 * ex + a22 * edot_x + b2 * fx, a21 * ey + a22 * edot_y + b2 * fy
+    force_x, force_y = fx + gx, fy + gy
+    new_x, new_y = a11 * ex + a12 * edot_x + b1 * force_x, a11 * ey + a12 * edot_y + b1 * force_y
+    new_vx, new_vy = a21 * ex + a22 * edot_x + b2 * force_x, a21 * ey + a22 * edot_y + b2 * force_y
     return Prediction(
         (x1 + new_x, y1 + new_y),
         (vx1 + new_vx, vy1 + new_vy),
-        (ax1 - c1 * new_x - c2 * new_vx, ay1 - c1 * new_y - c2 * new_vy),
+        (
+            ax1 - c1 * new_x - c2 * new_vx + remains * gx,
+            ay1 - c1 * new_y - c2 * new_vy + remains * gy,
+        ),
         (remains * fx, remains * fy),
     )
 
@@ -159,12 +164,17 @@ def _approaching(
     # Integrals of the force's part.
     of_speed, of_place = (remains - slowed) / (c2 - decay), (faded - rise) / (c2 - decay)
     places, speeds, pulls = [], [], []
-    for e, edot, force in zip(error, rate, (message.constraint_x, message.constraint_y), strict=True):
+    forces = (
+        (message.constraint_x, message.correction_x),
+        (message.constraint_y, message.correction_y),
+    )
+    for e, edot, (constraint, correction) in zip(error, rate, forces, strict=True):
+        force = constraint + correction
         aim = -share * c1 * e / c2
         speed = aim + (edot - aim) * slowed + force * of_speed
         places.append(e + aim * age + (edot - aim) * rise + force * of_place)
         speeds.append(speed)
-        pulls.append(c2 * (aim - speed))
+        pulls.append(c2 * (aim - speed) + remains * correction)
     x, y, vx, vy, ax, ay = then
     return Prediction(
         (x + places[0], y + places[1]),
@@ -190,5 +200,5 @@ def as_it_came(message: HandState) -> Prediction:
     """A robot where its message says, as if that had come at once."""
     if not message.following:
         return coasting(message, 0.0)
-    _, _, _, _, _, x, y, vx, vy, nx, ny, fx, fy, _, _ = message
-    return Prediction((x, y), (vx, vy), (nx, ny), (fx, fy))
+    _, _, _, _, _, x, y, vx, vy, nx, ny, fx, fy, gx, gy, _, _ = message
+    return Prediction((x, y), (vx, vy), (nx + gx, ny + gy), (fx, fy))

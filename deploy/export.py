@@ -41,6 +41,7 @@ _HAND: Final = {
     "following": "following", "degree": "degree", "x_m": "x", "y_m": "y", "vx_mps": "vx", "vy_mps": "vy",
     "navigation_x_mps2": "navigation_x", "navigation_y_mps2": "navigation_y",
     "constraint_x_mps2": "constraint_x", "constraint_y_mps2": "constraint_y",
+    "correction_x_mps2": "correction_x", "correction_y_mps2": "correction_y",
 }  # fmt: skip
 _WRENCH: Final = {"force_n": "force", "torque_nm": "torque", "brake": "brake"}
 _MULTIPLIER: Final = {"neighbour": "neighbour", "multiplier": "value"}

@@ -62,6 +62,8 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "navigation_y": "Navigation force per unit mass, north, m/s2",
         "constraint_x": "Constraint force per unit mass, east, m/s2",
         "constraint_y": "Constraint force per unit mass, north, m/s2",
+        "correction_x": "What the last stage and a way round add to the two forces, east, m/s2",
+        "correction_y": "What the last stage and a way round add to the two forces, north, m/s2",
         "multipliers": "The sender's multipliers: of each edge, and of each robot it is kept from",
         "heard": "Least apparent delay of each neighbour's hand states; empty in most messages",
     },
@@ -271,7 +273,7 @@ _ROWS: Final[dict[type[Message], dict[str, tuple[_Column, ...]]]] = {
     },
 }  # fmt: skip
 _ADDED_FIELDS: Final[dict[type[Message], dict[str, Any]]] = {
-    HandState: {"heard": ()},
+    HandState: {"correction_x": 0.0, "correction_y": 0.0, "heard": ()},
     PlantState: {"obeying": True},
     Mission: dict(Mission._field_defaults),
     Status: {"transition": "", "order_version": 0},
@@ -333,13 +335,12 @@ _TRUTH: Final = {False: "false", True: "true"}
 
 
 def _hand(m: HandState) -> str:
-    robot, sequence, time_ns, following, degree, x, y, vx, vy, nx, ny, cx, cy, multipliers, heard = m
+    robot, sequence, time_ns, following, degree, *numbers, multipliers, heard = m
     # % is the fastest form, and this one runs for every message of every robot.
     values = ",".join(['{"neighbour":%d,"value":%r}' % pair for pair in multipliers])  # noqa: UP031
     delays = ",".join(['{"neighbour":%d,"delay_us":%d}' % pair for pair in heard])  # noqa: UP031
     follows = _TRUTH[following]
-    rows = values, delays
-    return _HAND % (robot, sequence, time_ns, follows, degree, x, y, vx, vy, nx, ny, cx, cy, *rows)
+    return _HAND % (robot, sequence, time_ns, follows, degree, *numbers, values, delays)
 
 
 def _plant(m: PlantState) -> str:

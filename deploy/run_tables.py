@@ -20,7 +20,7 @@ PLANT_COLUMNS: Final = (
 )  # fmt: skip
 HAND_COLUMNS: Final = (
     "following", "degree", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x",
-    "constraint_y",
+    "constraint_y", "correction_x", "correction_y",
 )  # fmt: skip
 WRENCH_COLUMNS: Final = ("force", "torque", "brake")
 MULTIPLIER_COLUMNS: Final = ("neighbour", "value")

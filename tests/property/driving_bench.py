@@ -72,10 +72,8 @@ class _Robot:
         drive = controller.drive(state, now_ns)
         controller.sent(now_ns, drive.force, drive.torque)
         self.asked = drive.force, drive.torque
-        forces = drive.navigation_x, drive.navigation_y, drive.constraint_x, drive.constraint_y
-        return HandState(
-            robot, count, now_ns, True, drive.degree, *here, *forces, controller.multipliers(), ()
-        )
+        multipliers = controller.multipliers()
+        return HandState(robot, count, now_ns, True, drive.degree, *here, *drive.forces, multipliers, ())
 
     def move(self, period_s: float) -> None:
         self.pose = advance(self.pose, *self.acts, self.body.mass_kg, self.body.inertia_kgm2, period_s)

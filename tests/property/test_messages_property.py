@@ -57,7 +57,7 @@ MICROSECONDS = st.integers(-(2**31), 2**40)
 
 HANDS = st.builds(
     HandState,
-    *(ROBOT, NS, NS, st.booleans(), st.integers(0, DEGREE_MAX), *[FLOAT] * 8),
+    *(ROBOT, NS, NS, st.booleans(), st.integers(0, DEGREE_MAX), *[FLOAT] * 10),
     st.lists(st.tuples(ROBOT, FLOAT), max_size=64).map(tuple),
     st.lists(st.tuples(ROBOT, MICROSECONDS), max_size=64).map(tuple),
 )
@@ -292,14 +292,14 @@ def test_fields_repeated_left_out_or_swapped(message: Message, data: st.DataObje
     survives(sealed(msgpack.packb([fields[k] for k in order])))
 
 
-@given(HANDS, st.integers(0, 71), st.sampled_from([nan, inf, -inf]))
+@given(HANDS, st.integers(0, 73), st.sampled_from([nan, inf, -inf]))
 def test_a_number_that_is_not_finite_never_gets_through(message: HandState, place: int, value: float):
-    place %= 8 + len(message.multipliers)
-    if place < 8:
+    place %= 10 + len(message.multipliers)
+    if place < 10:
         message = message._replace(**{HandState._fields[5 + place]: value})
     else:
         multipliers = list(message.multipliers)
-        multipliers[place - 8] = (multipliers[place - 8][0], value)
+        multipliers[place - 10] = (multipliers[place - 10][0], value)
         message = message._replace(multipliers=tuple(multipliers))
     with pytest.raises(Malformed, match="not_finite"):
         decode(encode(message))

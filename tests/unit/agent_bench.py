@@ -118,7 +118,7 @@ class Bench:
             copies = ((1, 0.0),)
             self.give(
                 OTHER,
-                HandState(2, self.ticks, stamp, self.other_follows, 1, *self.other, *[0.0] * 4, copies, ()),
+                HandState(2, self.ticks, stamp, self.other_follows, 1, *self.other, *[0.0] * 6, copies, ()),
             )
         for key, payload in extra:
             self.give(key, payload)

@@ -9,7 +9,7 @@ import pytest
 from agent.controller import Controller
 from agent.fleet import load_fleet, parse_fleet
 from agent.formation import resolve
-from agent.hand import Pose, advance, hand
+from agent.hand import Pose, advance, hand, wrench
 from agent.messages import NEIGHBOURS_MAX, HandState, PlantState
 from deploy.arguments import fleet_path
 
@@ -24,7 +24,7 @@ def test_prediction_is_as_the_fleet_file_has_it(prediction: bool):
     controller.look(T0)
     assert controller.edges
     for _, peer in controller.edges:
-        state = HandState(peer.robot, 0, T0, True, 2, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, (), ())
+        state = HandState(peer.robot, 0, T0, True, 2, 1.0, 2.0, 0.5, *[0.0] * 7, (), ())
         assert controller.peers.accept(state, T0 + fleet.period_ns) is None
         shown = controller.peers.predict(peer, T0 + S)
         assert (shown.position == (1.0, 2.0)) is not prediction
@@ -67,9 +67,60 @@ def test_no_more_multipliers_are_told_than_a_message_holds():
     controller.look(T0)
     for edge, peer in controller.edges:
         x, y = 0.5 * cos(edge.other), 0.5 * sin(edge.other)
-        state = HandState(peer.robot, 0, T0, True, 2, x, y, *[0.0] * 6, (), ())
+        state = HandState(peer.robot, 0, T0, True, 2, x, y, *[0.0] * 8, (), ())
         assert controller.peers.accept(state, T0 + fleet.period_ns) is None
         peer.trust = 0.5
     plant = PlantState(1, 0, T0, *[0.0] * 7, True, True, True, "")
     controller.drive(plant, T0 + fleet.period_ns)
     assert len(controller.multipliers()) <= NEIGHBOURS_MAX
+
+
+PAIR = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 5, y_m = 5 }, { id = 3, x_m = 0, y_m = 5 }]
+fleet = { name = "pair" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 3]], safe_distance_m = 0.2 }
+"""
+
+
+def given(controller: Controller, robot: int, x: float, *, follows: bool, speed: float = 0.0) -> None:
+    """A robot on the x axis is heard at `T0`."""
+    state = HandState(robot, 0, T0, follows, 2, x, 0.0, speed, *[0.0] * 7, (), ())
+    assert controller.peers.accept(state, T0 + S) is None
+
+
+def test_navigation_constraint_and_correction_are_what_the_wrench_does():
+    """Others predict the robot by their sum: here the last stage has something to correct."""
+    fleet = parse_fleet(PAIR, source="here")
+    controller, body = Controller(fleet, resolve(fleet), 1), fleet.robot(1)
+    now_ns = T0 + fleet.period_ns
+    controller.look(now_ns)
+    given(controller, 2, 0.45, follows=True, speed=-0.8)
+    plant = PlantState(1, 0, now_ns, *[0.0] * 3, 0.7, 0.3, 0.0, 0.0, True, True, True, "")
+    drive = controller.drive(plant, now_ns)
+    assert drive.causes
+    nx, ny, cx, cy, gx, gy = drive.forces
+    assert (gx * gx + gy * gy) ** 0.5 > 0.1
+    pose = Pose(*[0.0] * 3, 0.7, 0.3)
+    later = advance(
+        pose, 0.0, 0.0, body.mass_kg, body.inertia_kgm2, (controller.acting_ns(now_ns) - now_ns) / S
+    )
+    asked = wrench(nx + cx + gx, ny + cy + gy, later, body.mass_kg, body.inertia_kgm2, body.hand_offset_m)
+    assert (drive.force, drive.torque) == pytest.approx(asked)
+
+
+@pytest.mark.parametrize("stood", [True, False])
+def test_of_silent_robots_the_one_that_stood_keeps_its_ground(stood: bool):
+    """Long unheard on both sides: doubt is given up alike, but not the ground of one that stands."""
+    fleet = parse_fleet(PAIR, source="here")
+    controller = Controller(fleet, resolve(fleet), 1)
+    controller.look(T0)
+    hand_x = fleet.robot(1).hand_offset_m
+    given(controller, 3, hand_x + 0.22, follows=not stood)
+    given(controller, 2, hand_x - 0.3, follows=True)
+    now_ns = T0 + 10 * S
+    controller.look(now_ns)
+    controller.around.look(now_ns, hand(Pose(*[0.0] * 5), hand_x), (2,))
+    plant = PlantState(1, 0, now_ns, *[0.0] * 3, 0.3, 0.0, 0.0, 0.0, True, True, True, "")
+    drive = controller.drive(plant, now_ns)
+    braking = -sum(drive.forces[::2])
+    assert braking > 2.0 if stood else braking < 0.8

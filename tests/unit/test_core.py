@@ -309,10 +309,14 @@ def test_mission_for_another_fleet_file_is_refused_and_says_so():
 def test_older_and_repeated_missions_are_ignored():
     bench = Bench()
     bench.listen()
-    bench.mission(version=5)
+    epoch_ns = bench.now + 2 * PERIOD
+    bench.mission(5, epoch_ns)
     bench.run(4)
     assert bench.state is State.RUNNING
-    for version in (5, 4, 0):
+    bench.mission(5, epoch_ns)
+    bench.run(2)
+    assert bench.state is State.RUNNING
+    for version in (4, 0):
         bench.mission(version, epoch_ns=START - NS_PER_S, duration_s=0.001)  # long over
         bench.tick()
         assert bench.state is State.RUNNING
@@ -543,7 +547,7 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
 def garbage(bench: Bench) -> list[tuple[str, bytes]]:
     """What may come in one tick and must change nothing, with the reason it is counted under."""
     now, mine = bench.now, digest(bench.fleet)
-    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, 1, *[3.0] * 8, ((1, 9.0),), ())
+    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, 1, *[3.0] * 10, ((1, 9.0),), ())
     plant = PlantState(1, 10**6, now - PERIOD // 4, *[3.0] * 7, True, True, True, "")
     every = (PLANT, OTHER, MISSION, STOP, HAND, WRENCH, STATUS, "two/robot/9/hand", "", "two/**")
     junk = (b"", b"\x00", b"\xff" * 20_000, b"\x91\x01", b"junk" * 20, sealed(b"junk"))
@@ -657,7 +661,7 @@ def test_absurd_plant_states_never_reach_the_wire_nor_end_the_agent(name: str, v
 
 
 @pytest.mark.parametrize("value", EXTREMES)
-@pytest.mark.parametrize("name", HandState._fields[5:13])
+@pytest.mark.parametrize("name", HandState._fields[5:15])
 @pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
 def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, value: float, coupling: str):
     bench = Bench(f"control.coupling={coupling}")
@@ -665,7 +669,7 @@ def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, val
     with np.errstate(all="ignore"):
         for tick in range(6):
             stamp = bench.now - PERIOD // 2
-            absurd = HandState(2, 10**6 + tick, stamp, True, 1, *[0.0] * 8, ((1, 0.0),), ())._replace(
+            absurd = HandState(2, 10**6 + tick, stamp, True, 1, *[0.0] * 10, ((1, 0.0),), ())._replace(
                 **{name: value}
             )
             out = bench.tick((OTHER, encode(absurd)))

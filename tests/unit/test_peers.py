@@ -44,7 +44,7 @@ def message(
     heard: tuple[tuple[int, int], ...] = (),
     degree: int = 1,
 ) -> HandState:
-    forces = (*navigation, *constraint)
+    forces = (*navigation, *constraint, 0.0, 0.0)
     return HandState(
         robot, sequence, time_ns, follows, degree, *position, *velocity, *forces, multipliers, heard
     )

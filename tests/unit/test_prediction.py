@@ -41,8 +41,9 @@ def message(
     velocity: Vector = (0.0, 0.0),
     constraint: Vector = (0.0, 0.0),
     navigation: Vector = (0.0, 0.0),
+    correction: Vector = (0.0, 0.0),
 ) -> HandState:
-    return HandState(2, 0, 0, True, 1, *position, *velocity, *navigation, *constraint, (), ())
+    return HandState(2, 0, 0, True, 1, *position, *velocity, *navigation, *constraint, *correction, (), ())
 
 
 def circling(t: float) -> Sample:
@@ -57,7 +58,7 @@ def straight(t: float) -> Sample:
 def solved(
     said: HandState, motion: Callable[[float], Sample], age: float, decay: float, most: float | None
 ) -> Prediction:
-    """The robot itself: its navigation loop (21), (N1), with a constraint force that dies away."""
+    """The robot itself: its navigation loop (21), (N1), with forces that die away."""
 
     def forces(t: float, y: Floats) -> tuple[Floats, Floats]:
         place = np.array(motion(t))
@@ -68,7 +69,8 @@ def solved(
                 float(e[0]), float(e[1]), C1, C2, approach(place[2], place[3], float(e[0]), float(e[1]), most)
             )
         navigation = navigation_force(place[4:], share * e, y[2:] - place[2:4], C1, C2)
-        return np.asarray(navigation), np.array(said[11:13]) * exp(-decay * t)
+        remains = exp(-decay * t)
+        return np.asarray(navigation) + remains * np.array(said[13:15]), remains * np.array(said[11:13])
 
     end = np.array(said[5:9])
     if age:
@@ -160,11 +162,21 @@ def test_prediction_is_the_navigation_loop_solved(age: float, decay: float):
     """e'' = -c1 e - c2 e' + F_c exp(-decay t), by scipy; F_n follows by (21)."""
     generator = np.random.default_rng(3)
     for _ in range(3):
-        position, velocity, constraint = ((float(x), float(y)) for x, y in generator.normal(size=(3, 2)))
-        said = message(position, velocity, constraint)
+        position, velocity, constraint, correction = map(tuple, generator.normal(size=(4, 2)).tolist())
+        said = message(position, velocity, constraint, correction=correction)
         got, expected = (find(said, circling, age, decay, None) for find in (predicted, solved))
         for vector, wanted in zip(got, expected, strict=True):
             assert vector == pytest.approx(wanted, abs=1e-9)
+
+
+def test_at_once_it_accelerates_as_it_was_told_to():
+    """One that the last stage holds back accelerates by less than it would like to."""
+    held = message((1.4, 0.2), (0.3, 1.8), (0.1, -0.1), correction=(-0.5, 0.75))
+    free = held._replace(correction_x=0.0, correction_y=0.0)
+    now, likes = (predicted(each, circling, 0.0, DECAY, None) for each in (held, free))
+    gained = [a - b for a, b in zip(now.navigation, likes.navigation, strict=True)]
+    assert gained == pytest.approx((-0.5, 0.75))
+    assert (now.position, now.velocity, now.constraint) == (likes.position, likes.velocity, likes.constraint)
 
 
 def test_near_its_place_a_speed_limit_changes_nothing():
@@ -176,7 +188,7 @@ def test_near_its_place_a_speed_limit_changes_nothing():
 @pytest.mark.parametrize("away", [5.0, 10.0, 40.0])
 def test_a_robot_far_behind_on_a_straight_way_is_predicted_exactly(away: float, age: float):
     """Its pull keeps its direction and its size: (N1) is solved in closed form."""
-    said = message((-away, 0.0), (1.1, 0.0), (0.2, 0.0))
+    said = message((-away, 0.0), (1.1, 0.0), (0.2, 0.0), correction=(-0.3, 0.0))
     got, expected = (find(said, straight, age, DECAY, MOST) for find in (predicted, solved))
     for vector, wanted in zip(got, expected, strict=True):
         assert vector == pytest.approx(wanted, abs=1e-8)
@@ -254,7 +266,7 @@ def test_a_braking_robot_coasts_to_a_stop():
 
 
 def test_as_it_came():
-    said = message((1.0, 2.0), (0.5, -0.3), (0.1, 0.2), (0.7, 0.8))
-    assert as_it_came(said) == ((1.0, 2.0), (0.5, -0.3), (0.7, 0.8), (0.1, 0.2))
+    said = message((1.0, 2.0), (0.5, -0.3), (0.1, 0.2), (0.5, 0.75), correction=(0.25, -1.0))
+    assert as_it_came(said) == ((1.0, 2.0), (0.5, -0.3), (0.75, -0.25), (0.1, 0.2))
     braking = said._replace(following=False)
     assert as_it_came(braking) == coasting(braking, 0.0)

@@ -116,7 +116,7 @@ def test_every_column_holds_what_was_sent() -> None:
     plant = PlantState(
         1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, True, "dizzy"
     )
-    force = (0.1, 0.2, 0.3, 0.4)
+    force = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     hand = HandState(
         1, 5, EPOCH_NS + 2 * 10**9, True, 3, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)), ()
     )
@@ -156,6 +156,7 @@ def test_every_column_holds_what_was_sent() -> None:
     assert row(robot.hand) == {
         "t": 2.0, "following": 1.0, "degree": 3.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
         "navigation_x": 0.1, "navigation_y": 0.2, "constraint_x": 0.3, "constraint_y": 0.4,
+        "correction_x": 0.5, "correction_y": 0.6,
     }  # fmt: skip
     assert row(robot.wrench) == {"t": 3.0, "force": 10.0, "torque": 11.0, "brake": 1.0}
     assert robot.multipliers.t.tolist() == [2.0, 2.0]

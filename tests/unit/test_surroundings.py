@@ -124,7 +124,7 @@ def test_who_is_not_close_any_more_is_not_expected_to_be_heard():
     scene = Scene()
 
     def hand(number: int, x: float) -> None:
-        state = HandState(3, number, scene.now - PERIOD, True, 0, x, *[0.0] * 7, (), ())
+        state = HandState(3, number, scene.now - PERIOD, True, 0, x, *[0.0] * 9, (), ())
         assert scene.peers.accept(state, scene.now) is None
 
     hand(0, 1.0)
