@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.messages import DUPLICATED, LOST, TOPICS, LinkTrace
+from deploy.columns import Store
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -111,10 +111,10 @@ class LinkTable:
 class LinkRows:
     """Collects `LinkTrace` messages."""
 
-    def __init__(self) -> None:
-        self._destination, self._source, self._topic = array("H"), array("H"), array("B")
-        self._sequence, self._stamp_ns, self._delay_us = array("q"), array("q"), array("q")
-        self._what = array("H")
+    def __init__(self, store: Store) -> None:
+        self._destination, self._source = store.column("H"), store.column("H")
+        self._topic, self._what = store.column("B"), store.column("H")
+        self._sequence, self._stamp_ns, self._delay_us = (store.column("q") for _ in range(3))
 
     def append(self, trace: LinkTrace) -> None:
         for source, topic, sequence, time_ns, what, delay_us in trace.entries:
@@ -133,7 +133,7 @@ class LinkRows:
             self._delay_us,
         )  # fmt: skip
         destination, source, topic, sequence, stamp_ns, what, delay_us = (
-            np.array(column, dtype=np.int64) for column in columns
+            column.whole().astype(np.int64) for column in columns
         )
         times = stamp_ns.copy()
         for robot, clock in clocks.items():

@@ -38,6 +38,7 @@ from agent.messages import (
     Wrench,
     newer,
 )
+from deploy.columns import Store
 from deploy.link_data import Floats, LinkRows, LinkTable
 from deploy.recorder import RecordingError
 from deploy.run_tables import (
@@ -115,7 +116,7 @@ class Recording:
     """Valid messages that belong to no robot of the fleet or carry an absurd time; they are left out."""
     warnings: Sequence[str] = ()
     fleet_toml: str | None = None
-    links: LinkTable = field(default_factory=lambda: LinkRows().table({}, 0))
+    links: LinkTable = field(default_factory=lambda: LinkRows(Store()).table({}, 0))
     """What links did to messages on purpose. Beacons, which go from all to all, are left out."""
     live_faults: Sequence[LiveFaults] = ()
     """Live fault rules as operators sent them, and as processes said that they held them; as they came."""
@@ -253,11 +254,22 @@ def _last(missions: Sequence[Mission]) -> Mission | None:
 
 _Sink = Rows | StatusRows
 
+ASIDE_MESSAGES: Final = 20_000
+"""After so many, what was collected is put aside."""
+
 
 class RunData:
-    """Collects a run, message by message: `feed` all of them, then ask for the `recording`."""
+    """Collects a run, message by message: `feed` all of them, then ask for the `recording`.
 
-    def __init__(self, fleet: Fleet, *, mode: str = "run", seed: int | None = None) -> None:
+    Args:
+        aside: folder in which what has been collected may wait; None keeps all of it in memory.
+    """
+
+    def __init__(
+        self, fleet: Fleet, *, mode: str = "run", seed: int | None = None, aside: Path | None = None
+    ) -> None:
+        store = self._store = Store(aside)
+        self._fed = 0
         self.fleet, self.mode = fleet, mode
         self.seed = fleet.fleet.seed if seed is None else seed
         self.foreign = 0
@@ -267,15 +279,15 @@ class RunData:
         self._resumes: dict[Resume, Resume] = {}
         self.events: list[Event] = []
         self.live_faults: list[LiveFaults] = []
-        self._links = LinkRows()
+        self._links = LinkRows(store)
         plan = FaultPlan(fleet)
         self._clocks = {robot.id: plan.clock(robot.id) for robot in fleet.robots}
         self._texts: dict[str, str] = {}
-        self._plant = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS) for robot in fleet.robots}
-        self._truth = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS) for robot in fleet.robots}
-        self._hand = {robot.id: HandRows(robot.id) for robot in fleet.robots}
-        self._wrench = {robot.id: Rows(Wrench, robot.id, WRENCH_COLUMNS) for robot in fleet.robots}
-        self._status = {robot.id: StatusRows(robot.id) for robot in fleet.robots}
+        self._plant = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS, store) for robot in fleet.robots}
+        self._truth = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS, store) for robot in fleet.robots}
+        self._hand = {robot.id: HandRows(robot.id, store) for robot in fleet.robots}
+        self._wrench = {robot.id: Rows(Wrench, robot.id, WRENCH_COLUMNS, store) for robot in fleet.robots}
+        self._status = {robot.id: StatusRows(robot.id, store) for robot in fleet.robots}
         self._sinks: dict[str, _Sink] = {}
         prefix = fleet.fleet.name
         for robot in self._plant:
@@ -305,6 +317,9 @@ class RunData:
 
     def feed(self, received_ns: int, key: str, message: Message) -> None:
         """Take one message that was received on `key` at `received_ns` (wall clock or virtual time)."""
+        self._fed += 1
+        if self._fed % ASIDE_MESSAGES == 0:
+            self._store.put_aside()
         sink = self._sinks.get(key)
         if abs(message.time_ns - received_ns) > CLOCK_TOLERANCE_NS and not self._is_meant(
             received_ns, key, message
@@ -390,4 +405,5 @@ class RunData:
         )
 
     def _first_ns(self) -> int:
-        return min((rows.times[0] for rows in self._plant.values() if rows.times), default=0)
+        known = [rows.times.whole() for rows in self._plant.values()]
+        return min((int(times[0]) for times in known if len(times)), default=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.messages import HandState, Message, Status
+from deploy.columns import Store
 from deploy.link_data import Clock, Floats, Ints, true_ns
 
 PLANT_COLUMNS: Final = (
@@ -152,22 +152,21 @@ class StatusTable:
 class Rows:
     """One growing table: times and a flat row of numbers for every message."""
 
-    def __init__(self, kind: type[Message], robot: int, names: tuple[str, ...]) -> None:
+    def __init__(self, kind: type[Message], robot: int, names: tuple[str, ...], store: Store) -> None:
         self.kind, self.robot, self.names = kind, robot, names
-        self.times, self.values = array("q"), array("d")
-        self._sequences = array("q")
+        self.times, self._values = store.column("q"), store.column("d")
+        self._sequences = store.column("q")
         first = kind._fields.index(names[0])
         self._columns = slice(first, first + len(names))
 
     def append(self, message: Any) -> None:
         self._sequences.append(message[1])
         self.times.append(message[2])
-        self.values.extend(message[self._columns])
+        self._values.extend(message[self._columns])
 
     def table(self, epoch_ns: int, clock: Clock) -> Table:
-        times = np.array(self.times, dtype=np.int64)
-        values = np.array(self.values, dtype=np.float64).reshape(len(times), len(self.names))
-        sequences = np.array(self._sequences, dtype=np.int64)
+        times, sequences = self.times.whole(), self._sequences.whole()
+        values = self._values.whole().reshape(len(times), len(self.names))
         if len(times) > 1 and not (times[1:] > times[:-1]).all():
             times, order = np.unique(times, return_index=True)
             values, sequences = values[order], sequences[order]
@@ -175,9 +174,9 @@ class Rows:
 
 
 class HandRows(Rows):
-    def __init__(self, robot: int) -> None:
-        super().__init__(HandState, robot, HAND_COLUMNS)
-        self._multiplier_times, self._multipliers = array("q"), array("d")
+    def __init__(self, robot: int, store: Store) -> None:
+        super().__init__(HandState, robot, HAND_COLUMNS, store)
+        self._multiplier_times, self._multipliers = store.column("q"), store.column("d")
 
     def append(self, message: HandState) -> None:
         super().append(message)
@@ -186,8 +185,8 @@ class HandRows(Rows):
             self._multipliers.extend(pair)
 
     def multipliers(self, epoch_ns: int, clock: Clock) -> Table:
-        times = true_ns(np.array(self._multiplier_times, dtype=np.int64), clock, epoch_ns)
-        values = np.array(self._multipliers, dtype=np.float64).reshape(len(times), 2)
+        times = true_ns(self._multiplier_times.whole(), clock, epoch_ns)
+        values = self._multipliers.whole().reshape(len(times), 2)
         order = np.argsort(times, kind="stable")
         return Table(MULTIPLIER_COLUMNS, (times[order] - epoch_ns) / 1e9, values[order])
 
@@ -200,27 +199,23 @@ def _bounded(value: int) -> int:
 class StatusRows:
     kind: type[Message] = Status
 
-    def __init__(self, robot: int) -> None:
+    def __init__(self, robot: int, store: Store) -> None:
         self.robot = robot
-        self.times = array("q")
-        self._texts: list[tuple[str, str, str]] = []
-        self._missions, self._orders = array("q"), array("q")
-        self._counters: list[Mapping[str, int]] = []
-        self._ticks, self._tick_counts = array("q"), array("q")
-        self._ages, self._age_counts = array("q"), array("q")
-        self._neighbours, self._neighbour_counts = array("q"), array("q")
-        self._known: dict[str, str] = {}
+        self.times = store.column("q")
+        self._told = store.records()
+        self._missions, self._orders = store.column("q"), store.column("q")
+        self._ticks, self._tick_counts = store.column("q"), store.column("q")
+        self._ages, self._age_counts = store.column("q"), store.column("q")
+        self._neighbours, self._neighbour_counts = store.column("q"), store.column("q")
 
     def append(self, message: Any) -> None:
-        known = self._known.setdefault  # the same few texts come thousands of times: keep one of each
         ticks = [value for value in message.tick_us if 0 <= value < _INTEGER_MAX]
         ages = [value for value in message.ages_us if 0 <= value < _INTEGER_MAX]
         self.times.append(message.time_ns)
-        texts = message.state, message.reason, message.transition
-        self._texts.append((known(texts[0], texts[0]), known(texts[1], texts[1]), known(texts[2], texts[2])))
+        counters = {name: _bounded(value) for name, value in message.counters}
+        self._told.append((message.state, message.reason, message.transition, counters))
         self._missions.append(_bounded(message.mission_version))
         self._orders.append(_bounded(message.order_version))
-        self._counters.append({known(name, name): _bounded(value) for name, value in message.counters})
         self._ticks.extend(ticks)
         self._tick_counts.append(len(ticks))
         self._ages.extend(ages)
@@ -230,25 +225,24 @@ class StatusRows:
         self._neighbour_counts.append(len(message.neighbours))
 
     def table(self, epoch_ns: int, clock: Clock) -> StatusTable:
-        times = true_ns(np.array(self.times, dtype=np.int64), clock, epoch_ns)
-        assert len(times) == len(self._texts)
-        states, reasons, transitions = zip(*self._texts, strict=True) if self._texts else ((), (), ())
-        columns = (self._ticks, self._tick_counts, self._ages, self._age_counts)
-        ticks, tick_counts, ages, age_counts = (np.array(column, dtype=np.int64) for column in columns)
-        if any(later < earlier for earlier, later in pairwise(self.times)):
+        stamps = self.times.whole()
+        times = true_ns(stamps, clock, epoch_ns)
+        told = self._told.whole()
+        states, reasons, transitions, counters = zip(*told, strict=True) if told else ((), (), (), ())
+        if (np.diff(stamps) < 0).any():
             times = np.maximum.accumulate(times)  # a clock that went back: keep the order of arrival
         return StatusTable(
             (times - epoch_ns) / 1e9,
             states,
             reasons,
             transitions,
-            np.array(self._missions, dtype=np.int64),
-            np.array(self._orders, dtype=np.int64),
-            self._counters,
-            ticks,
-            tick_counts,
-            ages,
-            age_counts,
-            np.array(self._neighbours, dtype=np.int64).reshape(-1, NEIGHBOUR_COLUMNS),
-            np.array(self._neighbour_counts, dtype=np.int64),
+            self._missions.whole(),
+            self._orders.whole(),
+            counters,
+            self._ticks.whole(),
+            self._tick_counts.whole(),
+            self._ages.whole(),
+            self._age_counts.whole(),
+            self._neighbours.whole().reshape(-1, NEIGHBOUR_COLUMNS),
+            self._neighbour_counts.whole(),
         )

@@ -50,7 +50,7 @@ class RunFolder:
         except OSError as error:
             raise FolderError(f"cannot write the run's folder {path}: {error.strerror or error}") from None
         self._recorder = Recorder(path / RECORDING_FILE, fleet, mode=mode, fleet_toml=toml)
-        self._data = RunData(fleet, mode=mode)
+        self._data = RunData(fleet, mode=mode, aside=path)
 
     def log(self, name: str) -> Path:
         """Path of one process's log."""

@@ -14,6 +14,7 @@ import pytest
 from agent.fault_settings import Rule
 from agent.messages import Event
 from deploy import fault_strip, link_figures
+from deploy.columns import Store
 from deploy.drawing import write
 from deploy.fault_times import WINDOWS_MAX, windows
 from deploy.link_data import EXACT
@@ -207,7 +208,7 @@ def test_links_are_drawn_where_messages_were_old(quiet: Recording) -> None:
 
 def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
     whole = Recording.from_folder(folder)
-    mute = StatusRows(1).table(0, EXACT)
+    mute = StatusRows(1, Store()).table(0, EXACT)
     empty = replace(quiet, robots={robot: replace(d, status=mute) for robot, d in quiet.robots.items()})
     for recording in (whole, quiet, empty, replace(whole, epoch_ns=None, missions=())):
         link_figures.links(recording)
