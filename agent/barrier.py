@@ -64,6 +64,7 @@ def keep_apart(
     *,
     alone: bool = False,
     other_acceleration: tuple[float, float] = (0.0, 0.0),
+    rank: int = SEPARATION,
 ) -> HalfPlane:
     """Own part of keeping two hands apart, (F3), (F4).
 
@@ -75,6 +76,7 @@ def keep_apart(
         alone: the other does not do its part: it brakes, is silent, or is no robot of ours.
         other_acceleration: what the other is known to do meanwhile, m/s^2; only counts if `alone`, and
             only as far as it brings the two together.
+        rank: `SEPARATION`, or `UNSURE`.
     """
     x, y = offset
     vx, vy = velocity
@@ -83,7 +85,7 @@ def keep_apart(
     if rho < DISTANCE_MIN:  # through each other: what parts them soonest is to go on
         x, y, rho = vx - ox, vy - oy, hypot(vx - ox, vy - oy)
         if rho == 0.0:
-            return HalfPlane(0.0, 0.0, 0.0, cause)
+            return HalfPlane(0.0, 0.0, 0.0, cause, rank)
         nx, ny, rho, turn = x / rho, y / rho, 0.0, 0.0
     else:
         nx, ny = x / rho, y / rho
@@ -100,7 +102,7 @@ def keep_apart(
     if alone:
         push = nx * other_acceleration[0] + ny * other_acceleration[1]
         least = max(least, both + max(push, 0.0))
-    return HalfPlane(nx, ny, least, cause)
+    return HalfPlane(nx, ny, least, cause, rank)
 
 
 def keep_clear(

@@ -70,6 +70,21 @@ class _Constraint(NamedTuple):
     name: str = ""
 
 
+class _Scene(NamedTuple):
+    """What acts on the own hand at one instant, as it is found.
+
+    now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. constraints, planes: what
+    the law and the last stage have to keep.
+    """
+
+    now_ns: int
+    own: hand.Hand
+    nx: float
+    ny: float
+    constraints: list[_Constraint]
+    planes: list[barrier.HalfPlane]
+
+
 class Controller:
     """The law of robot `robot`.
 
@@ -185,13 +200,13 @@ class Controller:
             # Round corners c_2 would be too slow: the wall is lost, and with it the way.
             gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
-        planes: list[barrier.HalfPlane] = []
-        constraints = self._constraints(acting_ns, now_ns, own, gx, gy, planes)
-        cx, cy = self._solve(constraints)
+        scene = _Scene(now_ns, own, gx, gy, [], [])
+        self._look_round(scene, acting_ns)
+        cx, cy = self._solve(scene.constraints)
         ux, uy = gx + cx, gy + cy
         causes: tuple[str, ...] = ()
         if self.around.enabled:
-            ux, uy, causes = self._last_stage(ux, uy, planes, body, own, (vx, vy), slower)
+            ux, uy, causes = self._last_stage(ux, uy, scene.planes, body, own, (vx, vy), slower)
         else:
             size = hypot(ux, uy)
             if size > self._acceleration_max:
@@ -199,7 +214,7 @@ class Controller:
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         force, torque = _within(force, self._force_max), _within(torque, self._torque_max)
         correction = ux - nx - cx, uy - ny - cy
-        return Drive(force, torque, nx, ny, cx, cy, *correction, len(constraints), causes)
+        return Drive(force, torque, nx, ny, cx, cy, *correction, len(scene.constraints), causes)
 
     def hand_at(self, plant: PlantState, time_ns: int) -> hand.Hand:
         """Own hand at a wall time after the plant's state, from what acts on the body until then."""
@@ -232,17 +247,9 @@ class Controller:
 
     # ------------------------------------------------------------------ constraints
 
-    def _constraints(
-        self,
-        time_ns: int,
-        now_ns: int,
-        own: hand.Hand,
-        nx: float,
-        ny: float,
-        planes: list[barrier.HalfPlane],
-    ) -> list[_Constraint]:
-        """All constraints on the own hand at `time_ns`; adds to `planes` what the last stage has to keep."""
-        found: list[_Constraint] = []
+    def _look_round(self, scene: _Scene, time_ns: int) -> None:
+        """Finds all constraints on the own hand at `time_ns`, and what the last stage has to keep."""
+        own = scene.own
         for edge, peer in self.edges:
             if peer.message is None:
                 continue
@@ -250,26 +257,21 @@ class Controller:
             weight = edge.weight * peer.trust
             if weight > 0.0:
                 offset = own.x - other.position[0], own.y - other.position[1]
-                constraint = self._constraint(own, nx, ny, other, offset, edge.distance, edge.rate, edge.bend)
+                constraint = self._constraint(scene, other, offset, edge.distance, edge.rate, edge.bend)
                 if weight < 1.0:
                     constraint = law.weighted(constraint, weight)
-                found.append(_Constraint(peer.robot, constraint, other, peer.degree, False))
+                scene.constraints.append(_Constraint(peer.robot, constraint, other, peer.degree, False))
             if self.around.enabled:
-                other = self.peers.whereabouts(peer, time_ns, own.x, own.y)
-                self._keep_away(peer, other, now_ns, own, nx, ny, weight < 1.0, found, planes)
+                self._keep_away(scene, peer, time_ns, other, pushes=weight < 1.0)
         for peer in self.around.close:
             if peer.message is not None:
-                other = self.peers.whereabouts(peer, time_ns, own.x, own.y)
-                self._keep_away(peer, other, now_ns, own, nx, ny, True, found, planes)
+                self._keep_away(scene, peer, time_ns, pushes=True)
         if self.around.enabled:
-            self._keep_clear(own, nx, ny, found, planes)
-        return found
+            self._keep_clear(scene)
 
     def _constraint(
         self,
-        own: hand.Hand,
-        nx: float,
-        ny: float,
+        scene: _Scene,
         other: Prediction,
         offset: Vector,
         distance: float,
@@ -277,60 +279,44 @@ class Controller:
         bend: float = 0.0,
     ) -> law.Edges:
         """The law's constraint with a robot. Of a distance that changes, the motion relative to it counts."""
+        own = scene.own
         velocity = own.vx - other.velocity[0], own.vy - other.velocity[1]
-        navigation = nx - other.navigation[0], ny - other.navigation[1]
+        navigation = scene.nx - other.navigation[0], scene.ny - other.navigation[1]
         if rate or bend:
             scale = 1.0 / max(hypot(*offset), law.DISTANCE_MIN)
             away = scale * offset[0], scale * offset[1]
             velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
             navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
-        return law.edges(
-            offset,
-            velocity,
-            navigation,
-            distance,
-            self._safe_distance,
-            self._gains,
-        )
+        return law.edges(offset, velocity, navigation, distance, self._safe_distance, self._gains)
 
     def _keep_away(
-        self,
-        peer: Peer,
-        other: Prediction,
-        now_ns: int,
-        own: hand.Hand,
-        nx: float,
-        ny: float,
-        pushes: bool,
-        found: list[_Constraint],
-        planes: list[barrier.HalfPlane],
+        self, scene: _Scene, peer: Peer, time_ns: int, predicted: Prediction | None = None, *, pushes: bool
     ) -> None:
-        """One-sided constraint (U1) against a robot, if it `pushes`, and its half plane (F3)."""
+        """One-sided constraint (U1) against a robot at `time_ns`, if it `pushes`, and its half plane (F3)."""
+        own, now_ns = scene.own, scene.now_ns
+        other = self.peers.whereabouts(peer, time_ns, own.x, own.y, predicted)
         dx, dy = own.x - other.position[0], own.y - other.position[1]
         rho = hypot(dx, dy)
         if rho > self.around.sensing:
             return
         doubt = peer.doubt(now_ns)
+        name = f"robot {peer.robot}"
         if pushes and rho - doubt < self.around.distance:
             scale = max(rho - doubt, law.DISTANCE_MIN) / max(rho, law.DISTANCE_MIN)
-            constraint = self._constraint(own, nx, ny, other, (dx * scale, dy * scale), self.around.distance)
-            name = f"robot {peer.robot}"
-            found.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
+            constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.around.distance)
+            scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         message = peer.message
-        shares = (
-            message is not None
-            and message.following
-            and peer.here
-            and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
-        )
-        gaps = [(self._safe_distance + self._margin + doubt, barrier.SEPARATION)]
+        follows = message is not None and message.following
+        shares = follows and peer.here and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
+        gap = self._safe_distance + self._margin
+        gaps: tuple[tuple[float, int], ...] = ((gap + doubt, barrier.SEPARATION),)
         if doubt >= DOUBT_MAX:  # where it is, nobody knows: those that are heard come first
-            gaps = [(gaps[0][0], barrier.UNSURE)]
-            if message is not None and not message.following:  # it stood, and most likely still does
-                gaps.append((self._safe_distance + self._margin, barrier.SEPARATION))
+            gaps = ((gap + doubt, barrier.UNSURE),)
+            if not follows:  # it stood, and most likely still does
+                gaps += ((gap, barrier.SEPARATION),)
         for gap, rank in gaps:
             plane = barrier.keep_apart(
-                f"robot {peer.robot}",
+                name,
                 (dx, dy),
                 (own.vx, own.vy),
                 other.velocity,
@@ -341,19 +327,13 @@ class Controller:
                     other.navigation[0] + other.constraint[0],
                     other.navigation[1] + other.constraint[1],
                 ),
+                rank=rank,
             )
-            planes.append(plane._replace(rank=rank))
+            scene.planes.append(plane)
 
-    def _keep_clear(
-        self,
-        own: hand.Hand,
-        nx: float,
-        ny: float,
-        found: list[_Constraint],
-        planes: list[barrier.HalfPlane],
-    ) -> None:
+    def _keep_clear(self, scene: _Scene) -> None:
         """The same against obstacles and the geofence, which have no motion of their own."""
-        around = self.around
+        around, own = self.around, scene.own
         band = around.distance - self._safe_distance
         boundaries = [(each, around.clearance, band) for each in around.obstacles]
         if around.fence is not None:
@@ -367,24 +347,23 @@ class Controller:
                     constraint = law.edges(
                         (near.nx * room, near.ny * room),
                         (near.nx * closing, near.ny * closing),
-                        (nx, ny),
+                        (scene.nx, scene.ny),
                         clearance + band,
                         clearance,
                         self._gains,
                     )
                     key = f"{near.name} {near.side}"
-                    found.append(_Constraint(key, constraint, None, 0, True, near.name))
-                planes.append(
-                    barrier.keep_clear(
-                        near.name,
-                        near.distance,
-                        near.nx,
-                        near.ny,
-                        (own.vx, own.vy),
-                        clearance + self._margin,
-                        self._barrier_rate,
-                    )
+                    scene.constraints.append(_Constraint(key, constraint, None, 0, True, near.name))
+                plane = barrier.keep_clear(
+                    near.name,
+                    near.distance,
+                    near.nx,
+                    near.ny,
+                    (own.vx, own.vy),
+                    clearance + self._margin,
+                    self._barrier_rate,
                 )
+                scene.planes.append(plane)
 
     # ------------------------------------------------------------------ multipliers
 

@@ -12,11 +12,13 @@ from typing import Final
 
 from agent import hand, keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode, newer, tag
 from agent.controller import Controller
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.gossip import Gossip
 from agent.latch import AWAITED, Latch
+from agent.message_checks import Malformed
 from agent.messages import (
     FLOAT_MAX,
     NO_FORCES,
@@ -26,7 +28,6 @@ from agent.messages import (
     Faults,
     HandState,
     Heartbeat,
-    Malformed,
     Mission,
     PlantState,
     Resume,
@@ -34,10 +35,6 @@ from agent.messages import (
     Stop,
     Wrench,
     clipped,
-    decode,
-    encode,
-    newer,
-    tag,
 )
 from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX

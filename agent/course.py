@@ -21,11 +21,12 @@ from math import hypot
 from typing import Final, NamedTuple
 
 from agent.clock import NS_PER_S
+from agent.codec import newer
 from agent.fleet import Fleet
 from agent.fleet_sections import Pair
 from agent.formation import Geometry
 from agent.law import DISTANCE_MIN
-from agent.messages import TIME_NS_MAX, Mission, newer
+from agent.messages import TIME_NS_MAX, Mission
 from agent.plan import Plan, plan_of
 from agent.trajectory import Sample
 
@@ -109,7 +110,7 @@ class Course:
     def take(self, plan: Plan) -> None:
         """Takes a plan over at its time, instead of all that was to be taken over then or later.
 
-        One that is not newer than the latest (`agent.messages.newer`) changes nothing. A plan of another
+        One that is not newer than the latest (`agent.codec.newer`) changes nothing. A plan of another
         epoch is a new drive, of which the former ones are no part.
         """
         latest, epoch_ns = self.plan, plan.mission.epoch_ns

@@ -17,10 +17,12 @@ import numpy as np
 
 from agent.blend import blend_ns_for
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fleet import Fleet, digest
 from agent.fleet_sections import Pair, TrajectorySection
 from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near
-from agent.messages import Malformed, Mission, clipped, decode, encode
+from agent.message_checks import Malformed
+from agent.messages import Mission, clipped
 from agent.node import next_tick_ns
 from agent.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
 from agent.plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan

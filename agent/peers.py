@@ -347,8 +347,10 @@ class Peers:
         found = self._following(peer, message, then_ns) if message.following and peer.here else None
         return coasting(message, max(0, then_ns - message.time_ns) * 1e-9) if found is None else found
 
-    def whereabouts(self, peer: Peer, time_ns: int, x: float, y: float) -> Prediction:
-        """As `predict`, for one that has to be kept away from at (x, y), m.
+    def whereabouts(
+        self, peer: Peer, time_ns: int, x: float, y: float, predicted: Prediction | None = None
+    ) -> Prediction:
+        """As `predict`, for one that has to be kept away from at (x, y), m; `predicted`, where that is known.
 
         One that has not been heard for long may follow its course, or have stopped since: because it lost
         its neighbours, was told to, or its agent hangs. One whose process seems gone may only be cut off. It
@@ -363,7 +365,7 @@ class Peers:
         if not sure and self._predict and message.following:
             found = self._following(peer, message, then_ns)
         if found is None:
-            return self.predict(peer, time_ns)
+            return predicted or self.predict(peer, time_ns)
         after = found
         nearest, least, share = found.position, _square(found.position, x, y), 1.0
         for k in range(WAY_STEPS - 1, -1, -1):

@@ -11,10 +11,11 @@ from typing import Final, Literal
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import encode
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.links import Arrival, Links, Sample
-from agent.messages import Faults, encode
+from agent.messages import Faults
 from agent.node import Outgoing
 from agent.peers import FUTURE_NS_MAX
 

@@ -7,9 +7,11 @@ robot that stands beside its place without such a balance is not driven as it sh
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent import law
 from agent.fleet import Fleet
@@ -19,43 +21,63 @@ from deploy.analysis import Analysis
 STILL_S: Final = 2.0
 STILL_M: Final = 0.1
 """Who has moved less than this, as seen from its place, in the last `STILL_S`, is at rest."""
-UNBALANCED: Final = 0.05
-"""Largest force that may be left, m/s^2: the law comes to rest slowly near a balance."""
+LOOK_S: Final = 0.5
+"""How often it is looked whether a formation is at rest."""
+UNBALANCED: Final = 0.3
+"""Largest share of the largest navigation force that may be left: a balance is reached slowly."""
 
 
-def caught(a: Analysis, fleet: Fleet) -> bool:
-    """Whether at the end edges are off, and all robots at these are at rest with their forces in balance."""
-    ends = np.unique(a.edges[np.flatnonzero(a.off[-1])])
+def caught(a: Analysis, fleet: Fleet, row: int = -1) -> bool:
+    """Whether at a row of the grid, the end, edges are off and all robots at these are at rest with their
+    forces in balance."""
+    ends = np.unique(a.edges[np.flatnonzero(a.off[row])])
     if not len(ends):
         return False
-    rows = a.grid >= a.grid[-1] - STILL_S
+    rows = _lately(a, row)
     moved = np.ptp(a.hands[rows] - a.desired[rows], axis=0).max(axis=1)
-    left = np.hypot(*_forces(a, fleet))
-    return bool((moved[ends] < STILL_M).all() and (left[ends] < UNBALANCED).all())
+    navigation, total = (np.hypot(*forces)[ends] for forces in _forces(a, fleet, row))
+    return bool((moved[ends] < STILL_M).all() and (total < UNBALANCED * navigation.max()).all())
 
 
-def _forces(a: Analysis, fleet: Fleet) -> law.Array:
-    """What is left of all forces on every robot at the end, (2, n), m/s^2, if none moves in the formation."""
+def last_caught_s(a: Analysis, fleet: Fleet, since_s: float) -> float:
+    """When the formation was last `caught` after `since_s`; -inf: never.
+
+    Such a shape need not be stable: a formation may leave it after a while, the later the closer it came.
+    """
+    for t in np.arange(a.grid[-1], since_s + STILL_S, -LOOK_S):
+        if caught(a, fleet, int(np.searchsorted(a.grid, t))):
+            return float(t)
+    return -inf
+
+
+def _lately(a: Analysis, row: int) -> NDArray[np.bool_]:
+    lately: NDArray[np.bool_] = (a.grid >= a.grid[row] - STILL_S) & (a.grid <= a.grid[row])
+    return lately
+
+
+def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[law.Array, law.Array]:
+    """Navigation force on every robot, and what is left of all forces, (2, n), m/s^2, if none moves in the
+    formation."""
     control, n = fleet.control, len(a.ids)
-    error = np.nan_to_num((a.hands[-1] - a.desired[-1]).T)
-    before = a.desired[a.grid >= a.grid[-1] - STILL_S][0]
-    vx, vy = np.nan_to_num((a.desired[-1] - before).T / STILL_S)
+    error = np.nan_to_num((a.hands[row] - a.desired[row]).T)
+    before = a.desired[_lately(a, row)][0]
+    vx, vy = np.nan_to_num((a.desired[row] - before).T / STILL_S)
     shares = [
         law.saturation(x, y, control.c1, control.c2, approach(u, v, x, y, control.max_speed_mps))
         for x, y, u, v in zip(*error.tolist(), vx.tolist(), vy.tolist(), strict=True)
     ]
     navigation = -control.c1 * np.array(shares) * error
-    columns = np.flatnonzero(a.counts[-1])
+    columns = np.flatnonzero(a.counts[row])
     i, j = a.edges[columns].T
     gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     edges = law.edges(
-        (a.hands[-1, i] - a.hands[-1, j]).T,
+        (a.hands[row, i] - a.hands[row, j]).T,
         np.zeros((2, len(columns))),
         navigation[:, i] - navigation[:, j],
-        a.wanted[-1, columns],
+        a.wanted[row, columns],
         fleet.formation.safe_distance_m,
         gains,
     )
     multipliers = law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
     total: law.Array = navigation + law.total_forces(law.forces(edges, multipliers), i, j, n)
-    return total
+    return navigation, total

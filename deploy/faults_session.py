@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import Fleet
-from agent.messages import Faults, Message, PlantState, encode
+from agent.messages import Faults, Message, PlantState
 from agent.node import FIRST_ROUND
 from deploy.author import author
 from deploy.live_faults import Held, Receiver

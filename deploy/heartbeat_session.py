@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final, TextIO
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import Fleet
-from agent.messages import Heartbeat, encode
+from agent.messages import Heartbeat
 from deploy.author import author
 from deploy.faults_putting import Line
 from deploy.interrupt import Interrupt

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from agent import keys
+from agent.codec import decode
 from agent.fleet import Fleet
-from agent.messages import decode
 from deploy.pool import Abandoned, GoOn
 from deploy.recording import Recording, RunData
 from deploy.simulation import Simulation

@@ -12,11 +12,12 @@ from typing import Final
 from agent import keys
 from agent.bus import Bus, Presence
 from agent.clock import NS_PER_S, RealClock
+from agent.codec import encode
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.hand import Pose
-from agent.messages import Ask, Event, Heartbeat, Message, PlantState, encode
+from agent.messages import Ask, Event, Heartbeat, Message, PlantState
 from agent.node import next_tick_ns
 from agent.order_sections import OrderSection
 from agent.orders import OrderError

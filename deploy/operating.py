@@ -10,22 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from agent import keys
+from agent.codec import encode, newer
 from agent.fleet import Fleet, digest
 from agent.formation import Geometry
-from agent.messages import (
-    Ask,
-    Beacon,
-    Heartbeat,
-    Message,
-    Mission,
-    PlantState,
-    Resume,
-    Status,
-    Stop,
-    clipped,
-    encode,
-    newer,
-)
+from agent.messages import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop, clipped
 from agent.node import FIRST_ROUND, Outgoing
 from agent.order_sections import OrderSection
 from agent.orders import OrderError, first_mission, ordered

@@ -16,7 +16,7 @@ from agent.fleet import Fleet
 from agent.keys import ROLES
 from agent.supervision import DRIVING, State
 from deploy.analysis import Analysis, norm
-from deploy.balance import caught
+from deploy.balance import last_caught_s
 from deploy.clearances import distances
 from deploy.presence import downs, said
 from deploy.recording import Recording
@@ -73,9 +73,9 @@ def limits(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
 def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """Some time after the last fault and the last change all members drive, and their edges are right.
 
-    Who was held up by an obstacle, or by a robot that it shares no edge with, gets as long after that. Edges
-    are not judged where the formation has come to rest in another shape (`deploy.balance`): that is no
-    matter of recovery.
+    Who was held up by an obstacle, or by a robot that it shares no edge with, gets as long after that. So
+    do edges where the formation has come to rest in another shape (`deploy.balance`): that is no matter of
+    recovery.
     """
     end_s = recording.end_s
     last_s = _last_trouble_s(recording, a)
@@ -104,7 +104,9 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
             found.append(Violation("recovery", t_s, message))
     free_s = max(last_s, _held_up_s(a, fleet))
     off = a.off & (a.grid >= free_s + RECOVERED_S)[:, None]
-    if off.any() and not caught(a, fleet):
+    if off.any():  # what follows takes its time
+        off &= (a.grid >= last_caught_s(a, fleet, last_s) + RECOVERED_S)[:, None]
+    if off.any():
         k, column = (int(index) for index in np.argwhere(off)[-1])
         i, j = (a.ids[index] for index in a.edges[column])
         t_s = float(a.grid[k])

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from agent.clock import NS_PER_S
-from agent.messages import Mission, Status, newer
+from agent.codec import newer
+from agent.messages import Mission, Status
 
 
 def words(mission: Mission) -> str:

@@ -17,8 +17,9 @@ from rich.text import Text
 from agent import keys
 from agent.bus import Bus
 from agent.clock import RealClock
+from agent.codec import decode
 from agent.fleet import Fleet, to_dict
-from agent.messages import Malformed, decode
+from agent.message_checks import Malformed
 from deploy.interrupt import Interrupt
 from deploy.placing import Vehicle
 from deploy.processes import VEHICLE, Processes

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent import keys
+from agent.codec import newer
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.messages import (
@@ -36,7 +37,6 @@ from agent.messages import (
     Status,
     Stop,
     Wrench,
-    newer,
 )
 from deploy.columns import Store
 from deploy.link_data import Floats, LinkRows, LinkTable

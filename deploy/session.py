@@ -10,8 +10,10 @@ from typing import Final, TypeVar
 from agent import keys
 from agent.bus import Bus
 from agent.clock import RealClock
+from agent.codec import decode
 from agent.fleet import Fleet
-from agent.messages import Malformed, Message, decode
+from agent.message_checks import Malformed
+from agent.messages import Message
 from deploy.interrupt import Interrupt
 from deploy.live_faults import Receiver, receivers
 from deploy.running import NoAnswerError

@@ -20,11 +20,13 @@ from typing import Final
 
 from agent import keys
 from agent.clock import NS_PER_S, LocalTime
+from agent.codec import decode, encode
 from agent.core import LISTEN_ROUNDS, Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import Event, Heartbeat, Malformed, Mission, Resume, Stop, decode, encode
+from agent.message_checks import Malformed
+from agent.messages import Event, Heartbeat, Mission, Resume, Stop
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.order_sections import OrderSection
 from agent.orders import OrderError

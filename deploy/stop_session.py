@@ -6,8 +6,9 @@ import time
 from typing import Final
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import Fleet
-from agent.messages import Message, encode
+from agent.messages import Message
 from deploy.session import Session
 from deploy.stopping import Stopping
 

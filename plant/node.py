@@ -11,9 +11,11 @@ from typing import Final
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fleet import Fleet, digest
 from agent.hand import Pose
 from agent.latch import Latch
+from agent.message_checks import Malformed
 from agent.messages import (
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -23,15 +25,12 @@ from agent.messages import (
     TOPICS,
     Checks,
     Faults,
-    Malformed,
     Mission,
     PlantState,
     Resume,
     Stop,
     Wrench,
     clipped,
-    decode,
-    encode,
 )
 from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from agent import hand, keys
 from agent.clock import NS_PER_S
+from agent.codec import decode
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import PlantState, decode
+from agent.messages import PlantState
 from agent.trajectory import make_trajectory
 from deploy.simulation import Simulation
 from deploy.stability import SETTLED

@@ -24,10 +24,11 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.core import Agent
 from agent.fleet import digest
 from agent.formation import resolve
-from agent.messages import Mission, PlantState, decode, encode
+from agent.messages import Mission, PlantState
 from agent.node import Node
 from agent.supervision import State
 from bridges.mavlink import ardurover

@@ -13,12 +13,13 @@ from typing import Any, Final
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.core import Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.links import Links
-from agent.messages import TOPICS, HandState, decode, encode
+from agent.messages import TOPICS, HandState
 from deploy.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from agent import hand
 from agent.clock import NS_PER_S
+from agent.codec import decode
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolve, resolved
 from agent.hand import Pose
-from agent.messages import decode
 from deploy.analysis import Analysis, analyse
 from deploy.arguments import fleet_path
 from deploy.drawing import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write

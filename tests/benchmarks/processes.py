@@ -19,8 +19,10 @@ import tomli_w
 from agent import keys
 from agent.bus import Bus
 from agent.clock import NS_PER_S, RealClock
+from agent.codec import decode, encode
 from agent.fleet import Fleet, digest, to_dict
-from agent.messages import Malformed, Mission, PlantState, Status, decode, encode
+from agent.message_checks import Malformed
+from agent.messages import Mission, PlantState, Status
 from agent.node import next_tick_ns
 from agent.supervision import State
 from deploy.children import ONE_THREAD

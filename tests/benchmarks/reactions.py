@@ -17,7 +17,8 @@ from typing import Any, Final
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.messages import Ask, PlantState, Status, Stop, Wrench, encode
+from agent.codec import encode
+from agent.messages import Ask, PlantState, Status, Stop, Wrench
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError
 from tests.process.fleet_harness import Robots, robots

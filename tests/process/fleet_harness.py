@@ -18,9 +18,11 @@ import tomli_w
 from agent import keys
 from agent.bus import Bus, Presence
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fleet import Fleet, digest, load_fleet, to_dict
 from agent.formation import resolved
-from agent.messages import Malformed, Message, Mission, PlantState, Status, Wrench, decode, encode
+from agent.message_checks import Malformed
+from agent.messages import Message, Mission, PlantState, Status, Wrench
 from deploy.arguments import FLEETS
 from deploy.ports import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, last_lines, wait_for

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
-from agent.messages import Checks, Resume, encode
+from agent.messages import Checks, Resume
 from bridges.mavlink.transport import open_transport
 from deploy.arguments import FLEETS
 from deploy.placing import Vehicle, place, vehicle

@@ -27,23 +27,21 @@ import zenoh
 
 from agent import keys
 from agent.bus import Bus
+from agent.codec import VERSION, decode, encode
 from agent.fleet import Fleet, load_fleet, to_dict
+from agent.message_checks import Malformed
 from agent.messages import (
-    VERSION,
     Ask,
     Beacon,
     Checks,
     HandState,
     Heartbeat,
-    Malformed,
     Mission,
     PlantState,
     Resume,
     Status,
     Stop,
     Wrench,
-    decode,
-    encode,
 )
 from tests.process.fleet_harness import Robots, make_fleet, placed, robots
 from tests.process.harness import Command, assert_same_way, environment, hands, measured, no_trouble_in_logs

@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 from agent import keys
-from agent.messages import Ask, Mission, Status, encode
+from agent.codec import encode
+from agent.messages import Ask, Mission, Status
 from deploy.recording import Recording
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import encode
 from agent.latch import AWAITED
-from agent.messages import HandState, PlantState, Status, Wrench, encode
+from agent.messages import HandState, PlantState, Status, Wrench
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import UNTOLD
 from tests.ground_station import Operator

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.messages import Ask, PlantState, Status, Stop, Wrench, encode
+from agent.codec import encode
+from agent.messages import Ask, PlantState, Status, Stop, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import no_trouble_in_logs
 from tests.process.small_fleets import triangle

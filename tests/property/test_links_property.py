@@ -9,19 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.links import Links
-from agent.messages import (
-    HELD,
-    LOST,
-    TOPICS,
-    Faults,
-    HandState,
-    Malformed,
-    decode,
-    encode,
-)
+from agent.message_checks import Malformed
+from agent.messages import HELD, LOST, TOPICS, Faults, HandState
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]

@@ -12,6 +12,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from agent.codec import VERSION, decode, encode, newer
+from agent.message_checks import REASONS, Malformed
 from agent.messages import (
     AUTHOR_MAX,
     BYTES_MAX,
@@ -22,10 +24,8 @@ from agent.messages import (
     EVERY_AUTHOR,
     FLOAT_MAX,
     LEVELS,
-    REASONS,
     TIME_NS_MAX,
     TOPICS,
-    VERSION,
     WHAT_MAX,
     Ask,
     Beacon,
@@ -35,7 +35,6 @@ from agent.messages import (
     HandState,
     Heartbeat,
     LinkTrace,
-    Malformed,
     Message,
     Mission,
     PlantState,
@@ -43,9 +42,6 @@ from agent.messages import (
     Status,
     Stop,
     Wrench,
-    decode,
-    encode,
-    newer,
 )
 from tests.wire import opened, sealed
 

@@ -8,9 +8,10 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
-from agent.messages import Message, Mission, Status, Wrench, decode
+from agent.messages import Message, Mission, Status, Wrench
 from agent.supervision import State
 from deploy.simulation import Simulation
 

@@ -9,11 +9,12 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S, LocalTime
+from agent.codec import decode
 from agent.core import Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve, resolved
-from agent.messages import Event, Mission, PlantState, Status, decode
+from agent.messages import Event, Mission, PlantState, Status
 from agent.node import INBOX_SIZE
 from agent.supervision import DRIVING, State
 from deploy.simulation import Simulation

@@ -10,10 +10,11 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.core import Agent
 from agent.fleet import parse_fleet
 from agent.formation import resolved
-from agent.messages import Checks, HandState, PlantState, Resume, Status, Wrench, decode, encode
+from agent.messages import Checks, HandState, PlantState, Resume, Status, Wrench
 from agent.supervision import State
 from bridges.mavlink import frames
 from bridges.mavlink.frames import datum_of

@@ -7,22 +7,11 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
-from agent.messages import (
-    Beacon,
-    HandState,
-    Message,
-    Mission,
-    PlantState,
-    Resume,
-    Status,
-    Stop,
-    Wrench,
-    decode,
-    encode,
-)
+from agent.messages import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.supervision import State
 
 FLEET = """

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable
 
 from agent import hand, keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
-from agent.messages import Message, Mission, decode, encode
+from agent.messages import Message, Mission
 from agent.node import Node
 from agent.supervision import State
 from plant.node import PlantNode

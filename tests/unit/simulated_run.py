@@ -8,9 +8,10 @@ from pathlib import Path
 import tomli_w
 
 from agent import keys
+from agent.codec import decode, encode
 from agent.fleet import Fleet, parse_fleet, to_dict
 from agent.formation import resolved
-from agent.messages import Faults, Message, decode, encode
+from agent.messages import Faults, Message
 from deploy.recorder import Recorder
 from deploy.recording import Recording, RunData
 from deploy.simulation import Simulation

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 from math import cos, exp, pi, sin, sqrt
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import Fleet
 from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.messages import HandState, Message, Mission, PlantState, Status, Wrench, encode
+from agent.messages import HandState, Message, Mission, PlantState, Status, Wrench
 
 EPOCH_NS = 1_763_600_000_000_000_000
 Path = Callable[[float], tuple[float, float, float]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from agent import law
 from agent.fleet import Fleet
 from agent.formation import resolve
 from deploy.analysis import Analysis, analyse
-from deploy.balance import STILL_S, caught
+from deploy.balance import STILL_S, caught, last_caught_s
 from deploy.recording import RunData
 from tests.unit.synthetic_run import make_fleet, messages, standing
 
@@ -71,3 +72,18 @@ def test_on_each_others_side_where_forces_are_in_balance(coupling: str) -> None:
 
 def test_in_formation_nothing_is_caught() -> None:
     assert not caught(at_rest(PAIR, 2.0), PAIR)
+
+
+def test_one_that_leaves_another_shape_was_caught_until_then() -> None:
+    """Such a shape may be a saddle: the formation rests there for a while, and then goes on."""
+    fleet = of_coupling("joint")
+    fleet = replace(fleet, fleet=replace(fleet.fleet, duration_s=12.0))
+    a = at_rest(fleet, balanced(fleet))
+    assert caught(a, fleet)
+    leaving = a.grid > 7.0
+    hands = a.hands.copy()
+    hands[leaving, 0, 1] += 0.3 * (a.grid[leaving] - 7.0)
+    a = replace(a, hands=hands)
+    assert not caught(a, fleet)
+    assert last_caught_s(a, fleet, 0.0) == pytest.approx(7.2, abs=0.5)
+    assert last_caught_s(a, fleet, 6.0) == -inf

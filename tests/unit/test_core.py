@@ -11,6 +11,7 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration
@@ -25,8 +26,6 @@ from agent.messages import (
     Resume,
     Stop,
     Wrench,
-    decode,
-    encode,
 )
 from agent.peers import FUTURE_NS_MAX
 from agent.supervision import State

@@ -11,10 +11,11 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fault_settings import Rule
 from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import load_fleet
-from agent.messages import Faults, decode, encode
+from agent.messages import Faults
 from agent.reception import Reception
 from agent.scenario import parse_scenario
 from deploy.arguments import FLEETS

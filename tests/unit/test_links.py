@@ -8,9 +8,11 @@ import pytest
 
 from agent import draws, replay
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.faults import NONE, FaultPlan
 from agent.fleet import Fleet, FleetError, parse_fleet
 from agent.links import Links
+from agent.message_checks import Malformed
 from agent.messages import (
     CORRUPTED,
     DUPLICATED,
@@ -23,10 +25,7 @@ from agent.messages import (
     TRACE_MAX,
     HandState,
     LinkTrace,
-    Malformed,
     Wrench,
-    decode,
-    encode,
 )
 from agent.node import FIRST_ROUND
 from agent.replay import encode_fates

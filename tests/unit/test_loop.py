@@ -9,8 +9,9 @@ import pytest
 
 from agent.bus import Bus
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fleet import digest, parse_fleet
-from agent.messages import Mission, PlantState, decode, encode
+from agent.messages import Mission, PlantState
 from agent.process import Shutdown, loop
 from plant.node import PlantNode
 from plant.unicycle import from_fleet

@@ -11,6 +11,8 @@ from math import inf, nan
 import msgpack
 import pytest
 
+from agent.codec import VERSION, decode, encode, newer
+from agent.message_checks import REASONS, Malformed
 from agent.messages import (
     AUTHOR_MAX,
     BYTES_MAX,
@@ -23,14 +25,12 @@ from agent.messages import (
     LEVELS,
     MISSION_BYTES_MAX,
     NEIGHBOURS_MAX,
-    REASONS,
     RULES_MAX,
     SILENT_MAX,
     TEXT_MAX,
     TIME_NS_MAX,
     TOPICS,
     TRACE_MAX,
-    VERSION,
     WHAT_MAX,
     Ask,
     Beacon,
@@ -40,7 +40,6 @@ from agent.messages import (
     HandState,
     Heartbeat,
     LinkTrace,
-    Malformed,
     Message,
     Mission,
     PlantState,
@@ -49,9 +48,6 @@ from agent.messages import (
     Stop,
     Wrench,
     clipped,
-    decode,
-    encode,
-    newer,
 )
 from tests.wire import opened, sealed
 

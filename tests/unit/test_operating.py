@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import pytest
 
 from agent import keys
+from agent.codec import decode
 from agent.formation import resolve
-from agent.messages import Ask, Beacon, Mission, PlantState, Resume, Status, Stop, decode
+from agent.messages import Ask, Beacon, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
 from agent.orders import OrderError
 from deploy.operating import NO_MISSION, Known, Operator, refused

@@ -15,17 +15,7 @@ from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.impairments import Delay
 from agent.loss import Loss
-from agent.messages import (
-    Event,
-    LinkTrace,
-    Message,
-    Mission,
-    PlantState,
-    Resume,
-    Status,
-    Stop,
-    Wrench,
-)
+from agent.messages import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection
 from deploy.analysis import analyse
 from deploy.oracles import ORACLES, examine, judge

@@ -9,9 +9,10 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S, RealClock
+from agent.codec import encode
 from agent.fleet import Fleet, digest, load_fleet
 from agent.formation import resolved
-from agent.messages import Mission, encode
+from agent.messages import Mission
 from deploy.arguments import FLEETS
 from plant import server
 from plant.__main__ import place

@@ -9,6 +9,7 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
 from agent.messages import (
@@ -23,8 +24,6 @@ from agent.messages import (
     Resume,
     Stop,
     Wrench,
-    decode,
-    encode,
 )
 from agent.peers import FUTURE_NS_MAX
 from plant.backend import Check, Command, PlantBackend, Reading

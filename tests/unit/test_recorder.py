@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import parse_fleet
 from agent.messages import (
     CORRUPTED,
@@ -37,7 +38,6 @@ from agent.messages import (
     Status,
     Stop,
     Wrench,
-    encode,
 )
 from deploy.foxglove import Scene
 from deploy.mcap_file import MAGIC

@@ -19,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from agent import keys
 from agent.clock import LocalTime
+from agent.codec import encode
 from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet, FleetError, to_dict
 from agent.messages import (
@@ -34,7 +35,6 @@ from agent.messages import (
     Status,
     Stop,
     Wrench,
-    encode,
 )
 from deploy.export import tabulate
 from deploy.mcap_file import MAGIC

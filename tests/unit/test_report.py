@@ -17,10 +17,11 @@ import pytest
 import tomli_w
 
 from agent import keys
+from agent.codec import encode
 from agent.fleet import Fleet, to_dict
 from agent.fleet_sections import TrajectorySection
 from agent.formation import resolve
-from agent.messages import Mission, Status, encode
+from agent.messages import Mission, Status
 from deploy import figures
 from deploy.analysis import analyse
 from deploy.metrics import compute

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from agent.clock import NS_PER_S
+from agent.codec import decode
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
-from agent.messages import Checks, Message, PlantState, decode
+from agent.messages import Checks, Message, PlantState
 from bridges.mavlink.simulated import SimulatedRoverPlant
 from deploy.arguments import FLEETS
 from deploy.simulated_bodies import Bodies

@@ -10,20 +10,11 @@ import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import decode, encode
 from agent.fleet import Fleet
 from agent.formation import resolved
-from agent.messages import (
-    Heartbeat,
-    Malformed,
-    Message,
-    Mission,
-    PlantState,
-    Resume,
-    Status,
-    Stop,
-    decode,
-    encode,
-)
+from agent.message_checks import Malformed
+from agent.messages import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.orders import OrderError
 from agent.supervision import State
 from deploy.operating import HEARTBEAT_PERIOD_NS

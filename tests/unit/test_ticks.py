@@ -7,9 +7,10 @@ import pytest
 from scipy import stats
 
 from agent.clock import NS_PER_S
+from agent.codec import encode
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
-from agent.messages import Faults, Mission, encode
+from agent.messages import Faults, Mission
 from agent.node import FIRST_ROUND, Node, Numbers, Ticks
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
