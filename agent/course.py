@@ -3,7 +3,7 @@
 All robots take a mission over at one time and come to it within one blend. With s the share of the blend that
 is over, r_old and r_new the desired motions before and after,
 
-    r_d = r_old + S (r_new - r_old),    S(s) = 10 s^3 - 15 s^4 + 6 s^5
+    r_d = r_old + S (r_new - r_old),    S(s) = 10 s^3 - 15 s^4 + 6 s^5    (M1)
 
 S' and S'' are zero at both ends, so position, velocity and acceleration are continuous; r_old may be in a
 blend as well. All this is a function of the missions and the time: robots that know the same missions agree,

@@ -43,9 +43,15 @@ def scenario_path(name: str) -> Path:
 
 def _path(name: str, folder: Path, what: str) -> Path:
     path = Path(name)
+    known = bundled(folder)
+    if path.is_dir():  # one that is named like a bundled fleet, as a run's may be, must not hide it
+        if name in known:
+            return folder / f"{name}.toml"
+        inside = path / f"{what}.toml"
+        instead = f": give {inside}" if inside.is_file() else ""
+        raise InputError(f"{name} is a folder, not a {what} file{instead}")
     if path.exists() or path.suffix == ".toml" or len(path.parts) > 1:
         return path
-    known = bundled(folder)
     if name in known:
         return folder / f"{name}.toml"
     raise InputError(

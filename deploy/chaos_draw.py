@@ -18,6 +18,7 @@ from deploy.chaos_faults import draw_faults
 from deploy.chaos_orders import draw_orders
 from deploy.chaos_shapes import Shape, draw_shape
 from deploy.chaos_space import draw_obstacles, fence_round
+from deploy.check_braking import MARGIN_M
 from deploy.dice import Dice
 
 Tables = dict[str, Any]
@@ -30,7 +31,6 @@ QUIET_S: Final = 12.0
 """Nothing is ordered and nothing fails in so much at the end, where the drive must be what it was to be."""
 RECOVERED_S: Final = 21.0
 """So much in some, long enough for the oracle that looks whether all are in formation again."""
-MARGIN_M: Final = 0.05
 TROUBLE_S: Final = (8.0, 18.0)
 """Least and most of the time in which things happen."""
 _RATES_HZ: Final = ((20, 3.0), (25, 3.0), (30, 2.0), (40, 1.0), (50, 1.0))

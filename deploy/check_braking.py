@@ -13,6 +13,8 @@ from deploy.finding import Finding
 from deploy.wording import robots
 
 _ROUNDING: Final = 1e-9
+MARGIN_M: Final = 0.05
+"""With so much more than the lag asks for, `handfast chaos` finds no pair below the safe distance."""
 
 
 def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
@@ -37,6 +39,7 @@ def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
         )
     yield from _bodies(fleet, min(needed, control.max_acceleration))
     yield from _sensing(fleet, distance)
+    yield from _lag(fleet)
 
 
 def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:
@@ -84,6 +87,21 @@ def _sensing(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
         f"{given:.4g} m is not {why}: they would notice each other too late; take {enough:.3g} m, or leave "
         "it out",
     )
+
+
+def _lag(fleet: Fleet) -> Iterator[Finding]:
+    """A body that answers late goes on for so long as it did: only the margin allows for that."""
+    slowest = max(fleet.robots, key=lambda robot: robot.actuator_lag_s)
+    margin, speed = fleet.avoidance.margin_m, fleet.control.max_speed_mps
+    further = slowest.actuator_lag_s * speed
+    if margin < further * (1.0 - _ROUNDING):
+        yield Finding(
+            "warning",
+            "avoidance.margin_m",
+            f"{margin:.4g} m does not allow for actuator_lag_s = {slowest.actuator_lag_s:.4g} s of robot "
+            f"{slowest.id}, in which it goes {further:.3g} m at control.max_speed_mps = {speed:.4g}: robots "
+            f"may come nearer than the safe distance; take {further + MARGIN_M:.3g} m, or lower the speed",
+        )
 
 
 def _below(value: float) -> str:

@@ -84,3 +84,13 @@ def test_a_sensing_distance_that_is_too_short_to_part_or_to_brake_in() -> None:
     assert "1.2 m is not the 1.25 m in which two robots at control.max_speed_mps = 1.5 can brake" in brake
     assert found(small("avoidance.sensing_m=1.25")) == {}
     assert "take 1.25 m" in found(small("avoidance.sensing_m=1.2"), None)["avoidance.sensing_m"].message
+
+
+def test_a_margin_that_does_not_allow_for_the_actuators_lag() -> None:
+    lags = ("robot_defaults.actuator_lag_s=0.01", "robot.5.actuator_lag_s=0.08")
+    text = found(small(*SLOW, *lags))["avoidance.margin_m"].message
+    assert "0.05 m does not allow for actuator_lag_s = 0.08 s of robot 5, in which it goes 0.12 m" in text
+    assert "take 0.17 m" in text
+    assert found(small(*SLOW, *lags, "avoidance.margin_m=0.17")) == {}
+    assert found(small(*SLOW, lags[0])) == {}
+    assert found(small(*SLOW, *lags, "avoidance.enabled=false")) == {}

@@ -1,0 +1,37 @@
+"""What FLEET and SCENARIO mean on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deploy.arguments import FLEETS, InputError, fleet_path, scenario_path
+
+
+def test_a_file_goes_before_a_bundled_fleet_and_a_folder_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert fleet_path("delta") == FLEETS / "delta.toml"
+    Path("delta").mkdir()  # such as a run's folder
+    assert fleet_path("delta") == FLEETS / "delta.toml"
+    Path("delta").rmdir()
+    Path("delta").touch()
+    assert fleet_path("delta") == Path("delta")
+
+
+def test_a_folder_that_is_no_fleet_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"is a folder, not a fleet file$"):
+        fleet_path(str(tmp_path))
+    (tmp_path / "fleet.toml").touch()
+    with pytest.raises(InputError, match=r"is a folder, not a fleet file: give .*/fleet\.toml$"):
+        fleet_path(str(tmp_path))
+    with pytest.raises(InputError, match=r"is a folder, not a scenario file$"):
+        scenario_path(str(tmp_path))
+
+
+def test_a_name_that_nothing_has() -> None:
+    with pytest.raises(InputError, match=r"^dleta: no such file, and no bundled fleet .*: delta, "):
+        fleet_path("dleta")
+    assert fleet_path("dleta.toml") == Path("dleta.toml")  # the one who reads it says that it is not there
