@@ -126,14 +126,16 @@ def decode(payload: bytes) -> Message:
                 and 0 <= array[3] < TIME_NS_MAX
                 and 0 <= array[4] < TIME_NS_MAX
                 and sum(map(abs, array[floats])) <= FLOAT_MAX  # false for NaN and infinities, too
-                and (
-                    number != _HAND_STATE or (0 <= array[6] <= DEGREE_MAX and are_pairs(array[-2], array[-1]))
-                )
-                and (number != _BEACON or (not array[-1] and are_versions(array[-5:-1])))
+                and (number != _HAND_STATE or _plain_hand(array))
+                and (number != _BEACON or (not array[-1] and array[10] >= 0.0 and are_versions(array[-5:-1])))
             ):
                 message: Message = tuple.__new__(cls, array[_HEAD:])
                 return message
     return _examine(array)
+
+
+def _plain_hand(array: tuple[Any, ...]) -> bool:
+    return 0 <= array[6] <= DEGREE_MAX and array[-3] >= 0.0 and are_pairs(array[-2], array[-1])
 
 
 def _unpacked(packed: bytes) -> Any:

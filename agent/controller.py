@@ -307,29 +307,27 @@ class Controller:
             scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         message = peer.message
         follows = message is not None and message.following
-        shares = follows and peer.here and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
-        gap = self._safe_distance + self._margin
-        gaps: tuple[tuple[float, int], ...] = ((gap + doubt, barrier.SEPARATION),)
-        if doubt >= DOUBT_MAX:  # where it is, nobody knows: those that are heard come first
-            gaps = ((gap + doubt, barrier.UNSURE),)
-            if not follows:  # it stood, and most likely still does
-                gaps += ((gap, barrier.SEPARATION),)
-        for gap, rank in gaps:
-            plane = barrier.keep_apart(
-                name,
-                (dx, dy),
-                (own.vx, own.vy),
-                other.velocity,
-                gap,
-                self._barrier_rate,
-                alone=not shares,
-                other_acceleration=(
-                    other.navigation[0] + other.constraint[0],
-                    other.navigation[1] + other.constraint[1],
-                ),
-                rank=rank,
-            )
-            scene.planes.append(plane)
+        heard = peer.here and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
+        plane = barrier.keep_apart(
+            name,
+            (dx, dy),
+            (own.vx, own.vy),
+            other.velocity,
+            self._safe_distance + self._margin + doubt,
+            self._barrier_rate,
+            alone=not (follows and heard),
+            other_acceleration=(
+                other.navigation[0] + other.constraint[0],
+                other.navigation[1] + other.constraint[1],
+            ),
+            # Where it is, nobody knows: those that are heard come first.
+            rank=barrier.UNSURE if doubt >= DOUBT_MAX else barrier.SEPARATION,
+        )
+        if not heard:
+            # The robot brakes for where it may be, but is not driven from where that one supposes it to be.
+            least = -self._barrier_rate * (plane.nx * own.vx + plane.ny * own.vy)
+            plane = plane._replace(least=min(plane.least, least))
+        scene.planes.append(plane)
 
     def _keep_clear(self, scene: _Scene) -> None:
         """The same against obstacles and the geofence, which have no motion of their own."""

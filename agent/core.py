@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import exp, isfinite
+from math import exp, hypot, isfinite
 from typing import Final
 
 from agent import hand, keys
@@ -117,7 +117,8 @@ class Agent:
         self._overruns = 0
         self._position: tuple[float, float] | None = None
         self._listened_ns: int | None = None
-        self._seen: tuple[int, hand.Hand] | None = None
+        self._seen: tuple[int, hand.Hand, PlantState] | None = None
+        self._doubt = 0.0
         self._degree = 0
 
         self._key_hand = keys.hand(name, robot)
@@ -367,20 +368,25 @@ class Agent:
             self._plant_trouble = "plant unhealthy: it tells an impossible place"
             return None
         self._position = here.x, here.y
-        self._seen = now_ns, here
+        self._seen = now_ns, here, self._plant
+        self._doubt = 0.0
         return here
 
     def _last_known(self, now_ns: int) -> hand.Hand | None:
-        """Where the own hand has come to rest since its plant was heard; None when that is long ago.
+        """Where the own hand is since its plant was lost; None when that is long ago.
 
-        The others must not go on taking it for a robot that drives.
+        The others must not go on taking it for a robot that drives. It may have stopped where it was measured
+        last, or have driven on until it was missed and braked since: it is somewhere on this way.
         """
         if self._seen is None or now_ns - self._seen[0] > LAST_PLACE_NS:
             return None
-        since_ns, here = self._seen
+        since_ns, here, measured = self._seen
+        near = self._controller.hand_at(measured, measured.time_ns)
         remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)
         way = BRAKING_TIME_S * (1.0 - remains)
-        return hand.Hand(here.x + way * here.vx, here.y + way * here.vy, remains * here.vx, remains * here.vy)
+        x, y = here.x + way * here.vx, here.y + way * here.vy
+        self._doubt = 0.5 * hypot(x - near.x, y - near.y)
+        return hand.Hand(0.5 * (x + near.x), 0.5 * (y + near.y), remains * here.vx, remains * here.vy)
 
     def _listen(self) -> None:
         """Changes the subscriptions when other robots are to be listened to."""
@@ -522,7 +528,10 @@ class Agent:
         sequence = self._hand_numbers.next(now_ns)
         heard = self._peers.heard() if (sequence + self.robot) % HEARD_ROUNDS == 0 else ()
         message = HandState._make(
-            (self.robot, sequence, now_ns, following, self._degree, *here, *forces, multipliers, heard)
+            (
+                *(self.robot, sequence, now_ns, following, self._degree),
+                *(*here, *forces, self._doubt, multipliers, heard),
+            )
         )
         self._sent_hands += len(self._controller.edges)
         return self._key_hand, encode(message)
@@ -538,6 +547,7 @@ class Agent:
             now_ns,
             self._follows,
             *here,
+            self._doubt,
             *self._mission_mark,
             *self._latch.mark,
             self._peers.silent(now_ns, here.x, here.y),

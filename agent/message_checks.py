@@ -59,7 +59,7 @@ TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
 
 # Exact types of the fields on the wire; a tuple stands for a variable part, checked on its own.
 FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
-    (int, int, int, bool, int, *(float,) * 10, tuple, tuple),
+    (int, int, int, bool, int, *(float,) * 11, tuple, tuple),
     (int, int, int, *(float,) * 7, bool, bool, bool, str),
     (int, int, int, float, float, bool),
     (int, int, int, int, str, int, int, str, int, tuple, tuple, tuple),
@@ -70,7 +70,7 @@ FIELD_TYPES: Final[tuple[tuple[type, ...], ...]] = (
     (int, int, int, str, str, str),
     (int, int, tuple),
     (int, int, int, tuple),
-    (int, int, int, bool, float, float, float, float, int, int, int, int, tuple),
+    (int, int, int, bool, *(float,) * 5, int, int, int, int, tuple),
     (int, str),
     (int, str),
 )
@@ -159,10 +159,16 @@ def _check_times(robot: int, sequence: int, time_ns: int) -> None:
         raise Malformed("range", f"time {time_ns} ns is negative or absurd")
 
 
+def _check_doubt(doubt: float) -> None:
+    if doubt < 0.0:
+        raise Malformed("range", f"a doubt of {doubt} m is negative")
+
+
 def _hand_state(fields: tuple[Any, ...]) -> HandState:
     _check_times(fields[0], fields[1], fields[2])
     if not 0 <= fields[4] <= DEGREE_MAX:
         raise Malformed("range", f"degree {fields[4]} is not within 0..{DEGREE_MAX}")
+    _check_doubt(fields[-3])
     multipliers, heard = fields[-2:]
     for entries, what in ((multipliers, "multipliers"), (heard, "neighbours heard")):
         if len(entries) > NEIGHBOURS_MAX:
@@ -314,6 +320,7 @@ def _checks(fields: tuple[Any, ...]) -> Checks:
 def _beacon(fields: tuple[Any, ...]) -> Beacon:
     beacon = Beacon._make(fields)
     _check_times(beacon.robot, beacon.sequence, beacon.time_ns)
+    _check_doubt(beacon.doubt)
     if not are_versions(beacon[-5:-1]):
         raise Malformed("range", "a version of a beacon is negative or absurd")
     if len(beacon.silent) > SILENT_MAX:

@@ -62,7 +62,8 @@ class HandState(NamedTuple):
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
     The correction is what the last stage and a way round what blocks it make of the two forces: it
-    accelerates by the sum of all three.
+    accelerates by the sum of all three. `doubt` (m) is how far it may be from where it says: it is 0 unless
+    its plant is lost.
     `degree` is how many constraints act on it: edges, and what it is kept away from.
     `multipliers` are the sender's copies of lambda, one ``(robot, lambda)`` for each of its edges and each
     robot that it is kept away from.
@@ -86,6 +87,7 @@ class HandState(NamedTuple):
     constraint_y: float
     correction_x: float
     correction_y: float
+    doubt: float
     multipliers: tuple[tuple[int, float], ...]
     heard: tuple[tuple[int, int], ...]
 
@@ -265,9 +267,9 @@ class Event(NamedTuple):
 class Beacon(NamedTuple):
     """Where one robot is, a few times a second, from its agent to all others.
 
-    Hand point and its velocity (m, m/s, W) at `time_ns`, `following` as in `HandState`. Then what it knows:
-    the mission (its version and `tag`), the last stop and the last resume (-1: none). Who knows later ones
-    says them again. `silent` are robots that it has not heard for a while, as they were when it did:
+    Hand point and its velocity (m, m/s, W) at `time_ns`, `following` and `doubt` as in `HandState`. Then what
+    it knows: the mission (its version and `tag`), the last stop and the last resume (-1: none). Who knows
+    later ones says them again. `silent` are robots that it has not heard for a while, as they were then:
     ``(robot, time_ns, following, x, y, vx, vy)``. One that has just started cannot know of them else.
     """
 
@@ -279,6 +281,7 @@ class Beacon(NamedTuple):
     y: float
     vx: float
     vy: float
+    doubt: float
     mission_version: int
     mission_tag: int
     stop_version: int

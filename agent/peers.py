@@ -90,9 +90,10 @@ class Peer:
         return None if self.hand_ns == _NEVER else now_ns + self.clock.used_ns - self.hand_ns
 
     def doubt(self, now_ns: int) -> float:
-        """How far it may be from where it is taken to be, by the age of what was heard last, m."""
+        """How far it may be from where it is taken to be, m: as it says itself, and by the age of that."""
+        said = 0.0 if self.message is None else min(DOUBT_MAX, self.message.doubt)
         age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
-        return min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else 0.0
+        return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
 
 
 class Peers:
@@ -232,7 +233,7 @@ class Peers:
             peer = self.get(robot)
             if time_ns > peer.time_ns:
                 peer.message = HandState(
-                    robot, 0, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, (), ()
+                    robot, 0, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, 0.0, (), ()
                 )
                 peer.time_ns = time_ns
 
@@ -247,9 +248,9 @@ class Peers:
         return tuple(row[1:] for row in sorted(found)[:SILENT_MAX])
 
     def _take_beacon(self, peer: Peer, beacon: Beacon) -> None:
-        robot, sequence, time_ns, follows, x, y, vx, vy, *_ = beacon
+        robot, sequence, time_ns, follows, x, y, vx, vy, doubt, *_ = beacon
         peer.message = HandState(
-            robot, sequence, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, (), ()
+            robot, sequence, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, doubt, (), ()
         )
         peer.time_ns = time_ns
         peer.here = peer.token

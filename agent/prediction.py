@@ -115,7 +115,7 @@ def following(
         decay: of its constraint force, 1/s.
         most: speed limit (m/s) by which it makes for its place (N1), None without one.
     """
-    _, _, _, _, _, x, y, vx, vy, _, _, fx, fy, gx, gy, _, _ = message
+    _, _, _, _, _, x, y, vx, vy, _, _, fx, fy, gx, gy, _, _, _ = message
     a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
     x0, y0, vx0, vy0, _, _ = since
     x1, y1, vx1, vy1, ax1, ay1 = then
@@ -200,5 +200,5 @@ def as_it_came(message: HandState) -> Prediction:
     """A robot where its message says, as if that had come at once."""
     if not message.following:
         return coasting(message, 0.0)
-    _, _, _, _, _, x, y, vx, vy, nx, ny, fx, fy, gx, gy, _, _ = message
+    _, _, _, _, _, x, y, vx, vy, nx, ny, fx, fy, gx, gy, _, _, _ = message
     return Prediction((x, y), (vx, vy), (nx + gx, ny + gy), (fx, fy))

@@ -47,6 +47,8 @@ _ROUND: Final = (
 )
 _TIME: Final = "Wall clock at which the content holds, ns since the Unix epoch"
 
+_DOUBT: Final = "How far it may be from there, m: 0 unless its plant is lost"
+
 DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
     HandState: {
         "robot": _ROBOT,
@@ -64,6 +66,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "constraint_y": "Constraint force per unit mass, north, m/s2",
         "correction_x": "What the last stage and a way round add to the two forces, east, m/s2",
         "correction_y": "What the last stage and a way round add to the two forces, north, m/s2",
+        "doubt": _DOUBT,
         "multipliers": "The sender's multipliers: of each edge, and of each robot it is kept from",
         "heard": "Least apparent delay of each neighbour's hand states; empty in most messages",
     },
@@ -166,6 +169,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "y": "Hand point, north, m (world ENU)",
         "vx": "Velocity of the hand point, east, m/s",
         "vy": "Velocity of the hand point, north, m/s",
+        "doubt": _DOUBT,
         "mission_version": "Version of the mission that it knows",
         "mission_tag": "Tells missions of one version apart",
         "stop_version": "Version of the last stop that it knows, -1 for none",
@@ -273,7 +277,8 @@ _ROWS: Final[dict[type[Message], dict[str, tuple[_Column, ...]]]] = {
     },
 }  # fmt: skip
 _ADDED_FIELDS: Final[dict[type[Message], dict[str, Any]]] = {
-    HandState: {"correction_x": 0.0, "correction_y": 0.0, "heard": ()},
+    HandState: {"correction_x": 0.0, "correction_y": 0.0, "doubt": 0.0, "heard": ()},
+    Beacon: {"doubt": 0.0},
     PlantState: {"obeying": True},
     Mission: dict(Mission._field_defaults),
     Status: {"transition": "", "order_version": 0},

@@ -50,7 +50,7 @@ def fleet(*overrides: str) -> Fleet:
 def messages(sender: int, count: int, period_ns: int, begin_ns: int) -> list[tuple[HandState, bytes]]:
     out = []
     for k in range(count):
-        message = HandState(sender, k, begin_ns + k * period_ns, True, 1, *(0.5,) * 10, ((ROBOT, 0.1),), ())
+        message = HandState(sender, k, begin_ns + k * period_ns, True, 1, *(0.5,) * 11, ((ROBOT, 0.1),), ())
         out.append((message, encode(message)))
     return out
 

@@ -151,7 +151,7 @@ def test_neighbour_whose_clock_is_a_little_ahead(tmp_path: Path) -> None:
             if time.time_ns() >= due_ns:
                 stamp_ns = due_ns + period_ns // 2
                 due_ns += period_ns
-                state = HandState(2, next(sequence), stamp_ns, False, 0, 0.5, 0.0, *[0.0] * 8, (), ())
+                state = HandState(2, next(sequence), stamp_ns, False, 0, 0.5, 0.0, *[0.0] * 9, (), ())
                 all_robots.bus.publish(key, encode(state))
             return all_robots.counters(1).get("received", 0) >= 50
 
@@ -290,7 +290,7 @@ class Hostile:
         stranger = draw.choice((0, -1, 77, 9999, 2**40))
         far_ns = now_ns + 3600 * 10**9
         bad = draw.choice((nan, inf, -inf, 1e308))
-        numbers = [bad, bad, *[0.0] * 8]
+        numbers = [bad, bad, *[0.0] * 9]
         return [
             b"",
             draw.randbytes(draw.randrange(1, 200)),
@@ -305,14 +305,14 @@ class Hostile:
             sealed(msgpack.packb([VERSION, 99, robot, 1, now_ns])),
             sealed(msgpack.packb({"robot": robot})),
             sealed(msgpack.packb([VERSION, 0, str(robot), 1, now_ns, True, *numbers, [], []])),
-            encode(HandState(robot, 1, now_ns, True, 0, nan, *[0.0] * 9, (), ())),
-            encode(HandState(robot, 1, now_ns, True, 0, *[0.0] * 10, ((1, inf),), ())),
-            encode(HandState(stranger, 1, now_ns, True, 0, *[0.0] * 10, (), ())),
-            encode(HandState(robot, 1, far_ns, True, 0, *[0.0] * 10, (), ())),
-            encode(HandState(robot, 1, -now_ns, True, 0, *[0.0] * 10, (), ())),
-            encode(Beacon(robot, 1, now_ns, True, inf, *[0.0] * 3, 0, 0, -1, -1)),
-            encode(Beacon(stranger, 1, now_ns, True, *[0.0] * 4, 2**61, 0, 2**61, 2**61)),
-            encode(Beacon(robot, 1, far_ns, True, *[0.0] * 4, 0, 0, -1, -1)),
+            encode(HandState(robot, 1, now_ns, True, 0, nan, *[0.0] * 10, (), ())),
+            encode(HandState(robot, 1, now_ns, True, 0, *[0.0] * 11, ((1, inf),), ())),
+            encode(HandState(stranger, 1, now_ns, True, 0, *[0.0] * 11, (), ())),
+            encode(HandState(robot, 1, far_ns, True, 0, *[0.0] * 11, (), ())),
+            encode(HandState(robot, 1, -now_ns, True, 0, *[0.0] * 11, (), ())),
+            encode(Beacon(robot, 1, now_ns, True, inf, *[0.0] * 4, 0, 0, -1, -1)),
+            encode(Beacon(stranger, 1, now_ns, True, *[0.0] * 5, 2**61, 0, 2**61, 2**61)),
+            encode(Beacon(robot, 1, far_ns, True, *[0.0] * 5, 0, 0, -1, -1)),
             encode(PlantState(robot, 1, now_ns, *[nan] * 7, True, True, True, "")),
             encode(PlantState(stranger, 1, now_ns, *[0.0] * 7, True, False, True, "x" * 199)),
             encode(PlantState(robot, 1, 0, *[0.0] * 7, False, False, True, "from 1970")),

@@ -73,7 +73,7 @@ class _Robot:
         controller.sent(now_ns, drive.force, drive.torque)
         self.asked = drive.force, drive.torque
         multipliers = controller.multipliers()
-        return HandState(robot, count, now_ns, True, drive.degree, *here, *drive.forces, multipliers, ())
+        return HandState(robot, count, now_ns, True, drive.degree, *here, *drive.forces, 0.0, multipliers, ())
 
     def move(self, period_s: float) -> None:
         self.pose = advance(self.pose, *self.acts, self.body.mass_kg, self.body.inertia_kgm2, period_s)

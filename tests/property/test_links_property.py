@@ -70,7 +70,7 @@ def links(drawn: list[dict[str, Any]]) -> Links:
 
 
 def message(number: int) -> HandState:
-    return HandState(1, number, EPOCH + number * PERIOD, True, 1, 0.1 * (number % 20), *(0.0,) * 9, (), ())
+    return HandState(1, number, EPOCH + number * PERIOD, True, 1, 0.1 * (number % 20), *(0.0,) * 10, (), ())
 
 
 def fates(to: Links, order: list[int]) -> dict[int, list[tuple[int, int]]]:

@@ -48,12 +48,13 @@ from tests.wire import opened, sealed
 ROBOT = st.integers(1, 9999)
 NS = st.integers(0, TIME_NS_MAX - 1)
 FLOAT = st.floats(-FLOAT_MAX, FLOAT_MAX)
+DOUBT = st.floats(0.0, FLOAT_MAX)
 TEXT = st.text(max_size=50).filter(lambda text: len(text.encode()) <= 200)
 MICROSECONDS = st.integers(-(2**31), 2**40)
 
 HANDS = st.builds(
     HandState,
-    *(ROBOT, NS, NS, st.booleans(), st.integers(0, DEGREE_MAX), *[FLOAT] * 10),
+    *(ROBOT, NS, NS, st.booleans(), st.integers(0, DEGREE_MAX), *[FLOAT] * 10, DOUBT),
     st.lists(st.tuples(ROBOT, FLOAT), max_size=64).map(tuple),
     st.lists(st.tuples(ROBOT, MICROSECONDS), max_size=64).map(tuple),
 )
@@ -94,7 +95,8 @@ LINES = st.tuples(SHORT, st.sampled_from(LEVELS), SHORT, SHORT)
 CHECKS = st.builds(Checks, ROBOT, NS, NS, st.lists(LINES, max_size=CHECKS_MAX).map(tuple))
 SILENT = st.lists(st.tuples(ROBOT, NS, st.booleans(), *[FLOAT] * 4), max_size=3).map(tuple)
 BEACONS = st.builds(
-    Beacon, *(ROBOT, NS, NS, st.booleans(), *[FLOAT] * 4, *[st.integers(-1, TIME_NS_MAX - 1)] * 4, SILENT)
+    Beacon,
+    *(ROBOT, NS, NS, st.booleans(), *[FLOAT] * 4, DOUBT, *[st.integers(-1, TIME_NS_MAX - 1)] * 4, SILENT),
 )
 HEARTBEATS = st.builds(Heartbeat, NS, TEXT)
 ASKS = st.builds(Ask, NS, TEXT)
@@ -288,14 +290,14 @@ def test_fields_repeated_left_out_or_swapped(message: Message, data: st.DataObje
     survives(sealed(msgpack.packb([fields[k] for k in order])))
 
 
-@given(HANDS, st.integers(0, 73), st.sampled_from([nan, inf, -inf]))
+@given(HANDS, st.integers(0, 74), st.sampled_from([nan, inf, -inf]))
 def test_a_number_that_is_not_finite_never_gets_through(message: HandState, place: int, value: float):
-    place %= 10 + len(message.multipliers)
-    if place < 10:
+    place %= 11 + len(message.multipliers)
+    if place < 11:
         message = message._replace(**{HandState._fields[5 + place]: value})
     else:
         multipliers = list(message.multipliers)
-        multipliers[place - 10] = (multipliers[place - 10][0], value)
+        multipliers[place - 11] = (multipliers[place - 11][0], value)
         message = message._replace(multipliers=tuple(multipliers))
     with pytest.raises(Malformed, match="not_finite"):
         decode(encode(message))

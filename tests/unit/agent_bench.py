@@ -107,7 +107,7 @@ class Bench:
             copies = ((1, 0.0),)
             self.give(
                 OTHER,
-                HandState(2, self.ticks, stamp, self.other_follows, 1, *self.other, *[0.0] * 6, copies, ()),
+                HandState(2, self.ticks, stamp, self.other_follows, 1, *self.other, *[0.0] * 7, copies, ()),
             )
         for key, payload in extra:
             self.give(key, payload)

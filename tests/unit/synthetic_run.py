@@ -82,7 +82,7 @@ def messages(
             force = exp(-max(t, 0.0) / 4)
             multipliers = tuple((j, 0.1 * j) for j in neighbours)
             heard = tuple((j, 500 + 100 * j) for j in neighbours)
-            forces = (0.3 * force, 0.0, 0.0, (0.2 + 0.1 * i) * force, 0.0, 0.0)
+            forces = (0.3 * force, 0.0, 0.0, (0.2 + 0.1 * i) * force, 0.0, 0.0, 0.0)
             hand = (len(neighbours), hand_x, hand_y, 0.1, 0.0, *forces, multipliers, heard)
             yield received, keys.hand(prefix, i), HandState(i, sequence, time_ns, True, *hand)
             wrench = Wrench(i, sequence, time_ns, 10 * force * cos(i + t), force * sin(i + t), False)

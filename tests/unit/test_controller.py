@@ -6,6 +6,7 @@ from math import cos, sin, tau
 
 import pytest
 
+from agent.avoidance import barrier_rate
 from agent.controller import Controller
 from agent.fleet import load_fleet, parse_fleet
 from agent.formation import resolve
@@ -24,7 +25,7 @@ def test_prediction_is_as_the_fleet_file_has_it(prediction: bool):
     controller.look(T0)
     assert controller.edges
     for _, peer in controller.edges:
-        state = HandState(peer.robot, 0, T0, True, 2, 1.0, 2.0, 0.5, *[0.0] * 7, (), ())
+        state = HandState(peer.robot, 0, T0, True, 2, 1.0, 2.0, 0.5, *[0.0] * 8, (), ())
         assert controller.peers.accept(state, T0 + fleet.period_ns) is None
         shown = controller.peers.predict(peer, T0 + S)
         assert (shown.position == (1.0, 2.0)) is not prediction
@@ -67,7 +68,7 @@ def test_no_more_multipliers_are_told_than_a_message_holds():
     controller.look(T0)
     for edge, peer in controller.edges:
         x, y = 0.5 * cos(edge.other), 0.5 * sin(edge.other)
-        state = HandState(peer.robot, 0, T0, True, 2, x, y, *[0.0] * 8, (), ())
+        state = HandState(peer.robot, 0, T0, True, 2, x, y, *[0.0] * 9, (), ())
         assert controller.peers.accept(state, T0 + fleet.period_ns) is None
         peer.trust = 0.5
     plant = PlantState(1, 0, T0, *[0.0] * 7, True, True, True, "")
@@ -84,7 +85,7 @@ formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 3]], safe_distanc
 
 def given(controller: Controller, robot: int, x: float, *, follows: bool, speed: float = 0.0) -> None:
     """A robot on the x axis is heard at `T0`."""
-    state = HandState(robot, 0, T0, follows, 2, x, 0.0, speed, *[0.0] * 7, (), ())
+    state = HandState(robot, 0, T0, follows, 2, x, 0.0, speed, *[0.0] * 8, (), ())
     assert controller.peers.accept(state, T0 + S) is None
 
 
@@ -108,19 +109,20 @@ def test_navigation_constraint_and_correction_are_what_the_wrench_does():
     assert (drive.force, drive.torque) == pytest.approx(asked)
 
 
-@pytest.mark.parametrize("stood", [True, False])
-def test_of_silent_robots_the_one_that_stood_keeps_its_ground(stood: bool):
-    """Long unheard on both sides: doubt is given up alike, but not the ground of one that stands."""
+@pytest.mark.parametrize("speed", [0.3, 0.0, -0.3])
+def test_for_silent_robots_it_brakes_and_is_not_driven_away(speed: float):
+    """One that may come nearer expects it on its way: off that way nobody knows of it."""
     fleet = parse_fleet(PAIR, source="here")
     controller = Controller(fleet, resolve(fleet), 1)
     controller.look(T0)
     hand_x = fleet.robot(1).hand_offset_m
-    given(controller, 3, hand_x + 0.22, follows=not stood)
-    given(controller, 2, hand_x - 0.3, follows=True)
+    given(controller, 3, hand_x + 0.22, follows=False)
     now_ns = T0 + 10 * S
     controller.look(now_ns)
     controller.around.look(now_ns, hand(Pose(*[0.0] * 5), hand_x), (2,))
-    plant = PlantState(1, 0, now_ns, *[0.0] * 3, 0.3, 0.0, 0.0, 0.0, True, True, True, "")
+    plant = PlantState(1, 0, now_ns, *[0.0] * 3, speed, 0.0, 0.0, 0.0, True, True, True, "")
     drive = controller.drive(plant, now_ns)
-    braking = -sum(drive.forces[::2])
-    assert braking > 2.0 if stood else braking < 0.8
+    assert ("robot 3" in drive.causes) is (speed > 0.0)
+    if speed > 0.0:
+        rate = barrier_rate(fleet)
+        assert sum(drive.forces[::2]) <= -0.9 * rate * speed

@@ -194,6 +194,27 @@ def test_stale_plant_is_a_fault_within_its_timeout_and_back():
     assert bench.agent.condition == ("running", "")
 
 
+def test_one_that_lost_its_plant_tells_how_far_it_may_be_from_where_it_says():
+    """It may have stopped when its plant was heard last, or have driven on until it was missed."""
+    bench = Bench()
+    bench.drive()
+    speed = 1.0
+    bench.pose = Pose(0.0, 0.0, 0.0, speed, 0.0)
+    assert bench.tick().hand.doubt == 0.0
+    bench.pose = None
+    while bench.state is not State.FAULT:
+        out = bench.tick()
+    outs = [out, *bench.run(30)]
+    nearest = bench.fleet.robot(1).hand_offset_m
+    for out in outs:
+        assert out.hand.x - out.hand.doubt == pytest.approx(nearest, abs=1e-6)
+    farthest = outs[-1].hand.x + outs[-1].hand.doubt
+    drove_on = speed * 0.1  # control.plant_timeout_s, here
+    assert nearest + drove_on < farthest < nearest + drove_on + speed * (0.2 + PERIOD / NS_PER_S) + 0.05
+    bench.pose = Pose(0.1, 0.0, 0.0, 0.0, 0.0)
+    assert bench.tick().hand.doubt == 0.0
+
+
 def test_unhealthy_plant_is_a_fault_and_says_why():
     bench = Bench()
     bench.drive()
@@ -546,7 +567,7 @@ def test_a_late_plant_state_is_carried_on_with_the_wrenches_that_were_sent(late:
 def garbage(bench: Bench) -> list[tuple[str, bytes]]:
     """What may come in one tick and must change nothing, with the reason it is counted under."""
     now, mine = bench.now, digest(bench.fleet)
-    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, 1, *[3.0] * 10, ((1, 9.0),), ())
+    hand_state = HandState(2, 10**6, now - PERIOD // 4, True, 1, *[3.0] * 11, ((1, 9.0),), ())
     plant = PlantState(1, 10**6, now - PERIOD // 4, *[3.0] * 7, True, True, True, "")
     every = (PLANT, OTHER, MISSION, STOP, HAND, WRENCH, STATUS, "two/robot/9/hand", "", "two/**")
     junk = (b"", b"\x00", b"\xff" * 20_000, b"\x91\x01", b"junk" * 20, sealed(b"junk"))
@@ -573,7 +594,7 @@ def garbage(bench: Bench) -> list[tuple[str, bytes]]:
     out += [(MISSION, encode(Stop(99, now, ""))), (STOP, encode(Mission(99, now, 0, 1, mine)))]
     out += [(MISSION, encode(Mission(99, now, now, NS_PER_S, mine, robots=((7, 0.0, 0.0),))))]
     out += [(MISSION, encode(Mission(99, now, now, NS_PER_S, mine, edges=((1, 2, 0.1),))))]
-    beacon = Beacon(2, 0, now - PERIOD // 4, True, 3.0, 3.0, 0.0, 0.0, 99, 0, 99, -1)
+    beacon = Beacon(2, 0, now - PERIOD // 4, True, 3.0, 3.0, *[0.0] * 3, 99, 0, 99, -1)
     out += [(OTHERS_BEACON, encode(beacon._replace(robot=3))), (OTHER, encode(beacon))]
     out += [(OTHERS_BEACON, encode(beacon._replace(time_ns=now + FUTURE_NS_MAX + 1)))]
     out += [(STOP, encode(Resume(99, now, ()))), (RESUME, encode(Stop(99, now, "")))]
@@ -660,7 +681,7 @@ def test_absurd_plant_states_never_reach_the_wire_nor_end_the_agent(name: str, v
 
 
 @pytest.mark.parametrize("value", EXTREMES)
-@pytest.mark.parametrize("name", HandState._fields[5:15])
+@pytest.mark.parametrize("name", HandState._fields[5:16])
 @pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
 def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, value: float, coupling: str):
     bench = Bench(f"control.coupling={coupling}")
@@ -668,7 +689,7 @@ def test_absurd_neighbours_never_reach_the_wire_nor_end_the_agent(name: str, val
     with np.errstate(all="ignore"):
         for tick in range(6):
             stamp = bench.now - PERIOD // 2
-            absurd = HandState(2, 10**6 + tick, stamp, True, 1, *[0.0] * 10, ((1, 0.0),), ())._replace(
+            absurd = HandState(2, 10**6 + tick, stamp, True, 1, *[0.0] * 11, ((1, 0.0),), ())._replace(
                 **{name: value}
             )
             out = bench.tick((OTHER, encode(absurd)))

@@ -217,7 +217,7 @@ def test_a_stranger_is_heard_by_its_beacons_until_it_is_close_and_then_closely()
     assert OTHER not in bench.agent.subscriptions
 
     def beacon(x: float) -> None:
-        told = Beacon(2, 0, bench.now - PERIOD, True, x, 0.0, 0.0, 0.0, 0, 0, -1, -1)
+        told = Beacon(2, 0, bench.now - PERIOD, True, x, *[0.0] * 4, 0, 0, -1, -1)
         bench.give(OTHERS_BEACON, told)
 
     for x, listens in ((9.0, False), (1.0, True), (9.0, False)):

@@ -198,7 +198,7 @@ def test_a_live_rule_takes_hold_of_messages_and_lets_go() -> None:
     reception.accept(live(CUT.replace('loss = "100%"', 'delay = "50ms"')), NOW)
 
     def take(time_ns: int) -> bool:
-        message = HandState(1, 0, time_ns, True, 0, *(0.0,) * 10, (), ())
+        message = HandState(1, 0, time_ns, True, 0, *(0.0,) * 11, (), ())
         return reception.take(time_ns, "key", encode(message), 0, message)
 
     assert not take(NOW)
@@ -253,7 +253,7 @@ def test_a_message_from_the_future_does_not_keep_the_queue_from_others() -> None
     reception = Reception(fleet('[faults]\nrate = "20kbit"\n'), 2, "agent", {"hand": (1,)})
 
     def take(number: int, time_ns: int) -> bool:
-        message = HandState(1, number, time_ns, True, 0, *(0.0,) * 10, (), ())
+        message = HandState(1, number, time_ns, True, 0, *(0.0,) * 11, (), ())
         return reception.take(NOW, "key", encode(message), 0, message)
 
     assert take(0, NOW + 3600 * NS_PER_S)  # at once: who takes it refuses it

@@ -54,7 +54,7 @@ def links(faults: str = "", *overrides: str, begun: bool = True) -> Links:
 
 
 def message(number: int, robot: int = 1, x: float = 0.0) -> HandState:
-    return HandState(robot, number, EPOCH + number * PERIOD, True, 1, x, *(0.0,) * 9, (), ())
+    return HandState(robot, number, EPOCH + number * PERIOD, True, 1, x, *(0.0,) * 10, (), ())
 
 
 def send(to: Links, sent: HandState, own: tuple[float, float] | None = None) -> bool:

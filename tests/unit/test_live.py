@@ -176,7 +176,7 @@ def test_orders_of_anybody_are_news_once() -> None:
 
 
 def hand(robot: int, x: float, y: float) -> HandState:
-    return HandState(robot, 1, EPOCH_NS, True, 1, x, y, *[0.0] * 8, (), ())
+    return HandState(robot, 1, EPOCH_NS, True, 1, x, y, *[0.0] * 9, (), ())
 
 
 def test_the_picture_is_of_the_edges_in_force() -> None:

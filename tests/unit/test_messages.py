@@ -52,7 +52,7 @@ from agent.messages import (
 from tests.wire import opened, sealed
 
 HAND = HandState(
-    3, 7, 10**18, True, 5, 1.5, -2.0, 0.25, 0.0, 0.1, 0.2, -0.3, 0.4, 0.5, -0.6,
+    3, 7, 10**18, True, 5, 1.5, -2.0, 0.25, 0.0, 0.1, 0.2, -0.3, 0.4, 0.5, -0.6, 0.25,
     ((1, 0.5), (2, -1.25), (9999, 0.0)), ((1, 20_000), (2, -150)),
 )  # fmt: skip
 V = bytes([VERSION])
@@ -86,7 +86,7 @@ EVENT = Event(3, 12, 10**18, "plant", EVENTS[2], "pause at noon")
 RESUME = Resume(5, 10**18, (3, 9999, 1))
 LINE = ("gps", "warning", "fix 3D, 7 satellites", "wait for more")
 SILENT = (4, 10**18 - 5, True, 1.5, -2.5, 0.0, 0.25), (5, 10**17, False, 0.0, 0.0, 0.0, 0.0)
-BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 2, 7, 6, -1, SILENT)
+BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 0.5, 2, 7, 6, -1, SILENT)
 HEARTBEAT = Heartbeat(10**18, "Ada@bench")
 ASK = Ask(10**18, "Ada@bench")
 CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED"), ("link", "ok", "", "")))
@@ -211,14 +211,14 @@ def test_without_its_checksum_a_message_is_refused_for_that():
 def test_a_program_of_version_4_is_named_as_such():
     """Its hand states had no correction."""
     with pytest.raises(Malformed, match="version 4, this program speaks 5") as caught:
-        decode(packed(4, 0, *HAND[:13], *HAND[15:]))
+        decode(packed(4, 0, *HAND[:13], *HAND[16:]))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_3_is_named_as_such():
     """Its hand states had no `degree` either."""
     with pytest.raises(Malformed, match="version 3, this program speaks 5") as caught:
-        decode(packed(3, 0, *HAND[:4], *HAND[5:13], *HAND[15:]))
+        decode(packed(3, 0, *HAND[:4], *HAND[5:13], *HAND[16:]))
     assert caught.value.reason == "version"
 
 

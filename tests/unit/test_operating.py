@@ -70,7 +70,7 @@ def test_versions_are_those_of_the_clock_and_greater_than_any_that_was_heard_of(
     assert made.order_stop(EPOCH, "").version == US + 1
     made.hear(keys.status("square", 2), status(2, orders=US + 50))
     assert made.order_resume(EPOCH, ()).version == US + 51
-    beacon = Beacon(2, 1, EPOCH, True, 0.0, 0.0, 0.0, 0.0, US + 90, 0, US + 80, -1)
+    beacon = Beacon(2, 1, EPOCH, True, *[0.0] * 5, US + 90, 0, US + 80, -1)
     made.hear(keys.beacon("square", 2), beacon)
     assert made.order_stop(EPOCH, "").version == US + 81
     assert made.give(order("leave", robot=4), EPOCH).version == US + 91

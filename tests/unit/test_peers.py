@@ -45,7 +45,7 @@ def message(
     heard: tuple[tuple[int, int], ...] = (),
     degree: int = 1,
 ) -> HandState:
-    forces = (*navigation, *constraint, 0.0, 0.0)
+    forces = (*navigation, *constraint, 0.0, 0.0, 0.0)
     return HandState(
         robot, sequence, time_ns, follows, degree, *position, *velocity, *forces, multipliers, heard
     )
@@ -58,7 +58,7 @@ def beacon(
     velocity: tuple[float, float] = (0.0, 0.0),
     follows: bool = True,
 ) -> Beacon:
-    return Beacon(robot, 0, time_ns, follows, *position, *velocity, 0, 0, -1, -1)
+    return Beacon(robot, 0, time_ns, follows, *position, *velocity, 0.0, 0, 0, -1, -1)
 
 
 def circling(time_ns: int) -> Sample:

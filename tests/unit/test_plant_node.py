@@ -177,7 +177,7 @@ def test_obeys_a_wrench_that_brakes(node: PlantNode, backend: Backend):
         (WRENCH_KEY, wrench(T0 + 2, robot=2), "wrong_key"),
         ("two/robot/2/plant/wrench", wrench(T0 + 2), "wrong_key"),
         (STATE_KEY, wrench(T0 + 2), "wrong_key"),
-        (WRENCH_KEY, encode(HandState(1, 0, T0 + 2, True, 1, *[0.0] * 10, (), ())), "wrong_key"),
+        (WRENCH_KEY, encode(HandState(1, 0, T0 + 2, True, 1, *[0.0] * 11, (), ())), "wrong_key"),
         (WRENCH_KEY, b"", "checksum"),
         (WRENCH_KEY, b"\xff" * 20_000, "oversized"),
         (WRENCH_KEY, wrench(T0 + 2)[:-1], "checksum"),

@@ -43,7 +43,9 @@ def message(
     navigation: Vector = (0.0, 0.0),
     correction: Vector = (0.0, 0.0),
 ) -> HandState:
-    return HandState(2, 0, 0, True, 1, *position, *velocity, *navigation, *constraint, *correction, (), ())
+    return HandState(
+        2, 0, 0, True, 1, *position, *velocity, *navigation, *constraint, *correction, 0.0, (), ()
+    )
 
 
 def circling(t: float) -> Sample:

@@ -80,7 +80,7 @@ pairs_of_numbers = st.lists(st.tuples(floats, floats), max_size=3).map(tuple)
 settings = st.one_of(floats, counts, texts, st.booleans(), pairs_of_numbers)
 """Values of a trajectory's fields."""
 any_message = st.one_of(
-    st.builds(HandState, counts, counts, counts, st.booleans(), counts, *(floats,) * 10, pairs, delays),
+    st.builds(HandState, counts, counts, counts, st.booleans(), counts, *(floats,) * 11, pairs, delays),
     st.builds(PlantState, counts, counts, counts, *(floats,) * 7, *(st.booleans(),) * 3, texts),
     st.builds(Wrench, counts, counts, counts, floats, floats, st.booleans()),
     st.builds(
@@ -100,7 +100,7 @@ any_message = st.one_of(
     st.builds(Resume, counts, counts, rows),
     st.builds(Checks, counts, counts, counts, st.lists(st.tuples(*(texts,) * 4), max_size=5).map(tuple)),
     st.builds(
-        Beacon, counts, counts, counts, st.booleans(), *(floats,) * 4, *(counts,) * 4,
+        Beacon, counts, counts, counts, st.booleans(), *(floats,) * 5, *(counts,) * 4,
         st.lists(st.tuples(robots, counts, st.booleans(), *(floats,) * 4), max_size=3).map(tuple),
     ),
     st.builds(Heartbeat, counts, texts),
@@ -171,7 +171,7 @@ OF_EARLIER_VERSIONS = {
         {"robot": 1, "sequence": 5, "time_ns": 9, "following": True, "x": 1.0, "y": 2.0, "vx": 0.0, "vy": 0.0,
          "navigation_x": 0.0, "navigation_y": 0.0, "constraint_x": 0.0, "constraint_y": 0.5,
          "multipliers": [{"neighbour": 2, "value": 1.5}]},
-        HandState(1, 5, 9, True, 1, 1.0, 2.0, *[0.0] * 5, 0.5, 0.0, 0.0, ((2, 1.5),), ()),
+        HandState(1, 5, 9, True, 1, 1.0, 2.0, *[0.0] * 5, 0.5, *[0.0] * 3, ((2, 1.5),), ()),
     ),
     Status: (
         {"robot": 1, "sequence": 5, "time_ns": 9, "state": "running", "reason": "", "mission_version": 1,

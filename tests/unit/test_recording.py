@@ -116,7 +116,7 @@ def test_every_column_holds_what_was_sent() -> None:
     plant = PlantState(
         1, 4, EPOCH_NS + 10**9, 1.5, 2.5, 0.25, 0.5, -0.75, 3.0, 4.0, True, False, True, "dizzy"
     )
-    force = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    force = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
     hand = HandState(
         1, 5, EPOCH_NS + 2 * 10**9, True, 3, 6.0, 7.0, 8.0, 9.0, *force, ((2, 1.5), (3, 2.5)), ()
     )

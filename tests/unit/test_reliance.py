@@ -263,7 +263,7 @@ def test_a_neighbour_with_a_wrong_clock_is_named():
         bench.cut = lambda key, node: node is agent and key == "few/robot/3/hand"
         bench.step()
         stamp = bench.now + NS_PER_S
-        state = HandState(3, 0, stamp, True, 0, *[0.0] * 10, (), ())
+        state = HandState(3, 0, stamp, True, 0, *[0.0] * 11, (), ())
         bench.say("few/robot/3/hand", state, [])
         agent._peers.accept(state, bench.now)
     bench.step()

@@ -42,7 +42,7 @@ class Scene:
         self.around.plan(plan_of(mission, self.fleet, resolve(self.fleet)))
 
     def beacon(self, x: float, vx: float = 0.0, robot: int = 3, follows: bool = True) -> None:
-        told = Beacon(robot, 0, self.now - PERIOD, follows, x, 0.0, vx, 0.0, 0, 0, -1, -1)
+        told = Beacon(robot, 0, self.now - PERIOD, follows, x, 0.0, vx, 0.0, 0.0, 0, 0, -1, -1)
         assert self.peers.accept_beacon(told, self.now) is None
 
     def look(self, here: Hand = HERE, neighbours: tuple[int, ...] = (2,)) -> bool:
@@ -124,7 +124,7 @@ def test_who_is_not_close_any_more_is_not_expected_to_be_heard():
     scene = Scene()
 
     def hand(number: int, x: float) -> None:
-        state = HandState(3, number, scene.now - PERIOD, True, 0, x, *[0.0] * 9, (), ())
+        state = HandState(3, number, scene.now - PERIOD, True, 0, x, *[0.0] * 10, (), ())
         assert scene.peers.accept(state, scene.now) is None
 
     hand(0, 1.0)
