@@ -301,13 +301,14 @@ class Controller:
             return
         doubt = peer.doubt(now_ns)
         name = f"robot {peer.robot}"
-        if pushes and rho - doubt < self.around.distance:
+        silent = now_ns + peer.clock.used_ns - peer.time_ns >= UNSURE_NS
+        # Who cannot hear this robot either looks for it on its way: what it only supposes brakes it, but must
+        # not push it off. A body whose agent is gone comes to rest: it is something to be led round.
+        if pushes and not (silent and peer.here) and rho - doubt < self.around.distance:
             scale = max(rho - doubt, law.DISTANCE_MIN) / max(rho, law.DISTANCE_MIN)
             constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.around.distance)
             scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
-        message = peer.message
-        follows = message is not None and message.following
-        heard = peer.here and now_ns + peer.clock.used_ns - peer.time_ns < UNSURE_NS
+        follows = peer.message is not None and peer.message.following
         plane = barrier.keep_apart(
             name,
             (dx, dy),
@@ -315,7 +316,7 @@ class Controller:
             other.velocity,
             self._safe_distance + self._margin + doubt,
             self._barrier_rate,
-            alone=not (follows and heard),
+            alone=silent or not peer.here or not follows,
             other_acceleration=(
                 other.navigation[0] + other.constraint[0],
                 other.navigation[1] + other.constraint[1],
@@ -323,8 +324,7 @@ class Controller:
             # Where it is, nobody knows: those that are heard come first.
             rank=barrier.UNSURE if doubt >= DOUBT_MAX else barrier.SEPARATION,
         )
-        if not heard:
-            # The robot brakes for where it may be, but is not driven from where that one supposes it to be.
+        if silent or not peer.here:
             least = -self._barrier_rate * (plane.nx * own.vx + plane.ny * own.vy)
             plane = plane._replace(least=min(plane.least, least))
         scene.planes.append(plane)
