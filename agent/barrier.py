@@ -126,13 +126,13 @@ def keep_clear(
 
 
 def limit_speed(
-    vx: float, vy: float, most: float, rate: float, cause: str = "speed"
+    vx: float, vy: float, most: float, rate: float, cause: str = "speed", rank: int = SPEED
 ) -> tuple[HalfPlane, ...]:
     """Keeps the hand's speed at or below `most` (m/s), (F6); nothing at rest."""
     speed = hypot(vx, vy)
     if speed < DISTANCE_MIN:
         return ()
-    return (HalfPlane(-vx / speed, -vy / speed, -rate * (most - speed), cause, SPEED),)
+    return (HalfPlane(-vx / speed, -vy / speed, -rate * (most - speed), cause, rank),)
 
 
 def limit_actuators(

@@ -302,31 +302,36 @@ class Controller:
         doubt = peer.doubt(now_ns)
         name = f"robot {peer.robot}"
         silent = now_ns + peer.clock.used_ns - peer.time_ns >= UNSURE_NS
-        # Who cannot hear this robot either looks for it on its way: what it only supposes brakes it, but must
-        # not push it off. A body whose agent is gone comes to rest: it is something to be led round.
-        if pushes and not (silent and peer.here) and rho - doubt < self.around.distance:
+        supposed = silent and peer.here
+        if pushes and not supposed and rho - doubt < self.around.distance:
             scale = max(rho - doubt, law.DISTANCE_MIN) / max(rho, law.DISTANCE_MIN)
             constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.around.distance)
             scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
+        gap = self._safe_distance + self._margin + doubt
+        # Where it is, nobody knows: those that are heard come first.
+        rank = barrier.UNSURE if doubt >= DOUBT_MAX else barrier.SEPARATION
         plane = barrier.keep_apart(
             name,
             (dx, dy),
             (own.vx, own.vy),
             other.velocity,
-            self._safe_distance + self._margin + doubt,
+            gap,
             self._barrier_rate,
             alone=silent or not peer.here or not follows,
             other_acceleration=(
                 other.navigation[0] + other.constraint[0],
                 other.navigation[1] + other.constraint[1],
             ),
-            # Where it is, nobody knows: those that are heard come first.
-            rank=barrier.UNSURE if doubt >= DOUBT_MAX else barrier.SEPARATION,
+            rank=rank,
         )
-        if silent or not peer.here:
-            least = -self._barrier_rate * (plane.nx * own.vx + plane.ny * own.vy)
-            plane = plane._replace(least=min(plane.least, least))
+        if supposed:
+            # Maybe it cannot hear this robot either, and looks for it on its way: what is only supposed stops
+            # it, as hard as need be, but must not push it off.
+            closing = plane.nx * own.vx + plane.ny * own.vy
+            plane = plane._replace(least=min(plane.least, -closing / STOP_S))
+            if rho < gap and closing < LEAVING * hypot(own.vx, own.vy):
+                scene.planes.extend(barrier.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank))
         scene.planes.append(plane)
 
     def _keep_clear(self, scene: _Scene) -> None:
@@ -424,6 +429,10 @@ class Controller:
         return ux, uy, causes
 
 
+STOP_S: Final = 0.1
+"""A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
+LEAVING: Final = 0.5
+"""Who drives at most 60 degrees from straight away is leaving (cosine)."""
 SLOW_SPEED: Final = 0.2
 """One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
 
