@@ -34,6 +34,7 @@ ERROR_M: Final = 0.1
 _NEAR_SHARE: Final = 1.05
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 _EXCUSED: Final = frozenset({State.RELEASED.value})
+_HOLDING: Final = frozenset({State.HOLDING.value})
 
 
 def limits(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
@@ -73,6 +74,8 @@ def limits(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
 def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """Some time after the last fault and the last change all members drive, and their edges are right.
 
+    Where links fail all the time a robot may hold now and then, as long as it drives in between.
+
     Who was held up by an obstacle, or by a robot that it shares no edge with, gets as long after that. So
     do edges where the formation has come to rest in another shape (`deploy.balance`): that is no matter of
     recovery.
@@ -83,6 +86,8 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         return None
     rows = a.grid >= last_s + RECOVERED_S
     plan = FaultPlan(fleet)
+    rules = (_whole(fleet), *(span.rule for span in windows(recording)))
+    lossy = any(is_constant(rule) and rule.given(LINK_FIELDS) for rule in rules)
     found = []
     for index, (robot, data) in enumerate(recording.robots.items()):
         lost = [down for role in ROLES for down in downs(recording, robot, role)]
@@ -93,6 +98,8 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         own_end_s = end_s - skew_ns / 1e9 - drift * end_s  # by a clock that is wrong on purpose
         is_due = np.isfinite(a.desired[rows, index, 0]) & (grid < own_end_s)
         idle = is_due & ~said(data.status, grid, _DRIVING | _EXCUSED)
+        if lossy and (is_due & ~idle).any():  # by chance nothing may come for long, time and again
+            idle &= ~said(data.status, grid, _HOLDING)
         if idle.any():
             t_s = float(grid[np.argmax(idle)])
             state, reason = data.status.at(t_s) or ("", "")
@@ -158,14 +165,22 @@ def _held_up_s(a: Analysis, fleet: Fleet) -> float:
     return float(a.grid[held].max(initial=-inf))
 
 
+def _whole(fleet: Fleet) -> Rule:
+    """What the fleet file says of all links."""
+    return Rule(**{name: getattr(fleet.faults, name) for name in LINK_FIELDS})
+
+
 def errors(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """Where only links fail, all the time, a formation that has settled is a good one."""
-    faults = fleet.faults
-    whole = Rule(**{name: getattr(faults, name) for name in LINK_FIELDS})
     rules = [span.rule for span in windows(recording)]
     others = (*PROCESS_FIELDS, *SENSOR_FIELDS)
     only_links = all(is_constant(rule) and not rule.given(others) for rule in rules)
-    if not (rules or whole.given(LINK_FIELDS)) or not only_links or a.settling_s is None or recording.events:
+    if (
+        not (rules or _whole(fleet).given(LINK_FIELDS))
+        or not only_links
+        or a.settling_s is None
+        or recording.events
+    ):
         return None
     error = np.where(a.counts[-1], np.abs(a.distances[-1] - a.wanted[-1]), 0.0)
     if not len(error) or not error.max() > ERROR_M:

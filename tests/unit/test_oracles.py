@@ -471,6 +471,18 @@ def test_recovery_beside_what_fails_all_the_time() -> None:
     assert found("recovery", always, standing(0, 0), _displaced(2.0, 25.05))
 
 
+def test_where_links_fail_all_the_time_a_robot_may_hold_now_and_then() -> None:
+    loss = Effect(Loss.parse("30%"))
+    lossy = replace(LONG, faults=FaultsSection(rules=(FAULT, Rule(robot=2, loss=loss))))
+    for fleet, begin_s, end_s, fires in (
+        (lossy, 24.0, 26.0, False),
+        (replace(LONG, faults=FaultsSection(loss=loss, rules=(FAULT,))), 24.0, 26.0, False),
+        (lossy, 10.0, 40.0, True),  # it never drives again
+        (replace(LONG, faults=FaultsSection(rules=(FAULT,))), 24.0, 26.0, True),
+    ):
+        assert bool(found("recovery", fleet, change=saying(2, "holding", begin_s, end_s))) == fires
+
+
 def test_a_robot_whose_clock_is_ahead_ends_its_drive_sooner() -> None:
     ahead = replace(LONG, faults=FaultsSection(rules=(FAULT, Rule(robot=2, clock_skew=0.5))))
     for begin_s, fires in ((29.55, False), (29.2, True)):
