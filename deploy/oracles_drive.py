@@ -7,13 +7,14 @@ from typing import Final
 
 import numpy as np
 
-from agent.avoidance import avoidance_distance
+from agent.avoidance import avoidance_distance, barrier_rate
 from agent.avoidance import clearance as clearance_of
 from agent.boundaries import fence_of, obstacles_of
 from agent.fault_settings import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.keys import ROLES
+from agent.law import DISTANCE_MIN
 from agent.supervision import DRIVING, State
 from deploy.analysis import Analysis, norm
 from deploy.balance import last_caught_s
@@ -139,7 +140,10 @@ def _last_trouble_s(recording: Recording, a: Analysis) -> float | None:
 
 
 def _held_up_s(a: Analysis, fleet: Fleet) -> float:
-    """When a robot was last where it is pushed back from another or from a boundary; -inf: never."""
+    """When a robot was last where it is kept back from another or from a boundary; -inf: never.
+
+    From another robot by (U1), or behind it by (F4): at 2 V/p besides what is kept, both can still brake.
+    """
     places = a.desired[-1]
     members = np.flatnonzero(np.isfinite(places[:, 0])).tolist()
     edges = {
@@ -149,11 +153,19 @@ def _held_up_s(a: Analysis, fleet: Fleet) -> float:
     }
     offsets = {index: (float(places[index, 0]), float(places[index, 1])) for index in members}
     near_m = _NEAR_SHARE * avoidance_distance(fleet.avoidance.distance_m, a.safe_m, edges, offsets)
+    keep_m, rate = a.safe_m + fleet.avoidance.margin_m, barrier_rate(fleet)
+    velocities = np.gradient(a.hands, a.grid, axis=0)
     held = np.zeros(len(a.grid), dtype=np.bool_)
     for j in range(1, len(a.ids)):
         for i in range(j):
             if (i, j) not in edges:
-                held |= norm(a.hands[:, i] - a.hands[:, j]) < near_m  # False for NaN
+                offset = a.hands[:, j] - a.hands[:, i]
+                away = norm(offset)
+                towards = np.maximum(
+                    (velocities[:, i] * offset).sum(axis=1), -(velocities[:, j] * offset).sum(axis=1)
+                ) / np.maximum(away, DISTANCE_MIN)
+                room_m = keep_m + 2.0 * np.maximum(towards, 0.0) / rate
+                held |= away < np.maximum(near_m, room_m)  # False for NaN
     reach_m = clearance_of(fleet.avoidance.clearance_m, a.safe_m) + near_m
     fence = fence_of(fleet)
     boundaries = [(obstacle, reach_m) for obstacle in obstacles_of(fleet)]
@@ -181,6 +193,8 @@ def errors(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
         or a.settling_s is None
         or recording.events
     ):
+        return None
+    if _held_up_s(a, fleet) + RECOVERED_S > recording.end_s:
         return None
     error = np.where(a.counts[-1], np.abs(a.distances[-1] - a.wanted[-1]), 0.0)
     if not len(error) or not error.max() > ERROR_M:

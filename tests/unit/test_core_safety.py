@@ -21,6 +21,7 @@ from tests.unit.agent_bench import (
     OTHERS_BEACON,
     PERIOD,
     Bench,
+    Out,
     brakes,
 )
 from tests.unit.fleet_bench import RESUME, STOP, FleetBench, three
@@ -227,15 +228,21 @@ def test_a_stranger_is_heard_by_its_beacons_until_it_is_close_and_then_closely()
         assert (OTHER in bench.agent.subscriptions) is listens, x
 
 
-def test_uncertainty_about_a_silent_robot_keeps_others_further_away():
-    """It stood 0.7 m off when it was last heard; d_a is 0.5 m, and it may have come nearer since."""
-    bench = near(0.7)
+def test_uncertainty_about_a_silent_robot_stops_others_further_away():
+    """It stood 0.52 m off when it was last heard, and may have come 0.3 m nearer since: nobody drives on."""
+    bench = near(0.52)
     bench.other_follows = False
-    assert bench.run(2)[-1].hand.degree == 0
+    assert acceleration(bench.run(2)[-1]) > 0.1
     bench.other = None
     out = bench.run(150)[-1]
-    assert out.hand.degree == 1
-    assert out.hand.constraint_x <= 0.0
+    assert out.hand.degree == 0  # what is only supposed does not push
+    assert acceleration(out) == pytest.approx(0.0, abs=1e-9)
+
+
+def acceleration(out: Out) -> float:
+    """Of the hand, eastwards, m/s^2."""
+    assert out.hand is not None
+    return out.hand.navigation_x + out.hand.constraint_x + out.hand.correction_x
 
 
 def test_the_filter_brakes_who_runs_into_another_and_says_so():
