@@ -183,7 +183,10 @@ def _whole(fleet: Fleet) -> Rule:
 
 
 def errors(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
-    """Where only links fail, all the time, a formation that has settled is a good one."""
+    """Where only links fail, all the time, a formation that has settled is a good one.
+
+    Not judged where a robot was held up in the last `RECOVERED_S`.
+    """
     rules = [span.rule for span in windows(recording)]
     others = (*PROCESS_FIELDS, *SENSOR_FIELDS)
     only_links = all(is_constant(rule) and not rule.given(others) for rule in rules)
