@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import weakref
 from array import array
@@ -96,8 +97,11 @@ class Column:
 
     def whole(self) -> NDArray[Any]:
         """All of them, (n,), in a copy."""
-        data = b"".join([self._store.read(*part) for part in self._parts] + [self._new.tobytes()])
-        return np.frombuffer(bytearray(data), dtype=np.dtype(self._new.typecode))
+        data = bytearray()
+        for part in self._parts:
+            data += self._store.read(*part)
+        data += self._new.tobytes()
+        return np.frombuffer(data, dtype=np.dtype(self._new.typecode))
 
     def put_aside(self) -> None:
         """Moves what is in memory into the store's file, if it is worth it.
@@ -112,7 +116,7 @@ class Column:
 
 
 class Records:
-    """Rows of anything that MessagePack can hold."""
+    """Rows of anything that MessagePack can hold, with texts as the keys of dictionaries."""
 
     def __init__(self, column: Column) -> None:
         self._column = column
@@ -122,4 +126,10 @@ class Records:
 
     def whole(self) -> list[Any]:
         """All of them, with tuples for lists."""
-        return list(msgpack.Unpacker(BytesIO(self._column.whole().tobytes()), use_list=False))
+        stream = BytesIO(self._column.whole().tobytes())
+        return list(msgpack.Unpacker(stream, use_list=False, object_pairs_hook=_named))
+
+
+def _named(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """A dictionary; of the same few names, which come thousands of times, one each is kept."""
+    return {sys.intern(name): value for name, value in pairs}
