@@ -220,6 +220,19 @@ def maximum_speed(section: TrajectorySection) -> float:
     return 0.0
 
 
+def maximum_speed_along(section: TrajectorySection, nx: float, ny: float) -> float:
+    """Greatest speed that the reference ever has along the line of the unit vector (nx, ny), W, m/s."""
+    if section.kind == "line":
+        vx, vy = _pair("velocity_mps", section.velocity_mps)
+        return abs(nx * vx + ny * vy)
+    if section.kind == "waypoints":  # in a blend the velocity is between those of the two legs
+        points, speed, acceleration = _waypoint_fields(section)
+        speeds = _leg_speeds(points, speed, acceleration)
+        velocities = [_velocity(points, speeds, k) for k in range(len(speeds))]
+        return max((abs(nx * vx + ny * vy) for vx, vy in velocities), default=0.0)
+    return maximum_speed(section)
+
+
 def maximum_acceleration(section: TrajectorySection) -> float:
     """Greatest |acceleration| that the reference ever has, m/s^2 (a line's start at speed not counted)."""
     make_trajectory(section)

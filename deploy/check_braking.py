@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import floor, inf, log10
+from itertools import combinations
+from math import dist, floor, inf, log10
 from typing import Final
 
+from agent import trajectory
 from agent.avoidance import AHEAD_M, barrier_rate, braking_room
 from agent.fleet import Fleet
 from agent.fleet_sections import Robot
+from agent.formation import Geometry
 from deploy.finding import Finding
 from deploy.wording import robots
 
@@ -86,6 +89,50 @@ def _sensing(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
         "avoidance.sensing_m",
         f"{given:.4g} m is not {why}: they would notice each other too late; take {enough:.3g} m, or leave "
         "it out",
+    )
+
+
+def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
+    """Places between which one robot cannot follow another at the formation's speed, (F4).
+
+    Raises:
+        ValueError: a trajectory that `agent.trajectory` cannot make.
+    """
+    if not fleet.avoidance.enabled:
+        return
+    keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
+    rate, section = barrier_rate(fleet), fleet.trajectory
+    fastest = trajectory.maximum_speed(section)
+    closest, tight = [], []
+    for (i, a), (j, b) in combinations(zip(geometry.ids, geometry.offsets.tolist(), strict=True), 2):
+        apart = dist(a, b)
+        if apart < keep * (1.0 - _ROUNDING):
+            closest.append((apart, i, j))
+        elif apart > keep and apart < keep + fastest / rate:
+            along = trajectory.maximum_speed_along(section, (b[0] - a[0]) / apart, (b[1] - a[1]) / apart)
+            possible = rate * (apart - keep)
+            if along > possible * (1.0 + _ROUNDING):
+                tight.append((possible / along, i, j, apart, keep + along / rate))
+    if closest:
+        apart, i, j = min(closest)
+        more = f" ({len(closest)} such pairs in all)" if len(closest) > 1 else ""
+        yield Finding(
+            "warning",
+            "avoidance.margin_m",
+            f"robots {i} and {j} have places {apart:.3g} m apart{more}, and the last filter keeps robots "
+            f"{keep:.3g} m from each other, the safe distance and {fleet.avoidance.margin_m:.3g} m: put them "
+            "farther apart, or take less",
+        )
+    if not tight:
+        return
+    share, i, j, apart, needed = min(tight)
+    more = f" ({len(tight)} such pairs in all)" if len(tight) > 1 else ""
+    yield Finding(
+        "warning",
+        f"trajectory.{'velocity_mps' if section.kind == 'line' else 'speed_mps'}",
+        f"{fastest:.4g} m/s is too fast for robots {i} and {j}, whose places are {apart:.3g} m apart{more}: "
+        f"where one follows the other, the last filter keeps it {needed:.3g} m behind, so that it can brake "
+        f"when the other does; take at most {_below(share * fastest)} m/s, or put them farther apart",
     )
 
 

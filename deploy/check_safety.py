@@ -15,7 +15,7 @@ from agent.boundaries import Circle, Polygon, fence_of, obstacles_of
 from agent.fleet import Fleet
 from agent.formation import Geometry
 from agent.hand import Pose, hand
-from deploy.check_braking import check_braking
+from deploy.check_braking import check_braking, check_room
 from deploy.clearances import distances
 from deploy.finding import Finding, Level
 from deploy.ways import Ways
@@ -47,6 +47,7 @@ def check_safety(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
         ways = Ways(fleet, geometry)
     except ValueError:
         return  # a trajectory that cannot be made: `deploy.check` says so
+    yield from check_room(fleet, geometry)
     for number, obstacle in enumerate(obstacles, 1):
         yield from _way_past(fleet, ways, number, obstacle, keep)
     if fence is not None:

@@ -9,7 +9,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agent.fleet_sections import TrajectorySection
-from agent.trajectory import corner_distances, duration, legs, make_trajectory, maximum_speed
+from agent.trajectory import (
+    corner_distances,
+    duration,
+    legs,
+    make_trajectory,
+    maximum_speed,
+    maximum_speed_along,
+)
 
 COORDINATE = st.floats(-20.0, 20.0).map(lambda value: round(value, 3))
 POINTS = st.lists(st.tuples(COORDINATE, COORDINATE), min_size=2, max_size=7).map(tuple)
@@ -59,6 +66,7 @@ def test_acceleration_is_bounded_and_continuous(section: TrajectorySection):
     for _, _, vx, vy, ax, ay in samples:
         assert hypot(ax, ay) <= section.corner_acceleration * (1 + 1e-9)
         assert hypot(vx, vy) <= maximum_speed(section) * (1 + 1e-9)
+        assert abs(0.28 * vx - 0.96 * vy) <= maximum_speed_along(section, 0.28, -0.96) + 1e-9
     for a, b in pairwise(samples):
         assert hypot(b[4] - a[4], b[5] - a[5]) <= jerk * end / steps * (1 + 1e-6) + 1e-9
         assert (

@@ -385,15 +385,15 @@ def test_the_settling_estimate_is_that_of_the_law_for_two_robots(kd: float):
 
 
 def test_a_circle_too_fast_for_the_acceleration_limit():
-    quick = replace(CIRCLE, speed_mps=2.6)  # 3.38 m/s2
-    assert "68% of" in at(
+    quick = replace(CIRCLE, radius_m=0.6, speed_mps=1.4)  # 3.27 m/s2
+    assert "65% of" in at(
         check(fleet(trajectory=quick, body={"hand_offset_m": 0.5})), "trajectory.speed_mps", "warning"
     )
-    too_quick = replace(CIRCLE, speed_mps=3.3)  # 5.4 m/s2
+    too_quick = replace(CIRCLE, radius_m=0.6, speed_mps=1.8)  # 5.4 m/s2
     message = at(
         check(fleet(trajectory=too_quick, body={"hand_offset_m": 0.5})), "trajectory.speed_mps", "error"
     )
-    assert "take speed_mps = 3.16 or less" in message
+    assert "take speed_mps = 1.73 or less" in message
 
 
 def test_a_circle_smaller_than_the_hand_offset():

@@ -6,6 +6,9 @@ import pytest
 
 from agent.avoidance import barrier_rate
 from agent.fleet import Fleet, load_fleet
+from agent.formation import resolve
+from deploy import judged
+from deploy.analysis import analyse
 from deploy.arguments import FLEETS
 from deploy.check import check
 from deploy.check_braking import check_braking
@@ -84,6 +87,49 @@ def test_a_sensing_distance_that_is_too_short_to_part_or_to_brake_in() -> None:
     assert "1.2 m is not the 1.25 m in which two robots at control.max_speed_mps = 1.5 can brake" in brake
     assert found(small("avoidance.sensing_m=1.25")) == {}
     assert "take 1.25 m" in found(small("avoidance.sensing_m=1.2"), None)["avoidance.sensing_m"].message
+
+
+DRIVING = ("trajectory.kind=line", "trajectory.velocity_mps=[0, 0.3]")
+
+
+def places(apart: float, *overrides: str) -> Fleet:
+    """Two robots, one `apart` (m) ahead of the other along y, at 0.3 m/s along y."""
+    shape = (
+        "formation.edges=[[1, 2]]",
+        f"formation.distance_m={apart}",
+        f"formation.offsets=[[0, 0], [0, {apart}]]",
+    )
+    return load_fleet(FLEETS / "pair.toml", (*shape, *DRIVING, *overrides))
+
+
+def room(fleet: Fleet) -> dict[str, Finding]:
+    return {finding.place: finding for finding in check(fleet) if finding.level != "info"}
+
+
+def test_places_between_which_one_cannot_follow_another() -> None:
+    assert room(places(0.37)) == {}
+    text = room(places(0.32))["trajectory.velocity_mps"].message
+    assert "0.3 m/s is too fast for robots 1 and 2, whose places are 0.32 m apart" in text
+    assert "keeps it 0.37 m behind" in text
+    assert "take at most 0.15 m/s" in text
+    assert room(places(0.32, "trajectory.velocity_mps=[0, -0.1499]")) == {}
+    assert room(places(0.32, "trajectory.velocity_mps=[0.3, 0]")) == {}  # side by side
+    assert room(places(0.32, "avoidance.enabled=false")) == {}
+
+
+def test_the_pair_that_is_warned_of_drives_so_far_apart() -> None:
+    fleet = places(0.32, "fleet.duration_s=25")
+    a = analyse(judged.drive(fleet), resolve(fleet))
+    assert float(a.distances[-1, 0]) == pytest.approx(0.37, abs=1e-3)
+
+
+def test_places_nearer_than_the_last_stage_lets_robots_come() -> None:
+    text = room(places(0.25))["avoidance.margin_m"].message
+    assert (
+        "robots 1 and 2 have places 0.25 m apart, and the last filter keeps robots 0.27 m from each other"
+        in text
+    )
+    assert "avoidance.margin_m" not in room(places(0.27))
 
 
 def test_a_margin_that_does_not_allow_for_the_actuators_lag() -> None:

@@ -15,6 +15,7 @@ from agent.trajectory import (
     make_trajectory,
     maximum_acceleration,
     maximum_speed,
+    maximum_speed_along,
 )
 
 LINE = TrajectorySection("line", start_m=(1.0, -2.0), velocity_mps=(0.2, -0.1))
@@ -138,6 +139,12 @@ def test_durations_and_greatest_values():
     assert maximum_speed(LINE) == pytest.approx(hypot(0.2, 0.1))
     assert maximum_speed(CIRCLE) == maximum_speed(CORNER) == 0.5
     assert maximum_speed(HOLD) == 0.0
+    assert maximum_speed_along(LINE, 1.0, 0.0) == 0.2
+    assert maximum_speed_along(LINE, 0.6, 0.8) == pytest.approx(0.04)
+    assert maximum_speed_along(CORNER, 1.0, 0.0) == maximum_speed_along(CORNER, 0.0, -1.0) == 0.5
+    assert maximum_speed_along(CORNER, sqrt(0.5), sqrt(0.5)) == pytest.approx(0.5 * sqrt(0.5))
+    assert maximum_speed_along(CIRCLE, 0.0, 1.0) == 0.5
+    assert maximum_speed_along(HOLD, 1.0, 0.0) == 0.0
     assert maximum_acceleration(CIRCLE) == pytest.approx(0.125)
     assert maximum_acceleration(CORNER) == 0.3
     assert maximum_acceleration(LINE) == maximum_acceleration(HOLD) == 0.0
