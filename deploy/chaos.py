@@ -22,6 +22,7 @@ from deploy import oracles
 from deploy.analysis import Analysis, analyse
 from deploy.balance import caught
 from deploy.judged import drive as simulate
+from deploy.oracles_drive import RECOVERED_S, last_trouble_s
 from deploy.pool import Abandoned, GoOn
 from deploy.recording import Recording
 from deploy.violations import Violation
@@ -32,6 +33,7 @@ ORDERS: Final = "orders"
 """What can be wrong beside the oracles: the program failed, the fleet did not begin, an order was refused."""
 IN_FORMATION: Final = "in formation"
 CAUGHT: Final = "at rest in another shape"
+SOON: Final = "elsewhere, too soon to judge"
 ELSEWHERE: Final = "elsewhere"
 
 
@@ -44,8 +46,9 @@ class Outcome:
         checked: oracles that had something to look at.
         states, transitions: how often robots came into each state, and by which row of the table.
         limits: ticks in which the last stage changed what the law asked for.
-        ended: `IN_FORMATION`, `CAUGHT` (at rest in another shape, `deploy.balance`) or `ELSEWHERE` (on
-            the way, stopped, held up).
+        ended: `IN_FORMATION`, `CAUGHT` (at rest in another shape, `deploy.balance`), `SOON` (within 20 s of
+            the last fault or change, or of the start without one: on the way, stopped) or `ELSEWHERE` (held
+            up).
         driven_s: of fleet time.
         wall_s: real time that it took.
     """
@@ -105,7 +108,7 @@ def judged(recording: Recording, fleet: Fleet) -> Outcome:
         states,
         transitions,
         limits,
-        _ended(analysis, fleet),
+        _ended(recording, analysis, fleet),
         recording.end_s,
     )
 
@@ -124,10 +127,14 @@ def _exercised(recording: Recording) -> tuple[dict[str, int], dict[str, int], in
     return dict(states), dict(transitions), limits
 
 
-def _ended(analysis: Analysis, fleet: Fleet) -> str:
+def _ended(recording: Recording, analysis: Analysis, fleet: Fleet) -> str:
     if analysis.counts[-1].any() and not analysis.off[-1].any():
         return IN_FORMATION
-    return CAUGHT if caught(analysis, fleet) else ELSEWHERE
+    if caught(analysis, fleet):
+        return CAUGHT
+    return (
+        SOON if (last_trouble_s(recording, analysis) or 0.0) + RECOVERED_S >= recording.end_s else ELSEWHERE
+    )
 
 
 def _told(error: Exception) -> str:

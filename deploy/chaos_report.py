@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from agent.supervision import TRANSITIONS, State
-from deploy.chaos import CAUGHT, ELSEWHERE, IN_FORMATION, Outcome
+from deploy.chaos import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
 
 Tables = dict[str, Any]
 
@@ -111,7 +111,7 @@ def lines(tally: Tally) -> Iterator[str]:
     yield "judged by:"
     yield from _columns(sorted(tally.checked.items()))
     yield "at the end:"
-    yield from _columns([(name, tally.ended[name]) for name in (IN_FORMATION, CAUGHT, ELSEWHERE)])
+    yield from _columns([(name, tally.ended[name]) for name in (IN_FORMATION, CAUGHT, SOON, ELSEWHERE)])
     yield "states come into:"
     yield from _columns([(state.value, tally.states[state.value]) for state in State])
     yield f"transitions taken (and {tally.limits} ticks in which the last stage changed the command):"

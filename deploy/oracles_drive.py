@@ -82,7 +82,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     recovery.
     """
     end_s = recording.end_s
-    last_s = _last_trouble_s(recording, a)
+    last_s = last_trouble_s(recording, a)
     if last_s is None or last_s + RECOVERED_S >= end_s:
         return None
     rows = a.grid >= last_s + RECOVERED_S
@@ -126,7 +126,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     return found
 
 
-def _last_trouble_s(recording: Recording, a: Analysis) -> float | None:
+def last_trouble_s(recording: Recording, a: Analysis) -> float | None:
     """When the last fault or change was over; None when there was none."""
     end_s = recording.end_s
     times = [settled.change.t_s for settled in a.changes]

@@ -9,7 +9,8 @@ import pytest
 
 from agent import controller
 from agent.supervision import TRANSITIONS
-from deploy.chaos import drive, scenario_text
+from deploy.arguments import fleet_path, fleet_text
+from deploy.chaos import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text
 from deploy.chaos_draw import draw
 from deploy.chaos_report import NOT_DRAWN, parts
 from deploy.chaos_shrink import shrink
@@ -44,6 +45,18 @@ def test_every_transition_is_taken() -> None:
     for seed in COVERING:
         taken.update(drive(scenario_text(draw(seed))).transitions)
     assert {row.name for row in TRANSITIONS} - set(taken) == set(NOT_DRAWN)
+
+
+WALL = "\n[[obstacle]]\npoints_m = [[-0.45, -0.2], [0.45, -0.2], [0.45, 0.2], [-0.45, 0.2]]\n"
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "more", "ended"),
+    [(3, "", SOON), (20, "", IN_FORMATION), (20, WALL, SOON), (21, WALL, ELSEWHERE)],
+)
+def test_how_a_scenario_ended(duration_s: int, more: str, ended: str) -> None:
+    text = fleet_text(fleet_path("pair")).replace("duration_s = 20", f"duration_s = {duration_s}") + more
+    assert drive(text).ended == ended
 
 
 def test_the_same_scenario_ends_the_same() -> None:
