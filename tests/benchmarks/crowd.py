@@ -7,6 +7,7 @@ the safe distance (`deploy.oracles`). Who did not settle is listed with the reas
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -17,10 +18,12 @@ from deploy import judged
 from deploy.analysis import analyse
 from deploy.arguments import fleet_path, fleet_text
 from deploy.balance import caught
-from deploy.sweep import Question, make_plan
+from deploy.pool import GoOn
+from deploy.sweep import Plan, Question, make_plan
+from deploy.sweep_run import Row, Runs, execute
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.random_starts import HEADING, line
-from tests.benchmarks.rows import drive
+from tests.benchmarks.rows import results
 
 SIDE_M: Final = 9.0
 COUNT: Final = 50
@@ -48,9 +51,24 @@ def field() -> str:
     return "".join(f"\n[[obstacle]]\ncentre_m = [{x}, {y}]\nradius_m = {r}\n" for x, y, r in OBSTACLES)
 
 
-def why(fleet: Fleet) -> str:
+@dataclass(frozen=True, slots=True)
+class Told:
+    """The runs of a plan, each with the reason why it is not good; "" when it is."""
+
+    plan: Plan
+
+    def execute(self, number: int, go_on: GoOn) -> tuple[Row, str]:
+        row = execute(self.plan, number, go_on)
+        return row, "" if row.good or not row.numbers else why(self.plan.fleet(number), go_on)
+
+    def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> tuple[Row, str]:
+        row = Runs(self.plan).unfinished(number, reason, wall_s, timed_out=timed_out)
+        return row, row.reason
+
+
+def why(fleet: Fleet, go_on: GoOn) -> str:
     """What keeps a formation from its shape at the end, and which robots: drives it once more."""
-    recording = judged.drive(fleet)
+    recording = judged.drive(fleet, go_on)
     a = analyse(recording, resolve(fleet))
     off = int(a.off[-1].sum())
     shape = "at rest in another shape" if caught(a, fleet) else "on its way"
@@ -74,7 +92,8 @@ def run(options: Options) -> Result:
         ("ten obstacles", fleet_text(path) + field(), ACROSS),
     ):
         plan = make_plan(Question(str(path), text, "joint", overrides, (), count, SIDE_M))
-        rows = drive(name, plan)
+        found = sorted(results(name, Told(plan), plan.runs), key=lambda each: each[0].run)
+        rows = [row for row, _ in found]
         lines.append(line(name, rows))
         safe = sum(each.safe is True for each in rows)
         result.figures.append(
@@ -82,8 +101,7 @@ def run(options: Options) -> Result:
         )
         settled = sum(each.settled is True for each in rows)
         result.figures.append(Figure(f"{name}: runs that settle", 100.0 * settled / count, "%"))
-        left = [each for each in rows if each.verdict != "PASSED"]
-        result.details += [f"{name}: run {each.run}: {why(plan.fleet(each.run))}" for each in left]
+        result.details += [f"{name}: run {row.run}: {reason}" for row, reason in found if reason]
     result.details += table(("crowd", *HEADING), lines)
     result.details.append(f"{count} starts each, {SIDE_M:g} m square")
     return result
