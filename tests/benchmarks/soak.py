@@ -55,10 +55,10 @@ class Memory:
     t_s: list[float] = field(default_factory=list)
     mb: list[float] = field(default_factory=list)
 
-    def slope(self) -> float:
-        """MB in ten minutes, by least squares after its first minute; nan when it is too short."""
+    def slope(self, since_s: float = SETTLED_S) -> float:
+        """MB in ten minutes, by least squares from `since_s` of its life on; nan when it is too short."""
         t, mb = np.array(self.t_s), np.array(self.mb)
-        late = t >= t[0] + SETTLED_S
+        late = t >= t[0] + since_s
         if late.sum() < 10:
             return float("nan")
         return float(np.polyfit(t[late], mb[late], 1)[0]) * 600.0
@@ -220,5 +220,6 @@ def _growth(name: str, memory: dict[str, Memory], limit: float | None) -> Figure
     life = memory[name]
     note = f"{number(life.mb[0])} to {number(life.mb[-1])} MB in {life.t_s[-1] - life.t_s[0]:.0f} s"
     if limit is None:
-        note += "; MCAP's index of the recording takes 2.4 MB"
+        half_s = 0.5 * (life.t_s[-1] - life.t_s[0])
+        note += f"; last half: {number(life.slope(half_s))}, MCAP's index of the recording takes 2.4"
     return Figure(f"memory of {name}, growth", life.slope(), "MB in 10 min", limit, note=note)
