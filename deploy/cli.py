@@ -24,7 +24,7 @@ from deploy import (
     sweep_command,
 )
 from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
-from deploy.interrupt import Interrupt
+from deploy.interrupt import Interrupt, remembered
 from deploy.version import handfast_version
 
 if TYPE_CHECKING:
@@ -39,11 +39,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status (see `--help`)."""
     arguments = sys.argv[1:] if argv is None else list(argv)
     try:
-        if arguments[:1] == [ROVER_SIMULATOR]:
-            return _rover_simulator(arguments[1:])
-        options = _parser().parse_args(arguments)
-        result: int = options.command(options)
-        return result
+        with remembered():
+            if arguments[:1] == [ROVER_SIMULATOR]:
+                return _rover_simulator(arguments[1:])
+            options = _parser().parse_args(arguments)
+            result: int = options.command(options)
+            return result
     except (FleetError, InputError) as error:
         print(f"handfast: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -58,6 +59,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return BAD_INPUT
     except KeyboardInterrupt:
+        # One that came up through an `exec`, as of a dataclass that was being made, has `python -m` end
+        # with the signal instead of with a status, unless another `exec` comes after it.
+        exec("")
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone (`handfast check ... | head`): nothing is left to say.

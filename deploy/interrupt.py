@@ -3,8 +3,35 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Final
+
+_unanswered: Final[list[int]] = []
+"""Interrupts that were raised within `remembered`."""
+
+
+def _raise(number: int, _frame: object) -> None:
+    _unanswered.append(number)
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def remembered() -> Iterator[None]:
+    """Within it Ctrl-C raises KeyboardInterrupt, as ever, and `Interrupt.caught` raises it once more if it is
+    still wanted: some of what a command imports swallows it."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield  # ignored, by who started this process, or not this function's to answer
+        return
+    _unanswered.clear()
+    signal.signal(signal.SIGINT, _raise)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _unanswered.clear()
 
 
 class Interrupt:
@@ -20,9 +47,16 @@ class Interrupt:
 
     @contextmanager
     def caught(self) -> Iterator[Interrupt]:
+        """Counts from here on.
+
+        Raises:
+            KeyboardInterrupt: there was one before, which was swallowed (`remembered`).
+        """
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         before = {number: signal.signal(number, self._on_signal) for number in numbers}
         try:
+            if _unanswered:
+                raise KeyboardInterrupt
             yield self
         finally:
             for number, handler in before.items():

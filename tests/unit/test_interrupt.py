@@ -1,0 +1,89 @@
+"""Ctrl-C while a command loads: it ends the command, also where what is imported swallows it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Final
+
+import pytest
+
+from deploy import cli
+from deploy.interrupt import Interrupt, remembered
+
+
+@pytest.fixture(autouse=True)
+def default() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def swallowed() -> None:
+    with suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_one_that_was_swallowed_is_raised_again() -> None:
+    went_on = False
+    with remembered():
+        swallowed()
+        with pytest.raises(KeyboardInterrupt), Interrupt().caught():
+            went_on = True
+    assert not went_on
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_it_is_forgotten_with_its_command() -> None:
+    with remembered():
+        swallowed()
+    with Interrupt().caught() as interrupt:
+        signal.raise_signal(signal.SIGINT)
+        assert interrupt.count == 1
+
+
+def test_one_that_is_ignored_stays_ignored() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with remembered():
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_the_command_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    def command(_: object) -> int:
+        swallowed()
+        with Interrupt().caught():
+            return 0
+
+    parser = SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
+    monkeypatch.setattr(cli, "_parser", lambda: parser)
+    assert cli.main([]) == 130
+
+
+WITHIN_EXEC: Final = """
+import signal, sys
+from types import SimpleNamespace
+from deploy import cli
+signal.signal(signal.SIGINT, signal.default_int_handler)
+command = lambda _: exec("signal.raise_signal(signal.SIGINT)\\nwhile True: pass")
+cli._parser = lambda: SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
+sys.exit(cli.main([]))
+"""
+
+
+def test_the_exit_status_is_one_wherever_it_came(tmp_path: Path) -> None:
+    (tmp_path / "loads.py").write_text(WITHIN_EXEC)
+    done = subprocess.run(
+        [sys.executable, "-m", "loads"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (130, "")
