@@ -130,8 +130,8 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     yield Finding(
         "warning",
         f"trajectory.{'velocity_mps' if section.kind == 'line' else 'speed_mps'}",
-        f"{fastest:.4g} m/s is too fast for robots {i} and {j}, whose places are {apart:.3g} m apart{more}: "
-        f"where one follows the other, the last filter keeps it {needed:.3g} m behind, so that it can brake "
+        f"{fastest:.4g} m/s is too fast for robots {i} and {j}, whose places are {apart:.4g} m apart{more}: "
+        f"where one follows the other, the last filter keeps it {needed:.4g} m behind, so that it can brake "
         f"when the other does; take at most {_below(share * fastest)} m/s, or put them farther apart",
     )
 
