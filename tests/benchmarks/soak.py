@@ -221,5 +221,5 @@ def _growth(name: str, memory: dict[str, Memory], limit: float | None) -> Figure
     note = f"{number(life.mb[0])} to {number(life.mb[-1])} MB in {life.t_s[-1] - life.t_s[0]:.0f} s"
     if limit is None:
         half_s = 0.5 * (life.t_s[-1] - life.t_s[0])
-        note += f"; last half: {number(life.slope(half_s))}, MCAP's index of the recording takes 2.4"
+        note += f"; last half: {number(life.slope(half_s))}; part of it is MCAP's index of the recording"
     return Figure(f"memory of {name}, growth", life.slope(), "MB in 10 min", limit, note=note)
