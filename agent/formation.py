@@ -568,12 +568,20 @@ def _refine(places: Floats, edges: Indices, wanted: Floats, flatten: float = 0.0
     return places
 
 
+def worst_edge(shape: Realisation, distances: Floats) -> int:
+    """The edge whose length is furthest off, as a share of its distance (m, m >= 1); of equals the first.
+
+    Equal but for rounding, that is, which differs from machine to machine.
+    """
+    share = np.abs(shape.error) / distances
+    return int(np.argmax(share >= np.max(share) * (1.0 - 1e-6)))
+
+
 def _refuse_misfit(fleet: Fleet, shape: Realisation, distances: Floats) -> None:
     if not len(distances):
         return
-    share = np.abs(shape.error) / distances
-    worst = int(np.argmax(share))
-    if share[worst] <= DISTANCE_TOLERANCE:
+    worst = worst_edge(shape, distances)
+    if abs(shape.error[worst]) <= DISTANCE_TOLERANCE * distances[worst]:
         return
     i, j = fleet.formation.edges[worst]
     raise FormationError(

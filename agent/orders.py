@@ -20,7 +20,7 @@ from agent.clock import NS_PER_S
 from agent.codec import decode, encode
 from agent.fleet import Fleet, digest
 from agent.fleet_sections import Pair, TrajectorySection
-from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near
+from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near, worst_edge
 from agent.message_checks import Malformed
 from agent.messages import Mission, clipped
 from agent.node import next_tick_ns
@@ -257,7 +257,7 @@ def _found(offsets: Mapping[int, Pair], edges: Edges, safe: float) -> dict[int, 
         shape = realise_near(list(offsets.values()), [(row[i], row[j]) for i, j in edges], wanted, safe)
     except FormationError as error:
         raise OrderError(f"{error}: give formation.offsets") from None
-    worst = int(np.argmax(np.abs(shape.error) / wanted))
+    worst = worst_edge(shape, wanted)
     if abs(shape.error[worst]) > DISTANCE_TOLERANCE * wanted[worst]:
         i, j = list(edges)[worst]
         raise OrderError(

@@ -297,7 +297,7 @@ def test_scale_makes_all_of_it_larger():
         ),
         (
             order("reshape", formation=ShapeSection(distance_m=(1.0, 1.0, 1.0, 1.0, 3.0))),
-            "found no places that meet all 5 distances: in the nearest [2, 3] is 1.25 m long, not",
+            "found no places that meet all 5 distances: in the nearest [1, 2] is 1.25 m long, not",
         ),
         (order("reshape", scale=0.15), "robots 1 and 2 would stand 0.15 m apart, less than the safe distan"),
         (
