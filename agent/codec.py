@@ -48,7 +48,7 @@ from agent.messages import (
     Wrench,
 )
 
-VERSION: Final = 5
+VERSION: Final = 6
 _HEAD: Final = 2  # version and type come before the fields
 # The messages of every tick, by the types on the wire: number of the class, its floats, the class.
 _FREQUENT: Final = {

@@ -12,11 +12,10 @@ from typing import Final
 
 from agent import hand, keys
 from agent.clock import NS_PER_S
-from agent.codec import decode, encode, newer, tag
+from agent.codec import decode, encode, newer
 from agent.controller import Controller
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
-from agent.gossip import Gossip
 from agent.latch import AWAITED, Latch
 from agent.message_checks import Malformed
 from agent.messages import (
@@ -42,7 +41,8 @@ from agent.plan import PlanError, plan_of
 from agent.prediction import BRAKING_TIME_S
 from agent.reception import Reception
 from agent.reliance import Reliance
-from agent.supervision import DRIVING, Conditions, State, at_rest, step
+from agent.supervision import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
+from agent.telling import Telling
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 HEARD_ROUNDS: Final = 7
@@ -54,8 +54,6 @@ LISTEN_ROUNDS: Final = 2
 LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
 this grows uncertain."""
-UNMOVED_NS: Final = NS_PER_S // 2
-"""A plant that brakes for so long while it is asked to drive may have missed a leave to drive."""
 _HAND: Final = TOPICS.index("hand")
 _STATE: Final = TOPICS.index("state")
 _BEACON: Final = TOPICS.index("beacon")
@@ -91,15 +89,12 @@ class Agent:
 
         self._plant: PlantState | None = None
         self._plant_trouble = "for its plant"
-        self._asked_since_ns: int | None = None
         self._mission: Mission | None = None
         self._refused_mission = ""
         self._leaving = False
         self._taken = ""
         self._latch = Latch(robot, self._forget_taking)
-        self._mission_mark = (0, 0)
-        self._mission_gossip = Gossip(robot, lambda: self._mission_mark)
-        self._order_gossip = Gossip(robot, self._orders_mark)
+        self._telling = Telling(fleet, robot, self._latch)
         self._beats_ns = 0
         self._deadman_ns = (
             None if fleet.supervision.deadman_s is None else round(fleet.supervision.deadman_s * NS_PER_S)
@@ -126,9 +121,6 @@ class Agent:
         self._key_wrench = keys.wrench(name, robot)
         self._key_status = keys.status(name, robot)
         self._key_plant = keys.plant_state(name, robot)
-        self._key_mission = keys.mission(name)
-        self._key_stop = keys.stop(name)
-        self._key_resume = keys.resume(name)
         self._key_heartbeat = keys.heartbeat(name)
         self._key_ask = keys.ask(name)
         others = [other for other in fleet.ids if other != robot]
@@ -141,11 +133,13 @@ class Agent:
         self._reception = Reception(fleet, robot, "agent", sources)
         self.plan: Final = self._reception.plan
         self._always = (
-            # A stop is taken before a mission: who catches up must not drive first.
-            self._key_stop,
-            self._key_resume,
+            # A stop is taken before a mission: who catches up must not drive first. What robots tell comes
+            # on one key, and so in the order in which it is said: there too the stop first.
+            keys.stop(name),
+            keys.resume(name),
+            self._telling.subscription,
             self._key_plant,
-            self._key_mission,
+            keys.mission(name),
             self._key_heartbeat,
             self._key_ask,
             keys.beacon(name, "*"),
@@ -157,9 +151,7 @@ class Agent:
             self._key_hand,
             self._key_status,
             self._key_beacon,
-            self._key_stop,
-            self._key_resume,
-            self._key_mission,
+            self._telling.key,
             *self._reception.publications,
         )
         self._controller.look(0)
@@ -186,24 +178,17 @@ class Agent:
                 reason = None  # its own
             elif self._beacons.get(key) == message.robot:
                 reason = self._through(now_ns, key, payload, _BEACON, message)
-        elif type(message) is Mission:
-            if key == self._key_mission:
-                reason = self._accept_mission(message, now_ns)
-        elif type(message) is Stop:
-            if key == self._key_stop:
-                reason = self._latch.accept_stop(message)
-                self._order_said(now_ns, message.version)
-        elif type(message) is Resume:
-            if key == self._key_resume:
-                reason = self._latch.accept_resume(message)
-                self._order_said(now_ns, message.version)
+        elif type(message) is Mission or type(message) is Stop or type(message) is Resume:
+            if key == self._telling.key:
+                reason = None  # its own
+            elif self._telling.is_source(key, message):
+                reason = self._accept_order(message, now_ns)
         elif type(message) is Heartbeat:
             if key == self._key_heartbeat:
                 self._beats_ns, reason = now_ns, None
         elif type(message) is Ask:
             if key == self._key_ask:
-                self._mission_gossip.asked(now_ns)
-                self._order_gossip.asked(now_ns)
+                self._telling.asked(now_ns)
                 reason = None
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)
@@ -229,8 +214,7 @@ class Agent:
         if type(message) is HandState:
             return self._peers.accept(message, now_ns)
         if type(message) is Beacon:
-            self._mission_gossip.lacks(now_ns, (message.mission_version, message.mission_tag))
-            self._order_gossip.lacks(now_ns, (message.stop_version, message.resume_version))
+            self._telling.compare(now_ns, message)
             if message.silent:
                 self._peers.accept_silent(message, now_ns)
             return self._peers.accept_beacon(message, now_ns)
@@ -266,6 +250,11 @@ class Agent:
         self._plant = state
         return None
 
+    def _accept_order(self, order: Mission | Stop | Resume, now_ns: int) -> str | None:
+        if isinstance(order, Mission):
+            return self._accept_mission(order, now_ns)
+        return self._telling.accept(now_ns, order)
+
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         if mission.digest != self._digest:
             self._refused_mission = (
@@ -273,7 +262,7 @@ class Agent:
                 f"this agent's is {self._digest}"
             )
             return "digest"
-        self._mission_gossip.said(now_ns, (mission.version, tag(mission)))
+        self._telling.heard(now_ns, mission)
         before = self._mission
         if not newer(mission, before):
             return None
@@ -282,7 +271,8 @@ class Agent:
         except PlanError as error:
             self._refused_mission = f"the mission cannot be driven: {error}"
             return "mission"
-        self._mission, self._mission_mark = mission, (mission.version, tag(mission))
+        self._mission = mission
+        self._telling.take(mission)
         self._refused_mission = ""
         self._controller.plan(plan)
         if before is None or before.epoch_ns != mission.epoch_ns:
@@ -291,13 +281,6 @@ class Agent:
             self._hand_numbers.begin(mission.epoch_ns)
             self._wrench_numbers.begin(mission.epoch_ns)
         return None
-
-    def _orders_mark(self) -> tuple[int, int]:
-        return self._latch.mark
-
-    def _order_said(self, now_ns: int, version: int) -> None:
-        if version >= self._latch.version:
-            self._order_gossip.said(now_ns, self._latch.mark)
 
     def _forget_taking(self) -> None:
         self._taken = ""
@@ -353,7 +336,8 @@ class Agent:
             out.append(self._status(now_ns))
         if told is not None:
             self._beacon(now_ns, told, out)
-        self._say_again(now_ns, out)
+        self._telling.look(now_ns, self._plant, drives=drives)
+        out += self._telling.due(now_ns)
         stopping = self._leaving or self.state in (State.STOPPING, State.STOPPED)
         out += self._reception.outgoing(now_ns, flush=stopping)
         return out
@@ -457,7 +441,7 @@ class Agent:
         elif self._latch.stopped:
             stop = self._latch.stopped
         elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
-            stop = "the mission is over"
+            stop = MISSION_OVER
         place = ""
         if not self._course.is_member(self.robot, self._controller.acting_ns(now_ns)):
             place = "in reserve" if self._fleet.robot(self.robot).reserve else "it has left the formation"
@@ -548,29 +532,11 @@ class Agent:
             self._follows,
             *here,
             self._doubt,
-            *self._mission_mark,
+            *self._telling.mission_mark,
             *self._latch.mark,
             self._peers.silent(now_ns, here.x, here.y),
         )
         out.append((self._key_beacon, encode(beacon)))
-
-    def _say_again(self, now_ns: int, out: list[Outgoing]) -> None:
-        """What others need to catch up; the own plant too, if it brakes though it is asked to drive."""
-        plant = self._plant
-        if self.state not in DRIVING or plant is None or plant.driving or not plant.obeying:
-            self._asked_since_ns = None
-        elif self._asked_since_ns is None:
-            self._asked_since_ns = now_ns
-        elif now_ns - self._asked_since_ns > UNMOVED_NS:
-            self._asked_since_ns = now_ns
-            self._order_gossip.asked(now_ns)
-        tells = self._mission_gossip.due(now_ns)
-        if self._order_gossip.due(now_ns) or tells:  # who catches up must hear of a stop first
-            for order in self._latch.latest:
-                key = self._key_stop if type(order) is Stop else self._key_resume
-                out.append((key, encode(order)))
-        if tells and self._mission is not None:
-            out.append((self._key_mission, encode(self._mission)))
 
     def _status(self, now_ns: int) -> Outgoing:
         known = self._peers.known

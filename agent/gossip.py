@@ -1,7 +1,8 @@
 """What a robot says again so that others catch up: the mission, and the last stop and leave to drive (PURE).
 
 Any robot that knows tells one that does not: there is no coordinator. Who does not know shows in beacons, or
-asks. It is said on the keys on which operators say it, so everybody hears it, and is not said twice at once.
+asks. Each says it on its own key (`agent.keys.told`), and mostly one does, since all other agents hear that.
+Who may hear this robot alone, such as its plant, is told in any case, and so is what it has just learnt.
 """
 
 from __future__ import annotations
@@ -34,6 +35,11 @@ class Gossip:
         self._known = known
         self._due_ns: int | None = None
         self._said_ns = -AGAIN_NS
+        self._insists = False
+
+    def insist(self) -> None:
+        """Somebody may hear this robot and nobody else: it is said here, whoever else says it."""
+        self._insists = True
 
     def lacks(self, now_ns: int, mark: Mark) -> None:
         """Somebody knows only this much of it."""
@@ -52,7 +58,7 @@ class Gossip:
 
     def due(self, now_ns: int) -> bool:
         """Whether to say it now."""
-        if self._due_ns is None or now_ns < self._due_ns:
+        if not self._insists and (self._due_ns is None or now_ns < self._due_ns):
             return False
-        self._said_ns, self._due_ns = now_ns, None
+        self._said_ns, self._due_ns, self._insists = now_ns, None, False
         return True

@@ -48,6 +48,14 @@ def resume(fleet: str) -> str:
     return f"{fleet}/resume"
 
 
+def told(fleet: str, robot: int | str) -> str:
+    """Operators' missions, stops and leaves as one agent says them again, byte by byte, to everybody.
+
+    Only operators publish on `mission`, `stop` and `resume`; a robot has this key, of its own.
+    """
+    return f"{fleet}/robot/{robot}/told"
+
+
 def beacon(fleet: str, robot: int | str) -> str:
     """Where one robot is, from its agent to all others."""
     return f"{fleet}/robot/{robot}/beacon"
@@ -95,6 +103,11 @@ def _process(fleet: str, robot: int | str, role: str) -> str:
 def events(fleet: str) -> str:
     """What an operator did to processes on purpose, for the recording."""
     return f"{fleet}/events"
+
+
+def near(fleet: str, robot: int) -> list[str]:
+    """What agent and plant of one robot tell each other, directly even where there are routers."""
+    return [plant_state(fleet, robot), wrench(fleet, robot), told(fleet, robot)]
 
 
 def alive(fleet: str, robot: int | str, role: str) -> str:

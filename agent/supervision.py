@@ -92,6 +92,8 @@ class Transition(NamedTuple):
 _ALL: Final = frozenset(State)
 _ACTIVE: Final = DRIVING | {State.HOLDING, State.RELEASED}
 _BEFORE: Final = frozenset({State.WAITING, State.READY})
+MISSION_OVER: Final = "the mission is over"
+"""Why a robot stands that nobody has stopped."""
 _AT_END: Final = frozenset({State.STOPPING, State.STOPPED})
 
 
@@ -114,8 +116,8 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
     ),
     Transition("plant_back", frozenset({State.FAULT}), State.WAITING, lambda c: not c.plant, _missing),
     Transition(
-        "at_rest",
-        frozenset({State.STOPPING}),
+        "at_rest",  # and while it stands, for another reason than at first
+        _AT_END,
         State.STOPPED,
         lambda c: bool(c.stop) and c.at_rest,
         lambda c: c.stop,

@@ -27,6 +27,7 @@ def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:
             keys.plant_links(name, robot),
             keys.wrench(name, robot),
             keys.status(name, robot),
+            keys.told(name, robot),
         }
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:

@@ -123,6 +123,11 @@ class Watch:
                 self._course.take(self._known.plan)
                 self._epoch_ns = message.epoch_ns
 
+    def forget(self, robot: int) -> None:
+        """What its agent said last does not hold any more: the agent is gone."""
+        self.statuses.pop(robot, None)
+        self.hands.pop(robot, None)
+
     def news(self, time_s: float | None) -> list[str]:
         """Sentences for what was ordered and which robots changed their state since the last call."""
         return self._news.sentences(time_s)
@@ -135,7 +140,9 @@ class Watch:
 
     def picture(self, time_s: float | None) -> Picture:
         """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
-        picture = Picture(time_s, self._fleet.fleet.duration_s, faults=self._faults(time_s))
+        mission = self._known.mission
+        duration_s = self._fleet.fleet.duration_s if mission is None else mission.duration_ns / NS_PER_S
+        picture = Picture(time_s, duration_s, faults=self._faults(time_s))
         known = time_s is not None and self._epoch_ns is not None
         now_ns = (self._epoch_ns or 0) + round((time_s or 0.0) * NS_PER_S) if known else 0
         errors: dict[int, float] = {}

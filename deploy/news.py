@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from agent.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.messages import Mission, Resume, Stop
 from agent.supervision import DRIVING, State
@@ -36,6 +37,7 @@ class News:
     def order(self, message: Mission | Stop | Resume) -> None:
         """Told of a mission, stop or leave that is newer than those before."""
         if type(message) is Mission:
+            self._duration_s = message.duration_ns / NS_PER_S
             self._orders += [message.note] if message.note else []
         elif type(message) is Stop:
             why = f": {message.reason}" if message.reason else ""

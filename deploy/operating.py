@@ -14,7 +14,7 @@ from agent.codec import encode, newer
 from agent.fleet import Fleet, digest
 from agent.formation import Geometry
 from agent.messages import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop, clipped
-from agent.node import FIRST_ROUND, Outgoing
+from agent.node import Numbers, Outgoing
 from agent.order_sections import OrderSection
 from agent.orders import OrderError, first_mission, ordered
 from agent.plan import Plan, PlanError, plan_of
@@ -42,15 +42,19 @@ class Known:
     Attributes:
         mission, plan: the newest mission that this fleet can drive, and what it means.
         stop, resume: the newest ones.
+        foreign: a mission for another fleet file, which robots have taken: they read that one.
         keys: where an operator says what.
+        told: where robots say again what operators have said.
     """
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
-        self._fleet, self._geometry, self._digest = fleet, geometry, digest(fleet)
+        self.fleet: Final = fleet
+        self._geometry, self._digest = geometry, digest(fleet)
         self.mission: Mission | None = None
         self.plan: Plan | None = None
         self.stop: Stop | None = None
         self.resume: Resume | None = None
+        self.foreign: Mission | None = None
         name = fleet.fleet.name
         self.keys: Final[Mapping[type[Message], str]] = {
             Mission: keys.mission(name),
@@ -59,20 +63,20 @@ class Known:
             Heartbeat: keys.heartbeat(name),
             Ask: keys.ask(name),
         }
+        self.told: Final = frozenset(keys.told(name, robot) for robot in fleet.ids)
 
     def hear(self, key: str, message: Message) -> bool:
         """Takes a message that came on `key`; True for an order that is newer than those before."""
-        if type(message) is Mission and key == self.keys[Mission]:
+        if key not in self.told and key != self.keys.get(type(message)):
+            return False
+        if type(message) is Mission:
+            if key in self.told and message.digest != self._digest:
+                self.foreign = message
             return self._take(message)
-        if type(message) is Stop and key == self.keys[Stop]:
-            if self.stop is None or message.version > self.stop.version:
-                self.stop = message
-                return True
-        elif (
-            type(message) is Resume
-            and key == self.keys[Resume]
-            and (self.resume is None or message.version > self.resume.version)
-        ):
+        if type(message) is Stop and (self.stop is None or message.version > self.stop.version):
+            self.stop = message
+            return True
+        if type(message) is Resume and (self.resume is None or message.version > self.resume.version):
             self.resume = message
             return True
         return False
@@ -81,7 +85,7 @@ class Known:
         if mission.digest != self._digest or not newer(mission, self.mission):
             return False
         try:
-            self.plan = plan_of(mission, self._fleet, self._geometry)
+            self.plan = plan_of(mission, self.fleet, self._geometry)
         except PlanError:
             return False  # no agent takes it either
         self.mission = mission
@@ -130,7 +134,7 @@ class Operator(Known):
 
     def begin(self, now_ns: int, epoch_ns: int, duration_ns: int) -> Mission:
         """The drive's first mission: what the fleet file says."""
-        mission = first_mission(self._fleet, self._next_mission(now_ns), now_ns, epoch_ns, duration_ns)
+        mission = first_mission(self.fleet, self._next_mission(now_ns), now_ns, epoch_ns, duration_ns)
         self._take(mission)
         return mission
 
@@ -146,7 +150,7 @@ class Operator(Known):
             return self.order_resume(now_ns, order.robots or ())
         if self.plan is None:
             raise OrderError(NO_MISSION)
-        mission = ordered(order, self.plan, self._fleet, now_ns, self._next_mission(now_ns))
+        mission = ordered(order, self.plan, self.fleet, now_ns, self._next_mission(now_ns))
         self._take(mission)
         return mission
 
@@ -189,19 +193,26 @@ class Operator(Known):
             up: whether a process (robot, role) should run.
         """
         version = self.mission_version
-        for robot in self._fleet.ids:
-            status, plant = statuses.get(robot), plants.get(robot)
+        for robot in self.fleet.ids:
+            status = statuses.get(robot)
             if up(robot, "agent") and status is not None and status.mission_version < version:
                 return self.again()
-            # A plant says so by its numbers: they count from the epoch as soon as it knows that.
-            if up(robot, "plant") and (plant is None or plant.sequence < FIRST_ROUND):
+            if up(robot, "plant") and not self.counts(plants.get(robot)):
                 return self.again()
         if any(
             self._lacks_order(statuses.get(robot), plants.get(robot), up(robot, "agent"))
-            for robot in self._fleet.ids
+            for robot in self.fleet.ids
         ):
             return [*self.latest]
         return []
+
+    def counts(self, plant: PlantState | None) -> bool:
+        """Whether a plant knows the mission's epoch. It says so by its numbers: they count from that."""
+        if plant is None or self.mission is None:
+            return False
+        numbers = Numbers(self.fleet.period_ns)
+        numbers.begin(self.mission.epoch_ns)
+        return plant.sequence == numbers.at(plant.time_ns)
 
     def _lacks_order(self, status: Status | None, plant: PlantState | None, agent_up: bool) -> bool:
         if status is None or not agent_up or not self.latest:

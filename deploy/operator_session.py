@@ -38,7 +38,8 @@ class OperatorSession(Session):
         self.author: Final = author()
         for key in self.operator.keys.values():
             self.bus.declare(key)
-        for key in (keys.status(name, "*"), keys.mission(name), keys.stop(name), keys.resume(name)):
+        orders = (keys.mission(name), keys.stop(name), keys.resume(name))
+        for key in (keys.status(name, "*"), keys.told(name, "*"), *orders):
             self.bus.subscribe(key, INBOX)
 
     def feed(self, key: str, message: Message) -> None:

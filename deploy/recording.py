@@ -273,7 +273,7 @@ class RunData:
         self.fleet, self.mode = fleet, mode
         self.seed = fleet.fleet.seed if seed is None else seed
         self.foreign = 0
-        # Agents say them again to each other: what is kept is who said it first.
+        # Agents say them again: what is kept is who said it first.
         self._missions: dict[Mission, Mission] = {}
         self._stops: dict[Stop, Stop] = {}
         self._resumes: dict[Resume, Resume] = {}
@@ -298,8 +298,11 @@ class RunData:
                 keys.wrench(prefix, robot): self._wrench[robot],
                 keys.status(prefix, robot): self._status[robot],
             }
-        self._mission_key, self._stop_key = keys.mission(prefix), keys.stop(prefix)
-        self._resume_key, self._events_key = keys.resume(prefix), keys.events(prefix)
+        told = {keys.told(prefix, robot) for robot in self._plant}
+        self._missions_from = {keys.mission(prefix), *told}
+        self._stops_from = {keys.stop(prefix), *told}
+        self._resumes_from = {keys.resume(prefix), *told}
+        self._events_key = keys.events(prefix)
         self._told: dict[str, type[Message]] = {keys.heartbeat(prefix): Heartbeat, keys.ask(prefix): Ask}
         for robot in self._plant:
             self._told |= {keys.checks(prefix, robot): Checks, keys.beacon(prefix, robot): Beacon}
@@ -327,11 +330,11 @@ class RunData:
             self.foreign += 1
         elif sink is not None and type(message) is sink.kind and message[0] == sink.robot:
             sink.append(message)
-        elif type(message) is Mission and key == self._mission_key:
+        elif type(message) is Mission and key in self._missions_from:
             self._missions.setdefault(message._replace(time_ns=0), message)
-        elif type(message) is Stop and key == self._stop_key:
+        elif type(message) is Stop and key in self._stops_from:
             self._stops.setdefault(message._replace(time_ns=0), message)
-        elif type(message) is Resume and key == self._resume_key:
+        elif type(message) is Resume and key in self._resumes_from:
             self._resumes.setdefault(message._replace(time_ns=0), message)
         elif type(message) is LinkTrace and self._is_ours(key, message):
             entries = tuple(entry for entry in message.entries if entry[1] != _BEACON)
@@ -356,7 +359,7 @@ class RunData:
         robot = message.robot if isinstance(message, _OF_ROBOTS) else 0
         if isinstance(message, (Faults, Mission, Stop, Resume)):
             # They are said again for hours, always with the time at which they were sent.
-            known = (self._mission_key, self._stop_key, self._resume_key)
+            known = self._missions_from | self._stops_from | self._resumes_from
             return message.time_ns < received_ns and (key in self._faults_from or key in known)
         skew_ns, drift = self._clocks.get(robot, (0, 0.0))
         off_ns = abs(message.time_ns - skew_ns - received_ns)

@@ -39,13 +39,15 @@ class Resuming:
 
     def runs(self, robot: int) -> bool:
         """Whether the robot knows of the leave and drives by the law, and its body does as it is told; one
-        without a place in the formation stays where it is."""
+        without a place in the formation stays where it is, and one that has nothing to drive is ready."""
         status, plant = self._statuses.get(robot), self._plants.get(robot)
         if status is None or plant is None or status.order_version < self.message.version:
             return False
         if status.state == State.STANDBY.value:
             return True
-        return status.state in _DRIVING and plant.healthy and plant.obeying and plant.driving
+        if not plant.healthy or not plant.obeying:
+            return False
+        return status.state == State.READY.value or (status.state in _DRIVING and plant.driving)
 
     @property
     def done(self) -> bool:

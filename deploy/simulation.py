@@ -231,7 +231,9 @@ class Simulation:
         ahead_ns = max(0, *(clock.skew_ns for clock in clocks.values()))
         self.epoch_ns = self.now_ns + _warm_up_periods(fleet, ahead_ns) * fleet.period_ns
         self._operator = Operator(fleet, resolve(fleet))
-        self._order_keys = {self._operator.keys[kind] for kind in (Mission, Stop, Resume)}
+        self._order_keys = {
+            self._operator.keys[kind] for kind in (Mission, Stop, Resume)
+        } | self._operator.told
         self._bodies = Bodies(fleet)
         self.agents = [Agent(fleet, robot) for robot in fleet.ids]
         self.plants = [self._plant(robot) for robot in fleet.ids]

@@ -15,6 +15,11 @@ BRAKING: Final = frozenset(
 """States of an agent that has heard of a stop."""
 
 
+def has_heard(status: Status | None, stop: Stop) -> bool:
+    """Whether an agent that says this, or nothing, knows a stop and brakes."""
+    return status is not None and status.order_version >= stop.version and status.state in BRAKING
+
+
 class Stopping:
     """What becomes of a stop.
 
@@ -59,8 +64,7 @@ class Stopping:
 
     def _obeys(self, robot: int) -> bool:
         """Whether the robot's agent knows the stop and brakes."""
-        status = self._statuses.get(robot)
-        return status is not None and status.order_version >= self.message.version and status.state in BRAKING
+        return has_heard(self._statuses.get(robot), self.message)
 
     def stands_by(self, robot: int) -> bool:
         """Whether agent and plant of a robot both brake."""

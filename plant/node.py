@@ -61,9 +61,11 @@ class PlantNode:
         self._key_truth = keys.plant_truth(name, robot)
         self._key_wrench = keys.wrench(name, robot)
         self.alive_key: Final = keys.alive(name, robot, "plant")
-        self._key_mission = keys.mission(name)
-        self._key_stop = keys.stop(name)
-        self._key_resume = keys.resume(name)
+        # Its agent passes on what operators order; that of another robot has no say here.
+        self._key_told = keys.told(name, robot)
+        self._missions_from = keys.mission(name), self._key_told
+        self._stops_from = keys.stop(name), self._key_told
+        self._resumes_from = keys.resume(name), self._key_told
         self._key_checks = keys.checks(name, robot)
         self._digest = digest(fleet)
         self._mission_version = self._epoch_ns = -1
@@ -75,10 +77,11 @@ class PlantNode:
         self.plan: Final = self._reception.plan
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self.subscriptions: Final = (
-            self._key_stop,
-            self._key_resume,
+            keys.stop(name),
+            keys.resume(name),
+            self._key_told,
             self._key_wrench,
-            self._key_mission,
+            keys.mission(name),
             *self._reception.subscriptions,
         )
         self.watched: Final = ""
@@ -134,13 +137,13 @@ class PlantNode:
                 else:
                     reason = None
         elif type(message) is Mission:
-            if key == self._key_mission:
+            if key in self._missions_from:
                 reason = self._accept_mission(message)
         elif type(message) is Resume:
-            if key == self._key_resume:
+            if key in self._resumes_from:
                 reason = self._latch.accept_resume(message)
         elif type(message) is Stop:
-            if key == self._key_stop:
+            if key in self._stops_from:
                 reason = self._latch.accept_stop(message)
         elif type(message) is Faults and key == self._reception.key_faults:
             reason = self._reception.accept(message, now_ns)

@@ -261,10 +261,7 @@ class Robots:
         now_ns = time.time_ns()
         period_ns = self.fleet.period_ns
         epoch_ns = (now_ns + round(ahead_s * NS_PER_S)) // period_ns * period_ns
-        mission = Mission(
-            epoch_ns // 1_000, now_ns, epoch_ns, round(duration_s * NS_PER_S), digest(self.fleet)
-        )
-        self.mission = mission
+        mission = self.mission = self.mission_of(epoch_ns, duration_s)
         due_s = 0.0
 
         def say_and_look() -> bool:
@@ -276,6 +273,11 @@ class Robots:
 
         self.wait(say_and_look, "every robot running")
         return epoch_ns
+
+    def mission_of(self, epoch_ns: int, duration_s: float) -> Mission:
+        """The fleet file's mission, as an operator gives it now."""
+        duration_ns = round(duration_s * NS_PER_S)
+        return Mission(epoch_ns // 1_000, time.time_ns(), epoch_ns, duration_ns, digest(self.fleet))
 
     # ---------------------------------------------------------------- what must hold, by the stamps
 

@@ -158,6 +158,14 @@ def test_round_trip(message: Message):
     assert type(decode(payload)) is type(message)
 
 
+@given(MISSIONS | STOPS | RESUMES)
+def test_an_order_that_is_said_again_has_the_bytes_that_came(message: Message):
+    """Whoever vouches for an order vouches for its bytes, and robots pass it on."""
+    payload = encode(message)
+    if len(payload) <= BYTES_MAX:
+        assert encode(decode(payload)) == payload
+
+
 @given(
     st.lists(MISSIONS.map(lambda mission: mission._replace(version=mission.version % 3)), max_size=8),
     st.data(),

@@ -12,6 +12,7 @@ from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
 from agent.messages import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
+from agent.node import Numbers
 from agent.supervision import State
 
 FLEET = """
@@ -23,12 +24,13 @@ trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
 """
 PERIOD = 20_000_000
 START = 1000 * NS_PER_S
-HAND, WRENCH, STATUS, BEACON = (
-    f"two/robot/1/{name}" for name in ("hand", "plant/wrench", "status", "beacon")
+HAND, WRENCH, STATUS, BEACON, TOLD = (
+    f"two/robot/1/{name}" for name in ("hand", "plant/wrench", "status", "beacon", "told")
 )
 PLANT, OTHER, MISSION, STOP = "two/robot/1/plant/state", "two/robot/2/hand", "two/mission", "two/stop"
 RESUME, HEARTBEAT, ASK = "two/resume", "two/heartbeat", "two/ask"
-OTHERS_BEACON, ALIVE = "two/robot/2/beacon", "two/alive/robot/2/agent"
+OTHERS_BEACON, OTHERS_TOLD = "two/robot/2/beacon", "two/robot/2/told"
+ALIVE = "two/alive/robot/2/agent"
 TIMEOUT_TICKS = 5  # control.plant_timeout_s
 LISTEN_TICKS = 2 * 10 + 1  # two beacons of everybody
 BRAKE = (0.0, 0.0, True)
@@ -46,6 +48,11 @@ class Out(NamedTuple):
     status: Status | None
     beacon: Beacon | None
     raw: list[tuple[str, bytes]]
+
+    @property
+    def told(self) -> list[Message]:
+        """What it passes on of operators' orders."""
+        return [decode(payload) for key, payload in self.raw if key == TOLD]
 
 
 def check_finite(message: Message) -> None:
@@ -76,6 +83,7 @@ class Bench:
         self.other_follows = True
         self.ticks = 0
         self.last: Status | None = None
+        self._numbers = Numbers(PERIOD)
 
     @property
     def state(self) -> State:
@@ -87,6 +95,7 @@ class Bench:
     def mission(self, version: int = 1, epoch_ns: int | None = None, duration_s: float = 60.0) -> None:
         epoch_ns = self.now + 2 * PERIOD if epoch_ns is None else epoch_ns
         duration_ns = round(duration_s * NS_PER_S)
+        self._numbers.begin(epoch_ns)  # as of a plant that hears it too
         self.give(MISSION, Mission(version, self.now, epoch_ns, duration_ns, digest(self.fleet)))
 
     def stop(self, version: int, reason: str = "") -> None:
@@ -99,7 +108,8 @@ class Bench:
         """Plant and neighbour speak, then `extra` comes, then the agent ticks."""
         if self.pose is not None:
             state = PlantState(
-                1, self.ticks, self.now - PERIOD // 2, *self.pose, 0.0, 0.0, True, True, True, ""
+                *(1, self._numbers.next(self.now - PERIOD // 2), self.now - PERIOD // 2),
+                *(*self.pose, 0.0, 0.0, True, True, True, ""),
             )._replace(**self.plant)
             self.give(PLANT, state)
         if self.other is not None:
@@ -116,7 +126,7 @@ class Bench:
         self.ticks += 1
         found: dict[str, Message] = {}
         for key, payload in raw:
-            assert key not in found
+            assert key not in found or key == TOLD
             found[key] = decode(payload)  # nothing that a receiver would refuse
             check_finite(found[key])
         self.last = found.get(STATUS, self.last)

@@ -113,6 +113,13 @@ class FleetBench:
     def sayings(self, key: str) -> list[Message]:
         return [message for _, said_on, message in self.said if said_on == key]
 
+    def told(self, kind: type[Message]) -> list[tuple[int, Message]]:
+        """Operators' messages of one class that robots have said again, each with who did."""
+        name, told = self.fleet.fleet.name, []
+        for robot in self.fleet.ids:
+            told += [(robot, each) for each in self.sayings(keys.told(name, robot)) if type(each) is kind]
+        return told
+
     def wrenches(self, robot: int) -> list[Message]:
         return self.sayings(keys.wrench(self.fleet.fleet.name, robot))
 

@@ -41,12 +41,14 @@ from tests.unit.agent_bench import (
     MISSION,
     OTHER,
     OTHERS_BEACON,
+    OTHERS_TOLD,
     PERIOD,
     PLANT,
     RESUME,
     START,
     STATUS,
     STOP,
+    TOLD,
     WRENCH,
     Bench,
     brakes,
@@ -61,10 +63,12 @@ def test_keys_are_those_of_its_neighbours_and_its_own_plant():
     agent = Bench().agent
     assert set(agent.subscriptions) == {
         PLANT, OTHER, MISSION, STOP, RESUME, HEARTBEAT, ASK, "two/faults", "two/robot/*/beacon",
+        "two/robot/*/told",
     }  # fmt: skip
-    assert agent.subscriptions[:2] == (STOP, RESUME)  # who catches up must not drive first
+    # Who catches up must not drive first: before the own plant's state, without which nothing drives.
+    assert agent.subscriptions[:4] == (STOP, RESUME, "two/robot/*/told", PLANT)
     assert set(agent.publications) == {
-        HAND, WRENCH, STATUS, BEACON, STOP, RESUME, MISSION, "two/robot/1/links", "two/robot/1/faults",
+        HAND, WRENCH, STATUS, BEACON, TOLD, "two/robot/1/links", "two/robot/1/faults",
     }  # fmt: skip
     assert agent.watched == "two/alive/robot/*/agent"
     assert agent.alive_key == keys.alive("two", 1, "agent")
@@ -635,6 +639,54 @@ def test_garbage_on_every_key_changes_nothing_and_is_counted():
     }  # fmt: skip
     assert after["corrupted"] > 0
     assert after["received"] == before["received"]
+
+
+def test_orders_are_told_once_byte_by_byte_the_stop_first():
+    bench = Bench()
+    bench.listen()
+    now = bench.now
+    said = [
+        encode(Stop(5, now, "Grüße: a person")),
+        encode(Resume(6, now, (1, 2))),
+        encode(
+            Mission(
+                *(7, now, now + NS_PER_S, 60 * NS_PER_S, digest(bench.fleet), 1, 2, "wider", 3),
+                (("kind", "line"), ("velocity_mps", (0, 0.25)), ("start_m", (-0.0, 1e-300))),
+                ((1, 0.0, 0.0), (2, 1.25, 0.0)),
+                ((1, 2, 1.25),),
+            )
+        ),
+    ]
+    for key, payload in zip((OTHERS_TOLD, RESUME, MISSION), said, strict=True):
+        bench.give(key, payload)
+    bench.give(STOP, said[0])
+    assert [pair for pair in bench.tick().raw if pair[0] == TOLD] == [(TOLD, payload) for payload in said]
+    bench.give(MISSION, said[2])
+    again = [pair for out in bench.run(20) for pair in out.raw if pair[0] == TOLD]
+    assert again == []
+    # The bench's plant has heard nothing: it is told, but not in every tick.
+    again = [payload for out in bench.run(10) for key, payload in out.raw if key == TOLD]
+    assert again == said
+
+
+def test_orders_are_taken_from_every_robot_of_the_fleet_on_its_own_key_and_from_no_other():
+    bench = Bench()
+    bench.drive()
+    now = bench.now
+    for key in ("two/robot/9/told", "two/robot/2/hand", "two/robot/2/told/more", "three/robot/2/told"):
+        for message in (Stop(5, now, ""), Resume(5, now, ()), Mission(9, now, now, 1, digest(bench.fleet))):
+            bench.give(key, message)
+    for message in (Heartbeat(now, "x"), Ask(now, "x"), Beacon(2, 0, now, True, *[0.0] * 5, 9, 0, 9, -1)):
+        bench.give(OTHERS_TOLD, message)
+    assert bench.tick().told == []
+    assert bench.state is State.RUNNING
+    assert dict(bench.agent.rejected) == {"wrong_key": 15}
+    bench.give(OTHERS_TOLD, Stop(5, now, "told"))
+    bench.tick()
+    assert bench.agent.condition == ("stopping", "stop: told")
+    bench.give(TOLD, Stop(6, now, "its own, come back"))
+    assert bench.tick().told == []
+    assert bench.counters()["rejected"] == 15
 
 
 def test_garbage_before_the_start_keeps_nobody_from_starting():

@@ -7,6 +7,7 @@ from math import hypot, sqrt
 
 import pytest
 
+from agent import keys
 from agent.clock import NS_PER_S
 from agent.course import Edge
 from agent.hand import hand_acceleration
@@ -269,7 +270,8 @@ def test_an_agent_that_starts_again_takes_its_place_again(bench: FleetBench):
 
 def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: FleetBench):
     """A second late: from then on it follows the same blend as the others."""
-    bench.cut = lambda key, node: key == MISSION and node is bench.agents[2]
+    lost = {MISSION, *(keys.told("few", robot) for robot in (1, 3, 4))}
+    bench.cut = lambda key, node: key in lost and node is bench.agents[2]
     wide = tuple((robot, 1.5 * x, 1.5 * y) for robot, x, y in PLACES)
     mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))
     while bench.now < mission.from_ns + NS_PER_S:

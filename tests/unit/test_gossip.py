@@ -6,11 +6,14 @@ from math import cos, pi, sin
 
 import pytest
 
+from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.gossip import AGAIN_NS, SPREAD_NS, STEPS, Gossip
-from agent.messages import Ask, Mission, Resume, Stop
+from agent.messages import Ask, Mission, PlantState, Resume, Stop, Wrench
+from agent.node import FIRST_ROUND
 from agent.supervision import DRIVING, State
+from plant.node import PlantNode
 from tests.unit.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
 
 T0 = 1000 * NS_PER_S
@@ -110,13 +113,16 @@ def test_an_agent_that_starts_again_is_told_the_mission_by_about_one_other(made:
     bench = FleetBench(made)
     bench.drive()
     bench.restart(3)
-    since, before = bench.now, len(bench.sayings(MISSION))
+    since = bench.now
+    bench.said.clear()
     while bench.state(3) not in DRIVING:
         bench.step()
         assert bench.now - since < NS_PER_S
     bench.run(3.0)
     assert bench.state(3) is State.RUNNING
-    assert 1 <= len(bench.sayings(MISSION)) - before <= 2
+    told = [robot for robot, _ in bench.told(Mission)]
+    assert told.count(3) == 1  # what it has learnt, once
+    assert 1 <= len(told) - 1 <= 2
     assert not any(agent.rejected for agent in bench.agents.values())
 
 
@@ -149,8 +155,10 @@ def test_a_plant_that_missed_the_leave_is_told_it_by_its_agent():
     bench.drive()
     bench.say(STOP, Stop(1, bench.now, ""))
     bench.run(0.5)
+    bench.cut = lambda _key, node: node is bench.plants[2] and _key != keys.wrench("few", 2)
     bench.say(RESUME, Resume(2, bench.now, ()), [node for node in bench.nodes if node is not bench.plants[2]])
     bench.run(0.3)
+    bench.cut = lambda _key, _node: False
     assert bench.plants[2].condition == ("braking", "stop")
     bench.run(1.0)
     assert bench.plants[2].condition == ("driving", "")
@@ -165,7 +173,7 @@ def test_who_asks_is_told_all():
     bench.said.clear()
     bench.say(ASK, Ask(bench.now, "Ada"))
     bench.run(0.5)
-    assert len(bench.sayings(MISSION)) == len(bench.sayings(STOP)) == len(bench.sayings(RESUME)) == 1
+    assert len(bench.told(Mission)) == len(bench.told(Stop)) == len(bench.told(Resume)) == 1
 
 
 def test_nothing_is_said_again_while_all_know_it():
@@ -173,8 +181,73 @@ def test_nothing_is_said_again_while_all_know_it():
     bench.drive()
     bench.said.clear()
     bench.run(3.0)
-    assert not bench.sayings(MISSION)
-    assert not bench.sayings(STOP)
+    assert not any(bench.told(kind) for kind in (Mission, Stop, Resume))
+
+
+def test_what_a_robot_learns_it_says_once_on_its_own_key_and_never_on_an_operators():
+    """In its next tick, so that whoever hears this robot alone has it: a stop must not wait."""
+    bench = FleetBench(three())
+    bench.run(0.5)
+    said = [
+        (MISSION, bench.mission()),
+        (STOP, Stop(1, bench.now, "here")),
+        (RESUME, Resume(2, bench.now, ())),
+    ]
+    for key, message in said:
+        before = bench.now
+        bench.say(key, message)
+        bench.run(0.04)
+        told = [robot for robot, each in bench.told(type(message)) if each == message]
+        assert sorted(told) == [1, 2, 3, 4]
+        bench.run(3.0)
+        on_it = [each for at, said_on, each in bench.said if said_on == key and at > before]
+        assert on_it == []  # the operator said it at `before`
+    assert len(bench.told(Mission)) <= 4 + 1  # one beacon that was on its way may ask for it once more
+
+
+def test_an_order_goes_from_robot_to_robot_where_the_operator_reaches_one_only():
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, "here"), [bench.agents[2]])
+    bench.run(0.1)
+    assert all(agent.state in (State.STOPPING, State.STOPPED) for agent in bench.agents.values())
+    assert {plant.condition for plant in bench.plants.values()} == {("braking", "stop: here")}
+
+
+def test_a_robot_that_is_told_of_a_mission_hears_of_the_stop_first():
+    """Whoever tells it, and whatever it has learnt last."""
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, "here"))
+    bench.run(1.0)
+    bench.said.clear()
+    bench.restart(2)
+    bench.run(2.0)
+    bench.say(MISSION, bench.mission(version=9))
+    bench.run(0.5)
+    for robot in bench.fleet.ids:
+        told = bench.sayings(keys.told("few", robot))
+        missions = [k for k, each in enumerate(told) if type(each) is Mission]
+        assert missions or robot not in (1, 2, 3)
+        assert all(type(told[k - 1]) is Stop for k in missions)
+    assert bench.state(2) is State.STOPPED
+    assert not any(message.brake is False for message in bench.wrenches(2) if type(message) is Wrench)
+
+
+def test_a_plant_that_starts_again_is_told_the_mission_by_its_agent():
+    """There may be no operator any more; a bridge obeys nothing before it has heard of a mission."""
+    bench = FleetBench(three())
+    bench.drive()
+    bench.say(STOP, Stop(1, bench.now, "here"))
+    bench.run(1.0)
+    bench.plants[2] = PlantNode(bench.fleet, 2, bench.bodies[2])
+    bench.said.clear()
+    bench.run(0.2)
+    (state, *_) = bench.sayings(keys.plant_state("few", 2))[-1:]
+    assert type(state) is PlantState
+    assert state.sequence >= FIRST_ROUND
+    assert bench.plants[2].condition == ("braking", "stop: here")
+    assert [robot for robot, _ in bench.told(Mission)] == [2]
 
 
 def two_of_one_version(bench: FleetBench) -> tuple[Mission, Mission]:

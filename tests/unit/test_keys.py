@@ -24,6 +24,7 @@ def test_keys_of_what_operators_say_to_plants_and_hear_of_them():
 def test_keys_of_what_a_fleet_says_to_all():
     assert keys.beacon("delta", 3) == "delta/robot/3/beacon"
     assert keys.beacon("delta", "*") == "delta/robot/*/beacon"
+    assert keys.told("delta", 3) == "delta/robot/3/told"
     assert keys.heartbeat("delta") == "delta/heartbeat"
     assert keys.ask("delta") == "delta/ask"
 
@@ -38,6 +39,7 @@ def test_no_key_is_used_twice():
         keys.links,
         keys.checks,
         keys.beacon,
+        keys.told,
     )
     used = [key("delta", 3) for key in (*by_robot, keys.plant_links)]
     used += [keys.faults_held("delta", 3, role) for role in keys.ROLES]

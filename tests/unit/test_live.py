@@ -157,12 +157,39 @@ def test_a_released_robot_is_not_back_when_the_drive_is_over() -> None:
     watched = watch()
     told(watched, 2, "released", "disarmed", 1)
     watched.news(1.0)
-    over_s = fleet().fleet.duration_s
+    over_s = 60.0  # the mission's: a drive may be longer or shorter than its fleet file says
+    assert fleet().fleet.duration_s != over_s
+    assert watched.picture(1.0).duration_s == over_s
     for after_ns, state in enumerate(("stopping", "stopped"), 2):
         told(watched, 2, state, "the mission is over", after_ns)
         assert watched.news(over_s) == []
     told(watched, 2, "running", "", 4)  # of the next mission: no news
     assert watched.news(over_s + 1.0) == []
+
+
+def test_a_robot_that_stands_before_the_missions_end_is_news_whatever_the_file_says() -> None:
+    watched = watch()
+    told(watched, 2, "running", "", 1)
+    watched.news(1.0)
+    told(watched, 2, "stopped", "stop: a person", 2)
+    at_s = 59.0
+    assert fleet().fleet.duration_s < at_s
+    assert watched.news(at_s) == ["59.0 s: robot 2 is stopped: stop: a person"]
+
+
+def test_an_agent_that_is_gone_says_nothing_until_it_is_back() -> None:
+    watched = watch()
+    told(watched, 2, "running", "", 1)
+    watched.forget(2)
+    for robot in (1, 2):
+        watched.feed(keys.hand("pair", robot), hand(robot, float(robot), 0.0))
+    assert watched.picture(1.0).worst is not None
+    watched.forget(1)  # of which no status was heard yet
+    assert watched.picture(1.0).worst is None
+    assert watched.picture(1.0).robots[2].state == ""
+    assert watched.states() == {1: "", 2: ""}
+    told(watched, 2, "ready", "for a mission", 2)
+    assert watched.states() == {1: "", 2: "ready"}
 
 
 def test_orders_of_anybody_are_news_once() -> None:

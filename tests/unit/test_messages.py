@@ -208,30 +208,37 @@ def test_without_its_checksum_a_message_is_refused_for_that():
         assert reason(junk) == "checksum"
 
 
+def test_a_program_of_version_5_is_named_as_such():
+    """It told orders again on operators' keys."""
+    with pytest.raises(Malformed, match="version 5, this program speaks 6") as caught:
+        decode(packed(5, 0, *HAND))
+    assert caught.value.reason == "version"
+
+
 def test_a_program_of_version_4_is_named_as_such():
     """Its hand states had no correction."""
-    with pytest.raises(Malformed, match="version 4, this program speaks 5") as caught:
+    with pytest.raises(Malformed, match="version 4, this program speaks 6") as caught:
         decode(packed(4, 0, *HAND[:13], *HAND[16:]))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_3_is_named_as_such():
     """Its hand states had no `degree` either."""
-    with pytest.raises(Malformed, match="version 3, this program speaks 5") as caught:
+    with pytest.raises(Malformed, match="version 3, this program speaks 6") as caught:
         decode(packed(3, 0, *HAND[:4], *HAND[5:13], *HAND[16:]))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_2_is_named_as_such():
     """Its plant states had no `obeying`."""
-    with pytest.raises(Malformed, match="version 2, this program speaks 5") as caught:
+    with pytest.raises(Malformed, match="version 2, this program speaks 6") as caught:
         decode(packed(2, 1, *PLANT[:-2], PLANT.note))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_1_is_named_as_such():
     """It sent the array alone."""
-    with pytest.raises(Malformed, match="version 1, this program speaks 5") as caught:
+    with pytest.raises(Malformed, match="version 1, this program speaks 6") as caught:
         decode(msgpack.packb([1, 0, *HAND[:-1]]))
     assert caught.value.reason == "version"
     assert reason(msgpack.packb([1, 4, 2, 10**18, "by the operator"])) == "version"
@@ -306,7 +313,7 @@ def test_single_precision_is_taken():
     assert decode(sealed(payload + b"\xc2")) == Wrench(3, 9, 0, 0.5, -2.0, False)
 
 
-@pytest.mark.parametrize("version", [0, 1, 2, 3, 4, 6, -1, 255, 2**63, 2.0, "2", None, [2]])
+@pytest.mark.parametrize("version", [0, 1, 2, 3, 4, 5, 7, -1, 255, 2**63, 2.0, "2", None, [2]])
 def test_other_versions(version: object):
     assert reason(packed(version, 0, *HAND)) == "version"
 

@@ -9,7 +9,7 @@ import pytest
 from agent import keys
 from agent.codec import decode
 from agent.formation import resolve
-from agent.messages import Ask, Beacon, Mission, PlantState, Resume, Status, Stop
+from agent.messages import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
 from agent.orders import OrderError
 from deploy.operating import NO_MISSION, Known, Operator, refused
@@ -100,6 +100,20 @@ def test_what_others_order_is_taken_when_it_is_newer() -> None:
     assert (known.mission_version, known.order_version) == (second.version, 5)
 
 
+def test_what_a_robot_tells_of_an_order_is_that_order_and_no_strangers_is() -> None:
+    made = operator(begun=False)
+    begun = operator()
+    stop, resume = begun.order_stop(EPOCH, "x"), begun.order_resume(EPOCH, ())
+    assert begun.mission is not None
+    orders = (begun.mission, stop, resume)
+    wrong = (keys.told("square", 99), keys.told("other", 1), keys.hand("square", 1), keys.ask("square"))
+    assert not any(made.hear(key, order) for key in wrong for order in orders)
+    assert [made.hear(keys.told("square", 2), order) for order in orders] == [True] * 3
+    assert not any(made.hear(keys.told("square", 3), order) for order in orders)
+    assert (made.mission, made.latest) == (begun.mission, [stop, resume])
+    assert not made.hear(keys.told("square", 2), Heartbeat(EPOCH, "x"))
+
+
 def test_an_order_that_cannot_be_changes_nothing() -> None:
     made = operator()
     before = made.mission
@@ -154,6 +168,9 @@ def test_a_stop_is_said_before_the_mission_to_a_process_that_started_again() -> 
     assert made.wanted(knowing, silent, up) == [stop, resume, made.mission]
     assert made.wanted(knowing, silent, lambda robot, role: (robot, role) != (3, "plant")) == []
     assert made.wanted(agent_is_new, PLANTS, lambda robot, role: (robot, role) != (3, "agent")) == []
+    # One that counts from the epoch of a drive before this one.
+    old = plant(3, sequence=FIRST_ROUND + 4321)
+    assert made.wanted(knowing, {**PLANTS, 3: old}, up) == [stop, resume, made.mission]
 
 
 def test_who_missed_a_stop_or_leave_is_told_again() -> None:

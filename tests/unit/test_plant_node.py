@@ -45,7 +45,7 @@ WRENCH_KEY = "two/robot/1/plant/wrench"
 STATE_KEY = "two/robot/1/plant/state"
 TRUTH_KEY = "two/robot/1/plant/truth"
 MISSION_KEY = "two/mission"
-STOP_KEY, RESUME_KEY = "two/stop", "two/resume"
+STOP_KEY, RESUME_KEY, TOLD_KEY = "two/stop", "two/resume", "two/robot/1/told"
 CHECKS_KEY = "two/robot/1/plant/checks"
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -108,7 +108,7 @@ def state(node: PlantNode, now_ns: int) -> PlantState:
 
 
 def test_keys_and_ticks(node: PlantNode):
-    assert node.subscriptions == (STOP_KEY, RESUME_KEY, WRENCH_KEY, MISSION_KEY, "two/faults")
+    assert node.subscriptions == (STOP_KEY, RESUME_KEY, TOLD_KEY, WRENCH_KEY, MISSION_KEY, "two/faults")
     links = "two/robot/1/plant/links"
     assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
     assert node.alive_key == keys.alive("two", 1, "plant") == "two/alive/robot/1/plant"
@@ -317,6 +317,17 @@ def test_a_stop_brakes_the_plant_whatever_its_agent_says(node: PlantNode, backen
     assert state(node, now).driving
 
 
+def test_what_its_agent_tells_is_as_good_as_an_operators_word(node: PlantNode, backend: Backend):
+    node.receive(T0, TOLD_KEY, stop(7))
+    node.receive(T0, WRENCH_KEY, wrench(T0))
+    assert not state(node, T0).driving
+    node.receive(T0, TOLD_KEY, resume(8))
+    node.receive(T0, TOLD_KEY, mission(9))
+    assert state(node, T0).driving
+    assert backend.go_aheads == 2
+    assert not node.rejected
+
+
 def test_a_plant_that_starts_in_a_stop_does_not_drive(node: PlantNode):
     node.receive(T0, STOP_KEY, stop(0))
     node.receive(T0, WRENCH_KEY, wrench(T0))
@@ -331,6 +342,7 @@ def test_a_plant_that_starts_in_a_stop_does_not_drive(node: PlantNode):
         (RESUME_KEY, stop(7)),
         (STOP_KEY, resume(7)),
         ("three/stop", stop(7)),
+        ("two/robot/2/told", stop(7)),
     ],
 )
 def test_a_stop_on_another_key_is_none(node: PlantNode, key: str, payload: bytes):

@@ -238,7 +238,7 @@ def test_when_all_neighbours_are_gone_the_robot_holds(bench: FleetBench):
 
 def test_a_neighbour_that_does_not_follow_loses_its_edge_but_not_its_room(bench: FleetBench):
     bench.say("few/stop", Stop(1, bench.now, ""), [bench.agents[3], bench.plants[3]])
-    bench.cut = lambda key, _node: key == "few/stop"
+    bench.cut = lambda key, _node: key == "few/robot/3/told"
     rows = watch(bench, 1.0)
     assert rows[-1].state is State.DEGRADED
     assert rows[-1].reason == "without robot 3 (does not follow)"

@@ -69,6 +69,15 @@ def test_a_robot_without_a_place_stays_where_it_is() -> None:
     assert resuming.outcome(3) == "robot 3: standby"
 
 
+def test_a_robot_that_has_nothing_to_drive_is_ready() -> None:
+    resuming = resuming_of(3)
+    say(resuming, 3, "ready", obeying=False, note="mode MANUAL, not GUIDED")
+    assert not resuming.done
+    say(resuming, 3, "ready", driving=False)
+    assert resuming.done
+    assert resuming.outcome(3) == "robot 3: ready"
+
+
 def test_a_state_from_before_the_leave_does_not_count() -> None:
     """As of robots that have not heard yet of the stop that was given just before."""
     resuming = resuming_of(3)
@@ -102,7 +111,7 @@ def test_a_later_stop_is_told_as_such() -> None:
     [
         ("fault", False, "waiting for its GPS", "robot 3: fault: waiting for its GPS"),
         ("stopped", True, "the mission is over", "robot 3: stopped: the mission is over"),
-        ("ready", True, "", "robot 3: ready"),
+        ("waiting", True, "for its plant", "robot 3: waiting: for its plant"),
     ],
 )
 def test_other_reasons_are_told(state: str, healthy: bool, note: str, told: str) -> None:

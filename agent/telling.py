@@ -1,0 +1,120 @@
+"""What one robot tells again of operators' orders, on its own key, and to whom (PURE).
+
+An order is relayed byte by byte: its codec gives the bytes that came, and whoever made them vouches for them.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.codec import encode, tag
+from agent.fleet import Fleet
+from agent.gossip import AGAIN_NS, Gossip, Mark
+from agent.latch import Latch
+from agent.messages import Beacon, Mission, PlantState, Resume, Stop
+from agent.node import Numbers, Outgoing
+
+UNMOVED_NS: Final = NS_PER_S // 2
+"""A plant that brakes for so long while it is asked to drive may have missed a leave to drive."""
+
+
+class Telling:
+    """What robot `robot` of `fleet` tells, of its latch's orders and the mission.
+
+    Attributes:
+        key: where it tells it.
+        subscription: where all robots do.
+        mission_mark: of the mission that it knows (`agent.gossip.Mark`).
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, latch: Latch) -> None:
+        name = fleet.fleet.name
+        self.key: Final = keys.told(name, robot)
+        self.subscription: Final = keys.told(name, "*")
+        told = {keys.told(name, other) for other in fleet.ids if other != robot}
+        self._sources: Final[dict[type[Mission | Stop | Resume], set[str]]] = {
+            Mission: {keys.mission(name), *told},
+            Stop: {keys.stop(name), *told},
+            Resume: {keys.resume(name), *told},
+        }
+        self._latch = latch
+        self._mission: Mission | None = None
+        self.mission_mark: Mark = (0, 0)
+        self._missions = Gossip(robot, lambda: self.mission_mark)
+        self._orders = Gossip(robot, lambda: latch.mark)
+        self._numbers = Numbers(fleet.period_ns)
+        """Those of the own plant, if it knows the mission."""
+        self._plant_told_ns = -AGAIN_NS
+        self._unmoved_since_ns: int | None = None
+
+    def is_source(self, key: str, order: Mission | Stop | Resume) -> bool:
+        """Whether such an order may come on `key`: an operator's, or where another robot tells it."""
+        return key in self._sources[type(order)]
+
+    # ------------------------------------------------------------------ what it hears
+
+    def accept(self, now_ns: int, order: Stop | Resume) -> str | None:
+        """Hands a stop or leave to the latch; returns why it is refused, None when it is not."""
+        latch = self._latch
+        before = latch.mark
+        reason = latch.accept_stop(order) if isinstance(order, Stop) else latch.accept_resume(order)
+        if latch.mark != before:
+            self._orders.insist()
+        if order.version >= latch.version:
+            self._orders.said(now_ns, latch.mark)
+        return reason
+
+    def heard(self, now_ns: int, mission: Mission) -> None:
+        """Somebody has said a mission that is for this fleet, newer or not."""
+        self._missions.said(now_ns, (mission.version, tag(mission)))
+
+    def take(self, mission: Mission) -> None:
+        """This is the mission from now on."""
+        self._mission, self.mission_mark = mission, (mission.version, tag(mission))
+        self._numbers.begin(mission.epoch_ns)
+        self._missions.insist()
+
+    def compare(self, now_ns: int, beacon: Beacon) -> None:
+        """Another robot says what it knows."""
+        self._missions.lacks(now_ns, (beacon.mission_version, beacon.mission_tag))
+        self._orders.lacks(now_ns, (beacon.stop_version, beacon.resume_version))
+
+    def asked(self, now_ns: int) -> None:
+        """An operator asks."""
+        self._missions.asked(now_ns)
+        self._orders.asked(now_ns)
+
+    def look(self, now_ns: int, plant: PlantState | None, *, drives: bool) -> None:
+        """Finds out what the own plant may have missed: of other robots it hears nothing.
+
+        Args:
+            plant: what it said last.
+            drives: whether it is asked to drive.
+        """
+        if not drives or plant is None or plant.driving or not plant.obeying:
+            self._unmoved_since_ns = None
+        elif self._unmoved_since_ns is None:
+            self._unmoved_since_ns = now_ns
+        elif now_ns - self._unmoved_since_ns > UNMOVED_NS:
+            self._unmoved_since_ns = now_ns
+            self._orders.insist()
+        if plant is None or self._mission is None or now_ns < self._plant_told_ns + AGAIN_NS:
+            return
+        # Its numbers count from the mission's epoch as soon as it knows that.
+        if plant.sequence != self._numbers.at(plant.time_ns):
+            self._plant_told_ns = now_ns
+            self._missions.insist()
+
+    # ------------------------------------------------------------------ what it tells
+
+    def due(self, now_ns: int) -> list[Outgoing]:
+        """What is to be told now; a stop before the mission, since who catches up must not drive first."""
+        tells = self._missions.due(now_ns)
+        out: list[Outgoing] = []
+        if self._orders.due(now_ns) or tells:
+            out += [(self.key, encode(order)) for order in self._latch.latest]
+        if tells and self._mission is not None:
+            out.append((self.key, encode(self._mission)))
+        return out
