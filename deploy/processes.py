@@ -3,7 +3,7 @@ to them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -47,6 +47,7 @@ class Processes:
             [(robot, role) for robot in fleet.ids for role in ROLES] if processes is None else processes
         )
         self._look = look
+        self.ours: Final = True
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
         self._dead: set[Process] = set()
@@ -80,6 +81,14 @@ class Processes:
     def up(self, robot: int, role: str) -> bool:
         """Whether a process should run: it has neither been killed by a rule nor died."""
         return (robot, role) not in self._killed | self._dead
+
+    def look(self, present: Collection[Process], time_s: float | None) -> list[str]:
+        """Nothing is to be said of tokens: how its children end is known better (`deploy.drive`)."""
+        return []
+
+    def lacking(self) -> list[str]:
+        """Who is not there at the end: those whose end was planned, or has ended the run."""
+        return []
 
     def carry_out(self, action: Action, pose: Pose | None) -> bool:
         """Does what a rule orders; False when the process has died of its own, and nothing was done.

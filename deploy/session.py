@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 from agent import keys
-from agent.bus import Bus
 from agent.clock import RealClock
 from agent.codec import decode
 from agent.fleet import Fleet
@@ -16,11 +15,20 @@ from agent.message_checks import Malformed
 from agent.messages import Message
 from deploy.interrupt import Interrupt
 from deploy.live_faults import Receiver, receivers
+from deploy.operator_bus import operator_bus
 from deploy.running import NoAnswerError
 
 CONNECT_S: Final = 3.0
 """Processes that are not there by then are named and left out."""
 POLL_S: Final = 0.02
+
+
+def valid(payload: bytes) -> Message | None:
+    """The message in `payload`, None when it is not one."""
+    try:
+        return decode(payload)
+    except Malformed:
+        return None
 
 
 class Session:
@@ -40,13 +48,7 @@ class Session:
         self.receivers: Final = receivers(fleet)
         self.clock: Final = RealClock()
         self.alive: set[Receiver] = set()
-        self.bus: Final = Bus(
-            listen=[],
-            connect=[
-                fleet.agent_endpoint(robot) if role == "agent" else fleet.plant_endpoint(robot)
-                for robot, role in self.receivers
-            ],
-        )
+        self.bus: Final = operator_bus(fleet)
         self._presence = self.bus.watch(keys.alive(fleet.fleet.name, "*", "*"))
 
     def __enter__(self: S) -> S:
@@ -81,11 +83,9 @@ class Session:
                     self.alive.discard(receiver)
                     self.gone(receiver)
         for key, payload in self.bus.drain():
-            try:
-                message = decode(payload)
-            except Malformed:
-                continue
-            self.feed(key, message)
+            message = valid(payload)
+            if message is not None:
+                self.feed(key, message)
 
     def wait(self, look: Callable[[], bool], timeout_s: float) -> bool:
         """Collects until `look` says True; False when it has not within `timeout_s`."""

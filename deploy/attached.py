@@ -1,0 +1,94 @@
+"""A fleet whose processes others have started: seen by their liveliness tokens, and left as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Final
+
+from agent.fleet import Fleet
+from agent.hand import Pose
+from agent.keys import ROLES
+from deploy.before_drive import refusal
+from deploy.interrupt import Interrupt
+from deploy.operator_session import OperatorSession
+from deploy.process_faults import Action, Process
+from deploy.session import connected
+
+NAMED_MAX: Final = 6
+"""Of processes that go at one time, as when this machine is cut off, so many are named."""
+
+
+class Attached:
+    """The agents and plants of `fleet`, wherever they run.
+
+    One that disappears is missed, no more: what runs it starts it again, and the others drive on.
+
+    Attributes:
+        warnings: sentences for the verdict, of those that were away for a while.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.ours: Final = False
+        self.names: Final = {
+            (robot, role): f"robot {robot}'s {role}" for robot in fleet.ids for role in ROLES
+        }
+        self.warnings: list[str] = []
+        self._present: frozenset[Process] = frozenset()
+        self._gone_s: dict[Process, float | None] = {}
+        """Those that were there and are not, and since when (fleet time)."""
+
+    def up(self, robot: int, role: str) -> bool:
+        return (robot, role) in self._present
+
+    def look(self, present: Collection[Process], time_s: float | None) -> list[str]:
+        gone, back = [], []
+        for process, name in self.names.items():
+            if process in self._present and process not in present:
+                self._gone_s[process] = time_s
+                gone.append(name)
+            elif process in present and process in self._gone_s:
+                since_s = self._gone_s.pop(process)
+                back.append(name)
+                if since_s is not None and time_s is not None and time_s > 0.0:
+                    self.warnings.append(
+                        f"{name.capitalize()} was gone from {since_s:.1f} s to {time_s:.1f} s"
+                    )
+        self._present = frozenset(present)
+        at = "" if time_s is None else f"{time_s:.1f} s: "
+        sentences = [f"{at}gone: {_named(gone)}"] if gone else []
+        return [*sentences, f"{at}back: {_named(back)}"] if back else sentences
+
+    def deaths(self) -> tuple[()]:
+        """None: how a process on another machine has ended is not known here."""
+        return ()
+
+    def lacking(self) -> list[str]:
+        return [
+            f"{self.names[process].capitalize()} is gone"
+            + ("." if since_s is None else f" since {since_s:.1f} s.")
+            for process, since_s in self._gone_s.items()
+        ]
+
+    def carry_out(self, action: Action, pose: Pose | None) -> bool:
+        """Nothing is done to processes that are others'."""
+        return False
+
+    def resume_all(self) -> None:
+        """None was paused."""
+
+
+def _named(names: Sequence[str]) -> str:
+    more = len(names) - NAMED_MAX
+    return ", ".join(names[:NAMED_MAX]) + (f" and {more} more" if more > 0 else "")
+
+
+def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool) -> str:
+    """Why no drive of a fleet that is up may begin (`deploy.before_drive.refusal`), "" when it may.
+
+    Raises:
+        deploy.running.NoAnswerError: nobody is there.
+        agent.bus.BusError: the bus cannot be opened.
+    """
+    with connected(OperatorSession(fleet), interrupt) as session:
+        session.ask()
+        return refusal(session.operator, session.now_ns(), resume=resume)

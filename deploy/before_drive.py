@@ -1,0 +1,59 @@
+"""A fleet that was up before: what it has been ordered until now, and whether a new drive may begin."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from agent.clock import NS_PER_S
+from agent.fleet import digest
+from agent.messages import Stop
+from deploy.operating import Known
+
+OVER: Final = "the run is over"
+"""Reason of the stop at the regular end of a drive. The next drive lifts it; any other was said by somebody
+who meant it, and stands until somebody says otherwise."""
+
+
+def clock(time_ns: int) -> str:
+    """Local time of day."""
+    return time.strftime("%H:%M:%S", time.localtime(time_ns / NS_PER_S))
+
+
+def stop_in_force(known: Known) -> Stop | None:
+    """The stop by which robots stand, None without any: leave for single robots ends it for no others."""
+    stop, resume = known.stop, known.resume
+    if stop is None or (resume is not None and resume.version > stop.version and not resume.robots):
+        return None
+    return stop
+
+
+def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
+    """Why no drive may begin now, in one sentence; "" when it may.
+
+    Args:
+        known: what was ordered until now, by anybody.
+        now_ns: wall clock.
+        resume: whether any stop may be lifted.
+    """
+    name = known.fleet.fleet.name
+    if known.foreign is not None:
+        return (
+            f"the robots of {name} read another fleet file: its digest is {known.foreign.digest[:16]}, this "
+            f"one's is {digest(known.fleet)}; give the file that they read, or bring them up with this one"
+        )
+    stop, mission = stop_in_force(known), known.mission
+    if stop is None and mission is not None and now_ns < mission.epoch_ns + mission.duration_ns:
+        end_ns = mission.epoch_ns + mission.duration_ns
+        what = f" ({mission.note})" if mission.note else ""
+        return (
+            f"{name} is driving already: a mission that was given at {clock(mission.time_ns)}{what} and ends "
+            f"at {clock(end_ns)}; wait until then, or say `handfast stop` first"
+        )
+    if stop is not None and stop.reason != OVER and not resume:
+        why = f": {stop.reason}" if stop.reason else ""
+        return (
+            f"the robots of {name} were told to stop at {clock(stop.time_ns)}{why}; drive with --resume if "
+            "they may drive again"
+        )
+    return ""

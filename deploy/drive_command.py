@@ -1,0 +1,196 @@
+"""The command ``handfast drive``: drives a fleet that is up, on its hosts or on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+from agent.fleet import Fleet, load_fleet
+from deploy.arguments import InputError, fleet_path
+from deploy.outcome import finish, refuse_errors, run_folder
+from deploy.running import DONE, FAILED, INTERRUPTED, handled
+
+if TYPE_CHECKING:
+    from deploy.interrupt import Interrupt
+    from deploy.runfolder import RunFolder
+
+ROBOTS_FILE: Final = "robots.toml"
+"""The fleet as its robots read it, for commands such as `handfast stop`. The folder's ``fleet.toml`` is what
+is driven: that may have another duration, and more orders."""
+_FIXED: Final = ("--set", "--law", "--seed", "--faults")
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "drive a fleet that is up, and report"
+    parser = commands.add_parser(
+        "drive",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}. FLEET is the fleet file that the robots read, or a "
+        "bundled fleet: `handfast up` has brought it up on its hosts, or somebody has started its agents and "
+        "plants. What `run` does besides starting and ending processes: gives the mission and the file's "
+        "orders, shows and records, and stops every robot at the end or at Ctrl-C. A process that "
+        "disappears is missed, and the others drive on. Exit status: 0 fine; 1 the verdict failed, or the "
+        "fleet does not answer; 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
+    parser.add_argument("--duration", metavar="TIME", help="how long, instead of what the file says")
+    parser.add_argument("--orders", metavar="FILE", help="add the [[order]] tables of a file")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="lift a stop that somebody has said; without it only that of a drive's regular end is",
+    )
+    parser.add_argument(
+        "--detach",
+        action="store_true",
+        help="give the mission and leave: nobody records, robots drive alone to its end",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", help="the drive's folder (default: runs/FLEET-TIME); must be empty or new"
+    )
+    parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    parser.add_argument(
+        "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
+    for option in _FIXED:
+        parser.add_argument(option, dest="fixed", action=_Fixed, help=argparse.SUPPRESS)
+    parser.set_defaults(command=handled(_drive))
+
+
+class _Fixed(argparse.Action):
+    """An option of `run` that would change what robots have read already."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        raise InputError(
+            f"drive: {option_string} changes the fleet file, which the robots have read already: bring them "
+            f"up with it (`handfast up FLEET {option_string} ...`), or drive it here with `handfast run`"
+        )
+
+
+def _drive(options: argparse.Namespace) -> int:
+    from deploy.attached import refused
+    from deploy.interrupt import Interrupt
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet, driven = _fleets(options)
+        _refuse_what_cannot_be(options, driven)
+        refuse_errors(options, driven)
+        why = refused(fleet, interrupt, resume=options.resume)
+        if interrupt.count:
+            return INTERRUPTED
+        if why:
+            raise InputError(f"not started: {why}")
+        if options.detach:
+            return _detach(options, fleet, driven, interrupt)
+        folder = run_folder(options, driven, "run")
+        return _attend(options, fleet, driven, folder, interrupt)
+
+
+def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
+    """The fleet as its robots read it, and as it is to be driven.
+
+    Raises:
+        InputError, agent.fleet.FleetError: it cannot be.
+    """
+    from agent.formation import resolved
+
+    path = fleet_path(options.fleet)
+    changes = [] if options.duration is None else [f"fleet.duration_s={options.duration}"]
+    fleet = resolved(load_fleet(path))
+    driven = resolved(load_fleet(path, changes, orders=options.orders))
+    if any(robot.host is not None for robot in fleet.robots):
+        from deploy.hosts import located
+
+        fleet = located(fleet)
+    return fleet, driven
+
+
+def _refuse_what_cannot_be(options: argparse.Namespace, driven: Fleet) -> None:
+    """`InputError` for what only `run` can do, and for what nobody would do after `--detach`."""
+    from agent.faults import FaultPlan
+    from deploy.process_faults import actions
+
+    plan = actions(FaultPlan(driven).file_rules(), driven.ids, driven.fleet.duration_s)
+    if plan:
+        rules = ", ".join(sorted({repr(action.rule) for action in plan}))
+        raise InputError(
+            f"{options.fleet}: the fault rules {rules} kill, pause or restart processes, which only "
+            "`handfast run` and `simulate` do"
+        )
+    if not options.detach:
+        return
+    if options.out is not None:
+        raise InputError("--out: there is no folder with --detach: nobody records")
+    if driven.supervision.deadman_s is not None:
+        raise InputError(
+            f"--detach: {driven.fleet.name} has a dead-man's switch (supervision.deadman_s = "
+            f"{driven.supervision.deadman_s:g}): its robots hold without an operator's heartbeat"
+        )
+    if driven.orders:
+        at = ", ".join(f"{order.at:g} s ({order.kind})" for order in driven.orders)
+        raise InputError(f"--detach: nobody would give the orders at {at}")
+
+
+def _attend(
+    options: argparse.Namespace, fleet: Fleet, driven: Fleet, folder: RunFolder, interrupt: Interrupt
+) -> int:
+    """Drives it to the end, and reports."""
+    import tomli_w
+
+    from agent.bus import BusError
+    from agent.fleet import to_dict
+    from deploy.attached import Attached
+    from deploy.drive import Drive
+    from deploy.live import make_view
+    from deploy.operator_bus import operator_bus
+    from deploy.recorder import RecordingError
+    from deploy.registry import Registration
+
+    robots_file = folder.path / ROBOTS_FILE
+    robots_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
+    view, processes = make_view(quiet=options.quiet), Attached(fleet)
+    drive = Drive(
+        *(fleet, processes, folder.record, view, interrupt),
+        duration_s=driven.fleet.duration_s,
+        orders=driven.orders,
+        resume=options.resume,
+    )
+    try:
+        with view, Registration(fleet.fleet.name, folder.path, robots_file), operator_bus(fleet) as bus:
+            drive.run(bus)
+    except (BusError, RecordingError) as error:
+        print(f"handfast: {error}", file=sys.stderr)
+        folder.close([str(error)])
+        return FAILED
+    interrupted = interrupt.count > 0
+    return finish(options, folder, drive.reasons, interrupted=interrupted, warnings=processes.warnings)
+
+
+def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt: Interrupt) -> int:
+    """Gives the mission and leaves."""
+    from deploy.attached import Attached
+    from deploy.before_drive import clock
+    from deploy.drive import Drive
+    from deploy.live import make_view
+    from deploy.operator_bus import operator_bus
+    from deploy.session import valid
+
+    view = make_view(quiet=options.quiet)
+    drive = Drive(
+        *(fleet, Attached(fleet), lambda _, __, payload: valid(payload), view, interrupt),
+        duration_s=driven.fleet.duration_s,
+        orders=(),
+        resume=options.resume,
+    )
+    with view, operator_bus(fleet) as bus:
+        drive.run(bus, detach=True)
+    if interrupt.count:
+        return INTERRUPTED
+    if drive.reasons:
+        return FAILED
+    print(f"{fleet.fleet.name} drives until {clock(drive.end_ns)}; `handfast stop {options.fleet}` stops it")
+    return DONE

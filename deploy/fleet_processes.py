@@ -1,0 +1,60 @@
+"""The processes of a fleet, as who drives it sees them: children of its own, or others."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol
+
+from agent.hand import Pose
+from deploy.process_faults import Action, Process
+
+
+class Ended(Protocol):
+    """A process that has ended of its own."""
+
+    name: str
+
+    def last_lines(self) -> list[str]:
+        """The end of its output."""
+        ...
+
+
+class FleetProcesses(Protocol):
+    """The processes of a fleet, as who drives it sees them.
+
+    Attributes:
+        names: all agents and plants, and how each is called.
+        ours: whether they end with the drive: then one that dies ends it, and it ends with a stop in any
+            case. Others' are left as they were found when no mission was given.
+    """
+
+    @property
+    def names(self) -> Mapping[Process, str]: ...
+
+    @property
+    def ours(self) -> bool: ...
+
+    def up(self, robot: int, role: str) -> bool:
+        """Whether a process should run."""
+        ...
+
+    def look(self, present: Collection[Process], time_s: float | None) -> list[str]:
+        """Told which liveliness tokens there are, and the fleet time (None before the epoch is set); gives
+        sentences about processes that came or went."""
+        ...
+
+    def deaths(self) -> Sequence[tuple[Ended, str]]:
+        """Those that have ended since the last call without a rule's order, and how."""
+        ...
+
+    def lacking(self) -> list[str]:
+        """Sentences for the verdict on a drive that ends now: who is not there."""
+        ...
+
+    def carry_out(self, action: Action, pose: Pose | None) -> bool:
+        """Does what a rule orders; False when nothing was done. `pose`: where the robot's body was seen."""
+        ...
+
+    def resume_all(self) -> None:
+        """Lets go on what rules have paused."""
+        ...

@@ -1,0 +1,95 @@
+"""How every command that drives a fleet begins and ends: findings, folder, verdict, exit status."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from agent.fleet import Fleet
+from deploy.arguments import InputError
+from deploy.running import DONE, FAILED, INTERRUPTED
+
+if TYPE_CHECKING:
+    from deploy.runfolder import RunFolder
+
+
+def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:
+    """The new folder that the options name, or one of the fleet's name and the time.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    from deploy.recorder import RecordingError
+    from deploy.runfolder import FolderError, RunFolder
+
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    path = Path(options.out) if options.out else Path("runs") / f"{fleet.fleet.name}-{stamp}"
+    try:
+        return RunFolder(path, fleet, mode)
+    except (FolderError, RecordingError) as error:
+        raise InputError(str(error)) from None
+
+
+def refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
+    """Says what `check` finds wrong.
+
+    Raises:
+        InputError: there are errors, and the options do not say to drive all the same.
+    """
+    from deploy.check import check
+
+    findings = [finding for finding in check(fleet) if finding.level in ("error", "warning")]
+    for finding in findings:
+        if not options.quiet or finding.level == "error":
+            print(finding, file=sys.stderr)
+    if options.check and any(finding.level == "error" for finding in findings):
+        raise InputError(
+            f"{options.fleet}: not started because of the errors above (--no-check drives all the same)"
+        )
+
+
+def finish(
+    options: argparse.Namespace,
+    folder: RunFolder,
+    reasons: list[str],
+    *,
+    interrupted: bool,
+    warnings: Sequence[str] = (),
+) -> int:
+    """Completes the folder, says the verdict, gives the exit status."""
+    from deploy.recorder import RecordingError
+
+    try:
+        metrics = folder.finish(reasons, interrupted=interrupted, warnings=warnings, report=options.report)
+    except RecordingError as error:
+        print(f"handfast: {error}", file=sys.stderr)
+        return FAILED
+    say_verdict(metrics, folder.path)
+    if interrupted:
+        return INTERRUPTED
+    return DONE if metrics["verdict"]["passed"] else FAILED
+
+
+def say_verdict(metrics: dict[str, Any], folder: Path) -> None:
+    """The verdict, why, and the few figures that say how it went."""
+    verdict = metrics["verdict"]
+    print("PASSED" if verdict["passed"] else "FAILED")
+    for reason in verdict["reasons"]:
+        print(f"  {reason}")
+    for warning in verdict["warnings"]:
+        print(f"  warning: {warning}")
+    settled = metrics["settling_time_s"]
+    nearest = metrics["min_distance_m"]["edge"]
+    error = metrics["final_distance_error_m"]
+    print(
+        "  formation "
+        + (f"within 5 % after {settled:.1f} s" if settled is not None else "not within 5 % at the end")
+        + (f", closest neighbours {nearest:.3f} m" if nearest is not None else "")
+        + (f", last distance error {error * 1000:.1f} mm" if error is not None else "")
+    )
+    report = folder / "report.html"
+    print(f"  {report if report.exists() else folder}")

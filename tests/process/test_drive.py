@@ -1,0 +1,203 @@
+"""`handfast drive`: a fleet whose agents and plants others have started, driven as `run` drives its own."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.codec import encode
+from agent.messages import Stop
+from deploy.before_drive import OVER
+from deploy.drive_command import ROBOTS_FILE
+from deploy.recording import Recording
+from deploy.registry import find, running
+from tests.process.fleet_harness import Robots, all_ready
+from tests.process.harness import Command, last_lines, no_trouble_in_logs
+from tests.process.small_fleets import triangle
+
+SLOW = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")
+"""Robots shall be judged, not the scheduler of a busy machine."""
+END_S = 60.0
+
+
+@contextmanager
+def fleet_up(folder: Path) -> Iterator[Robots]:
+    with all_ready(triangle(*SLOW), folder / "r") as fleet:
+        yield fleet
+        assert not fleet.died()
+        no_trouble_in_logs(fleet.folder)
+
+
+@contextmanager
+def drive(fleet: Robots, *arguments: str) -> Iterator[tuple[Command, Path]]:
+    """`handfast drive` that records into the folder, under way."""
+    with fleet.command("drive", "--out", "out", "--no-report", *arguments) as command:
+        command.wait_for_line(r"(?m)^ +[1-9]\.\d s ", END_S)
+        yield command, command.out_file.parent / "out"
+
+
+def end(fleet: Robots, command: Command) -> int:
+    fleet.wait(lambda: command.process.poll() is not None, "the end of the drive", END_S)
+    return command.wait()
+
+
+def complete(folder: Path) -> dict[str, object]:
+    """The metrics of a drive whose folder is complete."""
+    assert {path.name for path in folder.iterdir()} == {"fleet.toml", ROBOTS_FILE, "run.mcap", "metrics.json"}
+    assert not Recording.from_folder(folder).foreign
+    metrics: dict[str, object] = json.loads((folder / "metrics.json").read_text())
+    return metrics
+
+
+def order_driven(fleet: Robots) -> Stop:
+    """The stop that the fleet knew last."""
+    stops = fleet.orders(Stop)
+    assert stops
+    found = max(stops, key=lambda each: each.version)
+    assert isinstance(found, Stop)
+    return found
+
+
+def test_one_drive_after_another(tmp_path: Path) -> None:
+    """The stop at the regular end of one is lifted by the next; in the middle an agent starts again."""
+    with fleet_up(tmp_path) as fleet:
+        orders = tmp_path / "orders.toml"
+        orders.write_text('[[order]]\nat = 1\nkind = "reshape"\nscale = 1.1\n')
+        with drive(fleet, "--duration", "12", "--orders", str(orders)) as (command, folder):
+            # Commands find it by its name, and robots take their orders: by the file that they read.
+            (run,) = [each for each in running() if each.name == fleet.name]
+            assert find(fleet.name) == Path(run.fleet_file) == folder.resolve() / ROBOTS_FILE
+            assert fleet.told_by("drive")[0] == 2
+            fleet.signal(2, "agent", signal.SIGKILL)
+            fleet.processes[2, "agent"].wait()
+            command.wait_for_line(r"\d s: gone: robot 2's agent\n")
+            fleet.start(2, "agent")
+            command.wait_for_line(r"\d s: back: robot 2's agent\n")
+            fleet.wait_until_all("running")
+            assert end(fleet, command) == 0, command.told()
+        assert "1.1 times the size" in command.err
+        verdict = complete(folder)["verdict"]
+        assert isinstance(verdict, dict)
+        assert verdict["passed"], verdict
+        assert [re.sub(r"[\d.]+ s", "T", line) for line in verdict["warnings"]] == [
+            "Robot 2's agent was gone from T to T."
+        ]
+        assert order_driven(fleet).reason == OVER
+        assert not [each for each in running() if each.name == fleet.name]
+
+        with drive(fleet, "--duration", "6") as (command, folder):
+            assert end(fleet, command) == 0, command.told()
+        assert "told to stop" not in command.err
+        assert not Recording.from_folder(folder).warnings
+        states = [Recording.from_folder(folder).robots[robot].status.states[-1] for robot in fleet.members]
+        assert set(states) <= {"stopping", "stopped"}
+
+
+def test_a_stop_that_somebody_meant_is_lifted_by_name_only(tmp_path: Path) -> None:
+    with fleet_up(tmp_path) as fleet:
+        with drive(fleet, "--duration", "60") as (command, folder):
+            asked_ns = time.time_ns()
+            command.process.send_signal(signal.SIGINT)
+            assert end(fleet, command) == 130, command.told()
+        assert command.err.count("SIGINT: stopping every robot\n") == 1
+        complete(folder)
+        fleet.wait(lambda: all(fleet.states()[robot] == "stopped" for robot in fleet.members), "all stand")
+        assert order_driven(fleet).reason == "interrupted"
+        for robot in fleet.members:
+            late_ns = asked_ns + NS_PER_S
+            assert not any(m.driving for _, m in fleet.since(late_ns, type(fleet.plant(robot)), robot))
+
+        with fleet.command("drive", "--duration", "4") as command:
+            assert end(fleet, command) == 2
+        assert re.fullmatch(
+            rf"handfast: not started: the robots of {fleet.name} were told to stop at \d\d:\d\d:\d\d: "
+            r"interrupted; drive with --resume if they may drive again\n",
+            command.err,
+        ), command.err
+        assert not (command.out_file.parent / "runs").exists()
+        assert {fleet.states()[robot] for robot in fleet.members} == {"stopped"}
+
+        with drive(fleet, "--duration", "4", "--resume") as (command, folder):
+            said = command.err
+            assert end(fleet, command) in (0, 1), command.told()
+        assert re.search(r"(?m)^lifting the stop that was given at \d\d:\d\d:\d\d: interrupted$", said)
+        recording = Recording.from_folder(folder)
+        # Nobody goes on with the mission of before: leave comes when all have the new one.
+        assert recording.epoch_ns is not None
+        for robot in fleet.members:
+            plant = recording.robots[robot].plant
+            assert not plant["driving"][plant.t < -0.05].any()
+            assert plant["driving"].any()
+
+
+def test_robots_left_to_themselves_drive_to_the_end(tmp_path: Path) -> None:
+    with fleet_up(tmp_path) as fleet:
+        status, out = fleet.told_by("drive", "--detach", "--duration", "5", "--quiet")
+        assert status == 0, out
+        assert re.fullmatch(
+            rf"{fleet.name} drives until \d\d:\d\d:\d\d; `handfast stop {fleet.fleet_file}` stops it\n", out
+        )
+        fleet.wait_until_all("running")
+        # Nobody is there to tell what starts again; its own agent tells the plant.
+        for role in keys.ROLES:
+            fleet.signal(3, role, signal.SIGKILL)
+            fleet.processes[3, role].wait()
+            fleet.start(3, role)
+        fleet.wait_until_all("running")
+        with fleet.command("drive") as command:
+            assert end(fleet, command) == 2
+        assert re.match(rf"handfast: not started: {fleet.name} is driving already: a mission .*", command.err)
+        fleet.wait_until_all("stopped")
+        assert not fleet.orders(Stop)
+        # The next needs nobody's leave.
+        status, out = fleet.told_by("drive", "--detach", "--duration", "3")
+        assert status == 0, out
+        fleet.wait_until_all("running")
+
+
+def test_a_fleet_that_another_drive_has_taken_is_left_alone(tmp_path: Path) -> None:
+    """As when two operators begin at once: the later mission holds, and the end of the other stops nobody."""
+    with fleet_up(tmp_path) as fleet, drive(fleet, "--duration", "6") as (command, folder):
+        period_ns = fleet.fleet.period_ns
+        epoch_ns = (time.time_ns() + NS_PER_S) // period_ns * period_ns
+        mission = fleet.mission_of(epoch_ns, 30.0)
+        fleet.bus.publish(keys.mission(fleet.name), encode(mission))
+        assert end(fleet, command) == 1, command.told()
+        assert "Another operator has begun another drive, and the robots drive that." in command.out
+        fleet.wait_until_all("running")
+        assert not fleet.orders(Stop)
+        complete(folder)
+
+
+def test_robots_that_read_another_file_are_not_driven(tmp_path: Path) -> None:
+    with fleet_up(tmp_path) as fleet:
+        other = tmp_path / "other.toml"
+        text = fleet.fleet_file.read_text()
+        assert "duration_s = 60" in text
+        other.write_text(text.replace("duration_s = 60", "duration_s = 61"))
+        arguments = ("drive", str(other), "--out", "out", "--no-report")
+        with Command(tmp_path / "one", *arguments) as command:
+            assert end(fleet, command) == 1, command.told()
+        assert re.search(
+            r"Not driven: this is not the fleet file that is read by robots? \d.*\.\n", command.out
+        ), command.told()
+        assert fleet.versions() == {0}
+        fleet.wait_until_all("stopped")  # whatever has been begun is ended
+
+        # Once they have driven by their own file, they say so before anything is begun.
+        status, out = fleet.told_by("drive", "--resume", "--detach", "--duration", "3")
+        assert status == 0, (out, last_lines(fleet.log(1, "agent")))
+        with Command(tmp_path / "two", *arguments) as command:
+            assert end(fleet, command) == 2, command.told()
+        assert re.match(
+            rf"handfast: not started: the robots of {fleet.name} read another fleet file: its digest is \w+, "
+            r"this one's is \w+; give the file that they read",
+            command.err,
+        )

@@ -1,0 +1,61 @@
+"""Processes of others, seen by their tokens: who is gone, who is back, and what the verdict is told."""
+
+from __future__ import annotations
+
+from agent.keys import ROLES
+from deploy.attached import NAMED_MAX, Attached
+from deploy.process_faults import Action
+from tests.unit.order_fleets import square
+
+FLEET = square()
+ALL = frozenset((robot, role) for robot in FLEET.ids for role in ROLES)
+AGENT = 2, "agent"
+
+
+def there() -> Attached:
+    made = Attached(FLEET)
+    assert made.look(frozenset(), None) == []
+    assert not made.up(*AGENT)
+    assert made.look(ALL, None) == []  # that they come at first is no news
+    return made
+
+
+def test_who_goes_and_comes_back_is_said_and_warned_of() -> None:
+    made = there()
+    assert made.names[AGENT] == "robot 2's agent"
+    assert made.look(ALL - {AGENT}, 5.04) == ["5.0 s: gone: robot 2's agent"]
+    assert not made.up(*AGENT)
+    assert made.look(ALL - {AGENT}, 6.0) == []
+    assert made.lacking() == ["Robot 2's agent is gone since 5.0 s."]
+    assert made.look(ALL, 7.25) == ["7.2 s: back: robot 2's agent"]
+    assert made.up(*AGENT)
+    assert made.lacking() == []
+    assert made.warnings == ["Robot 2's agent was gone from 5.0 s to 7.2 s"]
+
+
+def test_before_the_drive_nobody_is_warned_of() -> None:
+    made = there()
+    assert made.look(ALL - {AGENT}, None) == ["gone: robot 2's agent"]
+    assert made.look(ALL, -0.3) == ["-0.3 s: back: robot 2's agent"]
+    made.look(ALL - {AGENT}, -0.2)
+    made.look(ALL, -0.1)
+    assert made.warnings == []
+    made.look(ALL - {AGENT}, None)
+    assert made.lacking() == ["Robot 2's agent is gone."]
+
+
+def test_when_all_go_at_once_some_are_named() -> None:
+    made = there()
+    (line,) = made.look(frozenset(), 1.0)
+    assert line.startswith("1.0 s: gone: robot 1's agent, robot 1's plant, robot 2's agent, ")
+    assert line.endswith(f" and {len(ALL) - NAMED_MAX} more")
+    assert len(made.lacking()) == len(ALL)
+
+
+def test_they_are_left_as_they_are() -> None:
+    made = there()
+    assert not made.ours
+    assert not made.carry_out(Action(1.0, 2, "agent", "kill", "x"), None)
+    assert made.deaths() == ()
+    made.resume_all()
+    assert made.up(*AGENT)

@@ -1,0 +1,94 @@
+"""Whether a fleet that is up may be driven: by what it was ordered before, and by whom it was stopped."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent import keys
+from agent.fleet import digest
+from agent.formation import resolve
+from agent.messages import Mission, Resume, Stop
+from deploy.before_drive import OVER, clock, refusal, stop_in_force
+from deploy.operating import Known
+from tests.unit.order_fleets import EPOCH, S, square
+
+FLEET = square()
+TOLD = keys.told("square", 1)
+MISSION = Mission(1, EPOCH - S, EPOCH, 60 * S, digest(FLEET))
+DURING, AFTER = EPOCH + 10 * S, EPOCH + 60 * S
+
+
+def known(*orders: Mission | Stop | Resume) -> Known:
+    made = Known(FLEET, resolve(FLEET))
+    for order in orders:
+        made.hear(TOLD, order)
+    return made
+
+
+def stop(version: int, reason: str = "a person") -> Stop:
+    return Stop(version, EPOCH, reason)
+
+
+def leave(version: int, *ids: int) -> Resume:
+    return Resume(version, EPOCH, ids)
+
+
+def test_a_fleet_that_was_ordered_nothing_or_whose_mission_is_over_may_be_driven() -> None:
+    assert refusal(known(), DURING, resume=False) == ""
+    assert refusal(known(MISSION), AFTER, resume=False) == ""
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_fleet_that_drives_is_left_alone(resume: bool) -> None:
+    driving = known(MISSION._replace(note="robot 7 joins"), stop(2), leave(3))
+    end = clock(EPOCH + 60 * S)
+    assert refusal(driving, AFTER - 1, resume=resume) == (
+        f"square is driving already: a mission that was given at {clock(EPOCH - S)} (robot 7 joins) and ends "
+        f"at {end}; wait until then, or say `handfast stop` first"
+    )
+
+
+def test_a_stop_that_somebody_said_stands_until_it_is_lifted_by_name() -> None:
+    stopped = known(MISSION, leave(2), stop(3))
+    for now_ns in (DURING, AFTER):
+        assert refusal(stopped, now_ns, resume=False) == (
+            f"the robots of square were told to stop at {clock(EPOCH)}: a person; drive with --resume if "
+            "they may drive again"
+        )
+        assert refusal(stopped, now_ns, resume=True) == ""
+    assert refusal(known(stop(3, "interrupted")), AFTER, resume=False)
+    assert refusal(known(stop(3, "")), AFTER, resume=False)
+
+
+def test_the_stop_at_a_drives_regular_end_is_no_obstacle() -> None:
+    ended = known(MISSION, stop(3, OVER))
+    assert refusal(ended, AFTER, resume=False) == ""
+    assert stop_in_force(ended) == stop(3, OVER)
+
+
+@pytest.mark.parametrize(
+    ("orders", "stands"),
+    [
+        ([], False),
+        ([stop(3)], True),
+        ([stop(3), leave(2)], True),
+        ([stop(3), leave(3)], True),  # of equal versions the stop holds
+        ([stop(3), leave(4)], False),
+        ([leave(4), stop(3)], False),
+        ([stop(3), leave(4, 1, 2)], True),  # the others stand
+    ],
+)
+def test_which_stop_is_in_force(orders: list[Stop | Resume], stands: bool) -> None:
+    assert stop_in_force(known(*orders)) == (stop(3) if stands else None)
+
+
+def test_robots_that_read_another_file_are_not_driven_by_this_one() -> None:
+    other = MISSION._replace(digest="0123456789abcdef" * 4)
+    text = refusal(known(other), AFTER, resume=True)
+    assert text.startswith(
+        "the robots of square read another fleet file: its digest is 0123456789abcdef, this"
+    )
+    assert digest(FLEET) in text
+    made = Known(FLEET, resolve(FLEET))
+    made.hear(keys.mission("square"), other)  # by an operator, whom no robot believes
+    assert refusal(made, AFTER, resume=True) == ""

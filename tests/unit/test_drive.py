@@ -1,0 +1,301 @@
+"""What a drive says to a fleet that was up before, and when: robots made by the test, on a bus that notes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from io import StringIO
+from typing import Any, cast
+
+import pytest
+
+from agent import keys
+from agent.bus import Bus
+from agent.codec import decode, encode
+from agent.fleet import Fleet, digest, parse_fleet
+from agent.messages import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from agent.node import FIRST_ROUND
+from deploy.attached import Attached
+from deploy.before_drive import OVER
+from deploy.drive import Drive
+from deploy.interrupt import Interrupt
+from deploy.live import Lines
+from deploy.session import valid
+from tests.unit.order_fleets import order
+
+S = 1_000_000_000
+FLEET = parse_fleet(
+    """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]
+fleet = { name = "two", rate_hz = 50 }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0]], safe_distance_m = 0.2 }
+trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
+""",
+    source="two",
+)
+TOLD = keys.told("two", 1)
+STOP = Stop(5, 100 * S, "a person")
+LATER = 1 << 52
+"""A version that is greater than any of this century."""
+
+
+class Robots:
+    """Robots of `FLEET` as a `Bus` shows them: they tell `history`, and take what is said to them.
+
+    Attributes:
+        said: what was published, each with the versions that the robots said they knew at that time.
+        late_s: how long after a mission each takes it; None: never.
+        refuses: robots whose file is another.
+        deaf: robots that take no stop and no leave.
+    """
+
+    def __init__(self, state: str, *history: Mission | Stop | Resume) -> None:
+        self.state, self.history = state, history
+        self.said: list[tuple[Message, list[int]]] = []
+        self.late_s: dict[int, float | None] = {1: 0.0, 2: 0.0}
+        self.refuses: set[int] = set()
+        self.deaf: set[int] = set()
+        self.on_mission: Callable[[], list[tuple[str, Message]]] = list
+        self._extra: list[tuple[str, Message]] = []
+        self._missions = [each for each in history if type(each) is Mission]
+        self._mission = self._missions[-1] if self._missions else None
+        self._given: tuple[float, Mission] | None = None
+        self._orders = max((each.version for each in history if type(each) is not Mission), default=0)
+        self._asked = False
+
+    def declare(self, key: str) -> None: ...
+    def subscribe(self, key: str, size: int) -> None: ...
+
+    def watch(self, key: str) -> Robots:
+        self._changes = [(keys.alive("two", robot, role), True) for robot in (1, 2) for role in keys.ROLES]
+        return self
+
+    def update(self) -> list[tuple[str, bool]]:
+        changes, self._changes = self._changes, []
+        return changes
+
+    def publish(self, key: str, payload: bytes) -> None:
+        message = decode(payload)
+        self.said.append((message, [self.version(robot) for robot in (1, 2)]))
+        if type(message) is Stop:
+            self.state = "stopped"
+        if type(message) is Ask:
+            self._asked = True
+        elif type(message) is Mission and (self._given is None or self._given[1] != message):
+            self._given = time.monotonic(), message
+            self._extra += self.on_mission()
+        elif type(message) is Stop or type(message) is Resume:
+            self._orders = message.version
+
+    def known(self, robot: int) -> Mission | None:
+        late_s = self.late_s[robot]
+        if self._given is None or late_s is None or robot in self.refuses:
+            return self._mission
+        given_s, mission = self._given
+        return mission if time.monotonic() >= given_s + late_s else self._mission
+
+    def version(self, robot: int) -> int:
+        known = self.known(robot)
+        return 0 if known is None else known.version
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        now_ns = time.time_ns()
+        if self._asked:
+            self._asked = False
+            self._extra += [(TOLD, order) for order in self.history]
+        for key, message in self._extra:
+            yield key, encode(message)
+        self._extra = []
+        for robot in (1, 2):
+            orders = self._orders if robot not in self.deaf else 0
+            counters = (("rejected.digest", 3 + (self._given is not None and robot in self.refuses)),)
+            yield (
+                keys.status("two", robot),
+                encode(
+                    Status(
+                        *(robot, 1, now_ns, self.state, "", "", self.version(robot), orders),
+                        *((), (), (), counters),
+                    )
+                ),
+            )
+            known = self.known(robot)
+            since_ns = 0 if known is None else (now_ns - known.epoch_ns) // FLEET.period_ns
+            number = 7 if known is None else FIRST_ROUND + since_ns
+            yield (
+                keys.plant_state("two", robot),
+                encode(PlantState(robot, number, now_ns, *[0.0] * 7, True, True, True, "")),
+            )
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        return [message for message, _ in self.said if type(message) is kind]
+
+
+def driven(robots: Robots, **options: Any) -> tuple[Drive, str]:
+    interrupt = options.pop("interrupt", Interrupt())
+    detach, fleet = options.pop("detach", False), options.pop("fleet", FLEET)
+    options.setdefault("duration_s", 0.2)
+    stream = StringIO()
+    drive = Drive(
+        *(fleet, Attached(fleet), lambda _, __, payload: valid(payload)),
+        *(Lines(stream, quiet=True, period_s=1.0), interrupt),
+        **options,
+    )
+    drive.run(cast(Bus, robots), detach=detach)
+    return drive, stream.getvalue()
+
+
+def over(fleet: Fleet = FLEET) -> Mission:
+    now_ns = time.time_ns()
+    return Mission(3, now_ns - 60 * S, now_ns - 50 * S, 10 * S, digest(fleet))
+
+
+def test_a_fleet_that_is_ready_gets_a_mission_and_at_its_end_a_stop() -> None:
+    robots = Robots("ready")
+    drive, _ = driven(robots)
+    assert drive.reasons == []
+    (mission,) = robots.of(Mission)
+    assert (mission.duration_ns, mission.digest) == (S // 5, digest(FLEET))
+    assert {stop.reason for stop in robots.of(Stop)} == {OVER}
+    assert robots.of(Resume) == []
+
+
+def test_leave_to_drive_comes_when_all_know_the_mission() -> None:
+    robots = Robots("stopped", over(), STOP)
+    robots.late_s = {1: 0.0, 2: 0.7}
+    drive, said = driven(robots, resume=True)
+    assert drive.reasons == []
+    assert "lifting the stop that was given at" in said
+    assert "told to stop" not in said  # what was before it is no news
+    kinds = [type(message) for message, _ in robots.said if type(message) is not Ask]
+    assert kinds.index(Resume) > kinds.index(Mission)
+    (leave, known), *_ = [each for each in robots.said if type(each[0]) is Resume]
+    mission = robots.of(Mission)[0]
+    assert known == [mission.version] * 2
+    assert isinstance(leave, Resume)
+    assert leave.version > STOP.version
+    assert leave.robots == ()
+    assert mission.epoch_ns - leave.time_ns > 0.4 * S
+
+
+def test_who_does_not_take_the_mission_gets_no_leave() -> None:
+    robots = Robots("stopped", over(), Stop(5, 100 * S, OVER))
+    robots.late_s = {1: 0.0, 2: None}
+    drive, _ = driven(robots)
+    assert drive.reasons == ["Not started: robot 2 did not take the mission."]
+    assert robots.of(Resume) == []
+    assert robots.of(Stop)[-1].reason == drive.reasons[0]
+
+
+def test_a_stop_that_comes_in_between_holds() -> None:
+    robots = Robots("stopped", over(), STOP)
+    robots.on_mission = lambda: [(TOLD, Stop(LATER, time.time_ns(), "now"))]
+    drive, _ = driven(robots, resume=True)
+    assert drive.reasons == ["Not started: another operator said stop or resume meanwhile."]
+    assert robots.of(Resume) == []
+
+
+@pytest.mark.parametrize(
+    ("history", "why"),
+    [
+        ((over(), STOP), "were told to stop at"),
+        ((over()._replace(duration_ns=900 * S),), "two is driving already"),
+        ((over()._replace(digest="0123456789abcdef"),), "read another fleet file"),
+    ],
+)
+def test_what_stands_in_the_way_ends_it_before_a_word(history: tuple[Any, ...], why: str) -> None:
+    robots = Robots("stopped", *history)
+    drive, _ = driven(robots)
+    (reason,) = drive.reasons
+    assert reason.startswith("Not started: ")
+    assert why in reason
+    assert {type(message) for message, _ in robots.said} == {Ask}
+
+
+def test_a_stop_that_nobody_lifted_during_a_drive_holds_beyond_it() -> None:
+    """Else the next drive would take it for that of the regular end, and lift it."""
+    robots = Robots("ready")
+    robots.on_mission = lambda: [(TOLD, Stop(LATER, time.time_ns(), "a person"))]
+    drive, _ = driven(robots)
+    assert drive.reasons == []
+    stop = robots.of(Stop)[-1]
+    assert stop.reason == "a person"
+    assert stop.version > LATER
+    lifted = Robots("ready")
+    lifted.on_mission = lambda: [
+        (TOLD, Stop(LATER, time.time_ns(), "a person")),
+        (TOLD, Resume(LATER + 1, time.time_ns(), ())),
+    ]
+    driven(lifted)
+    assert lifted.of(Stop)[-1].reason == OVER
+
+
+def test_a_drive_that_failed_but_came_to_its_end_leaves_no_stop_behind_that_somebody_meant() -> None:
+    robots = Robots("ready")
+    drive, _ = driven(robots, orders=[order("join", robot=1, edges=(2,))])
+    (reason,) = drive.reasons
+    assert reason.startswith("The order at 0 s (join) was not given: ")
+    assert robots.of(Stop)[-1].reason == OVER
+
+
+@pytest.mark.parametrize("interrupts", [0, 1])
+def test_who_is_not_heard_to_stop_is_named(interrupts: int) -> None:
+    robots, interrupt = Robots("ready"), Interrupt()
+    robots.deaf = {2}
+    if interrupts:
+
+        def ctrl_c() -> list[tuple[str, Message]]:
+            interrupt.count, interrupt.number = 1, 2
+            return []
+
+        robots.on_mission = ctrl_c
+    drive, _ = driven(robots, interrupt=interrupt)
+    assert drive.reasons == ["Not heard to stop: robot 2."]
+    stops = robots.of(Stop)
+    assert stops[0].reason == ("interrupted" if interrupts else OVER)
+    assert len(stops) > 5  # again and again, until it is given up
+
+
+def test_robots_that_refuse_the_mission_end_the_drive_before_its_epoch() -> None:
+    robots = Robots("ready")
+    robots.refuses = {2}
+    drive, _ = driven(robots)
+    assert drive.reasons == ["Not driven: this is not the fleet file that is read by robot 2."]
+    mission = robots.of(Mission)[0]
+    assert robots.of(Stop)[0].time_ns < mission.epoch_ns
+
+
+def test_a_drive_that_another_has_taken_over_stops_nobody() -> None:
+    robots = Robots("ready")
+    theirs = over()._replace(version=LATER, epoch_ns=time.time_ns() + 9 * S)
+    robots.on_mission = lambda: [(keys.mission("two"), theirs)]
+    drive, _ = driven(robots)
+    assert drive.reasons == ["Another operator has begun another drive, and the robots drive that."]
+    assert robots.of(Stop) == []
+
+
+def test_a_dead_mans_switch_is_held_as_long_as_the_drive_lasts() -> None:
+    robots = Robots("ready")
+    fleet = replace(FLEET, supervision=replace(FLEET.supervision, deadman_s=1.0))
+    driven(robots, fleet=fleet)
+    kinds = [type(message) for message, _ in robots.said]
+    assert kinds.index(Heartbeat) < kinds.index(Mission)
+    assert len(robots.of(Heartbeat)) >= 4  # ten a second
+
+
+def test_an_interrupt_before_the_mission_says_nothing() -> None:
+    interrupt = Interrupt()
+    interrupt.count = 1
+    robots = Robots("ready")
+    driven(robots, interrupt=interrupt)
+    assert robots.said == []
+
+
+def test_left_to_themselves_robots_get_no_stop() -> None:
+    robots = Robots("stopped", over(), Stop(5, 100 * S, OVER))
+    robots.late_s = {1: 0.1, 2: 0.2}
+    drive, _ = driven(robots, detach=True, duration_s=30.0)
+    assert drive.reasons == []
+    assert drive.end_ns == robots.of(Mission)[0].epoch_ns + 30 * S
+    assert robots.of(Resume)
+    assert robots.of(Stop) == []

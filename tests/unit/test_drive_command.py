@@ -1,0 +1,94 @@
+"""`handfast drive`: what it does not take, said in one line before anything is sent."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from deploy.arguments import FLEETS
+from deploy.cli import main
+from deploy.ports import Reservation
+from tests.process.fleet_harness import BASE_PORT
+
+PAIR = (FLEETS / "pair.toml").read_text()
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2) -> str:
+    assert main(["drive", *arguments]) == status
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = [line for line in err.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1, err
+    return lines[0].removeprefix("handfast: ")
+
+
+def file(folder: Path, more: str) -> str:
+    path = folder / "fleet.toml"
+    path.write_text(PAIR + more)
+    return str(path)
+
+
+@pytest.mark.parametrize("option", ["--set", "--law", "--seed", "--faults"])
+def test_what_would_change_what_robots_have_read(capsys: pytest.CaptureFixture[str], option: str) -> None:
+    assert refused(capsys, "pair", option, "1") == (
+        f"drive: {option} changes the fleet file, which the robots have read already: bring them up with it "
+        f"(`handfast up FLEET {option} ...`), or drive it here with `handfast run`"
+    )
+
+
+def test_process_faults_are_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    rules = '[[faults.rule]]\nname = "crash"\nrobot = 1\nat = 2\nrestart = "agent"\n'
+    assert refused(capsys, file(tmp_path, rules)).endswith(
+        "the fault rules 'crash' kill, pause or restart processes, which only `handfast run` and `simulate` "
+        "do"
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "arguments", "text"),
+    [
+        ("", ("--out", "here"), "--out: there is no folder with --detach: nobody records"),
+        (
+            "[supervision]\ndeadman_s = 1.5\n",
+            (),
+            "--detach: pair has a dead-man's switch (supervision.deadman_s = 1.5): its robots hold without "
+            "an operator's heartbeat",
+        ),
+        (
+            '[[order]]\nat = 3\nkind = "stop"\n[[order]]\nat = 4.5\nkind = "resume"\n',
+            (),
+            "--detach: nobody would give the orders at 3 s (stop), 4.5 s (resume)",
+        ),
+    ],
+)
+def test_what_nobody_would_do_after_detach(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, more: str, arguments: tuple[str, ...], text: str
+) -> None:
+    assert refused(capsys, file(tmp_path, more), "--detach", *arguments) == text
+
+
+def test_bad_orders_and_durations_are_found_before_a_robot_is_asked(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["drive", "pair", "--duration=-3s"]) == 2
+    assert "fleet.duration_s" in capsys.readouterr().err
+    orders = tmp_path / "orders.toml"
+    orders.write_text('[[order]]\nat = 1\nkind = "dance"\n')
+    assert main(["drive", "pair", "--orders", str(orders)]) == 2
+    assert "dance" in capsys.readouterr().err
+
+
+def test_a_fleet_that_is_not_up(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ports = Reservation("127.0.0.1", BASE_PORT, 4)
+    try:
+        (tmp_path / "fleet.toml").write_text(re.sub("base_port = .*", f"base_port = {ports.base}", PAIR))
+        said = refused(capsys, "fleet.toml", status=1)
+    finally:
+        ports.close()
+    assert said.startswith("fleet pair does not answer: none of its 4 agents and plants is there")
+    assert not (tmp_path / "runs").exists()
