@@ -30,10 +30,10 @@ from agent.fleet_sections import (
     DatumSection,
     FleetSection,
     FormationSection,
-    NetworkSection,
     Robot,
     TrajectorySection,
 )
+from agent.host_sections import HostSection, NetworkSection, RecordingSection
 from agent.order_file import read_orders
 from agent.order_sections import ORDER_FIELDS, OrderSection
 from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
@@ -108,7 +108,21 @@ class Fleet:
         ),
     )
     network: NetworkSection = field(
-        default_factory=NetworkSection, metadata=about("Where processes listen. Not part of the digest.")
+        default_factory=NetworkSection,
+        metadata=about("How processes reach each other. Not part of the digest."),
+    )
+    hosts: tuple[HostSection, ...] = field(
+        default=(),
+        metadata=about(
+            "A computer on which robots' processes run (`[robot] host`), and how `handfast up` logs in "
+            "there. What is left out is as your ssh configuration has it. Not part of the digest.",
+            key="host",
+            named="name",
+        ),
+    )
+    recording: RecordingSection = field(
+        default_factory=RecordingSection,
+        metadata=about("What robots' computers record. Not part of the digest."),
     )
     datum: DatumSection | None = field(
         default=None,
@@ -174,16 +188,41 @@ class Fleet:
         """Number of a robot's edges. `FleetError` when there is no such robot."""
         return len(self.neighbours(robot_id))
 
+    @property
+    def is_secured(self) -> bool:
+        """Whether links are encrypted and authenticated, and orders signed."""
+        if self.network.security is not None:
+            return self.network.security != "off"
+        return any(robot.host is not None for robot in self.robots)
+
+    def host_of(self, robot_id: int) -> HostSection | None:
+        """The computer of a robot, None where it has none. `FleetError` when there is no such robot."""
+        name = self.robot(robot_id).host
+        return next((host for host in self.hosts if host.name == name), None)
+
     def agent_endpoint(self, robot_id: int) -> str:
-        """Where a robot's agent listens, as Zenoh writes it. `FleetError` when there is no such robot."""
-        return self._endpoint(2 * self.index(robot_id))
+        """Where others reach a robot's agent, as Zenoh writes it. `FleetError` when there is no such one."""
+        return self._endpoint(robot_id, 0, to_listen=False)
 
     def plant_endpoint(self, robot_id: int) -> str:
-        """Where a robot's plant listens, as Zenoh writes it. `FleetError` when there is no such robot."""
-        return self._endpoint(2 * self.index(robot_id) + 1)
+        """Where others reach a robot's plant, as Zenoh writes it. `FleetError` when there is no such one."""
+        return self._endpoint(robot_id, 1, to_listen=False)
 
-    def _endpoint(self, number: int) -> str:
-        return f"tcp/{self.network.address}:{self.network.base_port + number}"
+    def agent_listens(self, robot_id: int) -> str:
+        """Where a robot's agent listens, as Zenoh writes it. `FleetError` when there is no such robot."""
+        return self._endpoint(robot_id, 0, to_listen=True)
+
+    def plant_listens(self, robot_id: int) -> str:
+        """Where a robot's plant listens, as Zenoh writes it. `FleetError` when there is no such robot."""
+        return self._endpoint(robot_id, 1, to_listen=True)
+
+    def _endpoint(self, robot_id: int, which: int, *, to_listen: bool) -> str:
+        port = self.network.base_port + 2 * self.index(robot_id) + which
+        host = self.host_of(robot_id)
+        address = self.network.address
+        if host is not None:
+            address = (host.listen if to_listen else None) or host.address or host.name
+        return f"{'tls' if self.is_secured else 'tcp'}/{address}:{port}"
 
 
 # --- from text to models ----------------------------------------------------------------------
@@ -413,11 +452,15 @@ def _of_kind(
 def digest(fleet: Fleet) -> str:
     """16 hex digits over what all robots must agree on.
 
-    That is everything but ``[network]``, the description, and how a vehicle's own computer reaches it.
+    That is everything but where processes run and how they reach each other, the description, what is
+    recorded, and how a vehicle's own computer reaches it.
     """
     table = to_dict(fleet)
-    del table["network"], table["fleet"]["description"]
+    for key in ("network", "host", "recording"):
+        table.pop(key, None)
+    del table["fleet"]["description"]
     for robot in table["robot"]:
+        robot.pop("host", None)
         for key in LINK_FIELDS:
             robot.get("mavlink", {}).pop(key, None)
     canonical = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.fault_checks import check_faults
-from agent.fleet_sections import PORT_MAX, SHARED_LINKS, SIMULATOR
+from agent.fleet_sections import SHARED_LINKS, SIMULATOR
+from agent.host_checks import check_hosts
+from agent.host_sections import PORT_MAX
 from agent.messages import NEIGHBOURS_MAX
 from agent.order_checks import check_orders
 from agent.safety_checks import check_safety
@@ -39,6 +41,7 @@ def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reade
     check_trajectory(values.get("trajectory", {}), given if isinstance(given, dict) else {}, reader)
     _check_timeouts(values, reader)
     _check_vehicles(robots or [], values, reader)
+    check_hosts(values, reader)
     check_safety(values, reader)
     check_orders(values.get("orders", ()), raw, ids, reader)
 

@@ -16,8 +16,6 @@ from agent.schema import about, setting
 Pair = tuple[float, float]
 Coupling = Literal["edge", "joint", "penalty"]
 
-PORT_MIN: Final = 1024
-PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
 _FAR_M: Final = 1e6  # further away than any robot: squares of it stay far from overflow
 
 LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
@@ -348,6 +346,12 @@ class Body:
     yaw_rate_noise_radps: float = setting(
         0.0, "Standard deviation of the measured yaw rate.", unit="rad/s", ge=0, le=100
     )
+    host: str | None = setting(
+        None,
+        "Name of the `[host.NAME]` on which its processes run. All robots have one, or none has. Not part "
+        "of the digest.",
+        example='"rover1"',
+    )
     mavlink: MavlinkSection | None = setting(
         None,
         'How a robot with `plant = "mavlink"` is reached, and what it may do (docs/rovers.md). In '
@@ -380,23 +384,4 @@ class Robot(Body):
     reserve: bool = setting(
         False,
         "It is there but has no place in the formation until it joins (`[[order]]`, `handfast join`).",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkSection:
-    """``[network]``."""
-
-    address: str = setting(
-        "127.0.0.1",
-        "Host name or address on which every process listens.",
-        pattern=r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]",
-        pattern_says="a host name, an IPv4 address or an IPv6 address in [ ]",
-    )
-    base_port: int = setting(
-        7600,
-        "First TCP port. The k-th robot of the file (from 0) listens on `base_port` + 2 k (agent) and "
-        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}.",
-        ge=PORT_MIN,
-        le=PORT_MAX - 1,
     )

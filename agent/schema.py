@@ -61,6 +61,7 @@ class Setting:
     example: str | None = None  # TOML text of a value
     shared: tuple[str, type] | None = None  # array of tables: key and model of the table of defaults
     parse: Callable[[object], object] | None = None  # reads the value; ValueError says what is right
+    named: str | None = None  # tables by name, [key.NAME]: attribute of the model that holds the NAME
 
     def range_text(self) -> str:
         """The bounds in words, empty when there are none."""
@@ -116,7 +117,7 @@ class Entry:
 
     @property
     def tables(self) -> type | None:
-        """Model of each entry of an array of tables, None for anything else."""
+        """Model of each entry of an array of tables, or of tables by name, None for anything else."""
         args = get_args(self.hint)
         return _model(args[0]) if get_origin(self.hint) is tuple and args[-1] is Ellipsis else None
 
@@ -296,6 +297,8 @@ class Reader:
                 value = self._sub_table(entry, entry.table, raw, here, handed)
             elif inherited is not None and entry.attribute in inherited and entry.key not in raw:
                 value = inherited[entry.attribute]
+            elif entry.tables is not None and entry.setting.named is not None:
+                value = self._named(entry, entry.tables, raw, here)
             elif entry.tables is not None:
                 value = self._rows(entry, entry.tables, raw, here, shared)
             elif entry.key in raw:
@@ -356,6 +359,28 @@ class Reader:
             else:
                 self.add(here, f"must be a table, [[{place}]] with its fields below it, got {show(row)}")
                 values.append({})
+        return values
+
+    def _named(self, entry: Entry, model: type, raw: Mapping[str, Any], place: str) -> Any:
+        """Tables by name, in the file's order; each with its name as the attribute that is to hold it."""
+        tables = raw.get(entry.key, {})
+        if not isinstance(tables, Mapping):
+            self.add(place, f"must be tables: write [{place}.NAME] above each, got {show(tables)}")
+            return _INVALID
+        named = entry.setting.named
+        assert named is not None
+        values = []
+        for name, table in tables.items():
+            here = _join(place, name)
+            if not isinstance(table, Mapping):
+                self.add(here, f"must be a table, [{here}] with its fields below it, got {show(table)}")
+                continue
+            right = self._string(str(name), here, entries(model)[named].setting)
+            if named in table:
+                self.add(_join(here, named), "unknown field: the name stands in the table's own, " + here)
+            rest = {key: value for key, value in table.items() if key != named}
+            row = self._table(model, rest, here, {named: name})
+            values.append(row if right is not _INVALID else {**row, named: None})
         return values
 
     def _value(self, hint: Any, raw: object, place: str, said: Setting, default: object = None) -> Any:
@@ -503,7 +528,12 @@ class Reader:
             if inside is None:
                 self.add(label, f"{place} is a single value: nothing can follow it but =value")
                 return
-            if entry.tables is not None:
+            if entry.setting.named is not None:
+                name = keys.pop(0)
+                place = _join(place, name)
+                row = node.setdefault(key, {})
+                row = row.setdefault(name, {}) if isinstance(row, dict) else row
+            elif entry.tables is not None:
                 row, place = self._row(node.get(key, []), keys.pop(0), place, label)
             else:
                 row = node.setdefault(key, {})
@@ -595,11 +625,17 @@ def plain(instance: object) -> dict[str, Any]:
         value = getattr(instance, entry.attribute)
         if entry.table is not None:
             value = plain(value) if value is not None else None
+        elif (named := entry.setting.named) is not None:
+            value = {getattr(row, named): _without(plain(row), named) for row in value} or None
         elif entry.tables is not None:
             value = [plain(row) for row in value]
         if value is not None:
             table[entry.key] = _lists(value) if entry.setting.parse is None else str(value)
     return table
+
+
+def _without(table: dict[str, Any], key: str) -> dict[str, Any]:
+    return {other: value for other, value in table.items() if other != key}
 
 
 def _lists(value: Any) -> Any:

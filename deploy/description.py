@@ -50,8 +50,27 @@ def describe(fleet: Fleet) -> str:
     lines += [f"  {line}" for line in _describe_safety(fleet, geometry)]
     lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
-    lines.append(f"  network: {fleet.network.address}, ports from {fleet.network.base_port} up")
+    lines += [f"  {line}" for line in _describe_network(fleet)]
     return "\n".join(lines)
+
+
+def _describe_network(fleet: Fleet) -> Iterator[str]:
+    network = fleet.network
+    where = f"ports from {network.base_port} up"
+    if network.routers:
+        where += f", through {' or '.join(network.routers)}"
+    where += (
+        ", secured" if fleet.is_secured else ", not secured: whoever is on this network can drive the robots"
+    )
+    if not fleet.robots[0].host:
+        on_loopback = network.address in ("127.0.0.1", "localhost", "[::1]")
+        yield f"network: {network.address}, {where.split(', not')[0] if on_loopback else where}"
+        return
+    yield f"network: {where}"
+    for host in fleet.hosts:
+        there = [robot.id for robot in fleet.robots if robot.host == host.name]
+        address = f" ({host.address})" if host.address else ""
+        yield f"  host {host.name}{address}: {robots(there) if there else 'no robot'}"
 
 
 def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:

@@ -22,7 +22,7 @@ _TEMPLATE: Final = Path(__file__).parent / "template.toml"
 _HEAD: Final = """\
 # The fleet file
 
-<!-- Made of agent/fleet_sections.py and agent/fault_settings.py: change it there, then
+<!-- Made of agent/*_sections.py and agent/fault_settings.py: change it there, then
      python -m deploy.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
@@ -74,19 +74,29 @@ def _section(entry: Entry, name: str, above: type | None = None) -> Iterator[str
     """One table of fields, and the tables within it. Fields that `above` has too are left out."""
     model = entry.table or entry.tables
     assert model is not None
-    title = f"[[{name}]]" if entry.tables else f"[{name}]"
+    title = _title(entry, name)
     known = (
         entries(entry.setting.shared[1] if entry.setting.shared else above)
         if (entry.setting.shared or above)
         else {}
     )
-    own = [field for field in entries(model).values() if field.key not in known]
+    own = [
+        field
+        for field in entries(model).values()
+        if field.key not in known and field.key != entry.setting.named
+    ]
     rows = [_row(field) for field in own if not (field.table or field.tables)]
     head = "| field | value | default | meaning | example |\n|---|---|---|---|---|\n"
     yield f"## `{title}`\n\n{entry.setting.doc}\n\n{head}" + "\n".join(rows) + "\n"
     for field in own:
         if field.table or field.tables:
             yield from _section(field, f"{name}.{field.key}", model)
+
+
+def _title(entry: Entry, name: str) -> str:
+    if entry.setting.named is not None:
+        return f"[{name}.NAME]"
+    return f"[[{name}]]" if entry.tables else f"[{name}]"
 
 
 def _row(field: Entry) -> str:

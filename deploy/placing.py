@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 from agent.fleet import Fleet
 from agent.fleet_sections import SIMULATOR, Robot
+from agent.host_sections import NetworkSection
 from deploy.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
@@ -54,8 +55,9 @@ def place(fleet: Fleet) -> Placed:
     numbers = {robot: ports.base + of_processes + k for k, robot in enumerate(simulated)}
     placed = replace(
         fleet,
-        network=replace(fleet.network, address=ADDRESS, base_port=ports.base),
-        robots=tuple(connected(robot, numbers.get(robot.id)) for robot in fleet.robots),
+        network=NetworkSection(address=ADDRESS, base_port=ports.base),  # no other machine, no security
+        hosts=(),
+        robots=tuple(replace(connected(robot, numbers.get(robot.id)), host=None) for robot in fleet.robots),
     )
     return Placed(placed, ports, tuple(vehicle(fleet, robot, port) for robot, port in numbers.items()))
 

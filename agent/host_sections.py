@@ -1,0 +1,119 @@
+"""The tables of a fleet file that say where its processes run, and how they reach each other (PURE)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from agent.identity import MAIN
+from agent.schema import about, setting
+
+PORT_MIN: Final = 1024
+PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
+_ADDRESS: Final = r"[A-Za-z0-9]([A-Za-z0-9._-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]"
+_ADDRESS_SAYS: Final = "a host name, an IPv4 address or an IPv6 address in [ ]"
+_FILE: Final = r"[^\x00\r\n]{1,400}"
+
+
+@dataclass(frozen=True, slots=True)
+class HostSection:
+    """One ``[host.NAME]``."""
+
+    name: str = field(
+        metadata=about(
+            "",
+            pattern=r"[A-Za-z0-9]([A-Za-z0-9._-]{0,61}[A-Za-z0-9])?",
+            pattern_says="1 to 63 letters, digits, -, _ or ., as a host name has them",
+        )
+    )
+    address: str | None = setting(
+        None,
+        "Where other robots and the operator reach it. Left out: the NAME, or the `HostName` that your ssh "
+        "configuration has for it.",
+        pattern=_ADDRESS,
+        pattern_says=_ADDRESS_SAYS,
+        example='"192.168.1.11"',
+    )
+    listen: str | None = setting(
+        None,
+        "Address that its processes listen on. Left out: `address`. For a computer whose own name means "
+        '127.0.1.1 to itself, or behind a forwarded address: "0.0.0.0".',
+        pattern=_ADDRESS,
+        pattern_says=_ADDRESS_SAYS,
+        example='"0.0.0.0"',
+    )
+    user: str | None = setting(
+        None,
+        "User to log in as. Left out: what your ssh configuration says for NAME.",
+        pattern=r"[A-Za-z_][A-Za-z0-9_.-]{0,31}\$?",
+        pattern_says="a user name",
+        example='"robot"',
+    )
+    port: int | None = setting(
+        None,
+        "Port of its ssh server. Left out: as your ssh configuration says.",
+        ge=1,
+        le=65535,
+        example="22",
+    )
+    key: str | None = setting(
+        None,
+        "File of the private key to log in with. Left out: as your ssh configuration and agent say.",
+        pattern=_FILE,
+        pattern_says="a file name",
+        example='"~/.ssh/id_ed25519"',
+    )
+    python: str | None = setting(
+        None,
+        "Its Python, 3.11 or later. Left out: the first that is found.",
+        pattern=_FILE,
+        pattern_says="a file name",
+        example='"/usr/bin/python3.12"',
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSection:
+    """``[network]``."""
+
+    address: str = setting(
+        "127.0.0.1",
+        "Host name or address on which every process listens that has no `[host.NAME]`.",
+        pattern=_ADDRESS,
+        pattern_says=_ADDRESS_SAYS,
+    )
+    base_port: int = setting(
+        7600,
+        "First TCP port. The k-th robot of the file (from 0) listens on `base_port` + 2 k (agent) and "
+        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}.",
+        ge=PORT_MIN,
+        le=PORT_MAX - 1,
+    )
+    security: Literal["mtls", "off"] | None = setting(
+        None,
+        '`"mtls"`: every link is encrypted and both its ends prove who they are, orders are signed '
+        '(docs/security.md). Left out: `"mtls"` for robots with a host, `"off"` where all runs on one '
+        "machine (`handfast run`).",
+    )
+    operators: tuple[str, ...] = setting(
+        (MAIN,),
+        "Names of those whose orders robots take, where links are secured: `handfast keys --operator NAME` "
+        "makes each a certificate.",
+        example='["main", "anna"]',
+    )
+    routers: tuple[str, ...] = setting(
+        (),
+        "Zenoh routers, as `HOST:PORT`. With them robots do not connect to each other but to the first of "
+        "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd).",
+        example='["192.168.1.2:7447"]',
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSection:
+    """``[recording]``."""
+
+    enabled: bool = setting(True, "Each robot with a host records what it says, for `handfast fetch`.")
+    max_mb: int = setting(
+        256, "Largest size of one robot's recordings, 10^6 bytes; the oldest goes first.", ge=16, le=1_000_000
+    )
