@@ -181,11 +181,11 @@ def read_mcap(path: Path, fleet_path: Path | None) -> Recording:
     try:
         reasons = [str(reason) for reason in json.loads(outcome.get("reasons", "[]"))]
         interrupted = bool(json.loads(outcome.get("interrupted", "false")))
+        warnings = [str(warning) for warning in json.loads(outcome.get("warnings", "[]"))]
     except (ValueError, TypeError) as error:
         raise RecordingError(f"{path}: its metadata {OUTCOME_METADATA} is damaged") from error
-    return data.recording(
-        reasons=reasons, interrupted=interrupted, warnings=file.warnings, fleet_toml=fleet_toml
-    )
+    warnings += file.warnings
+    return data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings, fleet_toml=fleet_toml)
 
 
 def _seed(run: dict[str, str]) -> int | None:

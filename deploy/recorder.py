@@ -23,9 +23,9 @@ from agent.codec import decode
 from agent.fleet import Fleet, law_name, to_dict
 from agent.message_checks import Malformed
 from agent.messages import Message, Mission, PlantState
+from agent.version import handfast_version
 from deploy.foxglove import SCHEMAS, Scene
 from deploy.message_json import schema, schema_name, to_json
-from deploy.version import handfast_version
 
 FLEET_ATTACHMENT: Final = "fleet.toml"
 RUN_METADATA: Final = "handfast.run"
@@ -143,12 +143,17 @@ class Recorder:
             for scene_key, name, content in self._scene.update(received_ns, message):
                 self._write(received_ns, scene_key, name, content, received_ns, 0)
 
-    def set_outcome(self, reasons: Sequence[str], *, interrupted: bool = False) -> None:
-        """Keep what only the operator's side knows: why the verdict fails, such as a process that died.
+    def set_outcome(
+        self, reasons: Sequence[str], *, interrupted: bool = False, warnings: Sequence[str] = ()
+    ) -> None:
+        """Keep what only the operator's side knows: why the verdict fails, such as a process that died, and
+        what must not go unsaid, such as what is missing.
 
-        A report that is rebuilt from the file finds them in `Recording.reasons`.
+        A report that is rebuilt from the file finds them in `Recording.reasons` and `Recording.warnings`.
         """
         outcome = {"reasons": json.dumps(list(reasons)), "interrupted": json.dumps(interrupted)}
+        if warnings:
+            outcome["warnings"] = json.dumps(list(warnings))
         if self._failed or self._closed:
             return
         try:

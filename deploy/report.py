@@ -16,13 +16,13 @@ import numpy as np
 from agent.fleet import Fleet
 from agent.formation import Geometry, resolve
 from agent.supervision import State
+from agent.version import handfast_version
 from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
 from deploy.analysis import Analysis, analyse
 from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recorder import RecordingError
 from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
 from deploy.rounding import largest, number, percentile
-from deploy.version import handfast_version
 
 METRICS_NAME: Final = "metrics.json"
 REPORT_NAME: Final = "report.html"

@@ -65,15 +65,22 @@ class RunFolder:
             self._data.feed(received_ns, key, message)
         return message
 
-    def close(self, reasons: Sequence[str] = (), *, interrupted: bool = False) -> None:
+    def close(
+        self, reasons: Sequence[str] = (), *, interrupted: bool = False, warnings: Sequence[str] = ()
+    ) -> None:
         """Completes the recording with what only the operator knows of the run's end."""
         try:
-            self._recorder.set_outcome(reasons, interrupted=interrupted)
+            self._recorder.set_outcome(reasons, interrupted=interrupted, warnings=warnings)
         finally:
             self._recorder.close()
 
     def finish(
-        self, reasons: Sequence[str] = (), *, interrupted: bool = False, report: bool = True
+        self,
+        reasons: Sequence[str] = (),
+        *,
+        interrupted: bool = False,
+        warnings: Sequence[str] = (),
+        report: bool = True,
     ) -> dict[str, Any]:
         """Completes the recording, writes ``metrics.json`` and, if asked, figures and report.
 
@@ -82,8 +89,8 @@ class RunFolder:
         Raises:
             deploy.recorder.RecordingError: something cannot be written.
         """
-        self.close(reasons, interrupted=interrupted)
-        recording = self._data.recording(reasons=reasons, interrupted=interrupted)
+        self.close(reasons, interrupted=interrupted, warnings=warnings)
+        recording = self._data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings)
         result = metrics.compute(
             recording,
             self._fleet,

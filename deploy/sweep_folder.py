@@ -20,9 +20,9 @@ from typing import Any, Final
 
 import tomli_w
 
+from agent.version import handfast_version
 from deploy.sweep import Plan, Question, SweepError, parse_axis
 from deploy.sweep_run import NUMBERS, Row
-from deploy.version import handfast_version
 
 FORMAT: Final = 1
 SWEEP_FILE: Final = "sweep.toml"

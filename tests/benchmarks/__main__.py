@@ -35,6 +35,7 @@ NAMES: Final = (
     "step_response",
     "rovers",
     "bridge",
+    "recording",
 )
 LOAD_QUIET: Final = 0.5
 

@@ -1,0 +1,196 @@
+"""The folder in which a robot's computer keeps its recording: segments of limited size, the newest of them.
+
+What `append` has returned from is on the disk, whatever happens to the computer after it. All segments
+together never take more than their share, and the disk is never filled.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import re
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+SEGMENT_BYTES_MAX: Final = 8_000_000
+SEGMENTS_MIN: Final = 4
+"""So many segments make a full folder at least: the oldest goes as a whole."""
+RESERVE_BYTES: Final = 200_000_000
+"""What stays free on the disk for everything else on that computer."""
+LOCK_NAME: Final = "lock"
+_NAME: Final = re.compile(r"(\d{8,18})-[0-9a-f]{8}\.segment")
+"""Number of the segment, and what tells it from one of the same number in a folder that was emptied: whoever
+has a copy of it knows that it only grows."""
+_HELD: Final = (errno.EWOULDBLOCK, errno.EACCES)
+PASSING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+"""Errors of a disk: it may be better later. Any other, such as a folder of somebody else's, stays."""
+
+_to_disk: Final = getattr(os, "fdatasync", os.fsync)  # macOS has none
+
+
+class FolderInUseError(RuntimeError):
+    """Another process records into the folder; the text is one clear message."""
+
+
+def segment_paths(folder: Path) -> list[Path]:
+    """The segments in a folder, the oldest first.
+
+    Raises:
+        OSError: it cannot be listed.
+    """
+    return [path for _, path in sorted(_numbered(folder))]
+
+
+def _numbered(folder: Path) -> list[tuple[int, Path]]:
+    return [(int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))]
+
+
+class SegmentFolder:
+    """Appends blocks to the newest segment of a folder. A context manager; nobody else may while it lives.
+
+    Args:
+        path: made if need be.
+        bytes_max: what all segments together may take.
+        reserve_bytes: what stays free on the disk.
+
+    Raises:
+        FolderInUseError: another process records there.
+        OSError: it cannot be made, locked or listed.
+    """
+
+    def __init__(self, path: Path, bytes_max: int, reserve_bytes: int = RESERVE_BYTES) -> None:
+        self.path: Final = path
+        self._bytes_max, self._reserve_bytes = bytes_max, reserve_bytes
+        self._segment_bytes_max = min(SEGMENT_BYTES_MAX, bytes_max // SEGMENTS_MIN)
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock = os.open(path / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._file: int | None = None
+        """The newest segment, None when the next block begins another."""
+        self._size = 0
+        self._newest = path
+        try:
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                if error.errno not in _HELD:
+                    raise
+                raise FolderInUseError(f"{path}: another process is recording there") from None
+            there = sorted(_numbered(path))
+            self._closed = deque((each, each.stat().st_size) for _, each in there)
+            """Segments that are complete and their sizes, the oldest first."""
+            self._next = 1 + max((number for number, _ in there), default=0)
+            self._mark = os.urandom(4).hex()
+            with suppress(PermissionError):
+                _sync_folder(path.parent)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Completes the newest segment and lets go of the folder."""
+        self.end_segment()
+        os.close(self._lock)
+
+    @property
+    def total_bytes(self) -> int:
+        """What all segments take."""
+        return sum(size for _, size in self._closed) + self._size
+
+    def end_segment(self) -> None:
+        """Completes the newest segment: the next block begins another."""
+        if self._file is not None:
+            os.close(self._file)
+            self._closed.append((self._newest, self._size))
+            self._file, self._size = None, 0
+
+    def append(self, block: bytes, first: Callable[[int], bytes]) -> None:
+        """Puts a block on the disk; removes the oldest segments for it.
+
+        Args:
+            first: the first block of a segment, from its number.
+
+        Raises:
+            OSError: the disk does not take it, or has too little room left. The segment ends before it.
+        """
+        if self._file is not None and self._size + len(block) > self._segment_bytes_max:
+            self.end_segment()
+        try:
+            if self._file is None:
+                data = first(self._next) + block
+                self._make_room(len(data))
+                self._begin(data)
+            else:
+                self._make_room(len(block))
+                self._go_on(self._file, block)
+        except OSError:
+            self.end_segment()
+            raise
+
+    def _make_room(self, size: int) -> None:
+        while self._closed and self.total_bytes + size > self._bytes_max:
+            oldest, _ = self._closed[0]
+            with suppress(FileNotFoundError):  # somebody else has tidied up
+                oldest.unlink()
+            self._closed.popleft()
+        disk = os.statvfs(self.path)
+        free = disk.f_bavail * disk.f_frsize
+        if free - size < self._reserve_bytes:
+            about = f"{free / 1e6:.0f} MB are free, {self._reserve_bytes / 1e6:.0f} MB are kept for others"
+            raise OSError(errno.ENOSPC, about)
+
+    def _begin(self, data: bytes) -> None:
+        path = self.path / f"{self._next:08d}-{self._mark}.segment"
+        self._next += 1  # whatever becomes of it: one that cannot be removed is not in the way
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        try:
+            _write(file, data)
+            _to_disk(file)
+            _sync_folder(self.path)
+        except BaseException:
+            os.close(file)
+            with suppress(OSError):
+                path.unlink()
+            raise
+        self._file, self._size, self._newest = file, len(data), path
+
+    def _go_on(self, file: int, data: bytes) -> None:
+        try:
+            _write(file, data)
+            _to_disk(file)
+        except BaseException:
+            # Where this fails too, a piece of a block stays: at the end of a segment it harms nobody.
+            with suppress(OSError):
+                os.ftruncate(file, self._size)
+            raise
+        self._size += len(data)
+
+
+def _write(file: int, data: bytes) -> None:
+    written = os.write(file, data)
+    if written < len(data):
+        raise OSError(errno.ENOSPC, f"only {written} of {len(data)} bytes were taken")
+
+
+def _sync_folder(path: Path) -> None:
+    """Puts the names in a folder on the disk."""
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a file system that has no such thing
+            raise
+    finally:
+        os.close(handle)

@@ -1,0 +1,191 @@
+"""What robots' computers recorded (`agent.recorder_process`), in folders that were brought here: what
+there is of it, and its messages by time."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+
+from agent.clock import NS_PER_S
+from agent.codec import decode
+from agent.message_checks import Malformed
+from agent.messages import Mission, Resume, Stop
+from agent.robot_recorder import order_keys
+from agent.segment_folder import segment_paths
+from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Received, Segment
+
+GAP_NS: Final = NS_PER_S
+"""A robot is never silent for so long: something is missing."""
+"""How a sealed order begins: an array of four, of which the first is 1."""
+
+
+class MergeError(RuntimeError):
+    """Recordings that no run can be made of; the text is one clear message."""
+
+
+class Told(NamedTuple):
+    """An order as a robot's computer recorded it."""
+
+    received: Received
+    order: Mission | Stop | Resume
+
+
+class Loss(NamedTuple):
+    """Messages that are missing before `at_ns`; nobody knows how many with `overflow`."""
+
+    at_ns: int
+    messages: int
+    overflow: bool
+
+
+@dataclass(frozen=True)
+class SegmentFile:
+    """One segment: what its heads tell.
+
+    `stretches` are the times (first, last ns) in which it has messages without a gap of `GAP_NS`.
+    """
+
+    path: Path
+    about: About
+    messages: int
+    stretches: Sequence[tuple[int, int]]
+    losses: Sequence[Loss] = ()
+    told: Sequence[Told] = ()
+
+    @property
+    def first_ns(self) -> int:
+        return self.stretches[0][0]
+
+    @property
+    def last_ns(self) -> int:
+        return max(last for _, last in self.stretches)
+
+    def overlaps(self, since_ns: int, until_ns: int) -> bool:
+        return self.first_ns <= until_ns and self.last_ns >= since_ns
+
+
+@dataclass
+class Damage:
+    """What was found damaged while reading, by robot: pieces."""
+
+    pieces: dict[int, int] = field(default_factory=dict)
+
+    def add(self, robot: int, count: int) -> None:
+        if count:
+            self.pieces[robot] = self.pieces.get(robot, 0) + count
+
+
+def segment_files(folders: Sequence[Path]) -> list[SegmentFile]:
+    """All segments in the folders that hold messages; of copies of one the one with most of them.
+
+    One that lost its first block belongs to whom its neighbour in the folder belongs to.
+
+    Raises:
+        MergeError: a folder or a file cannot be read.
+    """
+    found: dict[tuple[object, ...], SegmentFile] = {}
+    for folder in folders:
+        try:
+            read = [scan(path) for path in segment_paths(folder)]
+        except OSError as error:
+            raise MergeError(f"cannot read {error.filename or folder}: {error.strerror or error}") from None
+        known: About | None = next((each.about for each in read if each.about.robot), None)
+        for each in read:
+            known = each.about if each.about.robot else known
+            if known is None or not each.messages:
+                continue
+            mine = each if each.about.robot else replace(each, about=known)
+            key = (mine.about.fleet, mine.about.robot, mine.about.boot, each.path.name, mine.first_ns)
+            if key not in found or found[key].messages < mine.messages:
+                found[key] = mine
+    return list(found.values())
+
+
+_NOBODY: Final = About("", "", 0, "", "", 0, 0, "")
+
+
+def scan(path: Path) -> SegmentFile:
+    """What the heads of one segment tell, and its orders. Its robot is 0 where the first block is damaged.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    about, messages = _NOBODY, 0
+    stretches: list[tuple[int, int]] = []
+    losses: list[Loss] = []
+    told: dict[tuple[str, bytes], Told] = {}
+    with open(path, "rb") as stream:
+        segment = Segment(stream)
+        for block in segment.blocks():
+            if block.kind == ABOUT:
+                about = segment.about(block) or about
+                continue
+            if block.kind == KNOWN or block.flags & ORDERS:
+                wanted = order_keys(about.fleet, about.robot)
+                for received in segment.messages(block):
+                    if (about.robot and received[1] not in wanted) or received[1:] in told:
+                        continue  # orders are said again and again: the first time counts
+                    if (order := _order(received[2])) is not None:
+                        told[received[1:]] = Told(received, order)
+            if block.kind == KNOWN:
+                continue
+            messages += block.messages
+            if stretches and 0 <= block.first_ns - stretches[-1][1] < GAP_NS:
+                stretches[-1] = (stretches[-1][0], block.last_ns)
+            else:
+                stretches.append((block.first_ns, block.last_ns))
+            if block.lost or block.flags & OVERFLOW:
+                losses.append(Loss(block.first_ns, block.lost, bool(block.flags & OVERFLOW)))
+    return SegmentFile(path, about, messages, stretches, losses, list(told.values()))
+
+
+def _order(payload: bytes) -> Mission | Stop | Resume | None:
+    try:
+        message = decode(payload)
+    except Malformed:
+        return None
+    return message if isinstance(message, (Mission, Stop, Resume)) else None
+
+
+def by_time(
+    segments: Sequence[SegmentFile], since_ns: int, until_ns: int, damage: Damage
+) -> Iterator[Received]:
+    """The messages of all segments in the order of their reception, with a block of each robot in memory.
+
+    Raises:
+        MergeError: a file cannot be read.
+    """
+    waiting = sorted(segments, key=lambda segment: segment.first_ns, reverse=True)
+    heads: list[tuple[int, int, Received, Iterator[Received]]] = []
+    begun = 0
+    while waiting or heads:
+        while waiting and (not heads or waiting[-1].first_ns <= heads[0][0]):
+            messages = _messages(waiting.pop(), since_ns, until_ns, damage)
+            begun += 1
+            if (first := next(messages, None)) is not None:
+                heapq.heappush(heads, (first[0], begun, first, messages))
+        if heads:
+            _, number, received, messages = heads[0]
+            yield received
+            if (following := next(messages, None)) is not None:
+                heapq.heapreplace(heads, (following[0], number, following, messages))
+            else:
+                heapq.heappop(heads)
+
+
+def _messages(segment: SegmentFile, since_ns: int, until_ns: int, damage: Damage) -> Iterator[Received]:
+    try:
+        with open(segment.path, "rb") as stream:
+            reader = Segment(stream)
+            for block in reader.blocks():
+                if block.kind == MESSAGES and block.first_ns <= until_ns and block.last_ns >= since_ns:
+                    for received in reader.messages(block):
+                        if since_ns <= received[0] <= until_ns:
+                            yield received
+            damage.add(segment.about.robot, reader.damaged)
+    except OSError as error:
+        raise MergeError(f"cannot read {segment.path}: {error.strerror or error}") from None

@@ -1,0 +1,162 @@
+"""Recording on the robots: how much disk and CPU it takes, and what it costs the agent that it listens to.
+
+One fleet drives all the time; recorders come and go beside it, so that windows with and without them take
+turns and what else the machine does falls on both.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Final
+
+import tomli_w
+
+from agent.fleet import Fleet, load_fleet, to_dict
+from agent.formation import resolved
+from agent.segment_folder import segment_paths
+from agent.segments import MESSAGES, Segment
+from deploy.arguments import fleet_path
+from deploy.placing import place
+from tests.benchmarks.figures import Figure, Options, Result, spread, table
+from tests.benchmarks.processes import ROLES, Group, Observer, mean, pss_mb, start_handfast
+
+RECORDER: Final = "recorder"
+SETTLE_S: Final = 3.0
+DISK_MB: Final = 256
+"""`recording.max_mb` as it comes."""
+
+
+@dataclass
+class _Found:
+    """One figure per window."""
+
+    cpu: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    """CPU in per cent of a core, by what runs and beside what."""
+    rates: list[float] = field(default_factory=list)
+    """Bytes per second on one robot's disk."""
+    memory: list[float] = field(default_factory=list)
+    heard: list[float] = field(default_factory=list)
+    messages: list[float] = field(default_factory=list)
+
+
+def run(options: Options) -> Result:
+    fleet = resolved(load_fleet(fleet_path("delta")))
+    rounds, window_s = (2, 10.0) if options.quick else (5, 20.0)
+    found = _Found()
+    fleet, ports, _ = place(fleet)
+    try:
+        with tempfile.TemporaryDirectory(prefix="handfast-bench-") as name:
+            folder = Path(name)
+            fleet_file = folder / "fleet.toml"
+            fleet_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
+            with Group(folder) as robots:
+                start_handfast(robots, fleet, fleet_file)
+                with Observer(fleet, robots) as observer:
+                    observer.wait_alive()
+                    observer.drive()
+
+                    def beside(number: int) -> None:
+                        recordings = folder / str(number)
+                        with Group(folder) as recorders:
+                            _record(recorders, fleet, fleet_file, recordings)
+                            _measure(found, " with", fleet, observer, robots, recorders, recordings, window_s)
+                        _read(found, fleet, recordings)
+
+                    def alone(_: int) -> None:
+                        with Group(folder) as nobody:
+                            _measure(found, " without", fleet, observer, robots, nobody, folder, window_s)
+
+                    for number in range(rounds):
+                        # The order of the arms changes from round to round.
+                        for arm in (beside, alone) if number % 2 == 0 else (alone, beside):
+                            arm(number)
+    finally:
+        ports.close()
+    return _result(found)
+
+
+def _measure(
+    found: _Found,
+    arm: str,
+    fleet: Fleet,
+    observer: Observer,
+    robots: Group,
+    recorders: Group,
+    recordings: Path,
+    window_s: float,
+) -> None:
+    """One window, after all have settled."""
+    observer.watch(SETTLE_S)
+    stored, before, begun = _stored(fleet, recordings), _cpu(robots, recorders), time.monotonic()
+    observer.watch(window_s)
+    recorders.check()
+    after, took = _cpu(robots, recorders), time.monotonic() - begun
+    for role in ROLES:
+        found.cpu[role + arm].append(100.0 * (after[role] - before[role]) / took / len(fleet.ids))
+    pids = recorders.pids(RECORDER)
+    if pids:
+        found.cpu[RECORDER].append(100.0 * (after[RECORDER] - before[RECORDER]) / took / len(pids))
+        found.rates.append((_stored(fleet, recordings) - stored) / took / len(pids))
+        found.memory.append(mean(map(pss_mb, pids)))
+
+
+def _result(found: _Found) -> Result:
+    rate = median(found.rates)
+    figures = [
+        Figure("on the disk per robot", rate / 1e3, "kB/s", note=f"{median(found.messages):.0f} messages/s"),
+        Figure(f"{DISK_MB} MB hold", DISK_MB * 1e6 / rate / 3600.0, "h"),
+        Figure("bytes heard / bytes on the disk", median(found.heard)),
+        Figure("CPU of a recorder", median(found.cpu[RECORDER]), "% of a core"),
+        Figure("memory of a recorder", median(found.memory), "MB"),
+    ]
+    for role in ROLES:
+        pairs = zip(found.cpu[f"{role} with"], found.cpu[f"{role} without"], strict=True)
+        ratios = [beside / alone for beside, alone in pairs]
+        note = f"rounds {' '.join(f'{ratio:.2f}' for ratio in ratios)}"
+        figures.append(Figure(f"CPU of the {role}, with / without a recorder", median(ratios), note=note))
+    rows = [[name, spread(values)] for name, values in sorted(found.cpu.items())]
+    return Result(figures, table(["process", "CPU %"], rows))
+
+
+def _record(group: Group, fleet: Fleet, fleet_file: Path, recordings: Path) -> None:
+    for robot in fleet.ids:
+        command = [sys.executable, "-P", "-m", "agent.recorder_process", "--fleet", str(fleet_file)]
+        command += ["--robot", str(robot), "--folder", str(recordings / str(robot)), "--exit-with-parent"]
+        group.start(robot, RECORDER, command, {})
+
+
+def _cpu(robots: Group, recorders: Group) -> dict[str, float]:
+    used = {role: sum(map(_cpu_s, robots.pids(role))) for role in ROLES}
+    return used | {RECORDER: sum(map(_cpu_s, recorders.pids(RECORDER)))}
+
+
+def _cpu_s(pid: int) -> float:
+    """CPU that a process has used, s, to a hundredth: with that of threads that are gone, as Zenoh's go when
+    a peer does."""
+    user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
+def _stored(fleet: Fleet, recordings: Path) -> int:
+    folders = [recordings / str(robot) for robot in fleet.ids]
+    return sum(path.stat().st_size for each in folders if each.is_dir() for path in segment_paths(each))
+
+
+def _read(found: _Found, fleet: Fleet, recordings: Path) -> None:
+    """Bytes of keys and payloads to bytes on the disk, and messages a second, of each robot."""
+    for robot in fleet.ids:
+        for path in segment_paths(recordings / str(robot)):
+            with open(path, "rb") as stream:
+                segment = Segment(stream)
+                blocks = [block for block in segment.blocks() if block.kind == MESSAGES]
+                received = [each for block in blocks for each in segment.messages(block)]
+            heard = sum(len(key) + len(payload) for _, key, payload in received)
+            found.heard.append(heard / path.stat().st_size)
+            found.messages.append(len(received) / (received[-1][0] - received[0][0]) * 1e9)

@@ -1,0 +1,365 @@
+"""One run's folder out of what robots' computers recorded."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from agent import keys
+from agent.clock import NS_PER_S
+from agent.codec import encode
+from agent.fleet import Fleet, FleetError, digest, to_dict
+from agent.formation import resolved
+from agent.messages import Mission, PlantState, Resume, Stop
+from agent.robot_recorder import RobotRecorder, order_keys
+from agent.segment_folder import SegmentFolder, segment_paths
+from agent.segments import About, Received
+from deploy.merging import MARGIN_NS, Choice, Merged, merge
+from deploy.recording import Recording
+from deploy.report import rebuild
+from deploy.robot_recording import Damage, MergeError, by_time, segment_files
+from deploy.runfolder import FolderError
+from tests.unit.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
+
+FLEET = make_fleet(*triangle(2), duration_s=2.0)
+NAME = FLEET.fleet.name
+IDS = FLEET.ids
+MISSION = Mission(1, EPOCH_NS - NS_PER_S // 2, EPOCH_NS, 2 * NS_PER_S, digest(FLEET))
+
+
+def toml(fleet: Fleet) -> str:
+    return tomli_w.dumps(to_dict(fleet))
+
+
+def said(robot: int, fleet: Fleet = FLEET) -> Iterator[Received]:
+    """What a robot's agent and plant say during a drive, the mission as it tells it on."""
+    for received_ns, key, message in messages(fleet, in_formation(fleet, 0.3, calm_s=0.4)):
+        if isinstance(message, Mission):
+            yield received_ns, keys.told(NAME, robot), encode(MISSION)
+        elif message[0] == robot:
+            yield received_ns, key, encode(message)
+
+
+def shifted(sent: Iterable[Received], by_s: float) -> Iterator[Received]:
+    for received_ns, key, payload in sent:
+        yield received_ns + round(by_s * NS_PER_S), key, payload
+
+
+class Computer:
+    """A robot's computer, whose recorder can be ended at any time, and started again."""
+
+    def __init__(self, folder: Path, robot: int, fleet: Fleet = FLEET, *, version: str = "0.1.0") -> None:
+        self.folder, self.robot = folder / f"robot-{robot}", robot
+        text = toml(fleet)
+        self.about = About(fleet.fleet.name, digest(fleet), robot, version, "boot", 0, 0, text)
+
+    def record(self, sent: Iterable[Received], *, segments: int = 1, known: Iterable[Received] = ()) -> None:
+        sent = list(sent)
+        with SegmentFolder(self.folder, 1_000_000_000, 0) as folder:
+            orders = order_keys(self.about.fleet, self.robot)
+            recorder = RobotRecorder(folder, self.about, orders, known, lambda _: None)
+            for number, each in enumerate(sent):
+                if number and number % (len(sent) // segments + 1) == 0:
+                    recorder.flush(each[0])
+                    folder.end_segment()
+                recorder.flush_if_due(each[0])
+                recorder.add(*each)
+            recorder.flush(sent[-1][0])
+
+
+def record_all(
+    folder: Path, change: Callable[[int, list[Received]], list[Received]] | None = None
+) -> list[Path]:
+    """Every robot's computer records a drive; `change` what it hears."""
+    for robot in IDS:
+        heard = list(said(robot))
+        Computer(folder, robot).record(heard if change is None else change(robot, heard), segments=2)
+    return sorted(folder.iterdir())
+
+
+def merged(folders: list[Path], out: Path, choice: Choice | None = None) -> Merged:
+    """Without pictures, which take a second."""
+    return merge(folders, out, choice, report=False)
+
+
+def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
+    found = merge(record_all(tmp_path / "hosts"), tmp_path / "run")
+    assert found.warnings == ()
+    assert found.robots == IDS
+    assert found.metrics["verdict"] == {"passed": True, "reasons": [], "warnings": []}
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert (tmp_path / "run" / "fleet.toml").read_text() == toml(resolved(FLEET))
+    recording = Recording.from_folder(tmp_path / "run")
+    assert recording.epoch_ns == EPOCH_NS
+    assert recording.missions == (MISSION,)
+    for robot, data in recording.robots.items():
+        sent = [m for _, _, m in messages(FLEET, in_formation(FLEET, 0.3, calm_s=0.4))]
+        assert len(data.plant) == sum(isinstance(m, PlantState) and m.robot == robot for m in sent)
+    assert found.messages == sum(len(list(said(robot))) for robot in IDS)
+    assert rebuild(tmp_path / "run") == found.metrics
+
+
+def test_messages_are_in_order_of_their_reception(tmp_path: Path) -> None:
+    segments = segment_files(record_all(tmp_path / "hosts"))
+    times = [received[0] for received in by_time(segments, 0, 2**62, Damage())]
+    assert times == sorted(times)
+    assert len(times) == sum(len(list(said(robot))) for robot in IDS)
+
+
+def test_a_segment_from_before_a_clock_was_set_back_finds_its_place(tmp_path: Path) -> None:
+    computer = Computer(tmp_path, 1)
+    computer.record(shifted(said(1), 100.0))
+    computer.record(said(1))
+    times = [received[0] for received in by_time(segment_files([computer.folder]), 0, 2**62, Damage())]
+    assert times == sorted(times)
+    assert len(times) == 2 * len(list(said(1)))
+
+
+def test_the_last_mission_is_taken(tmp_path: Path) -> None:
+    """An earlier drive of the same fleet is left out, and what robots said long before and after."""
+    earlier = MISSION._replace(
+        version=0, time_ns=MISSION.time_ns - 100 * NS_PER_S, epoch_ns=EPOCH_NS - 100 * NS_PER_S
+    )
+
+    def both(robot: int, heard: list[Received]) -> list[Received]:
+        old = [(ns, key, encode(earlier) if "told" in key else payload) for ns, key, payload in heard]
+        return [*shifted(old, -100.0), *heard, *shifted(heard[1:], 50.0)]
+
+    folders = record_all(tmp_path / "hosts", both)
+    found = merged(folders, tmp_path / "last")
+    assert (found.since_ns, found.until_ns) == (EPOCH_NS - MARGIN_NS, EPOCH_NS + 2 * NS_PER_S + MARGIN_NS)
+    assert found.messages == sum(len(list(said(robot))) for robot in IDS)
+    assert found.warnings == ()
+    everything = merged(folders, tmp_path / "all", Choice(everything=True))
+    assert everything.messages == 3 * found.messages - len(IDS)
+    since = merged(folders, tmp_path / "since", Choice(until_ns=EPOCH_NS - 50 * NS_PER_S))
+    assert Recording.from_folder(since.folder).epoch_ns == earlier.epoch_ns
+
+
+@pytest.mark.parametrize(
+    ("resumed", "stops", "reasons"), [(IDS, [], 0), ((), [], 0), (IDS[:2], [7], 1), (None, [7], 1)]
+)
+def test_orders_from_before_that_still_hold(
+    tmp_path: Path, resumed: tuple[int, ...] | None, stops: list[int], reasons: int
+) -> None:
+    """The mission was told ten minutes ahead, in a segment that is gone, after a stop and perhaps its end."""
+    told_ns = EPOCH_NS - 700 * NS_PER_S
+    orders: list[Mission | Stop | Resume] = [
+        Stop(5, told_ns, "before the last"),
+        Resume(6, told_ns, ()),
+        Stop(7, told_ns, "lunch"),
+    ]
+    orders += [] if resumed is None else [Resume(8, told_ns, resumed)]
+    orders += [MISSION._replace(time_ns=told_ns)]
+    known = [(told_ns + number, keys.told(NAME, 1), encode(order)) for number, order in enumerate(orders)]
+    for robot in IDS:
+        Computer(tmp_path / "hosts", robot).record(list(said(robot))[1:], known=known if robot == 1 else ())
+    found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
+    recording = Recording.from_folder(tmp_path / "run")
+    assert recording.epoch_ns == EPOCH_NS
+    assert [stop.version for stop in recording.stops] == stops
+    assert [resume.version for resume in recording.resumes] == ([8] if stops and resumed else [])
+    assert len(found.metrics["verdict"]["reasons"]) >= reasons
+    assert found.metrics["verdict"]["passed"] is not bool(reasons)
+
+
+def test_a_mission_of_another_fleet_file_is_not_the_last(tmp_path: Path) -> None:
+    stray = MISSION._replace(version=9, epoch_ns=EPOCH_NS + 900 * NS_PER_S, digest="fedcba9876543210")
+
+    def with_stray(robot: int, heard: list[Received]) -> list[Received]:
+        return [*heard, (heard[-1][0], keys.told(NAME, robot), encode(stray))]
+
+    found = merged(record_all(tmp_path / "hosts", with_stray), tmp_path / "run")
+    assert found.since_ns == EPOCH_NS - MARGIN_NS
+
+
+# --- what is missing ------------------------------------------------------------------------------
+
+
+def test_a_robot_that_is_missing_is_named(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    found = merged(folders[:2], tmp_path / "run")
+    assert found.warnings == ("nothing that robot 3 recorded is here",)
+    assert found.metrics["verdict"]["warnings"][0] == "nothing that robot 3 recorded is here."
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == found.metrics
+    assert rebuild(tmp_path / "run") == found.metrics, "the recording itself says so"
+
+
+def test_gaps_are_named(tmp_path: Path) -> None:
+    def gap(robot: int, heard: list[Received]) -> list[Received]:
+        begin, end = EPOCH_NS + 200_000_000, EPOCH_NS + 1_400_000_000
+        return [each for each in heard if robot != 2 or not begin < each[0] < end]
+
+    found = merged(record_all(tmp_path / "hosts", gap), tmp_path / "run")
+    assert found.warnings == ("nothing was recorded of robot 2 from 0.2 s to 1.4 s",)
+
+
+def test_a_recording_that_ends_early_is_named(tmp_path: Path) -> None:
+    def cut(robot: int, heard: list[Received]) -> list[Received]:
+        return [each for each in heard if robot != 2 or each[0] < EPOCH_NS + NS_PER_S]
+
+    found = merged(record_all(tmp_path / "hosts", cut), tmp_path / "run")
+    (warning,) = found.warnings
+    assert warning == "nothing was recorded of robot 2 from 1.0 s to 2.2 s"
+
+
+def test_a_start_again_is_no_gap(tmp_path: Path) -> None:
+    for robot in IDS:
+        heard = list(said(robot))
+        computer = Computer(tmp_path / "hosts", robot)
+        computer.record(heard[:300])
+        computer.record(heard[320:])
+    found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
+    assert found.warnings == ()
+
+
+def test_damage_is_counted_and_the_rest_is_there(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    path = segment_paths(folders[1])[0]
+    data = bytearray(path.read_bytes())
+    data[-100] ^= 1  # in the last block
+    path.write_bytes(data)
+    found = merged(folders, tmp_path / "run")
+    assert "of robot 2's recording a damaged piece is left out" in found.warnings
+    whole = sum(len(list(said(robot))) for robot in IDS)
+    assert whole - 200 < found.messages < whole
+
+
+def test_a_segment_without_its_first_block_is_its_neighbours(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    for path, at in ((segment_paths(folders[0])[0], 20), (segment_paths(folders[1])[1], 60)):
+        data = bytearray(path.read_bytes())
+        data[at] ^= 1
+        path.write_bytes(data)
+    found = merged(folders, tmp_path / "run")
+    assert found.messages == sum(len(list(said(robot))) for robot in IDS)
+    assert found.metrics["verdict"]["reasons"] == []
+
+
+def test_a_cut_tail_is_no_more_than_what_is_missing(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    path = segment_paths(folders[1])[-1]
+    path.write_bytes(path.read_bytes()[:-7])
+    found = merged(folders, tmp_path / "run")
+    whole = sum(len(list(said(robot))) for robot in IDS)
+    assert whole - 200 < found.messages < whole
+    assert not any("damaged" in warning for warning in found.warnings)
+
+
+def test_what_a_disk_did_not_take_is_said(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    computer = Computer(tmp_path / "hosts", 2)
+    with SegmentFolder(computer.folder, 1_000_000_000, 0) as folder:
+        recorder = RobotRecorder(folder, computer.about, frozenset(), (), lambda _: None)
+        recorder.lost = 12
+        recorder.overflow()
+        recorder.add(EPOCH_NS, keys.hand(NAME, 2), b"not a message")
+        recorder.flush(EPOCH_NS)
+    found = merged(folders, tmp_path / "run")
+    assert found.warnings == (
+        "the disk of robot 2's computer did not take 12 messages",
+        "robot 2's recorder did not keep up: some messages are missing",
+    )
+
+
+# --- what is taken --------------------------------------------------------------------------------
+
+
+def test_copies_count_once_and_the_longer_one(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    copy = tmp_path / "earlier"
+    copy.mkdir()
+    for path in segment_paths(folders[0]):
+        (copy / path.name).write_bytes(path.read_bytes()[:-50])
+    found = merged([copy, *folders], tmp_path / "run")
+    assert found.messages == sum(len(list(said(robot))) for robot in IDS)
+
+
+def test_another_fleet_file_is_left_out_and_named(tmp_path: Path) -> None:
+    other = make_fleet(*triangle(2), duration_s=99.0)
+    for robot in IDS:
+        fleet = other if robot == 2 else FLEET
+        Computer(tmp_path / "hosts", robot, fleet).record(said(robot))
+    found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
+    assert found.robots == (1, 3)
+    assert found.warnings[0] == "robot 2 ran another fleet file in this time: its recording is left out"
+
+
+def test_without_a_mission_the_file_of_most_counts(tmp_path: Path) -> None:
+    other = make_fleet(*triangle(2), duration_s=99.0)
+    for robot in IDS:
+        fleet = other if robot == 3 else FLEET
+        Computer(tmp_path / "hosts", robot, fleet).record(list(said(robot))[1:])
+    found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
+    assert found.robots == (1, 2)
+    assert found.warnings[0] == "no mission was recorded: this is all that there is"
+
+
+def test_one_fleet_of_several(tmp_path: Path) -> None:
+    folders = record_all(tmp_path / "hosts")
+    later = make_fleet(*triangle(2), name="later")
+    Computer(tmp_path / "later", 1, later).record(shifted(said(1), 1000.0))
+    folders += sorted((tmp_path / "later").iterdir())
+    assert merged(folders, tmp_path / "named", Choice(fleet=NAME)).robots == IDS
+    with pytest.raises(MergeError, match=f"no recordings of a fleet none; there are some of later, {NAME}"):
+        merged(folders, tmp_path / "none", Choice(fleet="none"))
+    assert merged(folders, tmp_path / "newest").robots == (1,)
+
+
+def test_versions_that_differ_are_named(tmp_path: Path) -> None:
+    for robot in IDS:
+        Computer(tmp_path / "hosts", robot, version="0.2.0" if robot == 3 else "0.1.0").record(said(robot))
+    found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
+    assert found.warnings == ("robots had different versions of handfast: 0.1.0 on 1, 2; 0.2.0 on 3",)
+
+
+def test_nothing_there_is_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MergeError, match="no recordings of robots in what was given"):
+        merged([tmp_path / "empty"], tmp_path / "run")
+    with pytest.raises(MergeError, match=r"cannot read .*nowhere: No such file"):
+        merged([tmp_path / "nowhere"], tmp_path / "run")
+    folders = record_all(tmp_path / "hosts")
+    with pytest.raises(MergeError, match=r"nothing was recorded from 1970-.* until 1970-.*, only from 2025-"):
+        merged(folders, tmp_path / "run", Choice(since_ns=1, until_ns=NS_PER_S))
+    with pytest.raises(MergeError, match="the end is before the beginning"):
+        merged(folders, tmp_path / "run", Choice(since_ns=EPOCH_NS, until_ns=EPOCH_NS))
+    assert not (tmp_path / "run").exists()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "something").touch()
+    with pytest.raises(FolderError, match="is not empty"):
+        merged(folders, tmp_path / "run")
+
+
+def test_a_fleet_file_of_another_version(tmp_path: Path) -> None:
+    computer = Computer(tmp_path, 1)
+    computer.about = computer.about._replace(fleet_toml="[fleet]\nname = 'made-up'\nwarp = 9\n")
+    computer.record(said(1))
+    with pytest.raises(FleetError, match=r"the fleet file in .*segment"):
+        merged([computer.folder], tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_recordings(tmp_path: Path) -> None:
+    """Thirty times as much on the disk takes no more memory to put in order."""
+
+    def peak(times: int) -> int:
+        hosts = tmp_path / str(times)
+        for robot in IDS:
+            heard = list(said(robot))
+            for number in range(times):
+                Computer(hosts, robot).record(shifted(heard, 3.0 * number))
+        segments = segment_files(sorted(hosts.iterdir()))
+        tracemalloc.start()
+        count = sum(1 for _ in by_time(segments, 0, 2**62, Damage()))
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert count == times * sum(len(list(said(robot))) for robot in IDS)
+        return most
+
+    assert peak(30) < 1.5 * peak(1) + 100_000
