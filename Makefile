@@ -60,9 +60,10 @@ UV_COMPILE = $(VENV)/bin/uv pip compile --quiet --universal --python-version 3.1
 	--generate-hashes --no-build --no-annotate --no-emit-index-url --no-emit-find-links \
 	--custom-compile-command 'make lock' pyproject.toml
 lock: $(VENV)/.dev ## write requirements/*.txt again (UPGRADE=1: newest versions)
-	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) --all-extras --group pyproject.toml:build -o requirements/lock.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) --all-extras --group pyproject.toml:build --group pyproject.toml:bundle -o requirements/lock.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra operator --group pyproject.toml:build -o requirements/operator.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover -o requirements/rover.txt
+	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt --extra rover --extra security --group pyproject.toml:bundle -o deploy/robot_requirements.txt
 	$(UV_COMPILE) $(if $(UPGRADE),--upgrade) -c requirements/lock.txt -o requirements/core.txt
 
 setup: $(VENV)/.dev ## make .venv with everything a developer needs

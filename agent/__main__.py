@@ -16,8 +16,9 @@ def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
     fleet = resolved(fleet)
     agent = Agent(fleet, robot)
     # To all, not only to its neighbours: everybody hears everybody's beacons, and peers do not relay.
-    connect = [fleet.agent_endpoint(other) for other in fleet.ids[: fleet.index(robot)]]
-    return Start(agent, [fleet.agent_endpoint(robot)], connect)
+    others = fleet.ids[: fleet.index(robot)] if not fleet.network.routers else ()
+    connect = [fleet.agent_endpoint(other) for other in others]
+    return Start(agent, [fleet.agent_listens(robot)], connect)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,17 @@ from __future__ import annotations
 import ctypes
 import json
 import os
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
 from types import TracebackType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import zenoh
 
+from agent.access import Security
 from agent.node import INBOX_SIZE
+
+Mode = Literal["peer", "client", "router"]
 
 PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `messages.BYTES_MAX`, so that most are counted."""
@@ -38,14 +42,20 @@ class BusError(RuntimeError):
     """The bus cannot be opened; the text says which endpoint and why."""
 
 
-def _config(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
-    """A peer on explicit endpoints: no multicast, no gossip, so links are those that were asked for."""
+def settings_of(
+    mode: Mode, listen: Sequence[str], connect: Sequence[str], security: Security | None
+) -> dict[str, Any]:
+    """Zenoh's settings, by their paths in its configuration.
+
+    Explicit endpoints only: no multicast, no gossip, so links are those that were asked for.
+    """
     settings: dict[str, Any] = {
-        "mode": "peer",
+        "mode": mode,
         "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
+        **({"connect/timeout_ms": OPEN_TIMEOUT_MS} if mode == "client" else {}),
         "connect/retry": {
             "period_init_ms": RETRY_MS[0],
             "period_max_ms": RETRY_MS[1],
@@ -71,10 +81,21 @@ def _config(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
             }
         ],
     }
+    if security is not None:
+        settings |= security.settings()
+    return settings
+
+
+def _config(settings: dict[str, Any]) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def init_log(wanted: str) -> None:
+    """Has Zenoh log what `wanted` says, as ``RUST_LOG`` would, unless the environment says otherwise."""
+    zenoh.init_log_from_env_or(wanted)
 
 
 def _share_heap() -> None:
@@ -89,35 +110,80 @@ def _share_heap() -> None:
         mallopt(M_ARENA_MAX, 1)
 
 
+def _open(mode: Mode, listen: Sequence[str], connect: Sequence[str], security: Security | None) -> Any:
+    """A session; raises `BusError`."""
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+    _share_heap()
+    try:
+        return zenoh.open(_config(settings_of(mode, listen, connect, security)))
+    except zenoh.ZError as error:
+        text = str(error)
+    if mode == "client":
+        raise BusError(f"no router answers at {' or '.join(connect)}")
+    where = ", ".join(listen)
+    if "os error 98" in text or "in use" in text:
+        raise BusError(
+            f"cannot listen on {where}: the port is in use; stop what uses it, "
+            "or set another [network] base_port"
+        )
+    if "os error 99" in text or "assign requested address" in text:
+        raise BusError(f"cannot listen on {where}: this machine does not have that address")
+    raise BusError(f"cannot open the bus on {where}: {text.split(' at ')[0]}")
+
+
+def _open_client(routers: Sequence[str], security: Security | None, go_on_waiting: Callable[[], bool]) -> Any:
+    """A session with the first router that answers. One that was there once is waited for by Zenoh itself."""
+    while True:
+        try:
+            return _open("client", [], routers, security)
+        except BusError:
+            if not go_on_waiting():
+                raise
+        time.sleep(RETRY_MS[1] / 1000)
+
+
 class Bus:
-    """One session on the bus. Use it as a context manager: a session left open hangs the interpreter.
+    """On the bus. Use it as a context manager: a session left open hangs the interpreter.
+
+    Without routers it is one session, a peer of those it connects to and of those that connect to it. With
+    routers it is a client of one of them for all that concerns others; what is between the processes of one
+    robot goes directly, over a session of its own: a robot must not lose its body with its network.
 
     Args:
         listen: endpoints such as ``tcp/127.0.0.1:7600`` that others connect to.
         connect: endpoints of others; those not there yet are tried again until they are.
+        routers: endpoints of routers; the first that answers is taken.
+        near: keys that come directly from this robot's own processes, though there are routers.
+        security: how links are secured, None for not at all.
+        go_on_waiting: asked whether to try again when no router answers.
 
     Raises:
-        BusError: an endpoint cannot be listened on.
+        BusError: an endpoint cannot be listened on, or no router answers.
     """
 
-    def __init__(self, *, listen: Sequence[str], connect: Sequence[str]) -> None:
-        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
-        _share_heap()
+    def __init__(
+        self,
+        *,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        routers: Sequence[str] = (),
+        near: Collection[str] = (),
+        security: Security | None = None,
+        go_on_waiting: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._sessions: list[Any] = []
+        self._near_keys = near
         try:
-            self._session = zenoh.open(_config(listen, connect))
-        except zenoh.ZError as error:
-            text = str(error)
-            where = ", ".join(listen)
-            if "os error 98" in text or "in use" in text:
-                raise BusError(
-                    f"cannot listen on {where}: the port is in use; stop what uses it, "
-                    "or set another [network] base_port"
-                ) from None
-            if "os error 99" in text or "assign requested address" in text:
-                raise BusError(f"cannot listen on {where}: this machine does not have that address") from None
-            raise BusError(f"cannot open the bus on {where}: {text.split(' at ')[0]}") from None
+            if listen or connect or not routers:
+                self._sessions.append(_open("peer", listen, connect, security))
+            if routers:
+                self._sessions.append(_open_client(routers, security, go_on_waiting))
+        except BaseException:
+            self.close()
+            raise
+        self._near, self._far = self._sessions[0], self._sessions[-1]
         self._inboxes: dict[str, tuple[str, Any, int]] = {}
-        self._publishers: dict[str, Any] = {}
+        self._publishers: dict[str, list[Any]] = {}
         self._tokens: list[Any] = []
 
     def __enter__(self) -> Bus:
@@ -130,12 +196,14 @@ class Bus:
 
     def close(self) -> None:
         """Leaves the bus; safe to call twice."""
-        if not self._session.is_closed():
-            self._session.close()  # type: ignore[no-untyped-call]
+        for session in self._sessions:
+            if not session.is_closed():
+                session.close()
 
     def subscribe(self, key: str, inbox_size: int = INBOX_SIZE) -> None:
         """Listens to `key`, which may hold wildcards; messages wait for `drain`."""
-        subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(inbox_size))
+        session = self._near if key in self._near_keys else self._far
+        subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(inbox_size))
         self._inboxes[key] = "" if "*" in key else key, subscriber, inbox_size
 
     def listen(self, subscriptions: Sequence[str]) -> None:
@@ -149,23 +217,25 @@ class Bus:
 
     def announce(self, key: str) -> None:
         """Declares the liveliness token `key`; it goes when this process does."""
-        self._tokens.append(self._session.liveliness().declare_token(key))
+        self._tokens += [session.liveliness().declare_token(key) for session in self._sessions]
 
     def watch(self, key: str) -> Presence:
         """Watches the liveliness tokens that match `key`."""
         return Presence(
-            self._session.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(4096), history=True)
+            self._far.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(4096), history=True)
         )
 
     def declare(self, key: str) -> None:
         """Prepares to publish on `key`. A full link drops messages rather than stall the loop."""
-        self._publishers[key] = self._session.declare_publisher(
-            key, congestion_control=zenoh.CongestionControl.DROP
-        )
+        self._publishers[key] = [
+            session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+            for session in self._sessions
+        ]
 
     def publish(self, key: str, payload: bytes) -> None:
         """Publishes on a key that was declared."""
-        self._publishers[key].put(payload)
+        for publisher in self._publishers[key]:
+            publisher.put(payload)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
@@ -174,6 +244,36 @@ class Bus:
                 if (sample := subscriber.try_recv()) is None:
                     break
                 yield key or str(sample.key_expr), sample.payload.to_bytes()
+
+
+class Router:
+    """A router of a fleet: passes on what its clients say to those who listen. A context manager.
+
+    Args:
+        listen: endpoints that clients connect to.
+        connect: endpoints of other routers.
+        security: as of a `Bus`.
+
+    Raises:
+        BusError: an endpoint cannot be listened on.
+    """
+
+    def __init__(self, listen: Sequence[str], connect: Sequence[str], security: Security | None) -> None:
+        self._session = _open("router", listen, connect, security)
+
+    def __enter__(self) -> Router:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session.close()
+
+    def watch(self, key: str) -> Presence:
+        """See `Bus.watch`."""
+        return Presence(
+            self._session.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(4096), history=True)
+        )
 
 
 class Presence:

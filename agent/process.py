@@ -8,17 +8,24 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
+from agent import keys
 from agent.bus import Bus, BusError
 from agent.clock import NS_PER_S, Clock, RealClock
+from agent.credentials import CredentialsError
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, FleetError, load_fleet
+from agent.identity import of_robot
 from agent.node import Node, Ticks
+from agent.sealed_bus import bus_for
+from agent.service import Service
 
 LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was told to end has this long to bring its robot to a standstill."""
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
+FAILED, BAD_INPUT = 1, 2
 
 Log = Callable[[str], None]
 
@@ -57,7 +64,7 @@ class Shutdown:
             self.asked, self.why = True, "the process that started it is gone"
 
 
-def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> None:
+def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: Service) -> None:
     """Ticks `node` at absolute deadlines (`agent.node.Ticks`) until it has been asked to end and is done.
 
     Wakes at the deadline, drains the bus, ticks, publishes. A tick is told the time of its
@@ -83,6 +90,7 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> No
             node.receive(now_ns, key, payload)
         if shutdown.asked and leave_by_ns is None:
             log(f"ending ({shutdown.why})")
+            service.stopping()
             node.leave()
             leave_by_ns = now_ns + LEAVE_TIMEOUT_NS
         outgoing = node.tick(now_ns)
@@ -92,6 +100,8 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> No
         if node.condition[0] != state:
             state, reason = node.condition
             log(f"{state}: {reason}" if reason else state)
+            service.says(f"{state}: {reason}" if reason else state)
+        service.lives(start_ns)
         if leave_by_ns is not None and (node.done or now_ns >= leave_by_ns):
             return
         if now_ns >= parent_due_ns:
@@ -111,11 +121,54 @@ def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> N
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
-    loop(node, bus, clock, shutdown, log)
+    with Service() as service:
+        service.ready()
+        loop(node, bus, clock, shutdown, log, service)
     if node.rejected:
         reasons = sorted(((count, name) for name, count in node.rejected.items()), reverse=True)
         shown = ", ".join(f"{count} {name}" for count, name in reasons)
         log(f"ignored {sum(node.rejected.values())} messages that were not valid: {shown}")
+
+
+def robot_arguments(program: str, description: str) -> argparse.ArgumentParser:
+    """Of the command line of every process of a robot."""
+    parser = argparse.ArgumentParser(prog=program, description=description)
+    parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
+    parser.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot in that file")
+    parser.add_argument("--keys", metavar="DIR", help="folder of the robot's key and certificates")
+    parser.add_argument(
+        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
+    )
+    return parser
+
+
+def logger(robot: int, role: str) -> Log:
+    """Writes lines of a process's log."""
+
+    def log(text: str) -> None:
+        print(f"robot {robot} {role}: {text}", file=sys.stderr, flush=True)
+
+    return log
+
+
+def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any) -> Bus:
+    """The bus of one of a robot's processes: see `agent.sealed_bus.bus_for`.
+
+    Raises:
+        agent.bus.BusError: it cannot be opened.
+        StartError: the fleet is secured and the robot's certificate cannot be used.
+    """
+    if not fleet.is_secured:
+        return bus_for(fleet, None, None, log, **bus)
+    if folder is None:
+        raise StartError(
+            "this fleet is secured: give the folder of the robot's key and certificates, --keys DIR, or set "
+            'network.security = "off"'
+        )
+    try:
+        return bus_for(fleet, of_robot(fleet.fleet.name, robot), Path(folder), log, **bus)
+    except CredentialsError as error:
+        raise StartError(str(error)) from None
 
 
 def main(
@@ -130,34 +183,39 @@ def main(
         start: makes the process's part from the fleet, the robot's id, the clock and what writes a line
             of the log. May raise `FleetError` or `StartError`.
 
-    Returns the exit status: 0 when it was asked to end, 2 for bad input.
+    Returns the exit status: 0 when it was asked to end, 1 when the bus cannot be opened now, 2 for bad input.
     """
-    parser = argparse.ArgumentParser(prog=program, description=f"The {role} of one robot of a fleet.")
-    parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
-    parser.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot in that file")
+    parser = robot_arguments(program, f"The {role} of one robot of a fleet.")
     parser.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="A.B=V", help="override a field"
     )
     parser.add_argument("--law", help="preset of the control law: paper, edge, joint or penalty")
-    parser.add_argument(
-        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
-    )
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
-
-    def log(text: str) -> None:
-        print(f"robot {options.robot} {role}: {text}", file=sys.stderr, flush=True)
+    log = logger(options.robot, role)
 
     try:
         fleet = load_fleet(options.fleet, options.overrides, options.law)
         clock = RealClock(*FaultPlan(fleet).clock(options.robot))
         node, listen, connect, close = start(fleet, options.robot, clock, log)
         try:
-            with Bus(listen=listen, connect=connect) as bus:
+            with open_bus(
+                fleet,
+                options.robot,
+                options.keys,
+                log,
+                listen=listen,
+                connect=connect,
+                near=keys.near(fleet.fleet.name, options.robot),
+                go_on_waiting=lambda: not shutdown.asked,
+            ) as bus:
                 serve(node, bus, clock, shutdown, log)
         finally:
             close()
-    except (FleetError, BusError, StartError) as error:
+    except (FleetError, StartError) as error:
         log(str(error))
-        return 2
+        return BAD_INPUT
+    except BusError as error:
+        log(str(error))
+        return FAILED
     return 0

@@ -1,7 +1,8 @@
-"""``python -m plant --fleet FILE --robot ID [--pose=X,Y,HEADING]``: a simulated body as a process.
+"""``python -m plant --fleet FILE --robot ID``: a simulated body as a process.
 
-With ``--pose`` (m, m, W; rad, counter-clockwise from x) it stands there, instead of where the fleet file
-has it start: so a process that starts again finds its body where it was.
+It stands where the fleet file has it start; with ``--pose=X,Y,HEADING`` (m, m, W; rad, counter-clockwise from
+x) there; with ``--pose-file FILE`` where that says it stood last. So a process that starts again finds its
+body where it was.
 """
 
 from __future__ import annotations
@@ -10,16 +11,16 @@ import argparse
 import sys
 from collections.abc import Sequence
 from math import isfinite
+from pathlib import Path
 
 from agent.clock import Clock
 from agent.fleet import Fleet
 from agent.messages import FLOAT_MAX
-from agent.process import Log
+from agent.process import Log, StartError
+from plant.backend import PlantBackend
 from plant.server import main as serve
-from plant.unicycle import Unicycle, from_fleet
-
-Place = tuple[float, float, float]
-"""x, y (m, W), heading (rad)."""
+from plant.standing import Place, Standing, StandingBody, StandingError
+from plant.unicycle import from_fleet
 
 
 def place(text: str) -> Place:
@@ -43,10 +44,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process; returns its exit status."""
     parser = argparse.ArgumentParser(prog="python -m plant", add_help=False, allow_abbrev=False)
     parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
+    parser.add_argument("--pose-file", type=Path, metavar="FILE")
     options, rest = parser.parse_known_args(argv)
 
-    def make(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Unicycle:
-        return from_fleet(fleet, robot, options.pose)
+    def make(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> PlantBackend:
+        if options.pose_file is None:
+            return from_fleet(fleet, robot, options.pose)
+        try:
+            standing = Standing(options.pose_file)
+        except StandingError as error:
+            raise StartError(str(error)) from None
+        return StandingBody(from_fleet(fleet, robot, options.pose or standing.place), standing)
 
     return serve(rest, "python -m plant", make)
 

@@ -54,8 +54,8 @@ SECONDS = 8.0
 # ---------------------------------------------------------------------- what cannot be opened
 
 
-def agent_fails(folder: Path, fleet: Fleet, robot: int, role: str = "agent") -> str:
-    """Starts one process that must end with status 2; what it says."""
+def agent_fails(folder: Path, fleet: Fleet, robot: int, role: str = "agent", status: int = 1) -> str:
+    """Starts one process that must end with that exit status; what it says."""
     file = folder / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet)))
     done = subprocess.run(
@@ -66,7 +66,7 @@ def agent_fails(folder: Path, fleet: Fleet, robot: int, role: str = "agent") -> 
         text=True,
         timeout=10.0,
     )
-    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert (done.returncode, done.stdout) == (status, ""), done.stderr
     assert len(done.stderr.splitlines()) == 1, done.stderr
     assert "Traceback" not in done.stderr
     assert ".rs" not in done.stderr, "the library's source paths say nothing to a user"
@@ -105,7 +105,7 @@ def test_address_of_another_machine(tmp_path: Path) -> None:
 @pytest.mark.parametrize("role", keys.ROLES)
 def test_robot_that_the_fleet_lacks(tmp_path: Path, role: str) -> None:
     with placed(make_fleet()) as fleet:
-        says = agent_fails(tmp_path, fleet, 7, role)
+        says = agent_fails(tmp_path, fleet, 7, role, status=2)
     assert says.startswith(f"robot 7 {role}: ")
     assert "7" in says.partition(": ")[2]
 
@@ -184,7 +184,8 @@ class Hostile:
         self._pause_s = pause_s
         name, ids = fleet.fleet.name, [*fleet.ids]
         of_robot = (
-            keys.hand, keys.beacon, keys.status, keys.plant_state, keys.plant_truth, keys.wrench, keys.checks,
+            keys.hand, keys.beacon, keys.told, keys.status, keys.plant_state, keys.plant_truth, keys.wrench,
+            keys.checks,
         )  # fmt: skip
         self._keys = [
             *(of(name, robot) for of in of_robot for robot in ids),
@@ -216,7 +217,7 @@ class Hostile:
     def __enter__(self) -> Hostile:
         # Its own configuration would do; the product's keeps it to the endpoints that it is told.
         self._bus = Bus(listen=[], connect=self._endpoints)
-        self._session: Any = self._bus._session
+        self._session: Any = self._bus._far
         # A session hears itself, and peers do not relay: a second one hears the fleet and no garbage.
         self._ear = Bus(listen=[], connect=self._endpoints)
         self._ear.subscribe(f"{self._keys[0].partition('/')[0]}/**", 4096)
@@ -241,7 +242,7 @@ class Hostile:
             self._failure = error
 
     def _put(self, key: str, payload: bytes) -> None:
-        self._session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
+        self._far.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
         self.sent += 1
 
     def _round(self) -> None:

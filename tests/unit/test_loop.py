@@ -13,6 +13,7 @@ from agent.codec import decode, encode
 from agent.fleet import digest, parse_fleet
 from agent.messages import Mission, PlantState
 from agent.process import Shutdown, loop
+from agent.service import Service
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 
@@ -92,7 +93,7 @@ def looped(
     mission = Mission(1, T0, T0 + NS_PER_S, 60 * NS_PER_S, digest(fleet))
     wire = Wire(clock, {T0 + 2 * PERIOD: ("two/mission", encode(mission))})
     said: list[str] = []
-    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(ticks)), said.append)
+    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(ticks)), said.append, Service({}))
     return node, clock, wire.stamps, said
 
 

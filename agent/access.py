@@ -1,0 +1,141 @@
+"""Who may say what on the bus: Zenoh's settings for mutual TLS and access control (PURE).
+
+Every process checks what comes in over each of its links, by the common name of the certificate at the other
+end: all is denied but what is listed here. Rules that deny leak (wildcards go round them), so there are none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from agent import keys
+from agent.identity import MAIN, Identity, of_operator, of_robot, of_router
+
+_OUT: Final = "out"
+_LISTEN: Final = "listen"
+_EVERYTHING: Final = (
+    "put", "delete", "query", "reply", "declare_subscriber", "declare_queryable", "liveliness_token",
+    "liveliness_query", "declare_liveliness_subscriber",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Security:
+    """What a process needs to take part in a secured fleet: who it is, its files, and who else there is.
+
+    Args:
+        identity: its own.
+        authority, certificate, key: paths of its files; `agent.credentials.load` finds them whole.
+        robots: ids of the fleet's robots.
+        operators, routers: names of those that there may be.
+    """
+
+    identity: Identity
+    authority: str
+    certificate: str
+    key: str
+    robots: tuple[int, ...]
+    operators: tuple[str, ...] = (MAIN,)
+    routers: tuple[str, ...] = (MAIN,)
+
+    def settings(self) -> dict[str, Any]:
+        """Zenoh's settings, by their paths in its configuration."""
+        return {
+            "transport/link/tls": tls_settings(self.authority, self.certificate, self.key),
+            "access_control": access_settings(self.identity.fleet, self.robots, self.operators, self.routers),
+        }
+
+
+def tls_settings(authority: str, certificate: str, key: str) -> dict[str, Any]:
+    """TLS on every link, where both ends prove who they are; the one that dials checks the address, too."""
+    return {
+        "root_ca_certificate": authority,
+        "listen_certificate": certificate,
+        "listen_private_key": key,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
+        "enable_mtls": True,  # left out, a listener lets those in who have no certificate
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }
+
+
+def access_settings(
+    fleet: str,
+    robots: Iterable[int],
+    operators: Sequence[str] = (MAIN,),
+    routers: Sequence[str] = (MAIN,),
+) -> dict[str, Any]:
+    """What each of the fleet's certificates may say; the same for agents, plants, operators and routers.
+
+    A robot says what is under its own keys, and that it is alive. Operators give orders. A router passes on
+    what others say: it has the same list, and has looked already. All may listen to all of the fleet.
+
+    Raises:
+        agent.identity.IdentityError: a name or id that no certificate can have.
+    """
+    rules: list[dict[str, Any]] = [
+        # Nothing is held back of what goes out: who listens was let in with a certificate of the fleet.
+        _rule(_OUT, _EVERYTHING, ["**"], flow="egress"),
+        _rule(
+            _LISTEN,
+            ("declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"),
+            [keys.everything(fleet)],
+        ),
+    ]
+    subjects: list[dict[str, Any]] = [{"id": "any"}]
+    policies: list[dict[str, Any]] = [{"rules": [_OUT], "subjects": ["any"]}]
+
+    def allow(
+        group: str, members: Sequence[Identity], may_put: Sequence[str], may_live: Sequence[str]
+    ) -> None:
+        if not members:
+            return
+        names = [member.common_name for member in members]
+        subjects.append({"id": group, "cert_common_names": names})
+        allowed = [_LISTEN]
+        for kind, where in (("put", may_put), ("liveliness_token", may_live)):
+            if where:
+                rules.append(_rule(f"{group} {kind}", (kind,), where))
+                allowed.append(f"{group} {kind}")
+        policies.append({"rules": allowed, "subjects": [group]})
+
+    for robot in robots:
+        own = keys.status(fleet, robot).rpartition("/")[0]
+        allow(
+            f"robot {robot}",
+            [of_robot(fleet, robot)],
+            [keys.everything(own)],
+            [keys.alive(fleet, robot, "*")],
+        )
+    allow("operators", [of_operator(fleet, name) for name in operators], _orders(fleet), [])
+    all_of_it = [keys.everything(fleet)]
+    allow("routers", [of_router(fleet, name) for name in routers], all_of_it, all_of_it)
+    return {
+        "enabled": True,  # left out, there is no access control, and no warning
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _orders(fleet: str) -> list[str]:
+    return [
+        key(fleet)
+        for key in (
+            keys.mission, keys.stop, keys.resume, keys.faults, keys.heartbeat, keys.ask, keys.events,
+        )
+    ]  # fmt: skip
+
+
+def _rule(name: str, messages: Sequence[str], where: Sequence[str], flow: str = "ingress") -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(where),
+    }

@@ -1,0 +1,253 @@
+"""What one process proves with who it is: a private key, the certificate for it, the fleet's authority.
+
+Three files in a folder that only one user can look into. The private key is made where it is used and never
+leaves; a request for a certificate goes to the operator's authority (`deploy.authority`), which signs it.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from agent import key_files
+from agent.certificates import (
+    Certificate,
+    CertificateError,
+    authority_from_pem,
+    fingerprint,
+    issued_from_pem,
+    key_from_pem,
+    needs_cryptography,
+    new_key,
+    new_request,
+    pem_of,
+    pem_of_key,
+    same_key,
+)
+from agent.identity import Identity
+from agent.key_files import KeyFileError
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+
+RENEW_DAYS: Final = 30
+"""A certificate with fewer days left is renewed when there is an opportunity."""
+T = TypeVar("T")
+_PEM_CERTIFICATE: Final = re.compile(
+    rb"-----BEGIN CERTIFICATE-----[A-Za-z0-9+/=\s]{1,16000}-----END CERTIFICATE-----"
+)
+
+
+class CredentialsError(ValueError):
+    """Credentials that cannot be used or made; the text says which file, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Where the credentials of `identity` are."""
+
+    folder: Path
+    identity: Identity
+
+    @property
+    def authority(self) -> Path:
+        """The certificate of the fleet's authority."""
+        return self.folder / "ca.crt"
+
+    @property
+    def certificate(self) -> Path:
+        return self.folder / f"{self.identity.common_name}.crt"
+
+    @property
+    def key(self) -> Path:
+        return self.folder / f"{self.identity.common_name}.key"
+
+    @property
+    def next_key(self) -> Path:
+        """The key of a request that has not been answered."""
+        return self.folder / f"{self.identity.common_name}.next.key"
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """Credentials that were found to be whole and valid."""
+
+    files: Files
+    certificate: Certificate
+    key: EllipticCurvePrivateKey = field(repr=False)
+    authority: x509.Certificate = field(repr=False)
+
+    @property
+    def identity(self) -> Identity:
+        return self.certificate.identity
+
+    @property
+    def authority_fingerprint(self) -> str:
+        """Tells one authority, or generation of it, from another: SHA-256 of its certificate."""
+        return fingerprint(self.authority)
+
+
+def load(folder: Path, identity: Identity, now_s: float) -> Credentials:
+    """The credentials of `identity` in `folder`.
+
+    Args:
+        now_s: the present, wall time.
+
+    Raises:
+        CredentialsError: a file is missing, can be read by others, does not belong to the others, is not the
+            authority's work, or the certificate is not valid now.
+    """
+    found = _load(Files(folder, identity))
+    try:
+        found.certificate.check_time(now_s)
+    except CertificateError as error:
+        raise CredentialsError(f"{found.files.certificate}: {error}") from None
+    return found
+
+
+def make_request(folder: Path, identity: Identity) -> bytes:
+    """A certificate signing request (PEM) for a new key of `identity`; the folder is made if need be.
+
+    The key waits beside the one in use until `store` brings the certificate; asked again meanwhile, the
+    request is for the same key.
+
+    Raises:
+        CredentialsError: a file cannot be read or written.
+    """
+    files = Files(folder, identity)
+    try:
+        needs_cryptography()
+        key_files.private_directory(folder)
+        key = _waiting(files)
+        if key is None:
+            key = new_key()
+            key_files.write(files.next_key, pem_of_key(key), private=True)
+        return new_request(key, identity)
+    except (KeyFileError, CertificateError) as error:
+        raise CredentialsError(str(error)) from None
+
+
+def store(folder: Path, identity: Identity, bundle: bytes, now_s: float) -> Credentials:
+    """Takes what the authority answered, once it is found to be right.
+
+    Args:
+        bundle: two certificates (PEM): the one for the key of `make_request`, or of the key that is in use,
+            and the authority's.
+
+    Raises:
+        CredentialsError: it is not; what was there before is then still there.
+    """
+    files = Files(folder, identity)
+    parts = _PEM_CERTIFICATE.findall(bundle)
+    if len(parts) != 2:
+        raise CredentialsError(
+            f"{identity}: {len(parts)} certificates came, not two: its own and the authority's"
+        )
+    try:
+        authority = authority_from_pem(parts[1])
+        certificate = issued_from_pem(parts[0], authority)
+        certificate.check_time(now_s)
+    except CertificateError as error:
+        raise CredentialsError(f"the certificate for {identity}: {error}") from None
+    if certificate.identity != identity:
+        raise CredentialsError(f"the certificate for {identity} is one of {certificate.identity.common_name}")
+    try:
+        waiting = _waiting(files)
+        if waiting is not None and same_key(waiting, certificate):
+            key_files.move(files.next_key, files.key)
+        else:
+            key = key_from_pem(key_files.read(files.key, private=True))
+            if not same_key(key, certificate):
+                raise CredentialsError(f"the certificate for {identity} is not for its key {files.key}")
+        key_files.write(files.certificate, parts[0] + b"\n")
+        key_files.write(files.authority, pem_of(authority))
+    except (KeyFileError, CertificateError) as error:
+        raise CredentialsError(str(error)) from None
+    return load(folder, identity, now_s)
+
+
+def wanting(
+    folder: Path, identity: Identity, addresses: Sequence[str], authority_pem: bytes | None, now_s: float
+) -> str:
+    """Why `identity` needs a new certificate, "" when it does not.
+
+    Args:
+        addresses: as `agent.identity.addresses` gives them; those that its certificate must hold for.
+        authority_pem: the fleet's authority, None when it is the one that is known already.
+
+    Raises:
+        CredentialsError: `authority_pem` is none, or a file is there that others can read.
+    """
+    files = Files(folder, identity)
+    wanted = None
+    try:
+        if authority_pem is not None:
+            wanted = fingerprint(authority_from_pem(authority_pem))
+    except CertificateError as error:
+        raise CredentialsError(f"the authority's certificate: {error}") from None
+    if not (files.key.exists() and files.certificate.exists() and files.authority.exists()):
+        return "it has none yet"
+    if files.key.stat().st_mode & 0o077:
+        raise CredentialsError(f"others may read the private key {files.key}: chmod 600 {files.key}")
+    try:
+        found = _load(files)
+    except CredentialsError as error:
+        return f"what is there cannot be used: {error}"
+    if wanted is not None and found.authority_fingerprint != wanted:
+        return "the authority is another one now"
+    missing = sorted(set(addresses) - set(found.certificate.addresses))
+    if missing:
+        return f"it does not hold for {', '.join(missing)}"
+    days = found.certificate.days_left(now_s)
+    if now_s < found.certificate.not_before_s:
+        return "it is not valid yet by this machine's clock"
+    if days <= RENEW_DAYS:
+        return "it has expired" if days <= 0 else f"it expires in {int(days)} days"
+    return ""
+
+
+def _load(files: Files) -> Credentials:
+    authority = _parsed(files, files.authority, authority_from_pem)
+    certificate = _parsed(files, files.certificate, lambda data: issued_from_pem(data, authority))
+    key = _parsed(files, files.key, key_from_pem)
+    if certificate.identity != files.identity:
+        raise CredentialsError(f"{files.certificate} is one of {certificate.identity.common_name}")
+    if not same_key(key, certificate):
+        raise CredentialsError(f"{files.certificate} is not for the key {files.key}")
+    return Credentials(files, certificate, key, authority)
+
+
+def _parsed(files: Files, path: Path, parse: Callable[[bytes], T]) -> T:
+    try:
+        return parse(key_files.read(path, private=path == files.key))
+    except KeyFileError as error:
+        raise CredentialsError(_advised(error, files)) from None
+    except CertificateError as error:
+        raise CredentialsError(f"{path}: {error}") from None
+
+
+def _advised(error: KeyFileError, files: Files) -> str:
+    if files.folder.is_dir() and files.key.exists():
+        return str(error)
+    return f"{files.identity} of {files.identity.fleet} has no certificate: {error}"
+
+
+def _waiting(files: Files) -> EllipticCurvePrivateKey | None:
+    if not files.next_key.exists():
+        return None
+    data = key_files.read(files.next_key, private=True)
+    try:
+        return key_from_pem(data)
+    except CertificateError:
+        return None  # nothing depends on it yet: another one is made
+
+
+if __name__ == "__main__":
+    from agent.credentials_command import main
+
+    sys.exit(main())

@@ -1,0 +1,138 @@
+"""The bus of a secured fleet: links prove who is at their ends, and orders who gave them.
+
+What an order says is for an operator to say, whoever passes it on: it comes sealed (`agent.seal`), is opened
+here, and those behind this never see one that is not genuine. A robot that says an order again says the
+operator's own bytes. What is refused, by Zenoh or here, is told in a few lines.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.access import Security
+from agent.bus import Bus, init_log
+from agent.clock import NS_PER_S
+from agent.credentials import load
+from agent.fleet import Fleet
+from agent.identity import MAIN, Identity
+from agent.order_gate import OrderGate
+from agent.refusals import FILTER
+from agent.seal import Opener, Sealer
+from agent.zenoh_log import ZenohLog
+
+Log = Callable[[str], None]
+
+
+def secured(fleet: Fleet, folder: Path, identity: Identity, refused: Log) -> tuple[Security, OrderGate]:
+    """How `identity` takes part in a fleet, by its files in `folder`.
+
+    Args:
+        refused: told of each order that is not let in.
+
+    Raises:
+        agent.credentials.CredentialsError: they are not there, or not valid.
+    """
+    found = load(folder, identity, time.time())
+    sealer = Sealer(found) if identity.role == "operator" else None
+    name = fleet.fleet.name
+    security = Security(
+        identity,
+        str(found.files.authority),
+        str(found.files.certificate),
+        str(found.files.key),
+        fleet.ids,
+        fleet.network.operators,
+        (MAIN,) if fleet.network.routers else (),
+    )
+    return security, OrderGate(name, Opener(name, found.authority), sealer, refused)
+
+
+class SealedBus(Bus):
+    """A bus whose links are authenticated and whose orders are sealed. One in a process at a time.
+
+    Args:
+        fleet: whose it is.
+        folder: with the files of `identity`: a robot's, or an operator's, who seals what it says.
+        log: told of what is refused.
+        bus: what else a `Bus` takes.
+
+    Raises:
+        agent.bus.BusError: see `Bus`.
+        agent.credentials.CredentialsError: the files are not there, or not valid.
+    """
+
+    def __init__(self, fleet: Fleet, folder: Path, identity: Identity, log: Log, **bus: Any) -> None:
+        self._log = log
+        self._zenoh_log = ZenohLog()
+        try:
+            init_log(FILTER)
+            security, self._gate = secured(fleet, folder, identity, self._zenoh_log.refusals.add)
+            super().__init__(security=security, **bus)
+        except BaseException:
+            self._zenoh_log.close()
+            raise
+
+    def close(self) -> None:
+        super().close()
+        self._say_refusals(10 * NS_PER_S)  # what would have had to wait
+        self._zenoh_log.close()
+
+    def publish(self, key: str, payload: bytes) -> None:
+        """Publishes; an order sealed: by this operator, or as the operator who gave it did.
+
+        A robot cannot say an order that it did not hear.
+        """
+        sealed = self._gate.let_out(key, payload, time.time_ns())
+        if sealed is not None:
+            super().publish(key, sealed)
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        """As `Bus.drain`, with orders opened; those that are not genuine are left out and told of."""
+        now_ns = time.time_ns()
+        for key, payload in super().drain():
+            opened = self._gate.let_in(key, payload, now_ns)
+            if opened is not None:
+                yield key, opened
+        self._say_refusals()
+
+    def _say_refusals(self, later_ns: int = 0) -> None:
+        for line in self._zenoh_log.lines(time.monotonic_ns() + later_ns):
+            self._log(line)
+
+
+def bus_for(
+    fleet: Fleet,
+    identity: Identity | None,
+    folder: Path | None,
+    log: Log,
+    *,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    near: Collection[str] = (),
+    through_routers: bool = True,
+    go_on_waiting: Callable[[], bool] = lambda: False,
+) -> Bus:
+    """The bus of one process of a fleet, secured or not, through its routers or not; see `Bus`, `SealedBus`.
+
+    Args:
+        identity, folder: of a secured fleet; None else.
+        through_routers: False for a process that speaks only with its own robot's.
+    """
+    scheme = "tls" if fleet.is_secured else "tcp"
+    routers = [f"{scheme}/{router}" for router in fleet.network.routers] if through_routers else []
+    if identity is None or folder is None:
+        return Bus(listen=listen, connect=connect, routers=routers, near=near, go_on_waiting=go_on_waiting)
+    return SealedBus(
+        fleet,
+        folder,
+        identity,
+        log,
+        listen=listen,
+        connect=connect,
+        routers=routers,
+        near=near,
+        go_on_waiting=go_on_waiting,
+    )

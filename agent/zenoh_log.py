@@ -1,0 +1,92 @@
+"""Zenoh's own log, which alone tells of what it refuses, kept from the process's output and read for that.
+
+Zenoh writes its log to standard output, from the thread that serves the links: a pipe that is full would stop
+them. So the log goes to a file in memory, which never makes anybody wait, and is emptied when it has grown.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Final, TextIO
+
+from agent.refusals import Refusals
+
+READ_MAX: Final = 131_072
+"""Bytes that are read at once; of a flood the rest is counted by its size."""
+POLL_NS: Final = 200_000_000
+SIZE_MAX: Final = 2_097_152
+"""A log of this size is emptied at once, whenever it was read last."""
+_STDOUT: Final = 1
+
+
+class ZenohLog:
+    """Takes file descriptor 1 from the process while it is open; Python's own standard output goes on.
+
+    Make it before the first session, and give Zenoh `agent.refusals.FILTER`. One in a process.
+    """
+
+    def __init__(self) -> None:
+        self.refusals = Refusals()
+        self._due_ns = self._read = 0
+        self._output = os.dup(_STDOUT)  # not inherited by children, as the new 1 is
+        self._sys_stdout = sys.stdout
+        if _goes_to_stdout(sys.stdout):
+            sys.stdout.flush()
+            sys.stdout = os.fdopen(os.dup(self._output), "w", buffering=1, encoding=sys.stdout.encoding)
+        self._file = _memory_file()
+        fcntl.fcntl(self._file, fcntl.F_SETFL, fcntl.fcntl(self._file, fcntl.F_GETFL) | os.O_APPEND)
+        os.dup2(self._file, _STDOUT)
+
+    def __enter__(self) -> ZenohLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Gives standard output back. Sessions must be closed before."""
+        if sys.stdout is not self._sys_stdout:
+            sys.stdout.close()
+            sys.stdout = self._sys_stdout
+        os.dup2(self._output, _STDOUT)
+        os.close(self._output)
+        os.close(self._file)
+
+    def lines(self, now_ns: int) -> Iterator[str]:
+        """What is to be said at `now_ns`, of a clock that never goes back: call it at every tick."""
+        size = os.fstat(self._file).st_size
+        if now_ns < self._due_ns and size < SIZE_MAX:
+            return
+        self._due_ns = now_ns + POLL_NS
+        new = size - self._read
+        if new > 0:
+            log = os.pread(self._file, READ_MAX, self._read)
+            self._read = size
+            if size >= SIZE_MAX:
+                os.ftruncate(self._file, 0)  # what came since it was read is lost, hence only now and then
+                self._read = 0
+            self.refusals.take(log, min(1.0, READ_MAX / new))
+        yield from self.refusals.lines(now_ns)
+
+
+def _goes_to_stdout(stream: TextIO) -> bool:
+    try:
+        return stream.fileno() == _STDOUT
+    except (OSError, ValueError):
+        return False
+
+
+def _memory_file() -> int:
+    in_memory = getattr(os, "memfd_create", None)  # Linux
+    if in_memory is not None:
+        handle: int = in_memory("zenoh-log")
+        return handle
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())

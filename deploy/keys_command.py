@@ -1,0 +1,181 @@
+"""The command ``handfast keys``: who may take part in a fleet, proven by certificates."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from agent.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting
+from agent.fleet import Fleet
+from agent.identity import MAIN, Identity, IdentityError, addresses, of_operator, of_robot, of_router
+from deploy.arguments import InputError, fleet_arguments, load_unresolved
+from deploy.authority import Authority, AuthorityError, Issued, keys_folder
+
+DONE: Final = 0
+NEW_AUTHORITY: Final = (
+    "every certificate of before is void. `handfast up` gives the robots new ones; who has none of them yet "
+    "is shut out"
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "make and renew the certificates that a secured fleet trusts"
+    parser = commands.add_parser(
+        "keys",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}: the fleet's authority and this operator's certificate, if "
+        "they are missing or expire soon. Robots with a host get theirs from `handfast up`; their private "
+        "keys never leave them. Exit status: 0; 2 bad input.",
+    )
+    fleet_arguments(parser)
+    parser.add_argument("--keys", metavar="DIR", help="where the keys are (~/.config/handfast/keys/FLEET)")
+    parser.add_argument("--operator", metavar="NAME", default=MAIN, help=f"who gives orders here ({MAIN})")
+    parser.add_argument(
+        "--router", action="store_const", const=MAIN, help="make the certificate of the fleet's routers, too"
+    )
+    parser.add_argument(
+        "--robot", type=int, metavar="N", help="make key and certificate of a robot without ssh, into --out"
+    )
+    parser.add_argument(
+        "--address",
+        dest="addresses",
+        action="append",
+        default=[],
+        metavar="A",
+        help="address that others reach the router or the robot at, repeatedly",
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder for what is to be carried to another computer")
+    parser.add_argument(
+        "--renew", action="store_true", help="new certificates also where they are still good"
+    )
+    parser.add_argument(
+        "--replace-authority",
+        action="store_true",
+        help="shut out whoever has a certificate now: a new authority, and new certificates for all",
+    )
+    parser.add_argument("--list", action="store_true", help="only show what there is")
+    parser.set_defaults(command=_keys)
+
+
+def _keys(options: argparse.Namespace) -> int:
+    fleet = load_unresolved(options)
+    try:
+        _check(options, fleet)
+    except IdentityError as error:
+        raise InputError(str(error)) from None
+    name = fleet.fleet.name
+    folder = Path(options.keys).expanduser() if options.keys is not None else keys_folder(name)
+    now_s = time.time()
+    try:
+        if options.list and not (folder / "authority.pem").exists():
+            raise InputError(f"{name} has no authority in {folder}: `handfast keys {options.fleet}` makes it")
+        with Authority(folder, name, fleet.ids, now_s) as authority:
+            if not options.list:
+                _make(options, fleet, authority, now_s)
+            _show(authority, now_s)
+    except (AuthorityError, CredentialsError, IdentityError) as error:
+        raise InputError(str(error)) from None
+    return DONE
+
+
+def _check(options: argparse.Namespace, fleet: Fleet) -> None:
+    if options.list and (options.renew or options.replace_authority or options.router or options.robot):
+        raise InputError("--list only shows what there is: leave out the other options")
+    if (options.robot is not None) != (options.out is not None) and options.router is None:
+        raise InputError("--robot and --out DIR belong together: key and certificate are made in DIR")
+    if options.robot is not None and options.router is not None:
+        raise InputError("--robot or --router, not both")
+    if options.robot is not None and options.robot not in fleet.ids:
+        raise InputError(f"there is no robot {options.robot} in {fleet.fleet.name}")
+    of_operator(fleet.fleet.name, options.operator)
+    if options.operator not in fleet.network.operators:
+        raise InputError(
+            f"robots of {fleet.fleet.name} take no orders of {options.operator}: network.operators are "
+            f"{', '.join(fleet.network.operators)}"
+        )
+    if options.router is not None:
+        of_router(fleet.fleet.name, options.router)
+    addresses(options.addresses)
+    if options.addresses and options.robot is None and options.router is None:
+        raise InputError("--address is that of a robot or a router: give --robot or --router, too")
+    if options.router is not None and not (options.addresses or fleet.network.routers):
+        raise InputError("--router needs --address, at which robots reach it, or network.routers")
+
+
+def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s: float) -> None:
+    name = fleet.fleet.name
+    if authority.created:
+        print(f"made the authority of {name} in {authority.folder}: keep a copy where nobody else has it")
+    elif options.replace_authority:
+        authority.replace(now_s)
+        print(f"made authority {authority.generation} of {name}: {NEW_AUTHORITY}")
+    _provide(authority, authority.folder, of_operator(name, options.operator), [], options.renew, now_s)
+    if options.robot is not None:
+        where = options.addresses or [address_of(fleet, options.robot)]
+        out = Path(options.out).expanduser()
+        _provide(authority, out, of_robot(name, options.robot), where, options.renew, now_s)
+    elif options.router is not None:
+        out = Path(options.out).expanduser() if options.out is not None else authority.folder
+        where = options.addresses or [router.rpartition(":")[0] for router in fleet.network.routers]
+        _provide(authority, out, of_router(name, options.router), where, options.renew, now_s)
+
+
+def address_of(fleet: Fleet, robot: int) -> str:
+    """Where others reach a robot, without a port."""
+    return fleet.agent_endpoint(robot).partition("/")[2].rpartition(":")[0]
+
+
+def _provide(
+    authority: Authority, folder: Path, identity: Identity, where: Sequence[str], renew: bool, now_s: float
+) -> None:
+    """Sees that there is a valid certificate for a key in `folder`."""
+    wanted = addresses(where)
+    why = wanting(folder, identity, wanted, authority.certificate_pem, now_s)
+    if not why and not renew:
+        return
+    request = make_request(folder, identity)
+    store(folder, identity, authority.sign(identity, request, wanted, now_s), now_s)
+    files = load(folder, identity, now_s).files
+    print(f"{identity}: made {files.certificate}" + (f" ({why})" if why else ""))
+
+
+def _show(authority: Authority, now_s: float) -> None:
+    latest: dict[str, Issued] = {entry.identity: entry for entry in authority.issued()}
+    rows: list[tuple[str, ...]] = [
+        ("authority", f"generation {authority.generation}", _date(now_s, authority.days_left(now_s)), "")
+    ]
+    for name, entry in sorted(latest.items(), key=lambda item: _order(item[0])):
+        rows.append(
+            (*name.split(".")[1:], _date(now_s, entry.days_left(now_s)), state(entry, authority, now_s))
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    for row in rows:
+        print("  ".join(text.ljust(width) for text, width in zip(row, [*widths, 0], strict=True)).rstrip())
+
+
+def state(entry: Issued, authority: Authority, now_s: float) -> str:
+    """What is to be said of the last certificate of somebody, in a few words."""
+    days = entry.days_left(now_s)
+    if entry.generation != authority.generation:
+        return "void: of an authority that was replaced"
+    if days <= 0:
+        return "expired"
+    return (
+        f"expires in {int(days)} days: renewed when there is an opportunity"
+        if days <= RENEW_DAYS
+        else "valid"
+    )
+
+
+def _date(now_s: float, days: float) -> str:
+    return f"until {datetime.fromtimestamp(now_s + days * 86_400, UTC):%Y-%m-%d}"
+
+
+def _order(name: str) -> tuple[str, int, str]:
+    _, role, last = name.split(".")
+    return role, int(last) if role == "robot" else 0, last

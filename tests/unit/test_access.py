@@ -1,0 +1,129 @@
+"""Who may say what: the list that every process checks its links against."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from agent import keys
+from agent.access import access_settings
+from agent.identity import IdentityError, of_operator, of_robot
+from tests.unit.trusted import security
+
+FLEET = "delta"
+
+
+def allowed(settings: dict[str, Any], name: str, message: str, flow: str = "ingress") -> list[str]:
+    """Key expressions on which a certificate of this name may send a kind of message."""
+    rules = {rule["id"]: rule for rule in settings["rules"]}
+    groups = {
+        subject["id"] for subject in settings["subjects"] if name in subject.get("cert_common_names", [name])
+    }
+    found = [
+        rules[rule]
+        for policy in settings["policies"]
+        if groups & set(policy["subjects"])
+        for rule in policy["rules"]
+    ]
+    assert all(rule["permission"] == "allow" for rule in found)
+    return [
+        where
+        for rule in found
+        if message in rule["messages"] and flow in rule["flows"]
+        for where in rule["key_exprs"]
+    ]
+
+
+def may(settings: dict[str, Any], name: str, message: str, key: str) -> bool:
+    return any(
+        zenoh.KeyExpr(where).includes(zenoh.KeyExpr(key)) for where in allowed(settings, name, message)
+    )
+
+
+ORDERS = (keys.mission, keys.stop, keys.resume, keys.faults, keys.heartbeat, keys.ask, keys.events)
+OWN = (
+    keys.hand, keys.status, keys.beacon, keys.told, keys.plant_state, keys.plant_truth, keys.wrench,
+    keys.checks, keys.links, keys.plant_links,
+)  # fmt: skip
+
+
+def test_all_is_denied_but_what_is_listed() -> None:
+    settings = access_settings(FLEET, (1, 2))
+    assert (settings["enabled"], settings["default_permission"]) == (True, "deny")
+    for message in ("put", "delete", "query", "reply", "declare_queryable", "liveliness_token"):
+        assert allowed(settings, f"{FLEET}.robot.3", message) == []
+        assert allowed(settings, "other.operator.main", message) == []
+    assert allowed(settings, "anybody", "put", "egress") == ["**"]
+
+
+def test_a_robot_has_its_own_keys() -> None:
+    settings = access_settings(FLEET, (1, 2, 12))
+    for robot in (1, 2, 12):
+        name = of_robot(FLEET, robot).common_name
+        for other in (1, 2, 12):
+            for key in OWN:
+                assert may(settings, name, "put", key(FLEET, other)) == (robot == other)
+            for role in keys.ROLES:
+                assert may(settings, name, "put", keys.faults_held(FLEET, other, role)) == (robot == other)
+                token = keys.alive(FLEET, other, role)
+                assert may(settings, name, "liveliness_token", token) == (robot == other)
+        for order in ORDERS:
+            assert not may(settings, name, "put", order(FLEET))
+        for wild in (f"{FLEET}/**", f"{FLEET}/robot/*/hand", f"{FLEET}/*", "**"):
+            assert not may(settings, name, "put", wild)
+        assert not may(settings, name, "liveliness_token", keys.alive(FLEET, "*", "agent"))
+        for message in ("delete", "query", "reply", "declare_queryable"):
+            assert not may(settings, name, message, keys.hand(FLEET, robot))
+
+
+def test_operators_give_orders() -> None:
+    settings = access_settings(FLEET, (1,), operators=("ann", "bob"))
+    for operator in ("ann", "bob"):
+        name = of_operator(FLEET, operator).common_name
+        assert all(may(settings, name, "put", order(FLEET)) for order in ORDERS)
+        assert not any(may(settings, name, "put", key(FLEET, 1)) for key in OWN)
+        assert not may(settings, name, "liveliness_token", keys.alive(FLEET, 1, "agent"))
+    assert not may(settings, of_operator(FLEET, "eve").common_name, "put", keys.stop(FLEET))
+
+
+def test_all_of_the_fleet_may_listen() -> None:
+    settings = access_settings(FLEET, (1,))
+    for name in ("robot.1", "operator.main", "router.main"):
+        for message in ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"):
+            for key in (keys.everything(FLEET), keys.hand(FLEET, "*"), keys.alive(FLEET, "*", "*")):
+                assert may(settings, f"{FLEET}.{name}", message, key)
+    assert not may(settings, f"{FLEET}.robot.2", "declare_subscriber", keys.everything(FLEET))
+    assert not may(settings, f"{FLEET}.robot.1", "declare_subscriber", keys.everything("other"))
+
+
+def test_a_router_passes_on_what_is_the_fleets() -> None:
+    settings = access_settings(FLEET, (1,), routers=("hall",))
+    name = f"{FLEET}.router.hall"
+    assert may(settings, name, "put", keys.hand(FLEET, 1))
+    assert may(settings, name, "put", keys.stop(FLEET))
+    assert may(settings, name, "liveliness_token", keys.alive(FLEET, 1, "agent"))
+    assert not may(settings, name, "put", keys.hand("other", 1))
+
+
+def test_names_that_no_certificate_can_have() -> None:
+    with pytest.raises(IdentityError):
+        access_settings(FLEET, (0,))
+    with pytest.raises(IdentityError):
+        access_settings(FLEET, (1,), operators=("a b",))
+
+
+def test_nobody_in_a_group() -> None:
+    settings = access_settings(FLEET, (), (), ())
+    assert [subject["id"] for subject in settings["subjects"]] == ["any"]
+
+
+def test_what_a_process_is_given(tmp_path: Path) -> None:
+    mine = security(tmp_path, of_robot("guarded", 2)).settings()
+    tls = mine["transport/link/tls"]
+    assert tls["enable_mtls"] is True
+    assert tls["verify_name_on_connect"] is True
+    assert tls["listen_private_key"] == tls["connect_private_key"] == str(tmp_path / "guarded.robot.2.key")
+    assert mine["access_control"] == access_settings("guarded", (1, 2, 3))

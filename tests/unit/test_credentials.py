@@ -1,0 +1,222 @@
+"""Keys and certificates of one identity: how they come, and what is not trusted."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from agent import credentials_command
+from agent.certificates import CertificateError, authority_from_pem, issued, key_from_pem
+from agent.credentials import CredentialsError, Files, load, make_request, store, wanting
+from agent.identity import of_operator, of_robot
+from deploy.authority import CERTIFICATE_DAYS, Authority
+from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+
+DAY_S = 86_400
+ME = of_robot(FLEET, 2)
+
+
+@pytest.fixture
+def signed(tmp_path: Path) -> tuple[Authority, Path]:
+    """An authority, and the folder of robot 2 with its credentials."""
+    by = authority(tmp_path / "authority")
+    folder = tmp_path / "robot"
+    credentials(by, folder, ME, ("10.0.0.2",))
+    return by, folder
+
+
+def test_credentials_are_for_this_user_only(signed: tuple[Authority, Path]) -> None:
+    _, folder = signed
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert Files(folder, ME).key.stat().st_mode & 0o777 == 0o600
+    assert not Files(folder, ME).next_key.exists()
+
+
+def test_what_they_say(signed: tuple[Authority, Path]) -> None:
+    by, folder = signed
+    found = load(folder, ME, NOW_S)
+    assert found.identity == ME
+    assert found.authority_fingerprint == by.fingerprint
+    assert found.certificate.addresses == ("10.0.0.2", "127.0.0.1", "::1", "localhost")
+    assert found.certificate.days_left(NOW_S) == CERTIFICATE_DAYS
+    assert repr(found.key) not in repr(found)
+
+
+def test_only_what_is_missing_is_asked_for(signed: tuple[Authority, Path]) -> None:
+    by, folder = signed
+    pem = by.certificate_pem
+    assert wanting(folder, ME, ("10.0.0.2",), pem, NOW_S) == ""
+    assert wanting(folder, ME, (), None, NOW_S) == ""
+    assert wanting(folder, ME, ("10.0.0.3",), pem, NOW_S) == "it does not hold for 10.0.0.3"
+    assert wanting(folder, of_robot(FLEET, 1), (), pem, NOW_S) == "it has none yet"
+    later = NOW_S + (CERTIFICATE_DAYS - 30) * DAY_S
+    assert wanting(folder, ME, (), pem, later - 1) == ""
+    assert wanting(folder, ME, (), pem, later) == "it expires in 30 days"
+    assert wanting(folder, ME, (), pem, later + 30 * DAY_S) == "it has expired"
+    assert "clock" in wanting(folder, ME, (), pem, NOW_S - DAY_S)
+    by.replace(NOW_S)
+    assert wanting(folder, ME, (), by.certificate_pem, NOW_S) == "the authority is another one now"
+
+
+def test_the_key_in_use_stays_until_the_certificate_comes(signed: tuple[Authority, Path]) -> None:
+    by, folder = signed
+    before = load(folder, ME, NOW_S)
+    request = make_request(folder, ME)
+    assert load(folder, ME, NOW_S).certificate == before.certificate
+    again = make_request(folder, ME)  # an answer to either will do: both are for the same key
+    store(folder, ME, by.sign(ME, request, (), NOW_S), NOW_S)
+    after = load(folder, ME, NOW_S)
+    assert after.certificate.public_key != before.certificate.public_key
+    store(folder, ME, by.sign(ME, again, (), NOW_S), NOW_S)
+    assert load(folder, ME, NOW_S).certificate.public_key == after.certificate.public_key
+
+
+def test_a_waiting_key_that_is_damaged_is_made_again(signed: tuple[Authority, Path]) -> None:
+    by, folder = signed
+    make_request(folder, ME)
+    Files(folder, ME).next_key.write_bytes(b"")
+    store(folder, ME, by.sign(ME, make_request(folder, ME), (), NOW_S), NOW_S)
+
+
+@pytest.mark.parametrize("which", ["authority", "certificate", "key"])
+def test_a_file_that_is_missing_or_damaged_is_named(signed: tuple[Authority, Path], which: str) -> None:
+    _, folder = signed
+    path: Path = getattr(Files(folder, ME), which)
+    for damage in (b"", b"-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", os.urandom(500)):
+        path.write_bytes(damage)
+        with pytest.raises(CredentialsError, match=path.name) as raised:
+            load(folder, ME, NOW_S)
+        assert len(str(raised.value).splitlines()) == 1
+        assert "cannot be used" in wanting(folder, ME, (), None, NOW_S)
+    path.unlink()
+    with pytest.raises(CredentialsError, match=f"{path.name}: no such file"):
+        load(folder, ME, NOW_S)
+    assert wanting(folder, ME, (), None, NOW_S) == "it has none yet"
+
+
+def test_files_that_others_can_read_or_change(signed: tuple[Authority, Path]) -> None:
+    _, folder = signed
+    files = Files(folder, ME)
+    files.key.chmod(0o640)
+    with pytest.raises(CredentialsError, match=r"others may read the private key .*: chmod 600"):
+        load(folder, ME, NOW_S)
+    with pytest.raises(CredentialsError, match="chmod 600"):
+        wanting(folder, ME, (), None, NOW_S)
+    files.key.chmod(0o600)
+    files.authority.chmod(0o666)
+    with pytest.raises(CredentialsError, match=r"others may change .*ca\.crt"):
+        load(folder, ME, NOW_S)
+    files.authority.chmod(0o644)
+    folder.chmod(0o755)
+    with pytest.raises(CredentialsError, match="chmod 700"):
+        make_request(folder, ME)
+
+
+def test_times(signed: tuple[Authority, Path]) -> None:
+    _, folder = signed
+    load(folder, ME, NOW_S - 300)  # a robot's clock may be a little behind
+    with pytest.raises(CredentialsError, match="not valid yet: is this machine's clock right"):
+        load(folder, ME, NOW_S - 3600)
+    with pytest.raises(CredentialsError, match="expired 2 days ago"):
+        load(folder, ME, NOW_S + (CERTIFICATE_DAYS + 2) * DAY_S)
+
+
+def test_answers_that_are_not_right(signed: tuple[Authority, Path], tmp_path: Path) -> None:
+    by, folder = signed
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    other = authority(tmp_path / "other")
+    mine = by.sign(ME, make_request(folder, ME), (), NOW_S)
+    operator = of_operator(FLEET)
+    his = by.sign(operator, make_request(tmp_path / "his", operator), (), NOW_S)
+    stranger = tmp_path / "stranger"
+    not_my_key = by.sign(ME, make_request(stranger, ME), (), NOW_S)
+    mixed = mine.partition(b"-----END CERTIFICATE-----\n")[0] + b"-----END CERTIFICATE-----\n"
+    for bundle, what in (
+        (b"", "0 certificates came"),
+        (mixed, "1 certificates came"),
+        (mine + mine, "4 certificates came"),
+        (mixed + other.certificate_pem, "not signed by this fleet's authority"),
+        (mixed + mixed, "not the certificate of an authority"),
+        (his, f"one of {operator.common_name}"),
+        (not_my_key, "is not for its key"),
+    ):
+        with pytest.raises(CredentialsError, match=what):
+            store(folder, ME, bundle, NOW_S)
+    with pytest.raises(CredentialsError, match="expired"):
+        store(folder, ME, mine, NOW_S + 400 * DAY_S)
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_robots_certificate_signs_no_others(signed: tuple[Authority, Path], tmp_path: Path) -> None:
+    """Whoever has a robot's key cannot make certificates with it, whatever they write in them."""
+    _, folder = signed
+    mine = load(folder, ME, NOW_S)
+    with pytest.raises(CertificateError, match="not the certificate of an authority"):
+        authority_from_pem(mine.files.certificate.read_bytes())
+    with pytest.raises(CertificateError) as raised:
+        issued(credentials(authority(tmp_path / "x"), tmp_path / "y", ME).certificate.der, mine.authority)
+    assert raised.value.reason == "unknown_authority"
+
+
+def test_a_key_of_another_kind() -> None:
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    from agent.certificates import pem_of_key
+
+    with pytest.raises(CertificateError, match="P-256"):
+        key_from_pem(pem_of_key(ec.generate_private_key(ec.SECP384R1())))
+
+
+class Standard:
+    """Standard input of bytes."""
+
+    def __init__(self, data: bytes) -> None:
+        self.buffer = self
+        self.read = lambda _most: data
+
+
+def test_the_robots_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import time
+
+    now_s = time.time()
+    by = authority(tmp_path / "authority", now_s)
+    folder = tmp_path / "robot"
+
+    def run(command: str, *arguments: str, stdin: bytes = b"") -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.stdin", Standard(stdin))
+        status = credentials_command.main(
+            [command, "--folder", str(folder), "--fleet", FLEET, "--robot", "2", *arguments]
+        )
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    asks = ("request", "--addresses", "10.0.0.2,r2.lan", "--ca", "-")
+    status, out, err = run(*asks, stdin=by.certificate_pem)
+    told = json.loads(out)
+    assert (status, err, told["wanting"]) == (0, "", "it has none yet")
+    assert "PRIVATE" not in out
+    bundle = by.sign(ME, told["request"].encode(), ["10.0.0.2", "r2.lan"], now_s)
+    status, out, err = run("store", stdin=bundle)
+    assert (status, err, json.loads(out)["wanting"]) == (0, "", "")
+    status, out, err = run(*asks, stdin=by.certificate_pem)
+    told = json.loads(out)
+    assert (status, told["wanting"], told["authority"]) == (0, "", by.fingerprint)
+    assert "request" not in told
+    assert set(told["addresses"]) >= {"10.0.0.2", "r2.lan"}
+    assert run("store", stdin=b"x")[::2] == (
+        2,
+        "robot 2: 0 certificates came, not two: its own and the authority's\n",
+    )
+    assert run(*asks, stdin=b"x")[::2] == (2, "the authority's certificate: it is not a certificate\n")
+    assert run("store", stdin=b"x" * 40_000)[0] == 2
+    assert run("request", "--addresses", "a b")[::2] == (
+        2,
+        "'a b' is neither an IP address nor a host name\n",
+    )
+    status, _, err = run("request", "--ca", str(tmp_path / "nothing"))
+    assert (status, err) == (2, f"cannot read {tmp_path / 'nothing'}: no such file or directory\n")

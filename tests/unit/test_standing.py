@@ -1,0 +1,73 @@
+"""A simulated body's place outlives its process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.clock import NS_PER_S
+from agent.fleet import parse_fleet
+from agent.hand import Pose
+from plant.backend import Command
+from plant.standing import Standing, StandingBody, StandingError
+from plant.unicycle import from_fleet
+from tests.unit.fleet_texts import SMALL
+
+FLEET = parse_fleet(SMALL, source="here")
+
+
+def test_a_body_stands_again_where_it_was(tmp_path: Path):
+    file = tmp_path / "deep" / "robot-1.pose"
+    robot = FLEET.ids[0]
+    body = StandingBody(from_fleet(FLEET, robot), Standing(file))
+    for k in range(100):
+        reading = body.step(k * NS_PER_S // 50, Command(20.0, 0.3))
+    again = from_fleet(FLEET, robot, Standing(file).place)
+    assert again.pose == reading.pose._replace(speed=0.0, yaw_rate=0.0)
+    assert again.pose != from_fleet(FLEET, robot).pose
+
+
+def test_nothing_is_known_of_a_new_file(tmp_path: Path):
+    assert Standing(tmp_path / "new").place is None
+
+
+def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
+    file = tmp_path / "pose"
+    code = (
+        "import os, pathlib, signal; from plant.standing import Standing; from agent.hand import Pose; "
+        f"s = Standing(pathlib.Path({str(file)!r})); s.write(Pose(1.5, -2.0, 0.25, 3.0, 0.0)); "
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2]).returncode == -9
+    assert Standing(file).place == (1.5, -2.0, 0.25)
+
+
+@given(cut=st.integers(0, 72), flipped=st.integers(0, 71), writes=st.integers(1, 5))
+def test_a_record_that_was_cut_or_damaged_leaves_the_one_before(
+    tmp_path_factory: pytest.TempPathFactory, cut: int, flipped: int, writes: int
+):
+    file = tmp_path_factory.mktemp("standing") / "pose"
+    standing = Standing(file)
+    for k in range(1, writes + 1):
+        standing.write(Pose(float(k), 0.0, 0.0, 0.0, 0.0))
+    standing.close()
+    data = bytearray(file.read_bytes())
+    data[flipped] ^= 0x10
+    file.write_bytes(data)
+    assert Standing(file).place in (
+        {(float(writes), 0.0, 0.0), (float(writes - 1), 0.0, 0.0)} if writes > 1 else {(1.0, 0.0, 0.0), None}
+    )
+    file.write_bytes(data[:cut])
+    os.truncate(file, cut)
+    Standing(file)  # and a short one is made whole
+
+
+def test_a_folder_is_refused_in_one_line(tmp_path: Path):
+    with pytest.raises(StandingError, match=r"cannot use the pose file .*: Is a directory"):
+        Standing(tmp_path)
