@@ -86,6 +86,23 @@ def change_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", metavar="N", help="short for --set fleet.seed=N")
 
 
+def host_argument(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--host NAME``, which may be given many times, as `options.hosts`."""
+    parser.add_argument(
+        "--host",
+        dest="hosts",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this one, repeatedly (default: all)",
+    )
+
+
+def no_changes() -> dict[str, object]:
+    """What `load` needs of a command without options that change a fleet."""
+    return {"overrides": [], "law": None, "faults": None, "duration": None, "seed": None, "orders": None}
+
+
 def overrides(options: argparse.Namespace) -> list[str]:
     """All ``table.field=value`` that the options give."""
     given = list(options.overrides)

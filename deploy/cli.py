@@ -7,28 +7,34 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 from agent.clock import NS_PER_S
-from agent.fleet import Fleet, FleetError
+from agent.fleet import FleetError
+from agent.version import handfast_version
 from deploy import (
     chaos_command,
+    down_command,
+    drive_command,
     faults_command,
+    fetch_command,
     heartbeat_command,
+    keys_command,
+    logs_command,
     new_command,
     orders_command,
     preflight_command,
     resume_command,
+    router_command,
     signing_command,
+    status_command,
     stop_command,
     sweep_command,
+    up_command,
 )
 from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
 from deploy.interrupt import Interrupt, remembered
-from deploy.version import handfast_version
-
-if TYPE_CHECKING:
-    from deploy.runfolder import RunFolder
+from deploy.outcome import finish, refuse_errors, run_folder, say_verdict
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 ROVER_SIMULATOR: Final = "rover-simulator"
@@ -103,6 +109,14 @@ def _parser() -> argparse.ArgumentParser:
     sub = add("check", _check, "say what the fleet will do and all that is wrong with it")
     fleet_arguments(sub)
     preflight_command.add_parser(commands)
+    keys_command.add_parser(commands)
+    router_command.add_parser(commands)
+    up_command.add_parser(commands)
+    status_command.add_parser(commands)
+    logs_command.add_parser(commands)
+    fetch_command.add_parser(commands)
+    down_command.add_parser(commands)
+    drive_command.add_parser(commands)
     stop_command.add_parser(commands)
     resume_command.add_parser(commands)
     orders_command.add_parser(commands)
@@ -126,32 +140,6 @@ def _parser() -> argparse.ArgumentParser:
 # ---------------------------------------------------------------------- run and simulate
 
 
-def _folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:
-    from deploy.recorder import RecordingError
-    from deploy.runfolder import FolderError, RunFolder
-
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    path = Path(options.out) if options.out else Path("runs") / f"{fleet.fleet.name}-{stamp}"
-    try:
-        return RunFolder(path, fleet, mode)
-    except (FolderError, RecordingError) as error:
-        raise InputError(str(error)) from None
-
-
-def _refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
-    """Says what `check` finds wrong; errors end the command unless told otherwise."""
-    from deploy.check import check
-
-    findings = [finding for finding in check(fleet) if finding.level in ("error", "warning")]
-    for finding in findings:
-        if not options.quiet or finding.level == "error":
-            print(finding, file=sys.stderr)
-    if options.check and any(finding.level == "error" for finding in findings):
-        raise InputError(
-            f"{options.fleet}: not started because of the errors above (--no-check drives all the same)"
-        )
-
-
 def _run(options: argparse.Namespace) -> int:
     from agent.bus import BusError
     from deploy.live import make_view
@@ -163,12 +151,12 @@ def _run(options: argparse.Namespace) -> int:
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
-        _refuse_errors(options, fleet)
+        refuse_errors(options, fleet)
         try:
             fleet, ports, vehicles = place(fleet)
         except NoPortsError as error:
             raise InputError(str(error)) from None
-        folder = _folder(options, fleet, "run")
+        folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
         run = LocalRun(fleet, folder, view, interrupt, vehicles)
         try:
@@ -180,7 +168,7 @@ def _run(options: argparse.Namespace) -> int:
             return FAILED
         finally:
             ports.close()
-        return _finish(options, folder, run.reasons, interrupted=interrupt.count > 0)
+        return finish(options, folder, run.reasons, interrupted=interrupt.count > 0)
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -192,8 +180,8 @@ def _simulate(options: argparse.Namespace) -> int:
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
-        _refuse_errors(options, fleet)
-        folder = _folder(options, fleet, "simulate")
+        refuse_errors(options, fleet)
+        folder = run_folder(options, fleet, "simulate")
         watch = Watch(fleet, resolve(fleet))
         view = make_view(quiet=options.quiet, period_s=fleet.fleet.duration_s / 10)
 
@@ -224,42 +212,7 @@ def _simulate(options: argparse.Namespace) -> int:
         if not options.quiet:
             driven = max(0.0, (simulation.now_ns - simulation.epoch_ns) / NS_PER_S)
             view.say(f"{driven:.1f} s of driving in {took:.2f} s, {driven / took:.0f} times real time")
-        return _finish(options, folder, simulation.reasons, interrupted=interrupt.count > 0)
-
-
-def _finish(options: argparse.Namespace, folder: RunFolder, reasons: list[str], *, interrupted: bool) -> int:
-    """Completes the folder, says the verdict, gives the exit status."""
-    from deploy.recorder import RecordingError
-
-    try:
-        metrics = folder.finish(reasons, interrupted=interrupted, report=options.report)
-    except RecordingError as error:
-        print(f"handfast: {error}", file=sys.stderr)
-        return FAILED
-    _say_verdict(metrics, folder.path)
-    if interrupted:
-        return INTERRUPTED
-    return PASSED if metrics["verdict"]["passed"] else FAILED
-
-
-def _say_verdict(metrics: dict[str, Any], folder: Path) -> None:
-    verdict = metrics["verdict"]
-    print("PASSED" if verdict["passed"] else "FAILED")
-    for reason in verdict["reasons"]:
-        print(f"  {reason}")
-    for warning in verdict["warnings"]:
-        print(f"  warning: {warning}")
-    settled = metrics["settling_time_s"]
-    nearest = metrics["min_distance_m"]["edge"]
-    error = metrics["final_distance_error_m"]
-    print(
-        "  formation "
-        + (f"within 5 % after {settled:.1f} s" if settled is not None else "not within 5 % at the end")
-        + (f", closest neighbours {nearest:.3f} m" if nearest is not None else "")
-        + (f", last distance error {error * 1000:.1f} mm" if error is not None else "")
-    )
-    report = folder / "report.html"
-    print(f"  {report if report.exists() else folder}")
+        return finish(options, folder, simulation.reasons, interrupted=interrupt.count > 0)
 
 
 # ---------------------------------------------------------------------- the other commands
@@ -285,7 +238,7 @@ def _report(options: argparse.Namespace) -> int:
         metrics = rebuild(Path(options.folder))
     except RecordingError as error:
         raise InputError(str(error)) from None
-    _say_verdict(metrics, Path(options.folder))
+    say_verdict(metrics, Path(options.folder))
     return PASSED if metrics["verdict"]["passed"] else FAILED
 
 

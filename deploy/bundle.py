@@ -1,0 +1,188 @@
+"""What is sent to a robot's computer so that nothing has to be fetched there: wheels for it, our packages.
+
+Wheels are those that ``robot_requirements.txt`` locks, by version and hash, for the computer's own
+processor, C library and Python. They come from where this machine's pip takes packages from, once: a cache
+keeps them, so that a fleet can be brought up again in a field.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+from agent.version import handfast_version
+
+REQUIREMENTS: Final = Path(__file__).parent / "robot_requirements.txt"
+PACKAGES: Final = ("agent", "plant", "bridges")
+"""What a robot runs; `deploy` is the operator's."""
+DOWNLOAD_TIMEOUT_S: Final = 600.0
+GLIBC_OLDEST: Final = 17
+_INDEX: Final = "bundle.json"
+_locks: dict[str, threading.Lock] = {}
+_locks_guard = threading.Lock()
+
+
+class BundleError(RuntimeError):
+    """Wheels for a computer cannot be had; the text is one clear line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Platform:
+    """What wheels have to fit: Python ``(3, 11)``, processor ``aarch64``, C library ``("glibc", "2.36")``."""
+
+    python: tuple[int, int]
+    machine: str
+    libc: tuple[str, str]
+
+    @classmethod
+    def of(cls, about: Mapping[str, Any]) -> Platform:
+        """That of a computer, from what `deploy.host_program.hello` says of it.
+
+        Raises:
+            BundleError: it is no Linux.
+        """
+        if about["system"] != "Linux":
+            raise BundleError(f"it runs {about['system']}: robots' computers must run Linux, with systemd")
+        major, minor, _ = about["python"]
+        name, version = about["libc"]
+        return cls((major, minor), about["machine"], (name, version))
+
+    @property
+    def tags(self) -> list[str]:
+        """Names of platforms whose wheels fit, the best first."""
+        if self.libc[0] != "glibc":
+            return [f"musllinux_1_{minor}_{self.machine}" for minor in (2, 1)]
+        minor = int(self.libc[1].split(".")[1])
+        tags = [f"manylinux_2_{k}_{self.machine}" for k in range(minor, GLIBC_OLDEST - 1, -1)]
+        return [*tags, f"manylinux2014_{self.machine}"]
+
+    def __str__(self) -> str:
+        return f"Python {self.python[0]}.{self.python[1]}, {self.machine}, {' '.join(self.libc) or 'musl'}"
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """What one computer needs: wheels by their SHA-256, the file name of pip's among them, and our packages.
+
+    Attributes:
+        folder: where the wheels lie on this machine.
+        program: our packages, a zip archive.
+    """
+
+    folder: Path
+    wheels: Mapping[str, str]
+    program: bytes
+
+    @property
+    def pip(self) -> str:
+        return next(name for name in self.wheels if re.match(r"pip-\d", name))
+
+    @cached_property
+    def program_name(self) -> str:
+        return f"handfast-{hashlib.sha256(self.program).hexdigest()[:16]}.zip"
+
+    @cached_property
+    def version(self) -> str:
+        """Names what is installed from it, all of its contents included."""
+        everything = json.dumps([sorted(self.wheels.items()), self.program_name])
+        digest = hashlib.sha256(everything.encode()).hexdigest()[:8]
+        return f"{handfast_version()}-{digest}"
+
+
+def cache_folder() -> Path:
+    """Where wheels are kept between commands."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "handfast" / "bundles"
+
+
+def bundle_for(platform: Platform, program: bytes) -> Bundle:
+    """The bundle for a computer; fetches the wheels when they are not here yet. Threads may ask at once.
+
+    Raises:
+        BundleError: they cannot be had.
+    """
+    text = REQUIREMENTS.read_text(encoding="utf-8")
+    key = hashlib.sha256(f"{text}{platform}".encode()).hexdigest()[:16]
+    folder = cache_folder() / key
+    with _locks_guard:
+        lock = _locks.setdefault(key, threading.Lock())
+    with lock:
+        if not (folder / _INDEX).is_file():
+            _fetch(platform, folder)
+    return Bundle(folder, json.loads((folder / _INDEX).read_text(encoding="utf-8")), program)
+
+
+def _fetch(platform: Platform, folder: Path) -> None:
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as hidden:
+            _download(platform, Path(hidden))
+            digests = {
+                path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+                for path in sorted(Path(hidden).glob("*.whl"))
+            }
+            (Path(hidden) / _INDEX).write_text(json.dumps(digests), encoding="utf-8")
+            shutil.rmtree(folder, ignore_errors=True)
+            shutil.copytree(hidden, folder)
+    except OSError as error:
+        raise BundleError(f"cannot keep wheels in {folder.parent}: {error.strerror or error}") from None
+
+
+def _download(platform: Platform, folder: Path) -> None:
+    words = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input"]
+    words += ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--dest", str(folder)]
+    words += ["--implementation", "cp", "--python-version", f"{platform.python[0]}.{platform.python[1]}"]
+    for tag in platform.tags:
+        words += ["--platform", tag]
+    try:
+        done = subprocess.run(
+            [*words, "-r", str(REQUIREMENTS)],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            stdin=subprocess.DEVNULL,
+            timeout=DOWNLOAD_TIMEOUT_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise BundleError(f"wheels for {platform} did not come within {DOWNLOAD_TIMEOUT_S:.0f} s") from None
+    if done.returncode:
+        errors = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
+        said = (errors or done.stderr.splitlines() or ["pip failed"])[0]
+        raise BundleError(f"no wheels for {platform}: {said.removeprefix('ERROR: ')}")
+
+
+def program_archive() -> bytes:
+    """Our packages as a zip archive; the same bytes for the same files."""
+    memory = BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in _contents():
+            entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
+            entry.external_attr = 0o644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data)
+    return memory.getvalue()
+
+
+def _contents() -> Iterator[tuple[str, bytes]]:
+    above = Path(__file__).parent.parent
+    for package in PACKAGES:
+        for path in sorted((above / package).rglob("*")):
+            if path.is_file() and path.suffix != ".pyc":
+                yield path.relative_to(above).as_posix(), path.read_bytes()
+    version = handfast_version()
+    metadata = f"Metadata-Version: 2.1\nName: handfast\nVersion: {version}\n"
+    yield f"handfast-{version}.dist-info/METADATA", metadata.encode()

@@ -1,0 +1,85 @@
+"""The command ``handfast down``: a fleet leaves its hosts."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any, Final
+
+from agent.fleet import Fleet
+from deploy.arguments import fleet_path, host_argument, load, no_changes
+from deploy.interrupt import Interrupt
+from deploy.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled
+
+if TYPE_CHECKING:
+    from deploy.host_connection import HostConnection
+    from deploy.hosts_view import HostsView, Row
+
+REASON: Final = "the fleet goes down"
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "end a fleet on its hosts"
+    parser = commands.add_parser(
+        "down",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}: every robot brakes, then its processes end, and their "
+        "units are removed; recordings, keys and installed versions stay. Looks whether anything is left. "
+        "Exit status: 0 nothing is left; 1 something is, or a host cannot be reached; 2 bad input; 130 after "
+        "Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.set_defaults(command=handled(_down), **no_changes())
+
+
+def _down(options: argparse.Namespace) -> int:
+    from deploy.host_jobs import HostJobs
+    from deploy.hosts import hosts_of, located
+    from deploy.hosts_view import DONE as HOST_DONE
+    from deploy.hosts_view import make_hosts_view
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
+        fleet = located(fleet)
+        with make_hosts_view() as view:
+            if not options.hosts:
+                _brake(fleet, view)
+            with HostJobs(fleet, hosts, lambda connection, row: _end(connection, row, fleet)) as jobs:
+                jobs.wait(view, interrupt)
+            rows = list(jobs.rows.values())
+            view.show(rows)
+    if interrupt.count:
+        return INTERRUPTED
+    return DONE if all(row.state == HOST_DONE for row in rows) else FAILED
+
+
+def _brake(fleet: Fleet, view: HostsView) -> None:
+    """Stops all robots at once, before their processes end one by one."""
+    from agent.bus import BusError
+    from deploy.stop_session import stop
+
+    try:
+        stopping = stop(fleet, REASON)
+    except NoAnswerError:
+        view.say("no robot answers: nothing to stop")
+    except BusError as error:
+        view.say(f"not stopped over the bus: {error}")
+    else:
+        if stopping.done:
+            view.say("all robots brake")
+        for robot in fleet.ids if not stopping.done else ():
+            view.say(stopping.outcome(robot))
+
+
+def _end(connection: HostConnection, row: Row, fleet: Fleet) -> None:
+    from deploy.host_connection import HostError
+
+    row.step = "ending"
+    told = connection.ask("down", fleet=fleet.fleet.name)
+    if told["left"]:
+        raise HostError(f"still there: {', '.join(told['left'])}")
+    count = len(told["stopped"])
+    row.done(f"down, {count} units ended and removed" if count else "down, there was nothing")

@@ -1,0 +1,92 @@
+"""The command ``handfast fetch``: what robots recorded on their hosts, as one run."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
+from deploy.interrupt import Interrupt
+from deploy.running import DONE, FAILED, INTERRUPTED, handled
+from deploy.times import FORMS, point_in_time
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "bring what robots recorded into one run's folder"
+    parser = commands.add_parser(
+        "fetch",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}: the last mission, unless times are given; `handfast "
+        "report` and `export` work on it. What was fetched before is not sent again. Exit status: 0 all of "
+        "them gave theirs; 1 some did not (the folder is made of the others); 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.add_argument("--out", metavar="DIR", help="the run's folder (default: runs/FLEET-fetched-TIME)")
+    parser.add_argument("--since", metavar="TIME", help=f"from when on: {FORMS}")
+    parser.add_argument("--until", metavar="TIME", help="until when")
+    parser.add_argument("--all", action="store_true", help="all that there is")
+    parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    parser.set_defaults(command=handled(_fetch), **no_changes())
+
+
+def _fetch(options: argparse.Namespace) -> int:
+    from deploy.fetching import Fetching, cache_folder
+    from deploy.host_jobs import HostJobs
+    from deploy.hosts import hosts_of, located
+    from deploy.hosts_view import FAILED as HOST_FAILED
+    from deploy.hosts_view import make_hosts_view
+    from deploy.merging import Choice, merge
+    from deploy.outcome import say_verdict
+    from deploy.recorder import RecordingError
+    from deploy.robot_recording import MergeError
+    from deploy.runfolder import FolderError
+
+    now_s = time.time()
+    since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))
+    if options.all and (since_s or until_s):
+        raise InputError("--all takes all that there is: leave out --since and --until")
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        name = fleet.fleet.name
+        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
+        fetching = Fetching(fleet, cache_folder(name), since_s)
+        with make_hosts_view() as view, HostJobs(located(fleet), hosts, fetching) as jobs:
+            jobs.wait(view, interrupt)
+            rows = list(jobs.rows.values())
+            view.show(rows)
+        if interrupt.count:
+            return INTERRUPTED
+        if not fetching.folders:
+            return FAILED
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        out = Path(options.out) if options.out else Path("runs") / f"{name}-fetched-{stamp}"
+        choice = Choice(name, _ns(since_s), _ns(until_s), options.all)
+        try:
+            merged = merge(list(fetching.folders.values()), out, choice, report=options.report)
+        except (MergeError, FolderError, RecordingError) as error:
+            raise InputError(str(error)) from None
+    print(f"{merged.messages} messages of {len(merged.robots)} robots in {merged.folder}")
+    for warning in merged.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    say_verdict(merged.metrics, merged.folder)
+    return FAILED if any(row.state == HOST_FAILED for row in rows) else DONE
+
+
+def _time(options: argparse.Namespace, name: str, now_s: float) -> float | None:
+    text = getattr(options, name)
+    if text is None:
+        return None
+    try:
+        return point_in_time(text, now_s)
+    except ValueError as error:
+        raise InputError(f"--{name} {error}") from None
+
+
+def _ns(seconds: float | None) -> int | None:
+    return None if seconds is None else round(seconds * 1e9)

@@ -1,0 +1,239 @@
+"""A conversation with the program that runs on a host (`deploy.host_program`), over one ssh connection."""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, NamedTuple
+
+from agent.host_sections import HostSection
+from agent.schema import printable
+from deploy import host_program, ssh
+
+PROGRAM: Final = Path(host_program.__file__)
+PYTHONS: Final = ("python3", "python3.14", "python3.13", "python3.12", "python3.11")
+GREETING_TIMEOUT_S: Final = 20.0
+ANSWER_TIMEOUT_S: Final = 60.0
+NOISE_BYTES_MAX: Final = 100_000
+"""A login may print before our program speaks, so much at most."""
+STDERR_BYTES_MAX: Final = 20_000
+CLOCK_ROUNDS: Final = 5
+CLOSE_S: Final = 0.5
+NO_PYTHON: Final = "handfast finds no python"
+START: Final = (
+    'import sys; s = sys.stdin.buffer; exec(compile(s.read(int(s.readline())), "host_program", "exec"))'
+)
+
+
+class HostError(RuntimeError):
+    """A host cannot do what it is asked; the text is one clear line."""
+
+
+class Clock(NamedTuple):
+    """How far a host's wall clock is ahead of this machine's, and how much that may be wrong; s."""
+
+    offset_s: float
+    error_s: float
+
+
+def bootstrap(python: str | None) -> str:
+    """Shell text that starts our program with the first Python that is recent enough.
+
+    Its last line of output, where there is none, begins with `NO_PYTHON` and says which were found.
+    """
+    # In single quotes, and without what one login shell or another would read within them.
+    wanted = " ".join(f'"{name}"' for name in ((python,) if python else PYTHONS))
+    test = "import sys; sys.exit(sys.version_info < (3, 11))"
+    script = (
+        f'found=; for p in {wanted}; do if "$p" -c "{test}" >/dev/null 2>&1; then '
+        f"exec \"$p\" -u -c '\\''{START}'\\''; fi; "
+        'v=$("$p" --version 2>/dev/null | head -n 1); [ -n "$v" ] && found="$found $p is $v;"; done; '
+        f'echo "{NO_PYTHON}:$found"; exit 3'
+    )
+    return f"exec /bin/sh -c '{script}'"
+
+
+class HostConnection:
+    """Our program on one host. A context manager; leaving it ends the program there.
+
+    Args:
+        accept_new: takes the key of a host that was never met before for its own.
+
+    Attributes:
+        about: what the program says of the computer (`host_program.hello`).
+
+    Raises:
+        HostError: the host cannot be reached, does not let us in, or has no Python that will do.
+    """
+
+    def __init__(self, host: HostSection, *, accept_new: bool = False) -> None:
+        self.host: Final = host
+        self._said = ""
+        try:
+            self._process = subprocess.Popen(
+                ssh.command(host, bootstrap(host.python), accept_new=accept_new),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,  # a Ctrl-C is for us: what is under way is ended in order
+            )
+        except FileNotFoundError:
+            raise HostError(ssh.NO_SSH) from None
+        self._answers: queue.SimpleQueue[tuple[dict[str, Any], bytes] | None] = queue.SimpleQueue()
+        self._listener = threading.Thread(target=self._listen_errors, daemon=True)
+        self._listener.start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        try:
+            program = PROGRAM.read_bytes()
+            self._write(str(len(program)).encode() + b"\n" + program)
+            greeting = self._next(GREETING_TIMEOUT_S)[0]
+            if "no_python" in greeting:
+                raise HostError(_no_python(host, greeting["no_python"]))
+            self.about: Final[dict[str, Any]] = self.ask("hello")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> HostConnection:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the conversation; safe to call twice, and from another thread."""
+        stdin = self._process.stdin
+        assert stdin is not None
+        with suppress(OSError):
+            stdin.close()
+        try:
+            self._process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        # A master connection of ssh's own, which goes on, may hold their pipes open.
+        self._reader.join(CLOSE_S)
+        self._listener.join(CLOSE_S)
+
+    def abort(self) -> None:
+        """Ends it at once, whatever it is doing: a question under way fails. From another thread."""
+        self._process.kill()
+
+    # ------------------------------------------------------------------ questions
+
+    def ask(self, what: str, *, timeout_s: float = ANSWER_TIMEOUT_S, **arguments: Any) -> Any:
+        """The answer to a request without data.
+
+        Raises:
+            HostError: it cannot be done there, or the connection was lost.
+        """
+        return self.exchange(what, None, timeout_s=timeout_s, **arguments)[0]
+
+    def exchange(
+        self, what: str, blob: bytes | None, *, timeout_s: float = ANSWER_TIMEOUT_S, **arguments: Any
+    ) -> tuple[Any, bytes]:
+        """The answer to a request with data, and the data that came with it; raises as `ask`."""
+        head: dict[str, Any] = {"do": what, **arguments}
+        if blob is not None:
+            head["blob"] = len(blob)
+        self._write(json.dumps(head).encode() + b"\n")
+        if blob:
+            self._write(blob)
+        answer, data = self._next(timeout_s)
+        if "error" in answer:
+            raise HostError(printable(str(answer["error"])))
+        return answer.get("ok"), data
+
+    def clock(self) -> Clock:
+        """How the host's clock stands to this one: from the quickest of a few questions."""
+        best: Clock | None = None
+        for _ in range(CLOCK_ROUNDS):
+            asked_ns = time.time_ns()
+            there_ns = self.ask("clock")
+            answered_ns = time.time_ns()
+            error_s = (answered_ns - asked_ns) / 2e9
+            if best is None or error_s < best.error_s:
+                best = Clock((there_ns - (asked_ns + answered_ns) / 2) / 1e9, error_s)
+        assert best is not None
+        return best
+
+    # ------------------------------------------------------------------ bytes
+
+    def _write(self, data: bytes) -> None:
+        stdin = self._process.stdin
+        assert stdin is not None
+        try:
+            stdin.write(data)
+            stdin.flush()
+        except OSError:
+            raise self._lost() from None
+
+    def _next(self, timeout_s: float) -> tuple[dict[str, Any], bytes]:
+        try:
+            answer = self._answers.get(timeout=timeout_s)
+        except queue.Empty:
+            self._process.kill()
+            raise HostError(f"it did not answer within {timeout_s:.0f} s") from None
+        if answer is None:
+            raise self._lost()
+        return answer
+
+    def _lost(self) -> HostError:
+        self._process.wait()
+        self._listener.join(1.0)
+        return HostError(ssh.reason(self.host, self._said))
+
+    def _listen_errors(self) -> None:
+        stream = self._process.stderr
+        assert stream is not None
+        with stream:
+            while data := stream.read1(4096):  # type: ignore[attr-defined]
+                if len(self._said) < STDERR_BYTES_MAX:
+                    self._said += data.decode(errors="replace")
+
+    def _read(self) -> None:
+        """Passes on answers as they come; None when there will be no more."""
+        stream = self._process.stdout
+        assert stream is not None
+        with stream, suppress(OSError, ValueError):  # cut in the middle of an answer
+            if (greeting := _greeting(stream)) is not None:
+                self._answers.put((greeting, b""))
+                while "no_python" not in greeting and (line := stream.readline()):
+                    answer = json.loads(line)
+                    size = int(answer.get("blob") or 0)
+                    data = stream.read(size)
+                    if len(data) < size:
+                        break
+                    self._answers.put((answer, data))
+        self._answers.put(None)
+
+
+def _greeting(stream: IO[bytes]) -> dict[str, Any] | None:
+    """Waits for our program's first line, through what a login prints; None when it does not come."""
+    read = 0
+    while read < NOISE_BYTES_MAX and (line := stream.readline(4096)):
+        read += len(line)
+        if line == host_program.GREETING:
+            return {}
+        if line.startswith(NO_PYTHON.encode()):
+            return {"no_python": line.decode(errors="replace").partition(":")[2].strip(" ;\n")}
+    return None
+
+
+def _no_python(host: HostSection, found: str) -> str:
+    if host.python is not None:
+        return f"{host.python} is no Python of 3.11 or later{f' ({found})' if found else ''}"
+    instead = f" ({found})" if found else ""
+    return (
+        f"there is no Python of 3.11 or later on its PATH{instead}: install one, or name it in host."
+        f"{host.name}.python"
+    )

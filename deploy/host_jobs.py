@@ -1,0 +1,99 @@
+"""Work on several hosts side by side, each over its own connection: a dead one never keeps the others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Final
+
+from agent.fleet import Fleet
+from agent.host_sections import HostSection
+from deploy.host_connection import HostConnection, HostError
+from deploy.hosts import robots_on
+from deploy.hosts_view import DOING, HostsView, Row
+from deploy.interrupt import Interrupt
+
+AT_ONCE_MAX: Final = 32
+"""Hosts that are worked on at a time."""
+LOOK_S: Final = 0.1
+
+Work = Callable[[HostConnection, Row], None]
+"""What is done with one host, in a thread of its own. Says in the row what it does and what became of it; may
+raise `HostError`."""
+
+
+class HostJobs:
+    """One job for each host. A context manager; leaving it ends what is still under way.
+
+    Args:
+        accept_new: takes the keys of hosts that were never met before for their own.
+
+    Attributes:
+        rows: by host, what happens there.
+        ended: whether what is under way was told to end.
+    """
+
+    def __init__(
+        self, fleet: Fleet, hosts: Sequence[HostSection], work: Work, *, accept_new: bool = False
+    ) -> None:
+        self.rows: Final = {host.name: Row(host.name, robots_on(fleet, host)) for host in hosts}
+        self.ended = False
+        self._work, self._accept_new = work, accept_new
+        self._hosts = hosts
+        self._connections: list[HostConnection] = []
+        self._guard = threading.Lock()
+        self._pool = ThreadPoolExecutor(min(len(hosts), AT_ONCE_MAX), "host")
+
+    def __enter__(self) -> HostJobs:
+        for host in self._hosts:
+            self._pool.submit(self._run, host)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
+        self._pool.shutdown(cancel_futures=True)
+        for row in self.rows.values():
+            if row.state == DOING:
+                row.fail("interrupted")
+
+    @property
+    def busy(self) -> bool:
+        return any(row.state == DOING for row in self.rows.values())
+
+    def wait(self, view: HostsView, interrupt: Interrupt, look: Callable[[], None] = lambda: None) -> None:
+        """Shows what happens until all are done, or Ctrl-C; calls `look` now and then."""
+        while self.busy and not interrupt.count:
+            look()
+            view.show(list(self.rows.values()))
+            time.sleep(LOOK_S)
+        if interrupt.count:
+            self.end()
+
+    def end(self) -> None:
+        """What is still under way fails now."""
+        with self._guard:
+            self.ended = True
+            connections = list(self._connections)
+        for connection in connections:
+            connection.abort()
+
+    def _run(self, host: HostSection) -> None:
+        row = self.rows[host.name]
+        try:
+            with HostConnection(host, accept_new=self._accept_new) as connection:
+                with self._guard:
+                    if self.ended:
+                        return
+                    self._connections.append(connection)
+                self._work(connection, row)
+                if row.state == DOING:
+                    row.done("done")
+        except HostError as error:
+            row.fail("interrupted" if self.ended else str(error))
+        except Exception as error:  # a mistake of ours must not leave the others waiting for this host
+            row.fail(f"{type(error).__name__}: {error}")

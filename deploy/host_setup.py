@@ -1,0 +1,156 @@
+"""Makes one host ready for its robots: looks at it, installs, writes the fleet file and the units."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Final, NamedTuple
+
+from agent.fleet import Fleet
+from agent.host_sections import HostSection
+from deploy import units
+from deploy.bundle import Bundle, BundleError, Platform, bundle_for
+from deploy.host_connection import Clock, HostConnection, HostError
+from deploy.hosts import robots_on
+
+INSTALL_TIMEOUT_S: Final = 400.0
+UNITS_TIMEOUT_S: Final = 60.0
+CLOCK_ERROR_MAX_S: Final = 1.0
+"""Orders and certificates of a host whose clock is further off make no sense there."""
+
+Say = Callable[[str], None]
+"""Told what is being done, in a few words."""
+Keys = Callable[[HostConnection, str, str], Collection[int]]
+"""Gives the robots of a host their certificates, see `deploy.host_keys.HostKeys`."""
+
+
+class Prepared(NamedTuple):
+    """A host that is ready.
+
+    Attributes:
+        version: what is installed there.
+        places: where its files are.
+        restart: units that do not run yet, or run something else than they should.
+        warnings: what its operator should know.
+        clock: how its clock stands to this machine's.
+    """
+
+    version: str
+    places: units.Places
+    restart: tuple[str, ...]
+    warnings: tuple[str, ...]
+    clock: Clock
+
+
+def prepare(
+    connection: HostConnection, fleet: Fleet, text: str, program: bytes, say: Say, keys: Keys | None
+) -> Prepared:
+    """Makes a host ready; what is ready already is left alone.
+
+    Args:
+        fleet: resolved and located.
+        text: of the fleet file that robots read.
+        program: `deploy.bundle.program_archive`.
+        keys: gives the robots of a secured fleet their certificates.
+
+    Raises:
+        HostError: it cannot be made ready; the text says why.
+    """
+    host, about = connection.host, connection.about
+    say("checking")
+    _refuse(host, about)
+    clock = connection.clock()
+    warnings = list(_clock_warnings(fleet, clock))
+    try:
+        platform = Platform.of(about)
+        say("collecting wheels")
+        bundle = bundle_for(platform, program)
+    except BundleError as error:
+        raise HostError(str(error)) from None
+    if not connection.ask("installed", version=bundle.version):
+        install(connection, bundle, say)
+    name = fleet.fleet.name
+    base = f"fleets/{name}"
+    file = f"{base}/fleet-{hashlib.sha256(text.encode()).hexdigest()[:8]}.toml"
+    root = about["root"]
+    places = units.Places(
+        version=f"{root}/versions/{bundle.version}",
+        fleet_file=f"{root}/{file}",
+        keys=f"{root}/{base}/keys" if fleet.is_secured else None,
+        recordings=f"{root}/{base}/recordings",
+        state=f"{root}/{base}/state",
+    )
+    say("configuring")
+    digests = {file: hashlib.sha256(text.encode()).hexdigest()}
+    if connection.ask("missing", paths=digests):
+        connection.exchange("put", text.encode(), path=file)
+    renewed: Collection[int] = ()
+    if places.keys is not None and keys is not None:
+        say("certificates")
+        renewed = keys(connection, bundle.version, places.keys)
+    wanted = {
+        (robot, units.unit_name(name, robot, role)): units.unit(fleet, robot, role, places)
+        for robot in robots_on(fleet, host)
+        for role in units.roles(fleet)
+    }
+    files = {unit: text for (_, unit), text in wanted.items()}
+    stale = connection.ask("units", fleet=name, wanted=files, timeout_s=UNITS_TIMEOUT_S)
+    # A process reads its certificate when it starts.
+    restart = [unit for robot, unit in wanted if unit in stale or robot in renewed]
+    if not about["journal"]:
+        warnings.append(
+            f"{about['user']} may not read its journal, `handfast logs` shows nothing of it: "
+            f"sudo usermod -aG systemd-journal {about['user']}"
+        )
+    return Prepared(bundle.version, places, tuple(restart), tuple(warnings), clock)
+
+
+def _refuse(host: HostSection, about: Mapping[str, Any]) -> None:
+    user = about["user"]
+    if not about["writable"]:
+        raise HostError(f"{user} may not write to {about['root']} there")
+    if not about["systemd"]:
+        raise HostError(
+            f"no systemd answers {user} there: robots' processes are its user units. Debian, Ubuntu: sudo "
+            f"apt install systemd dbus-user-session, sudo loginctl enable-linger {user}, then log in anew"
+        )
+    if not about["lingers"]:
+        raise HostError(
+            f"the processes of {user} would end with the last login: sudo loginctl enable-linger {user} there"
+        )
+
+
+def _clock_warnings(fleet: Fleet, clock: Clock) -> list[str]:
+    off_s = abs(clock.offset_s)
+    way = f"its clock is {off_s:.2f} s {'ahead of' if clock.offset_s > 0 else 'behind'} this machine's"
+    if off_s > CLOCK_ERROR_MAX_S + clock.error_s:
+        raise HostError(f"{way}: set it first, by chrony or systemd-timesyncd (timedatectl)")
+    if off_s > fleet.control.clock_skew_max_s + clock.error_s:
+        return [f"{way}, more than control.clock_skew_max_s: set it by chrony or systemd-timesyncd"]
+    return []
+
+
+def install(connection: HostConnection, bundle: Bundle, say: Say) -> None:
+    """Installs a bundle, sending only what is not there yet; raises `HostError`."""
+    files = {f"wheels/{name}": digest for name, digest in bundle.wheels.items()}
+    program = f"wheels/{bundle.program_name}"
+    lacking = connection.ask("missing", paths=files | {program: hashlib.sha256(bundle.program).hexdigest()})
+    sizes = {path: (bundle.folder / path.removeprefix("wheels/")).stat().st_size for path in files}
+    total = sum(sizes.get(path, len(bundle.program)) for path in lacking)
+    sent = 0
+    for path in lacking:
+        say(f"sending {sent / 1e6:.0f} of {total / 1e6:.0f} MB")
+        data = (
+            bundle.program if path == program else (bundle.folder / path.removeprefix("wheels/")).read_bytes()
+        )
+        connection.exchange("put", data, path=path, timeout_s=INSTALL_TIMEOUT_S)
+        sent += len(data)
+    say("installing")
+    connection.ask(
+        "install",
+        version=bundle.version,
+        wheels=[path for path in files if path != f"wheels/{bundle.pip}"],
+        pip=f"wheels/{bundle.pip}",
+        program=program,
+        timeout_s=INSTALL_TIMEOUT_S,
+    )

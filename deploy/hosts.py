@@ -1,0 +1,84 @@
+"""The hosts of a fleet: where they are, who runs on them, and what all of them read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from agent.fleet import Fleet, FleetError, to_dict
+from agent.host_sections import HostSection
+from agent.schema import Problem
+from deploy import ssh
+from deploy.arguments import InputError
+from deploy.placing import is_simulated
+from deploy.wording import some
+
+
+def located(fleet: Fleet) -> Fleet:
+    """`fleet` with the address of every host that has robots; what it leaves out ssh's configuration knows.
+
+    Raises:
+        InputError: that says nothing.
+    """
+    used = {robot.host for robot in fleet.robots}
+    hosts = []
+    for host in fleet.hosts:
+        if host.name in used and host.address is None:
+            try:
+                host = replace(host, address=ssh.address_of(host))
+            except ssh.SshError as error:
+                raise InputError(f"host {host.name}: {error}") from None
+        hosts.append(host)
+    return replace(fleet, hosts=tuple(hosts))
+
+
+def hosts_of(fleet: Fleet, source: str, only: Sequence[str] = ()) -> list[HostSection]:
+    """The hosts that have robots, in the file's order; of these, those that are named in `only`.
+
+    Raises:
+        InputError: there is none of that name.
+        FleetError: the fleet is not for several machines.
+    """
+    used = {robot.host for robot in fleet.robots}
+    hosts = [host for host in fleet.hosts if host.name in used]
+    if not hosts:
+        message = (
+            'no robot has a host: write [host.NAME] for each computer and host = "NAME" in each [[robot]], '
+            "or drive it on this machine, `handfast run`"
+        )
+        raise FleetError(source, [Problem("", message)])
+    strangers = sorted(set(only) - {host.name for host in hosts})
+    if strangers:
+        raise InputError(
+            f"there is no host {some(strangers)} with robots in {fleet.fleet.name}; there are: "
+            f"{some(host.name for host in hosts)}"
+        )
+    return [host for host in hosts if not only or host.name in only]
+
+
+def robots_on(fleet: Fleet, host: HostSection) -> tuple[int, ...]:
+    """Ids of the robots whose processes run on a host, in the file's order."""
+    return tuple(robot.id for robot in fleet.robots if robot.host == host.name)
+
+
+def refuse_simulated(fleet: Fleet, source: str) -> None:
+    """A simulated rover is started by `run` only. `FleetError` where a fleet for hosts has one."""
+    problems = [
+        Problem(
+            f"robot[{number}].mavlink.connection",
+            '"simulator" is for `run` and `preflight` on one machine: start `handfast rover-simulator` on '
+            "the host and give its port, such as udpin:127.0.0.1:14550",
+        )
+        for number, robot in enumerate(fleet.robots, 1)
+        if is_simulated(robot)
+    ]
+    if problems:
+        raise FleetError(source, problems)
+
+
+def robots_text(fleet: Fleet) -> str:
+    """The fleet file that robots read: resolved and located, without how the operator logs in."""
+    import tomli_w  # here: only this needs it
+
+    hosts = tuple(HostSection(host.name, host.address, host.listen) for host in fleet.hosts)
+    return tomli_w.dumps(to_dict(replace(fleet, hosts=hosts)))

@@ -1,0 +1,80 @@
+"""The command ``handfast status``: what each process of a fleet does, on its host and on the bus."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any, Final
+
+from deploy.arguments import fleet_path, host_argument, load, no_changes
+from deploy.interrupt import Interrupt
+from deploy.running import DONE, FAILED, INTERRUPTED, handled
+
+LISTEN_S: Final = 2.0
+HOSTS_TIMEOUT_S: Final = 60.0
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "say what each process of a fleet does on its host"
+    parser = commands.add_parser(
+        "status",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}: its unit, how often it was started again, CPU and memory "
+        "(as the host says, over ssh); state of its agent, age of its neighbours' messages (as it says, "
+        "on the bus); version; how its host's clock stands to this one. Exit status: 0 all processes run and "
+        "all agents are heard; 1 not all; 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.add_argument("--json", action="store_true", help="for programs: one JSON document")
+    parser.set_defaults(command=handled(_status), **no_changes())
+
+
+def _status(options: argparse.Namespace) -> int:
+    from deploy import units
+    from deploy.host_connection import HostConnection
+    from deploy.host_jobs import HostJobs
+    from deploy.hosts import hosts_of, located
+    from deploy.hosts_view import FAILED as HOST_FAILED
+    from deploy.hosts_view import Row
+    from deploy.operator_session import OperatorSession
+    from deploy.status_table import HostStatus, host_rows, print_table, process_row
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
+        fleet = located(fleet)
+        found = {host.name: HostStatus() for host in hosts}
+
+        def ask(connection: HostConnection, row: Row) -> None:
+            told = connection.ask("status", fleet=fleet.fleet.name)
+            found[row.host] = HostStatus(told["units"], connection.clock(), told["load"])
+
+        with OperatorSession(fleet) as session, HostJobs(fleet, hosts, ask) as jobs:
+
+            def known() -> bool:
+                heard = len(session.statuses) == len(fleet.ids)
+                return interrupt.count > 0 or (not jobs.busy and heard)
+
+            if not session.wait(known, LISTEN_S):
+                session.wait(lambda: not jobs.busy or interrupt.count > 0, HOSTS_TIMEOUT_S)
+            statuses = dict(session.statuses)
+    if interrupt.count:
+        return INTERRUPTED
+    for row in jobs.rows.values():
+        if row.state == HOST_FAILED:
+            found[row.host].error = row.step
+    rows = [
+        process_row(fleet, robot, role, found[host.name], statuses.get(robot))
+        for host in hosts
+        for robot in jobs.rows[host.name].robots
+        for role in units.roles(fleet)
+    ]
+    if options.json:
+        print(json.dumps({"fleet": fleet.fleet.name, "hosts": host_rows(found), "processes": rows}, indent=2))
+    else:
+        print_table(rows, found)
+    good = all(row["unit"] == "active" and (row["role"] != "agent" or row["state"]) for row in rows)
+    return DONE if good else FAILED

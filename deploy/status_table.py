@@ -1,0 +1,148 @@
+"""What is known of each process of a fleet on its hosts, as rows for programs and as a table for people."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from agent.fleet import Fleet
+from agent.messages import Status
+from deploy import units
+from deploy.host_connection import Clock
+from deploy.live import STYLES
+
+QUIET: Final = "-"
+PIPE_WIDTH: Final = 240
+
+
+@dataclass
+class HostStatus:
+    """What a host says: of its units (`deploy.host_program.status`), its clock and load."""
+
+    units: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    clock: Clock | None = None
+    load: float | None = None
+    error: str = ""
+
+
+def host_rows(found: Mapping[str, HostStatus]) -> dict[str, dict[str, Any]]:
+    """What is known of each host, JSON values."""
+    return {
+        name: {
+            "error": each.error,
+            "clock_offset_s": None if each.clock is None else each.clock.offset_s,
+            "clock_error_s": None if each.clock is None else each.clock.error_s,
+            "load": each.load,
+        }
+        for name, each in found.items()
+    }
+
+
+def process_row(
+    fleet: Fleet, robot: int, role: str, host: HostStatus, status: Status | None
+) -> dict[str, Any]:
+    """What is known of a process, JSON values; None where it is not."""
+    about = host.units.get(units.unit_name(fleet.fleet.name, robot, role), {})
+    row: dict[str, Any] = {
+        "robot": robot,
+        "host": fleet.robot(robot).host,
+        "role": role,
+        "unit": about.get("ActiveState") or ("unknown" if host.error else "none"),
+        "result": about.get("Result"),
+        "restarts": int(about["NRestarts"]) if about.get("NRestarts") else None,
+        "cpu_percent": 100.0 * about["cpu_s"] / about["age_s"] if about.get("age_s") else None,
+        "memory_mb": about["memory_bytes"] / 1e6 if "memory_bytes" in about else None,
+        "up_s": about.get("age_s"),
+        "version": about.get("version") or None,
+        "says": about.get("StatusText") or None,
+        "state": None,
+        "reason": None,
+        "oldest_ms": None,
+    }
+    if role == "agent" and status is not None:
+        ages = [age_us for _, age_us, *_ in status.neighbours if age_us >= 0]
+        row |= {
+            "state": status.state,
+            "reason": status.reason,
+            "oldest_ms": max(ages) / 1e3 if ages else None,
+        }
+    return row
+
+
+def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus]) -> None:
+    """Prints the table, and a line for each host."""
+    # A pipe has no width of its own: there each process is one line, however long.
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    console = Console(highlight=False, soft_wrap=True, width=width)
+    table = Table(pad_edge=False, box=None)
+    for heading in (
+        "robot",
+        "host",
+        "process",
+        "unit",
+        "restarts",
+        "up",
+        "CPU %",
+        "MB",
+        "state",
+        "oldest ms",
+    ):
+        right = heading in ("robot", "restarts", "up", "CPU %", "MB", "oldest ms")
+        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
+    table.add_column("why")
+    for row in rows:
+        state = row["state"] or (QUIET if row["role"] != "agent" else "silent")
+        unit = row["unit"] if row["result"] in (None, "success") else f"{row['unit']} ({row['result']})"
+        why = (row["reason"] if row["state"] else row["says"]) or ""
+        table.add_row(
+            str(row["robot"]),
+            row["host"],
+            row["role"],
+            Text(unit, style="" if row["unit"] == "active" else "bold red"),
+            _shown(row["restarts"], "d"),
+            _span(row["up_s"]),
+            _shown(row["cpu_percent"], ".1f"),
+            _shown(row["memory_mb"], ".0f"),
+            Text(state, style=STYLES.get(state, "")),
+            _shown(row["oldest_ms"], ".0f"),
+            why,
+        )
+    console.print(table)
+    versions = sorted({row["version"] for row in rows if row["version"]})
+    for name, host in found.items():
+        if host.error:
+            console.print(f"{name}: {host.error}", style="bold red", markup=False)
+        elif host.clock is not None:
+            offset_ms, error_ms = host.clock.offset_s * 1e3, host.clock.error_s * 1e3
+            way = "ahead" if offset_ms > 0 else "behind"
+            console.print(
+                f"{name}: clock {abs(offset_ms):.1f} ms {way} (within {error_ms:.1f} ms), "
+                f"load {host.load:.1f}",
+                markup=False,
+            )
+    if len(versions) > 1:
+        console.print(
+            f"not all robots run the same: {', '.join(versions)}; `handfast up` again", style="bold red"
+        )
+    elif versions:
+        console.print(f"version {versions[0]}", markup=False)
+
+
+def _shown(value: float | None, form: str) -> str:
+    return QUIET if value is None else format(value, form)
+
+
+def _span(seconds: float | None) -> str:
+    if seconds is None:
+        return QUIET
+    if seconds < 60:
+        return f"{seconds:.0f}s"
+    if seconds < 3600:
+        return f"{seconds / 60:.0f}min"
+    return f"{seconds / 3600:.1f}h"

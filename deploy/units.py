@@ -1,0 +1,121 @@
+"""The systemd user units of a robot: one for each of its processes (PURE).
+
+A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
+it lives (`agent.service`); it bounds what it may take. Neither ssh nor the operator's machine is needed for
+that.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from agent.fleet import Fleet
+from deploy.children import ONE_THREAD
+from deploy.processes import MODULES
+
+RECORDER: Final = "recorder"
+RECORDER_MODULE: Final = "agent.recorder_process"
+WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0}
+"""A process whose loop is silent for so long is killed and started again. A recorder's disk may stall."""
+RESTART_DELAY_MS: Final = 200
+STOP_TIMEOUT_S: Final = 5
+"""A process that was asked to end brakes first; after this it is killed."""
+START_TIMEOUT_S: Final = 60
+MEMORY_MAX_MB: Final = 1024
+TASKS_MAX: Final = 128
+BAD_INPUT: Final = 2
+"""Exit status of a process that would fail again in the same way: it is not started again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where things are on a robot's computer; absolute paths.
+
+    Attributes:
+        version: folder of the installed version, with its own Python in ``bin/python``.
+        fleet_file: what the processes read.
+        keys: folder of the robots' keys and certificates, None in a fleet that is not secured.
+        recordings: folder of what robots record.
+        state: folder of what processes remember while the fleet is up.
+    """
+
+    version: str
+    fleet_file: str
+    keys: str | None
+    recordings: str
+    state: str
+
+
+def roles(fleet: Fleet) -> tuple[str, ...]:
+    """Processes that each robot has, in the order of their start."""
+    return ("plant", "agent", RECORDER) if fleet.recording.enabled else ("plant", "agent")
+
+
+def unit_name(fleet: str, robot: int, role: str) -> str:
+    return f"handfast-{fleet}-robot-{robot}-{role}.service"
+
+
+def identifier(fleet: str, robot: int, role: str) -> str:
+    """What lines of a process's log in the journal begin with."""
+    return unit_name(fleet, robot, role).removesuffix(".service")
+
+
+def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
+    """The command line of a process."""
+    kind = fleet.robot(robot).plant
+    module = {"agent": "agent", "plant": MODULES[kind], RECORDER: RECORDER_MODULE}[role]
+    words = [f"{places.version}/bin/python", "-P", "-m", module]
+    words += ["--fleet", places.fleet_file, "--robot", str(robot)]
+    if places.keys is not None:
+        words += ["--keys", places.keys]
+    if role == "plant" and kind == "unicycle":
+        words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
+    if role == RECORDER:
+        words += ["--folder", f"{places.recordings}/robot-{robot}"]
+    return words
+
+
+def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
+    """Text of a process's unit file."""
+    return "\n".join(_lines(fleet, robot, role, arguments(fleet, robot, role, places)))
+
+
+def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str]) -> Iterator[str]:
+    name = fleet.fleet.name
+    # Read again by deploy.host_program: tells whether what runs is what is meant.
+    yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
+    yield f"# runs: {json.dumps(words)}"
+    yield "[Unit]"
+    yield f"Description=handfast {name}: robot {robot}'s {role}"
+    yield "StartLimitIntervalSec=0"  # a robot has to come back, however often it fell
+    yield ""
+    yield "[Service]"
+    yield "Type=notify"
+    yield f"ExecStart={' '.join(map(_quoted, words))}"
+    for key, value in ONE_THREAD.items():
+        yield f"Environment={key}={value}"
+    yield "Environment=PYTHONUNBUFFERED=1"
+    yield "Restart=always"
+    yield f"RestartPreventExitStatus={BAD_INPUT}"
+    yield f"RestartSec={RESTART_DELAY_MS}ms"
+    yield f"WatchdogSec={WATCHDOG_S[role]:g}"
+    yield "WatchdogSignal=SIGKILL"  # a frozen process hears no other
+    yield f"TimeoutStartSec={START_TIMEOUT_S}"
+    yield f"TimeoutStopSec={STOP_TIMEOUT_S}"
+    yield f"MemoryMax={MEMORY_MAX_MB}M"
+    yield f"TasksMax={TASKS_MAX}"
+    yield "LimitCORE=0"
+    yield "OOMPolicy=stop"
+    yield "UMask=0077"
+    yield "NoNewPrivileges=yes"
+    yield f"SyslogIdentifier={identifier(name, robot, role)}"
+    yield ""
+
+
+def _quoted(word: str) -> str:
+    """A word of ExecStart: systemd expands % and $, and splits at spaces."""
+    escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{escaped}"' if any(c in word for c in " \t'\"\\;") else escaped

@@ -1,0 +1,105 @@
+"""The command ``handfast up``: a fleet on its hosts, installed, configured, started and heard of."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from agent.fleet import Fleet
+from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
+from deploy.interrupt import Interrupt
+from deploy.running import DONE, FAILED, INTERRUPTED, handled
+
+if TYPE_CHECKING:
+    from deploy.host_keys import HostKeys
+    from deploy.up import BringUp
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to those of ``handfast``."""
+    text = "bring a fleet up on its hosts"
+    parser = commands.add_parser(
+        "up",
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}: looks at all of them side by side, installs this version "
+        "of handfast where it is not (robots need no internet), writes fleet file and systemd user units, "
+        "starts what does not run as it should, and waits until each robot is heard. Run it again to "
+        "upgrade: while the fleet drives, robots start again one at a time. Exit status: 0 all robots are "
+        "up; 1 some are not; 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.add_argument(
+        "--accept-new-host-keys",
+        action="store_true",
+        help="take the key of a host that this machine has never met for its own",
+    )
+    parser.set_defaults(command=handled(_up), **no_changes())
+
+
+def _up(options: argparse.Namespace) -> int:
+    from deploy.check import check
+    from deploy.hosts import hosts_of, located, refuse_simulated
+    from deploy.hosts_view import make_hosts_view
+    from deploy.up import BringUp
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        source = str(fleet_path(options.fleet))
+        hosts = hosts_of(fleet, source, options.hosts)
+        refuse_simulated(fleet, source)
+        for finding in check(fleet):
+            if finding.level in ("error", "warning"):
+                print(finding, file=sys.stderr)
+        fleet = located(fleet)
+        with ExitStack() as stack:
+            keys = stack.enter_context(_keys(fleet, options.fleet)) if fleet.is_secured else None
+            work = BringUp(fleet, hosts, keys, accept_new=options.accept_new_host_keys)
+            view = stack.enter_context(make_hosts_view())
+            work.run(view, interrupt)
+    return _say(work, interrupt)
+
+
+@contextmanager
+def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
+    """What gives robots their certificates; needs the authority that `handfast keys` has made."""
+    from deploy.authority import Authority, AuthorityError, keys_folder
+    from deploy.host_keys import HostKeys
+
+    folder = keys_folder(fleet.fleet.name)
+    if not (folder / "authority.pem").exists():
+        raise InputError(
+            f"{fleet.fleet.name} is secured and has no authority in {folder}: `handfast keys {what}` makes "
+            'it (or, on a network that you trust entirely: network.security = "off")'
+        )
+    try:
+        with Authority(folder, fleet.fleet.name, fleet.ids, time.time()) as authority:
+            yield HostKeys(fleet, authority)
+    except AuthorityError as error:
+        raise InputError(str(error)) from None
+
+
+def _say(work: BringUp, interrupt: Interrupt) -> int:
+    """Says what became of each robot; the exit status."""
+    up = 0
+    for row in work.rows.values():
+        for robot in row.robots:
+            outcome = row.outcomes.get(robot)
+            up += outcome is not None
+            print(f"robot {robot} on {row.host}: {outcome or f'NOT UP: {row.step}'}")
+    for warning in work.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if len(set(work.versions.values())) > 1:
+        print(
+            f"warning: hosts have other Pythons or processors, so other wheels: {work.versions}",
+            file=sys.stderr,
+        )
+    if interrupt.count:
+        return INTERRUPTED
+    wanted = sum(len(row.robots) for row in work.rows.values())
+    return DONE if up == wanted else FAILED

@@ -1,0 +1,104 @@
+"""What is sent to a robot's computer."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy import bundle
+from deploy.bundle import REQUIREMENTS, Bundle, BundleError, Platform, bundle_for, program_archive
+
+PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
+
+
+def about(**changes: Any) -> dict[str, Any]:
+    return {
+        "system": "Linux",
+        "python": [3, 11, 2],
+        "machine": "aarch64",
+        "libc": ["glibc", "2.36"],
+    } | changes
+
+
+def test_the_platform_is_that_of_the_host():
+    assert Platform.of(about()) == PI
+    assert PI.tags[0] == "manylinux_2_36_aarch64"
+    assert PI.tags[-2:] == ["manylinux_2_17_aarch64", "manylinux2014_aarch64"]
+    assert Platform.of(about(libc=["", ""])).tags == ["musllinux_1_2_aarch64", "musllinux_1_1_aarch64"]
+    with pytest.raises(BundleError, match="it runs Darwin"):
+        Platform.of(about(system="Darwin"))
+
+
+def test_our_packages_are_the_same_bytes_every_time_and_without_the_operators():
+    archive = program_archive()
+    assert archive == program_archive()
+    names = zipfile.ZipFile(BytesIO(archive)).namelist()
+    assert "agent/core.py" in names
+    assert "bridges/mavlink/__main__.py" in names
+    assert not any(name.startswith(("deploy", "tests")) or name.endswith(".pyc") for name in names)
+
+
+def test_the_version_names_all_that_is_in_it():
+    one = Bundle(Path(), {"pip-26.3-py3-none-any.whl": "a", "numpy-2.whl": "b"}, b"x")
+    assert one.pip == "pip-26.3-py3-none-any.whl"
+    others = [
+        Bundle(Path(), {**one.wheels, "numpy-2.whl": "c"}, b"x"),
+        Bundle(Path(), one.wheels, b"y"),
+    ]
+    assert len({one.version, *(other.version for other in others)}) == 3
+    assert one.version == Bundle(Path("elsewhere"), one.wheels, b"x").version
+    assert re.fullmatch(r"[\w.+-]+-[0-9a-f]{8}", one.version)
+
+
+def test_all_that_robots_need_is_locked_with_hashes():
+    text = REQUIREMENTS.read_text()
+    names = set(re.findall(r"^([a-z0-9-]+)==", text, re.MULTILINE))
+    assert {
+        "eclipse-zenoh",
+        "numpy",
+        "msgpack",
+        "pymavlink",
+        "pymap3d",
+        "pyserial",
+        "cryptography",
+        "pip",
+    } <= names
+    assert not {"rich", "mcap", "matplotlib", "pyarrow"} & names, "the operator's"
+    assert text.count("--hash=sha256:") >= len(names)
+    assert "://" not in text, "no addresses of package hosts"
+
+
+def test_wheels_are_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    fetched = []
+
+    def download(platform: Platform, folder: Path) -> None:
+        fetched.append(platform)
+        (folder / "pip-1.whl").write_bytes(b"abc")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(bundle, "_download", download)
+    first, again = bundle_for(PI, b"x"), bundle_for(PI, b"x")
+    assert fetched == [PI]
+    assert first.wheels == again.wheels
+    assert first.wheels["pip-1.whl"].startswith("ba7816bf")
+    assert (first.folder / "pip-1.whl").read_bytes() == b"abc"
+    bundle_for(Platform((3, 12), "aarch64", ("glibc", "2.36")), b"x")
+    assert len(fetched) == 2
+
+
+def test_an_interrupted_download_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def download(platform: Platform, folder: Path) -> None:
+        (folder / "numpy-1.whl").write_bytes(b"half")
+        raise BundleError("no wheels for it")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(bundle, "_download", download)
+    for _ in range(2):
+        with pytest.raises(BundleError, match="no wheels"):
+            bundle_for(PI, b"x")
+    assert not list(tmp_path.rglob("*.whl"))

@@ -1,0 +1,133 @@
+"""The conversation with a host, with a `ssh` that runs its command on this machine."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from pathlib import Path
+
+import pytest
+
+from agent.host_sections import HostSection
+from deploy.host_connection import HostConnection, HostError
+
+HOST = HostSection("rover1", "10.0.0.1")
+FAKE = """#!/bin/sh
+# As sshd does: the last argument goes to the user's login shell.
+for last; do :; done
+exec %s -c "$last"
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Makes ``ssh`` mean this machine, with a home of its own; the home."""
+    tools, home = tmp_path / "tools", tmp_path / "home"
+    tools.mkdir()
+    home.mkdir()
+    (tools / "python3").symlink_to(sys.executable)
+    say(tools, FAKE % "/bin/sh")
+    monkeypatch.setenv("PATH", f"{tools}:/usr/bin:/bin")
+    monkeypatch.setenv("HOME", str(home))
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    return home
+
+
+def say(tools: Path, text: str) -> None:
+    ssh = tools / "ssh"
+    ssh.write_text(text)
+    ssh.chmod(0o755)
+
+
+def test_it_says_what_the_computer_is(here: Path):
+    with HostConnection(HOST) as connection:
+        about = connection.about
+        assert about["python"] == list(sys.version_info[:3])
+        assert about["root"] == str(here / ".local/share/handfast")
+        assert about["free_bytes"] > 0
+        clock = connection.clock()
+        assert abs(clock.offset_s) <= clock.error_s + 0.001
+
+
+@pytest.mark.parametrize("shell", ["/bin/sh", "/bin/bash"])
+def test_a_login_that_prints_does_not_disturb(here: Path, shell: str):
+    tools = here.parent / "tools"
+    say(tools, (FAKE % shell).replace("exec", "echo welcome; echo to; printf this; exec"))
+    with HostConnection(HOST) as connection:
+        assert connection.ask("clock") > 0
+
+
+def test_files_are_put_whole_and_only_within_the_folder(here: Path):
+    data = os.urandom(3_000_000)
+    with HostConnection(HOST) as connection:
+        connection.exchange("put", data, path="fleets/a/x.bin", mode=0o600)
+        there = here / ".local/share/handfast/fleets/a/x.bin"
+        assert there.read_bytes() == data
+        assert stat.S_IMODE(there.stat().st_mode) == 0o600
+        assert stat.S_IMODE(there.parent.stat().st_mode) == 0o700
+        _, part = connection.exchange("get", None, path="fleets/a/x.bin", offset=1_000_000, most=10)
+        assert part == data[1_000_000:1_000_010]
+        for path in ("../x", "/etc/x", "fleets/../../x"):
+            with pytest.raises(HostError, match="is not within"):
+                connection.exchange("put", b"", path=path)
+        assert [p.name for p in there.parent.iterdir()] == ["x.bin"]
+
+
+def test_what_is_here_already_is_told_by_its_hash(here: Path):
+    with HostConnection(HOST) as connection:
+        connection.exchange("put", b"abc", path="a")
+        digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+        assert connection.ask("missing", paths={"a": digest, "b": digest}) == ["b"]
+        connection.exchange("put", b"abd", path="a")
+        assert connection.ask("missing", paths={"a": digest}) == ["a"]
+
+
+def test_errors_there_are_one_line_here_and_the_conversation_goes_on(here: Path):
+    with HostConnection(HOST) as connection:
+        with pytest.raises(HostError, match="no such file or directory"):
+            connection.exchange("get", None, path="none")
+        with pytest.raises(HostError, match="KeyError"):
+            connection.ask("nonsense")
+        assert connection.ask("clock") > 0
+
+
+def test_no_python_that_will_do(here: Path):
+    tools = here.parent / "tools"
+    (tools / "python3").unlink()
+    (tools / "python3").write_text('#!/bin/sh\n[ "$1" = --version ] && echo Python 3.9.2\nexit 1\n')
+    (tools / "python3").chmod(0o755)
+    os.environ["PATH"] = str(tools)
+    (tools / "head").symlink_to("/usr/bin/head")
+    with pytest.raises(HostError, match=r"there is no Python of 3\.11 or later .*python3 is Python 3\.9\.2"):
+        HostConnection(HOST)
+    with pytest.raises(HostError, match=r"/nowhere/python is no Python of 3\.11 or later"):
+        HostConnection(HostSection("rover1", "10.0.0.1", python="/nowhere/python"))
+
+
+def test_what_ssh_says_is_the_reason(here: Path):
+    say(here.parent / "tools", "#!/bin/sh\necho 'x: Permission denied (publickey).' >&2; exit 255\n")
+    with pytest.raises(HostError, match="it does not let you in"):
+        HostConnection(HOST)
+
+
+def test_no_ssh_at_all(here: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PATH", str(here))
+    with pytest.raises(HostError, match="there is no ssh on this machine"):
+        HostConnection(HOST)
+
+
+def test_a_host_that_falls_silent_is_given_up(here: Path):
+    with HostConnection(HOST) as connection:
+        # A request whose data never comes keeps the other end waiting.
+        connection._write(b'{"do": "put", "path": "a", "blob": 1000}\n')
+        with pytest.raises(HostError, match="did not answer within 1 s"):
+            connection._next(1.0)
+
+
+def test_a_connection_that_is_cut_is_told(here: Path):
+    with HostConnection(HOST) as connection:
+        connection.abort()
+        with pytest.raises(HostError, match="the connection to it was lost"):
+            connection.ask("clock")

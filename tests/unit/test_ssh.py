@@ -1,0 +1,58 @@
+"""How a host is logged in to, and what it means when that fails."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.host_sections import HostSection
+from deploy import ssh
+
+
+def test_what_the_fleet_file_leaves_out_is_left_to_the_configuration():
+    words = ssh.command(HostSection("rover1"), "true")
+    assert words[0] == "ssh"
+    assert words[-3:] == ["--", "rover1", "true"]
+    assert "BatchMode=yes" in words, "nobody is there to answer a question"
+    assert "StrictHostKeyChecking=yes" in words
+    assert not {"-l", "-p", "-i"} & set(words)
+    assert not any("HostName" in word for word in words)
+
+
+def test_what_it_gives_is_given():
+    host = HostSection("rover1", "10.0.0.1", None, "robot", 2222, "~/k")
+    words = ssh.command(host, "true", accept_new=True)
+    assert "HostName=10.0.0.1" in words
+    assert words[words.index("-l") + 1] == "robot"
+    assert words[words.index("-p") + 1] == "2222"
+    assert words[words.index("-i") + 1].startswith("/"), "no shell is there to expand it"
+    assert "StrictHostKeyChecking=accept-new" in words
+    assert "HostName=fd00::1" in ssh.command(HostSection("a", "[fd00::1]"), "true"), "ssh wants no brackets"
+
+
+@pytest.mark.parametrize(
+    ("said", "meaning"),
+    [
+        ("ssh: connect to host 10.0.0.9 port 22: Connection timed out", "it does not answer"),
+        ("ssh: connect to host a port 22: Connection refused", "no ssh server answers"),
+        ("ssh: connect to host a port 22: No route to host", "cannot be reached"),
+        ("ssh: Could not resolve hostname rover9: Name or service not known", "give its address"),
+        ("robot@10.0.0.1: Permission denied (publickey).", "ssh-copy-id rover1"),
+        ("Host key verification failed.", "--accept-new-host-keys"),
+        ("No ED25519 host key is known for 10.0.0.1 and you have requested strict checking.\n"
+         "Host key verification failed.", "not known yet"),
+        ("@@@\n@  WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED!     @\nHost key verification failed.",
+         "another computer may pose as it"),
+        ("Timeout, server 10.0.0.1 not responding.", "it does not answer"),
+        ("client_loop: send disconnect: Broken pipe", "the connection to it was lost"),
+        ("something else\nentirely", "ssh: entirely"),
+        ("", "the connection to it was lost"),
+    ],
+)  # fmt: skip
+def test_failures_are_told_in_one_line_with_what_to_do(said: str, meaning: str):
+    told = ssh.reason(HostSection("rover1", "10.0.0.1"), said)
+    assert meaning in told
+    assert "\n" not in told
+
+
+def test_a_terminal_is_safe_from_what_a_host_says():
+    assert "\x1b" not in ssh.reason(HostSection("a"), "\x1b[31mred")

@@ -1,0 +1,108 @@
+"""Units of a robot: what they run, and how systemd reads that."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from agent.fleet import Fleet, parse_fleet
+from deploy import units
+from deploy.units import Places, arguments, roles, unit, unit_name
+
+PLACES = Places(
+    "/r/versions/1", "/r/fleets/two/fleet.toml", None, "/r/fleets/two/recordings", "/r/fleets/two/state"
+)
+FLEET = """
+[fleet]
+name = "two"
+[formation]
+edges = [[1, 2]]
+distance_m = 1.0
+safe_distance_m = 0.22
+[control]
+[trajectory]
+%s
+[datum]
+latitude_deg = 1
+longitude_deg = 1
+[[robot]]
+id = 1
+x_m = 0
+y_m = 0
+[[robot]]
+id = 2
+x_m = 1
+y_m = 0
+plant = "mavlink"
+mavlink = { connection = "udpin:0.0.0.0:14550" }
+"""
+
+
+def fleet(more: str = "") -> Fleet:
+    return parse_fleet(FLEET % more, source="here")
+
+
+def settings(text: str) -> dict[str, str]:
+    return dict(line.split("=", 1) for line in text.splitlines() if "=" in line and not line.startswith("#"))
+
+
+def test_each_process_is_started_for_its_robot_from_the_installed_version():
+    agent, plant, bridge, recorder = (
+        arguments(fleet(), robot, role, PLACES)
+        for robot, role in ((1, "agent"), (1, "plant"), (2, "plant"), (1, "recorder"))
+    )
+    for words, module in ((agent, "agent"), (plant, "plant"), (bridge, "bridges.mavlink")):
+        assert words[:4] == ["/r/versions/1/bin/python", "-P", "-m", module]
+    assert agent[4:] == ["--fleet", "/r/fleets/two/fleet.toml", "--robot", "1"]
+    assert plant[-2:] == ["--pose-file", "/r/fleets/two/state/robot-1.pose"]
+    assert "--pose-file" not in bridge
+    assert recorder[-2:] == ["--folder", "/r/fleets/two/recordings/robot-1"]
+
+
+def test_what_runs_can_be_read_from_the_file_again():
+    text = unit(fleet(), 1, "agent", PLACES)
+    found = re.search(r"^# runs: (\[.*\])$", text, re.MULTILINE)
+    assert found is not None
+    assert json.loads(found[1]) == arguments(fleet(), 1, "agent", PLACES)
+
+
+def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
+    said = settings(unit(fleet(), 1, "agent", PLACES))
+    assert said["Type"] == "notify"
+    assert said["Restart"] == "always"
+    assert said["RestartPreventExitStatus"] == "2"
+    assert said["StartLimitIntervalSec"] == "0"
+    assert said["WatchdogSignal"] == "SIGKILL"
+    assert float(said["WatchdogSec"]) == units.WATCHDOG_S["agent"]
+    assert {"MemoryMax", "TasksMax", "TimeoutStopSec", "SyslogIdentifier"} <= said.keys()
+
+
+@pytest.mark.parametrize(
+    ("folder", "shown"),
+    [
+        ("/home/a b/x", '"/home/a b/x/bin/python"'),
+        ("/home/50%/x", "/home/50%%/x/bin/python"),
+        ("/home/$HOME/x", "/home/$$HOME/x/bin/python"),
+        ('/home/"q"/x', '"/home/\\"q\\"/x/bin/python"'),
+        ("/home/b\\c/x", '"/home/b\\\\c/x/bin/python"'),
+    ],
+)
+def test_paths_are_written_so_that_systemd_reads_them_as_they_are(folder: str, shown: str):
+    text = unit(fleet(), 1, "agent", Places(folder, "/f", None, "/r", "/s"))
+    assert settings(text)["ExecStart"].startswith(f"{shown} -P -m agent")
+
+
+def test_the_recorder_can_be_left_out():
+    assert roles(fleet()) == ("plant", "agent", "recorder")
+    assert roles(fleet("[recording]\nenabled = false")) == ("plant", "agent")
+
+
+def test_the_keys_are_named_not_shown():
+    words = arguments(fleet(), 1, "agent", Places("/v", "/f", "/r/keys", "/r", "/s"))
+    assert words[words.index("--keys") + 1] == "/r/keys"
+
+
+def test_names_tell_fleet_robot_and_process():
+    assert unit_name("two", 12, "agent") == "handfast-two-robot-12-agent.service"
