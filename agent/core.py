@@ -237,6 +237,8 @@ class Agent:
     def _refuse(self, key: str, error: Malformed) -> None:
         if key in self._hands:
             self._corrupted += 1
+            if error.reason == "version":
+                self._peers.get(self._hands[key]).other_version = error.detail
         self._reject(error.reason)
 
     def _reject(self, reason: str) -> None:

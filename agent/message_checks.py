@@ -44,11 +44,11 @@ REASONS: Final = ("oversized", "checksum", "malformed", "version", "type", "not_
 
 
 class Malformed(ValueError):
-    """A payload that is not a valid message; `reason` is one of `REASONS`."""
+    """A payload that is not a valid message; `reason` is one of `REASONS`, `detail` tells more."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")
-        self.reason = reason
+        self.reason, self.detail = reason, detail
 
 
 CLASSES: Final[tuple[type[Message], ...]] = (

@@ -60,13 +60,13 @@ class Peer:
         degree: constraints that act on it.
         ahead_ns: how far its last message was stamped ahead of the own clock if it was refused as
             ``future``, else 0.
+        other_version: what its messages and this program speak, once one was refused for that; else "".
         received, lost, delayed, duplicated: hand states since the start.
     """
 
     __slots__ = (
         "ahead_ns", "clock", "copy", "degree", "delayed", "duplicated", "early", "hand_ns", "here", "lost",
-        "message", "received", "robot", "sequence", "time_ns", "token",
-        "trust",
+        "message", "other_version", "received", "robot", "sequence", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
@@ -80,6 +80,7 @@ class Peer:
         self.copy: float | None = None
         self.degree = 0
         self.ahead_ns = 0
+        self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
 
     def age_ns(self, now_ns: int) -> int | None:

@@ -193,6 +193,14 @@ def main(
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
     log = logger(options.robot, role)
+    waits = False
+
+    def waiting() -> bool:
+        nonlocal waits
+        if not waits:
+            log("no router answers yet: waiting for one")
+        waits = True
+        return not shutdown.asked
 
     try:
         fleet = load_fleet(options.fleet, options.overrides, options.law)
@@ -207,7 +215,7 @@ def main(
                 listen=listen,
                 connect=connect,
                 near=keys.near(fleet.fleet.name, options.robot),
-                go_on_waiting=lambda: not shutdown.asked,
+                go_on_waiting=waiting,
             ) as bus:
                 serve(node, bus, clock, shutdown, log)
         finally:
@@ -216,6 +224,7 @@ def main(
         log(str(error))
         return BAD_INPUT
     except BusError as error:
-        log(str(error))
-        return FAILED
+        if not shutdown.asked:
+            log(str(error))
+            return FAILED
     return 0

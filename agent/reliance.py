@@ -148,6 +148,8 @@ class Reliance:
         age = peer.age_ns(now_ns)
         if heard:
             return f"robot {peer.robot} (does not follow)"
+        if peer.other_version and (age is None or age > self._horizon_ns):
+            return f"robot {peer.robot} (another handfast: {peer.other_version})"
         if age is None:
             return f"robot {peer.robot}"
         if not peer.here and age <= self._horizon_ns:

@@ -32,6 +32,7 @@ class ZenohLog:
 
     def __init__(self) -> None:
         self.refusals = Refusals()
+        self._closed = False
         self._due_ns = self._read = 0
         self._output = os.dup(_STDOUT)  # not inherited by children, as the new 1 is
         self._sys_stdout = sys.stdout
@@ -51,7 +52,10 @@ class ZenohLog:
         self.close()
 
     def close(self) -> None:
-        """Gives standard output back. Sessions must be closed before."""
+        """Gives standard output back; safe to call twice. Sessions must be closed before."""
+        if self._closed:
+            return
+        self._closed = True
         if sys.stdout is not self._sys_stdout:
             sys.stdout.close()
             sys.stdout = self._sys_stdout
@@ -61,6 +65,8 @@ class ZenohLog:
 
     def lines(self, now_ns: int) -> Iterator[str]:
         """What is to be said at `now_ns`, of a clock that never goes back: call it at every tick."""
+        if self._closed:
+            return
         size = os.fstat(self._file).st_size
         if now_ns < self._due_ns and size < SIZE_MAX:
             return

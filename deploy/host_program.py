@@ -336,12 +336,11 @@ def shown(name: str) -> dict[str, str]:
 
 
 @request
-def restart(names: list[str], wait: bool = True) -> dict[str, dict[str, str]]:
-    """Starts units, or starts them again; returns what systemd says of each then."""
+def restart(names: list[str]) -> None:
+    """Has units start, or start again; does not wait for that."""
     if names:
         systemctl("reset-failed", *names, check=False)
-        systemctl("restart", *([] if wait else ["--no-block"]), *names, check=False)
-    return {name: shown(name) for name in names}
+        systemctl("restart", "--no-block", *names)
 
 
 @request

@@ -43,7 +43,13 @@ class Prepared(NamedTuple):
 
 
 def prepare(
-    connection: HostConnection, fleet: Fleet, text: str, program: bytes, say: Say, keys: Keys | None
+    connection: HostConnection,
+    fleet: Fleet,
+    text: str,
+    program: bytes,
+    say: Say,
+    keys: Keys | None,
+    before_changes: Callable[[], None],
 ) -> Prepared:
     """Makes a host ready; what is ready already is left alone.
 
@@ -52,6 +58,7 @@ def prepare(
         text: of the fleet file that robots read.
         program: `deploy.bundle.program_archive`.
         keys: gives the robots of a secured fleet their certificates.
+        before_changes: called when all is there, before the robots' files and units change; may raise.
 
     Raises:
         HostError: it cannot be made ready; the text says why.
@@ -80,6 +87,7 @@ def prepare(
         recordings=f"{root}/{base}/recordings",
         state=f"{root}/{base}/state",
     )
+    before_changes()
     say("configuring")
     digests = {file: hashlib.sha256(text.encode()).hexdigest()}
     if connection.ask("missing", paths=digests):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
-
 from agent.clock import NS_PER_S
 from agent.codec import decode
 from agent.message_checks import Malformed

@@ -16,6 +16,7 @@ from agent.messages import Status
 from deploy import units
 from deploy.host_connection import Clock
 from deploy.live import STYLES
+from deploy.wording import robots
 
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240
@@ -114,7 +115,10 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
             why,
         )
     console.print(table)
-    versions = sorted({row["version"] for row in rows if row["version"]})
+    versions: dict[str, set[int]] = {}
+    for row in rows:
+        if row["version"]:
+            versions.setdefault(row["version"], set()).add(row["robot"])
     for name, host in found.items():
         if host.error:
             console.print(f"{name}: {host.error}", style="bold red", markup=False)
@@ -127,11 +131,10 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
                 markup=False,
             )
     if len(versions) > 1:
-        console.print(
-            f"not all robots run the same: {', '.join(versions)}; `handfast up` again", style="bold red"
-        )
-    elif versions:
-        console.print(f"version {versions[0]}", markup=False)
+        who = "; ".join(f"{name}: {robots(sorted(ids))}" for name, ids in sorted(versions.items()))
+        console.print(f"not all robots run the same ({who}): `handfast up` again", style="bold red")
+    for version in versions if len(versions) == 1 else ():
+        console.print(f"version {version}", markup=False)
 
 
 def _shown(value: float | None, form: str) -> str:

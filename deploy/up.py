@@ -32,7 +32,8 @@ from deploy.wording import robots as robots_words
 LISTEN_S: Final = 1.5
 """A fleet that is up is heard within this: whether it drives decides how its robots start again."""
 PRESENT_TIMEOUT_S: Final = 30.0
-RESTART_TIMEOUT_S: Final = 90.0
+UNITS_PERIOD_S: Final = 2.0
+"""How often it is looked whether a unit that is waited for has failed for good."""
 SETTLE_S: Final = 5.0
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
@@ -77,6 +78,11 @@ class Arrivals(OperatorSession):
         status = self.statuses.get(robot)
         return status is not None and (is_ready(status.state) or status.state in _DRIVING)
 
+    @property
+    def drives_by_another_file(self) -> bool:
+        """Whether robots drive a mission for another fleet file than this one."""
+        return self.driving and self.operator.mission is None and self.operator.foreign is not None
+
     def says(self, robot: int) -> str:
         """State of a robot's agent, and why."""
         status = self.statuses.get(robot)
@@ -108,7 +114,7 @@ class BringUp:
         self._turn = threading.Lock()
         """Held by the one robot that may be down while the fleet drives."""
         self._halted = ""
-        self._rolling = False
+        self._rolling = self._foreign = False
         self._listened = threading.Event()
 
     def run(self, view: HostsView, interrupt: Interrupt) -> None:
@@ -122,8 +128,13 @@ class BringUp:
 
             def look() -> None:
                 self._arrivals.look()
-                if not self._listened.is_set() and time.monotonic() > listen_until:
+                if self._listened.is_set():
+                    return
+                if self._arrivals.operator.behind:
+                    self._arrivals.say_ask()
+                if time.monotonic() > listen_until:
                     self._rolling = self._arrivals.driving
+                    self._foreign = self._arrivals.drives_by_another_file
                     self._listened.set()
 
             with self._jobs as jobs:
@@ -150,7 +161,17 @@ class BringUp:
         def say(text: str) -> None:
             row.step = text
 
-        prepared = prepare(connection, self._fleet, self._text, self._program, say, self._keys)
+        def before_changes() -> None:
+            say("listening whether the fleet drives")
+            self._listened.wait(LISTEN_S + 5.0)
+            if self._foreign:
+                raise HostError(
+                    "left as it was: the fleet drives by another fleet file. `handfast stop` first, then up"
+                )
+
+        prepared = prepare(
+            connection, self._fleet, self._text, self._program, say, self._keys, before_changes
+        )
         self.versions[row.host] = prepared.version
         self.warnings += [f"{row.host}: {warning}" for warning in prepared.warnings]
         self._start(row, connection, prepared)
@@ -167,9 +188,6 @@ class BringUp:
             robot: [name for name in prepared.restart if robot_of[name] == robot] for robot in row.robots
         }
         starts = [robot for robot in row.robots if stale[robot]]
-        if starts:
-            row.step = "listening whether the fleet drives"
-            self._listened.wait(LISTEN_S + 5.0)
         if self._rolling:
             for robot in starts:
                 self._one_at_a_time(row, connection, robot, stale[robot])
@@ -177,7 +195,7 @@ class BringUp:
             row.step = f"starting {robots_words(starts)}"
             since = time.monotonic()
             names = [name for robot in starts for name in stale[robot]]
-            connection.ask("restart", names=names, timeout_s=RESTART_TIMEOUT_S)
+            connection.ask("restart", names=names)
             for robot in starts:
                 self._await(row, connection, robot, since)
         for robot in row.robots:
@@ -197,7 +215,7 @@ class BringUp:
             drove = self._arrivals.drives(robot)
             row.step = f"starting robot {robot} again"
             since = time.monotonic()
-            connection.ask("restart", names=names, timeout_s=RESTART_TIMEOUT_S)
+            connection.ask("restart", names=names)
             here = self._await(row, connection, robot, since, drives=drove)
             if not here:
                 self._halted = f"robot {robot} did not come back"
@@ -211,13 +229,19 @@ class BringUp:
         *,
         drives: bool = False,
     ) -> bool:
-        """Waits until a robot is heard on the bus; whether it is."""
+        """Waits until a robot is heard on the bus, or one of its processes will not start; whether it is."""
         deadline = time.monotonic() + PRESENT_TIMEOUT_S
+        look_due = time.monotonic() + UNITS_PERIOD_S
         row.step = f"waiting for robot {robot} on the bus"
+        names = [units.unit_name(self._fleet.fleet.name, robot, role) for role in ROLES]
         while time.monotonic() < deadline and not self._jobs.ended:
             if self._arrivals.is_here(robot, since) and (not drives or self._arrivals.drives(robot)):
                 row.outcomes[robot] = self._arrivals.says(robot)
                 return True
+            if time.monotonic() > look_due:
+                look_due += UNITS_PERIOD_S
+                if any(connection.ask("state", name=name).startswith("failed") for name in names):
+                    return False
             time.sleep(LOOK_S)
         return False
 

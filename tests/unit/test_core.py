@@ -6,12 +6,13 @@ from dataclasses import replace
 from itertools import pairwise, permutations
 from math import hypot
 
+import msgpack
 import numpy as np
 import pytest
 
 from agent import keys
 from agent.clock import NS_PER_S
-from agent.codec import decode, encode
+from agent.codec import VERSION, decode, encode
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration
@@ -81,6 +82,18 @@ def test_unknown_robot():
 
 
 # ---------------------------------------------------------------------- from waiting to stopped
+
+
+def test_a_neighbour_of_another_version_is_named_as_such():
+    bench = Bench()
+    bench.other = None
+    bench.agent.receive(bench.now, OTHER, sealed(msgpack.packb([VERSION + 1, 0, 2])))
+    bench.tick()
+    why = f"another handfast: version {VERSION + 1}, this program speaks {VERSION}"
+    assert bench.agent.condition == ("waiting", f"silent neighbours: robot 2 ({why})")
+    bench.other = (1.5, 0.2, 0.0, 0.0)  # it was upgraded
+    bench.tick()
+    assert bench.agent.condition[0] == "ready"
 
 
 def test_the_life_of_a_robot():
