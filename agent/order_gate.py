@@ -5,7 +5,7 @@ Inside, an order is what its codec made, sealed or not; so nobody inside can tak
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import Final
 
@@ -18,6 +18,12 @@ AGE_NS_MAX: Final = 2 * NS_PER_S
 who has overheard one cannot use it later. Missions, stops and leaves have versions, and are said again."""
 SEALS_BYTES_MAX: Final = 2_097_152
 """Of orders that may be said again: thousands of stops, or some twenty of the largest missions."""
+
+FORGED_MAX: Final = 4
+FORGED_PERIOD_NS: Final = NS_PER_S // 10
+"""Within such a period so many forged orders that one robot tells are looked at, and then no more of what it
+tells: to find out that a seal is none costs ten times as much as to make up one. What operators say
+themselves is always looked at."""
 
 
 class OrderGate:
@@ -42,6 +48,8 @@ class OrderGate:
         self._opener, self._sealer, self._refused = opener, sealer, refused
         self._sealed: OrderedDict[bytes, bytes] = OrderedDict()
         self._size = 0
+        self._forged: Counter[str] = Counter()
+        self._forged_ns = 0
 
     def is_order(self, key: str) -> bool:
         """Whether only what an operator has sealed is let through on `key`."""
@@ -55,9 +63,13 @@ class OrderGate:
         """
         if not self.is_order(key):
             return payload
+        if self._is_told(key) and self._forges(key, now_ns):
+            self._refused(f"an order on {key}: after too many forged ones")
+            return None
         try:
             order = self._opener.open(payload, now_ns / NS_PER_S)
         except Forged as error:
+            self._forged[key] += 1
             self._refused(f"an order on {key}: {error.reason.replace('_', ' ')}")
             return None
         if not self._is_lasting(key) and abs(now_ns - order.sealed_ns) > AGE_NS_MAX:
@@ -82,6 +94,13 @@ class OrderGate:
             sealed = self._sealer.seal(payload, now_ns)
             self._remember(key, payload, sealed)
         return sealed
+
+    def _forges(self, key: str, now_ns: int) -> bool:
+        """Whether too much that was forged has come on `key` of late."""
+        if not 0 <= now_ns - self._forged_ns < FORGED_PERIOD_NS:
+            self._forged_ns = now_ns
+            self._forged.clear()
+        return self._forged[key] >= FORGED_MAX
 
     def _is_told(self, key: str) -> bool:
         return key.startswith(self._told[0]) and key.endswith(self._told[1])

@@ -9,9 +9,10 @@ from agent import keys
 from agent.fleet import Fleet
 from agent.latch import AWAITED
 from agent.messages import Message, PlantState, Resume, Status
-from agent.supervision import DRIVING, State
+from agent.supervision import DRIVING, MISSION_OVER, State
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
+_OVER: Final = (State.STOPPED.value, MISSION_OVER)
 
 
 class Resuming:
@@ -39,11 +40,12 @@ class Resuming:
 
     def runs(self, robot: int) -> bool:
         """Whether the robot knows of the leave and drives by the law, and its body does as it is told; one
-        without a place in the formation stays where it is, and one that has nothing to drive is ready."""
+        without a place in the formation stays where it is, so does one whose mission is over, and one that
+        has nothing to drive is ready."""
         status, plant = self._statuses.get(robot), self._plants.get(robot)
         if status is None or plant is None or status.order_version < self.message.version:
             return False
-        if status.state == State.STANDBY.value:
+        if status.state == State.STANDBY.value or (status.state, status.reason) == _OVER:
             return True
         if not plant.healthy or not plant.obeying:
             return False
@@ -61,7 +63,8 @@ class Resuming:
             silent = "its agent" if status is None else "its plant"
             return f"robot {robot}: nothing heard from {silent}"
         if self.runs(robot):
-            return f"robot {robot}: {status.state}"
+            over = f": {MISSION_OVER}" if status.state == State.STOPPED.value else ""
+            return f"robot {robot}: {status.state}{over}"
         if plant.healthy and not plant.obeying:
             note = plant.note or "its body does not obey"
             if note.endswith(AWAITED):

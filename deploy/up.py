@@ -15,7 +15,7 @@ from typing import Final
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
 from agent.keys import ROLES
-from agent.supervision import DRIVING
+from agent.supervision import DRIVING, State
 from deploy import units
 from deploy.bundle import program_archive
 from deploy.host_connection import HostConnection, HostError
@@ -37,6 +37,7 @@ UNITS_PERIOD_S: Final = 2.0
 SETTLE_S: Final = 5.0
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
+_SETTLED: Final = _DRIVING | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}
 
 
 class Arrivals(OperatorSession):
@@ -74,9 +75,9 @@ class Arrivals(OperatorSession):
         return any(map(self.drives, self.fleet.ids))
 
     def settled(self, robot: int) -> bool:
-        """Whether it is ready to drive, or drives."""
+        """Whether it is ready to drive, drives, or has driven."""
         status = self.statuses.get(robot)
-        return status is not None and (is_ready(status.state) or status.state in _DRIVING)
+        return status is not None and (is_ready(status.state) or status.state in _SETTLED)
 
     @property
     def drives_by_another_file(self) -> bool:

@@ -38,13 +38,16 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="take the key of a host that this machine has never met for its own",
     )
-    parser.set_defaults(command=handled(_up), **no_changes())
+    parser.add_argument(
+        "--no-check", dest="check", action="store_false", help="go on even where `check` finds errors"
+    )
+    parser.set_defaults(command=handled(_up), quiet=False, **no_changes())
 
 
 def _up(options: argparse.Namespace) -> int:
-    from deploy.check import check
     from deploy.hosts import hosts_of, located, refuse_simulated
     from deploy.hosts_view import make_hosts_view
+    from deploy.outcome import refuse_errors
     from deploy.up import BringUp
 
     interrupt = Interrupt()
@@ -53,9 +56,7 @@ def _up(options: argparse.Namespace) -> int:
         source = str(fleet_path(options.fleet))
         hosts = hosts_of(fleet, source, options.hosts)
         refuse_simulated(fleet, source)
-        for finding in check(fleet):
-            if finding.level in ("error", "warning"):
-                print(finding, file=sys.stderr)
+        refuse_errors(options, fleet)
         fleet = located(fleet)
         with ExitStack() as stack:
             keys = stack.enter_context(_keys(fleet, options.fleet)) if fleet.is_secured else None

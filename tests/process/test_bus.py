@@ -242,7 +242,7 @@ class Hostile:
             self._failure = error
 
     def _put(self, key: str, payload: bytes) -> None:
-        self._far.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
+        self._session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
         self.sent += 1
 
     def _round(self) -> None:

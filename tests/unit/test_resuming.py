@@ -11,6 +11,7 @@ from agent.clock import NS_PER_S
 from agent.fleet import load_fleet
 from agent.latch import AWAITED
 from agent.messages import PlantState, Resume, Status
+from agent.supervision import MISSION_OVER
 from deploy.arguments import FLEETS, InputError, robots_named
 from deploy.resuming import Resuming
 
@@ -78,6 +79,13 @@ def test_a_robot_that_has_nothing_to_drive_is_ready() -> None:
     assert resuming.outcome(3) == "robot 3: ready"
 
 
+def test_a_robot_whose_mission_is_over_stands_and_is_free() -> None:
+    resuming = resuming_of(3)
+    say(resuming, 3, "stopped", driving=False, note=MISSION_OVER)
+    assert resuming.done
+    assert resuming.outcome(3) == "robot 3: stopped: the mission is over"
+
+
 def test_a_state_from_before_the_leave_does_not_count() -> None:
     """As of robots that have not heard yet of the stop that was given just before."""
     resuming = resuming_of(3)
@@ -110,7 +118,7 @@ def test_a_later_stop_is_told_as_such() -> None:
     ("state", "healthy", "note", "told"),
     [
         ("fault", False, "waiting for its GPS", "robot 3: fault: waiting for its GPS"),
-        ("stopped", True, "the mission is over", "robot 3: stopped: the mission is over"),
+        ("stopped", True, "stop: a person", "robot 3: stopped: stop: a person"),
         ("waiting", True, "for its plant", "robot 3: waiting: for its plant"),
     ],
 )

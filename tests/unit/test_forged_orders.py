@@ -1,0 +1,87 @@
+"""Floods of orders that are none: what they cost, and that they keep out nobody else's."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from agent import keys
+from agent.codec import encode
+from agent.identity import of_operator
+from agent.messages import Stop
+from agent.order_gate import FORGED_MAX, FORGED_PERIOD_NS, OrderGate
+from agent.seal import Opener, Order, Sealer
+from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+
+NOW_NS = int(NOW_S * 1e9)
+TOLD = keys.told(FLEET, 2)
+
+
+class Counting(Opener):
+    """An opener that says how often it was asked."""
+
+    asked = 0
+
+    def open(self, sealed: bytes, now_s: float) -> Order:
+        self.asked += 1
+        return super().open(sealed, now_s)
+
+
+class Scene:
+    """A robot's gate, and what it is told: a genuine order, and one that nobody has signed."""
+
+    def __init__(self, folder: Path) -> None:
+        with authority(folder / "authority") as by:
+            ann = credentials(by, folder / "ann", of_operator(FLEET, "ann"))
+        self.order = encode(Stop(2, NOW_NS, "why"))
+        self.genuine = Sealer(ann).seal(self.order, NOW_NS)
+        self.forged = self.genuine.replace(b"why", b"yhw")
+        self.refused: Counter[str] = Counter()
+        self.opener = Counting(FLEET, ann.authority)
+        self.gate = OrderGate(FLEET, self.opener, None, self._refuse)
+
+    def _refuse(self, what: str) -> None:
+        self.refused[what] += 1
+
+    def flood(self, key: str, now_ns: int) -> None:
+        for _ in range(1000):
+            assert self.gate.let_in(key, self.forged, now_ns) is None
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return Scene(tmp_path)
+
+
+def test_of_a_flood_a_few_are_looked_at_and_all_are_counted(scene: Scene) -> None:
+    scene.flood(TOLD, NOW_NS)
+    assert scene.opener.asked == FORGED_MAX
+    assert scene.refused == {
+        f"an order on {TOLD}: bad signature": FORGED_MAX,
+        f"an order on {TOLD}: after too many forged ones": 1000 - FORGED_MAX,
+    }
+    scene.flood(TOLD, NOW_NS + FORGED_PERIOD_NS)
+    assert scene.opener.asked == 2 * FORGED_MAX
+
+
+def test_others_are_let_in(scene: Scene) -> None:
+    scene.flood(TOLD, NOW_NS)
+    for key in (keys.told(FLEET, 1), keys.stop(FLEET)):
+        assert scene.gate.let_in(key, scene.genuine, NOW_NS) == scene.order
+
+
+def test_the_robot_itself_is_let_in_again_soon(scene: Scene) -> None:
+    scene.flood(TOLD, NOW_NS)
+    late_ns = NOW_NS + FORGED_PERIOD_NS
+    assert scene.gate.let_in(TOLD, scene.genuine, late_ns - 1) is None
+    assert scene.gate.let_in(TOLD, scene.genuine, late_ns) == scene.order
+    scene.flood(TOLD, late_ns)
+    # A clock that was set back keeps nobody out.
+    assert scene.gate.let_in(TOLD, scene.genuine, NOW_NS) == scene.order
+
+
+def test_what_comes_from_operators_is_always_looked_at(scene: Scene) -> None:
+    scene.flood(keys.stop(FLEET), NOW_NS)
+    assert scene.gate.let_in(keys.stop(FLEET), scene.genuine, NOW_NS) == scene.order
