@@ -16,6 +16,7 @@ from deploy import (
     chaos_command,
     down_command,
     drive_command,
+    export_deployment_command,
     faults_command,
     fetch_command,
     heartbeat_command,
@@ -116,6 +117,7 @@ def _parser() -> argparse.ArgumentParser:
     logs_command.add_parser(commands)
     fetch_command.add_parser(commands)
     down_command.add_parser(commands)
+    export_deployment_command.add_parser(commands)
     drive_command.add_parser(commands)
     stop_command.add_parser(commands)
     resume_command.add_parser(commands)

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
-from deploy import units
+from deploy import host_places, units
 from deploy.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.host_connection import Clock, HostConnection, HostError
 from deploy.hosts import robots_on
@@ -77,16 +77,8 @@ def prepare(
     if not connection.ask("installed", version=bundle.version):
         install(connection, bundle, say)
     name = fleet.fleet.name
-    base = f"fleets/{name}"
-    file = f"{base}/fleet-{hashlib.sha256(text.encode()).hexdigest()[:8]}.toml"
-    root = about["root"]
-    places = units.Places(
-        version=f"{root}/versions/{bundle.version}",
-        fleet_file=f"{root}/{file}",
-        keys=f"{root}/{base}/keys" if fleet.is_secured else None,
-        recordings=f"{root}/{base}/recordings",
-        state=f"{root}/{base}/state",
-    )
+    file = host_places.fleet_file(fleet, text)
+    places = host_places.places(fleet, about["root"], bundle.version, text)
     before_changes()
     say("configuring")
     digests = {file: hashlib.sha256(text.encode()).hexdigest()}

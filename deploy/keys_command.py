@@ -14,6 +14,7 @@ from agent.fleet import Fleet
 from agent.identity import MAIN, Identity, IdentityError, addresses, of_operator, of_robot, of_router
 from deploy.arguments import InputError, fleet_arguments, load_unresolved
 from deploy.authority import Authority, AuthorityError, Issued, keys_folder
+from deploy.certificate_requests import answer, read_requests
 
 DONE: Final = 0
 NEW_AUTHORITY: Final = (
@@ -59,6 +60,12 @@ def add_parser(commands: Any) -> None:
         help="shut out whoever has a certificate now: a new authority, and new certificates for all",
     )
     parser.add_argument("--list", action="store_true", help="only show what there is")
+    parser.add_argument(
+        "--sign",
+        metavar="FILE",
+        help="only sign robots' requests, JSON {ROBOT: PEM}, - for standard input; prints "
+        '{"authority": PEM, "signed": {ROBOT: PEM}}',
+    )
     parser.set_defaults(command=_keys)
 
 
@@ -72,9 +79,13 @@ def _keys(options: argparse.Namespace) -> int:
     folder = Path(options.keys).expanduser() if options.keys is not None else keys_folder(name)
     now_s = time.time()
     try:
-        if options.list and not (folder / "authority.pem").exists():
+        requests = read_requests(options.sign, fleet) if options.sign is not None else None
+        if (options.list or requests is not None) and not (folder / "authority.pem").exists():
             raise InputError(f"{name} has no authority in {folder}: `handfast keys {options.fleet}` makes it")
         with Authority(folder, name, fleet.ids, now_s) as authority:
+            if requests is not None:
+                print(answer(fleet, authority, requests, now_s))
+                return DONE
             if not options.list:
                 _make(options, fleet, authority, now_s)
             _show(authority, now_s)
@@ -84,6 +95,10 @@ def _keys(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace, fleet: Fleet) -> None:
+    if options.sign is not None and (options.list or options.renew or options.replace_authority):
+        raise InputError("--sign only signs: leave out the other options")
+    if options.sign is not None and (options.robot is not None or options.router is not None):
+        raise InputError("--sign has robots in its file: leave out the other options")
     if options.list and (options.renew or options.replace_authority or options.router or options.robot):
         raise InputError("--list only shows what there is: leave out the other options")
     if (options.robot is not None) != (options.out is not None) and options.router is None:

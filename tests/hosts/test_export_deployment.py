@@ -10,13 +10,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
+from tests.hosts.host import Setup
 from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, measured, wait_for
 
@@ -26,13 +27,24 @@ pytestmark = [
 ]
 
 
+MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
+WRONG = [
+    (Setup(systemd=False), "no systemd answers root there: "),
+    (Setup(linger=False), "the processes of root would end with the last login: sudo loginctl enable-linger"),
+    (Setup(python="none"), "there is no Python of 3.11 or later on its PATH"),
+    (Setup(python="old"), "there is no Python of 3.11 or later on its PATH (python3 is Python 3."),
+    (Setup(home_mb=64), "the disk is full: "),
+]
+
+
 class Deployment:
     """A written folder, and `ansible-playbook` in the operator's network."""
 
     def __init__(self, fleet: FleetOnHosts, folder: Path) -> None:
         self.fleet, self.folder = fleet, folder
         told = fleet.handfast("export-deployment", "--out", str(folder))
-        assert told.stdout.startswith(f"wrote {folder}: 2 hosts, 2 robots, wheels for Python 3.")
+        count = len(fleet.hosts)
+        assert told.stdout.startswith(f"wrote {folder}: {count} hosts, {count} robots, wheels for Python 3.")
 
     def play(self, *options: str, status: int = 0) -> str:
         """Runs the playbook; what it says, without line ends."""
@@ -80,13 +92,14 @@ def tables(hosts: Hosts) -> dict[str, Any]:
         "trajectory": {"kind": "hold"},
         "host": {host.name: {"address": host.address} for host in hosts},
         "robot": [
-            {"id": k + 1, "x_m": 1.0 * k, "y_m": 0.0, "host": host.name} for k, host in enumerate(hosts)
+            {"id": k + 1, "x_m": 1.0 * k, "y_m": 0.0, "host": host.name, "reserve": k > 1}
+            for k, host in enumerate(hosts)
         ],
     }
 
 
 @pytest.fixture(scope="module")
-def hosts(make_hosts: Callable[[int], Hosts]) -> Hosts:
+def hosts(make_hosts: MakeHosts) -> Hosts:
     return make_hosts(2)
 
 
@@ -168,7 +181,7 @@ def test_while_they_drive_one_robot_at_a_time_starts_again(deployment: Deploymen
     deployment = Deployment(upgraded, tmp_path / "deployment")
     before, running = fleet.status(), fleet.processes()
     out = tmp_path / "run"
-    child = fleet.start("drive", "--duration", "120s", "--out", str(out), "--no-report")
+    child = fleet.start("drive", "--duration", "300s", "--out", str(out), "--no-report")
     wait_for(lambda: drives(fleet, child), "both drive", 60.0)
     said = deployment.play(status=2)
     assert "robot 1 drives and would have to start again: -e rolling=true" in said
@@ -192,3 +205,18 @@ def drives(fleet: FleetOnHosts, child: subprocess.Popen[str]) -> bool:
 def test_down_leaves_nothing_of_it(deployment: Deployment) -> None:
     deployment.fleet.handfast("down")
     assert not deployment.fleet.processes()
+
+
+def test_each_host_that_will_not_do_says_so_and_the_others_run(
+    make_hosts: MakeHosts, cache: Path, tmp_path: Path
+) -> None:
+    hosts = make_hosts([Setup(), Setup(), *(setup for setup, _ in WRONG)])
+    fetch_wheels(hosts[0], cache)
+    raw = tables(hosts) | {"network": {"security": "off"}}
+    raw["host"]["host6"]["python"] = "python3"
+    fleet = FleetOnHosts(hosts, tmp_path, raw, cache)
+    said = Deployment(fleet, tmp_path / "deployment").play(status=2)
+    for number, (_, why) in enumerate(WRONG, 3):
+        assert re.search(rf"fatal: \[host{number}\]: FAILED! => [^!]*{re.escape(why)}", said), said
+    assert len(fleet.processes()) == 6
+    assert all(row["failed"] == 0 for host, row in recap(said).items() if host in ("host1", "host2"))

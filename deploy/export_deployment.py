@@ -1,0 +1,217 @@
+"""A fleet as a folder for Ansible, which brings it up on its hosts as `handfast up` does: its texts.
+
+What is the same for every fleet lies in ``deployment/``: a playbook, whose tasks have the host's part of
+`handfast up` (`deploy.host_program`) decide. What a fleet adds is here: who and where its hosts are, what to
+bring them, and what their units are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from agent.fleet import Fleet
+from agent.host_sections import HostSection
+from agent.supervision import DRIVING
+from deploy import host_program, units
+from deploy.bundle import Bundle, Platform
+from deploy.host_connection import NO_PYTHON, bootstrap
+from deploy.host_keys import MODULE
+from deploy.host_places import fleet_file, places
+from deploy.host_setup import CLOCK_ERROR_MAX_S
+from deploy.hosts import hosts_of, robots_on
+from deploy.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
+
+SAME: Final = Path(__file__).parent / "deployment"
+GROUP: Final = "handfast_robots"
+OPERATORS_FLEET: Final = "fleet.toml"
+PROGRAM: Final = Path(host_program.__file__)
+INSTALL_BYTES: Final = 500_000_000
+"""Wheels and what is installed from them; a host with less is full."""
+ROOT: Final = "{{handfast_root}}"
+VERSION: Final = "{{handfast_version}}"
+_PLATFORM: Final = re.compile(r"3\.(\d{1,2}) ([a-z0-9_]{1,20}) (?:glibc2\.(\d{1,2})|musl)", re.ASCII)
+PLATFORM_SAYS: Final = (
+    'Python, processor and C library of a host, such as "3.11 aarch64 glibc2.36" or "3.12 x86_64 musl"'
+)
+
+
+class DeploymentError(ValueError):
+    """A fleet that cannot be written so; the text is one clear line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pack:
+    """What hosts of one platform get."""
+
+    platform: Platform
+    bundle: Bundle
+
+
+def parse_platform(text: str) -> Platform:
+    """The platform that `str_of` writes so.
+
+    Raises:
+        DeploymentError: it is none, or one that handfast does not run on.
+    """
+    found = _PLATFORM.fullmatch(" ".join(text.split()))
+    if found is None:
+        raise DeploymentError(f"{text!r} is no platform: give {PLATFORM_SAYS}")
+    minor, machine, glibc = found.groups()
+    if int(minor) < 11:
+        raise DeploymentError(f"{text!r}: robots need Python 3.11 or later")
+    return Platform((3, int(minor)), machine, ("glibc", f"2.{glibc}") if glibc else ("", ""))
+
+
+def str_of(platform: Platform) -> str:
+    """A platform as it is given on the command line."""
+    return f"{platform.python[0]}.{platform.python[1]} {platform.machine} {''.join(platform.libc) or 'musl'}"
+
+
+def texts(
+    fleet: Fleet, source: str, robots_text: str, operators_text: str, packs: Sequence[Pack]
+) -> dict[str, str]:
+    """All files of the folder but wheels and our packages, by their path in it.
+
+    Args:
+        fleet: resolved and located.
+        source: the fleet file's name, for messages.
+        robots_text: of the fleet file that robots read.
+        operators_text: of the one that the operator's commands read.
+        packs: for all platforms of the hosts.
+
+    Raises:
+        FleetError: the fleet is not for several machines.
+        DeploymentError: a field has what Ansible would read as something else.
+    """
+    hosts = hosts_of(fleet, source)
+    same = {
+        path.relative_to(SAME).as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted(SAME.rglob("*"))
+        if path.is_file()
+    }
+    readme = same.pop("README.md")
+    for mark, text in (
+        ("@NAME@", fleet.fleet.name),
+        ("@KEYS@", f"handfast keys {OPERATORS_FLEET}               # once: the fleet's authority\n    "),
+        ("@PLATFORMS@", "; ".join(str(pack.platform) for pack in packs)),
+    ):
+        readme = readme.replace(mark, text if fleet.is_secured or mark != "@KEYS@" else "")
+    inventory: dict[str, Any] = {"all": {"children": {GROUP: {"hosts": {host.name: {} for host in hosts}}}}}
+    return {
+        **same,
+        "README.md": readme,
+        OPERATORS_FLEET: operators_text,
+        "files/robots-fleet.toml": robots_text,
+        "files/host_program.py": PROGRAM.read_text(encoding="utf-8"),
+        "inventory.json": _json(inventory),
+        f"group_vars/{GROUP}.json": _json(_of_all(fleet, robots_text, packs)),
+        **{f"host_vars/{host.name}.json": _json(_of_one(fleet, host, robots_text)) for host in hosts},
+    }
+
+
+def _of_all(fleet: Fleet, robots_text: str, packs: Sequence[Pack]) -> dict[str, Any]:
+    return {
+        "ansible_python_interpreter": "auto_silent",
+        "handfast_command": ["handfast"],
+        "handfast_fleet": fleet.fleet.name,
+        "handfast_secured": fleet.is_secured,
+        "handfast_fleet_path": fleet_file(fleet, robots_text),
+        "handfast_program_bytes": PROGRAM.stat().st_size,
+        "handfast_greeting": host_program.GREETING.decode("ascii").strip(),
+        "handfast_no_python": NO_PYTHON,
+        "handfast_bundles": [_bundle(pack) for pack in packs],
+        "handfast_install_bytes": INSTALL_BYTES,
+        "handfast_clock_error_max_s": CLOCK_ERROR_MAX_S,
+        # What systemd shows of an agent that drives: its state, and why.
+        "handfast_drives": f"({'|'.join(sorted(state.value for state in DRIVING))})(:|$)",
+    }
+
+
+def _bundle(pack: Pack) -> dict[str, Any]:
+    platform, bundle = pack.platform, pack.bundle
+    wheels = {f"wheels/{name}": digest for name, digest in bundle.wheels.items()}
+    pip, program = f"wheels/{bundle.pip}", f"wheels/{bundle.program_name}"
+    return {
+        "python": f"{platform.python[0]}.{platform.python[1]}",
+        "machine": platform.machine,
+        "libc": platform.libc[0],
+        "libc_minor": int(platform.libc[1].partition(".")[2] or 0),
+        "version": bundle.version,
+        "files": wheels | {program: hashlib.sha256(bundle.program).hexdigest()},
+        "install": {
+            "do": "install",
+            "version": bundle.version,
+            "wheels": [path for path in wheels if path != pip],
+            "pip": pip,
+            "program": program,
+        },
+    }
+
+
+def _of_one(fleet: Fleet, host: HostSection, robots_text: str) -> dict[str, Any]:
+    for field, value in (("key", host.key), ("python", host.python)):
+        if value is not None and re.search(r"\{[{%#]", value):
+            raise DeploymentError(f"host.{host.name}.{field}: Ansible would read {value!r} as a template")
+    there = places(fleet, ROOT, VERSION, robots_text)
+    robots = robots_on(fleet, host)
+    name = fleet.fleet.name
+    address = host.address or host.name
+    who = {robot: ["--folder", f"{there.keys}", "--fleet", name, "--robot", str(robot)] for robot in robots}
+    told: dict[str, Any] = {
+        **_reached(host),
+        "handfast_bootstrap": bootstrap(host.python),
+        "handfast_robots": list(map(str, robots)),
+        "handfast_units": {
+            str(robot): {
+                units.unit_name(name, robot, role): units.unit(fleet, robot, role, there)
+                for role in units.roles(fleet)
+            }
+            for robot in robots
+        },
+    }
+    if fleet.is_secured:
+        told["handfast_certificate_requests"] = [
+            _run(
+                ["request", *who[robot], "--addresses", address, "--ca", "-"], "{{handfast_signed.authority}}"
+            )
+            for robot in robots
+        ]
+        told["handfast_certificate_answers"] = [
+            _run(["store", *who[robot]], f"{{{{handfast_signed.signed['{robot}'] | default('')}}}}")
+            for robot in robots
+        ]
+    return told
+
+
+def _run(arguments: Sequence[str], text: str) -> dict[str, Any]:
+    return {"do": "run", "module": MODULE, "arguments": list(arguments), "version": VERSION, "text": text}
+
+
+def _reached(host: HostSection) -> Mapping[str, Any]:
+    """How Ansible reaches a host: as `deploy.ssh` does, by its name in ssh's own configuration."""
+    options = ["-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}"]
+    # Else a connection that Ansible keeps, to a host that is gone by now, has it wait for minutes.
+    options += ["-o", f"ServerAliveInterval={ALIVE_INTERVAL_S}", "-o", f"ServerAliveCountMax={ALIVE_COUNT}"]
+    if host.address is not None:
+        options += ["-o", f"HostName={host.address.strip('[]')}"]
+    told: dict[str, Any] = {"ansible_ssh_common_args": shlex.join(options)}
+    if host.user is not None:
+        told["ansible_user"] = host.user
+    if host.port is not None:
+        told["ansible_port"] = host.port
+    if host.key is not None:
+        told["ansible_ssh_private_key_file"] = host.key
+    if host.python is not None:
+        told["ansible_python_interpreter"] = host.python
+    return told
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=2) + "\n"
