@@ -14,11 +14,11 @@ from agent.clock import NS_PER_S
 from agent.seal import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
-"""Of what is said once and not again (heartbeats, faults, questions) a seal is not older, nor that much ahead:
-who has overheard one cannot use it later. Missions, stops and leaves have versions, and are said again."""
+"""Of what is said once and not again (heartbeats, faults, questions) a seal is not older, nor that much
+ahead: who has overheard one cannot use it later. Missions, stops and leaves have versions, and are said
+again."""
 SEALS_BYTES_MAX: Final = 2_097_152
 """Of orders that may be said again: thousands of stops, or some twenty of the largest missions."""
-
 FORGED_MAX: Final = 4
 FORGED_PERIOD_NS: Final = NS_PER_S // 10
 """Within such a period so many forged orders that one robot tells are looked at, and then no more of what it

@@ -21,6 +21,8 @@ READ_MAX: Final = 131_072
 POLL_NS: Final = 200_000_000
 SIZE_MAX: Final = 2_097_152
 """A log of this size is emptied at once, whenever it was read last."""
+WANTED: Final = "RUST_LOG"
+"""Variable of the environment that says what Zenoh logs, whatever is asked for here."""
 _STDOUT: Final = 1
 
 
@@ -28,11 +30,17 @@ class ZenohLog:
     """Takes file descriptor 1 from the process while it is open; Python's own standard output goes on.
 
     Make it before the first session, and give Zenoh `agent.refusals.FILTER`. One in a process.
+
+    Who sets `WANTED` means to read Zenoh's log: it stays on standard output then. That is said, and of
+    refusals only those that are added to `refusals`.
     """
 
     def __init__(self) -> None:
         self.refusals = Refusals()
         self._closed = False
+        self._is_wanted = self._is_news = WANTED in os.environ
+        if self._is_wanted:
+            return
         self._due_ns = self._read = 0
         self._output = os.dup(_STDOUT)  # not inherited by children, as the new 1 is
         self._sys_stdout = sys.stdout
@@ -56,6 +64,8 @@ class ZenohLog:
         if self._closed:
             return
         self._closed = True
+        if self._is_wanted:
+            return
         if sys.stdout is not self._sys_stdout:
             sys.stdout.close()
             sys.stdout = self._sys_stdout
@@ -67,9 +77,17 @@ class ZenohLog:
         """What is to be said at `now_ns`, of a clock that never goes back: call it at every tick."""
         if self._closed:
             return
+        if self._is_news:
+            self._is_news = False
+            yield f"{WANTED} is set: Zenoh's log is on standard output, and what it refuses is not told here"
+        if self._is_wanted or self._read_file(now_ns):
+            yield from self.refusals.lines(now_ns)
+
+    def _read_file(self, now_ns: int) -> bool:
+        """Reads what is new, if it is due; whether it was."""
         size = os.fstat(self._file).st_size
         if now_ns < self._due_ns and size < SIZE_MAX:
-            return
+            return False
         self._due_ns = now_ns + POLL_NS
         new = size - self._read
         if new > 0:
@@ -79,7 +97,7 @@ class ZenohLog:
                 os.ftruncate(self._file, 0)  # what came since it was read is lost, hence only now and then
                 self._read = 0
             self.refusals.take(log, min(1.0, READ_MAX / new))
-        yield from self.refusals.lines(now_ns)
+        return True
 
 
 def _goes_to_stdout(stream: TextIO) -> bool:

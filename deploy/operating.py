@@ -21,6 +21,9 @@ from agent.plan import Plan, PlanError, plan_of
 from agent.supervision import DRIVING
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
+AHEAD_US_MAX: Final = 24 * 3600 * 1_000_000
+"""Versions are us of operators' clocks, which differ by less than a day. A robot that tells of a later order
+lies, and must not push versions so far that no order can have a greater one."""
 NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 
@@ -165,10 +168,10 @@ class Operator(Known):
         return self.resume
 
     def _next_mission(self, now_ns: int) -> int:
-        return _next(now_ns, max(self.mission_version, self._missions_seen))
+        return _next(now_ns, self.mission_version, self._missions_seen)
 
     def _next_order(self, now_ns: int) -> int:
-        return _next(now_ns, max(self.order_version, self._orders_seen))
+        return _next(now_ns, self.order_version, self._orders_seen)
 
     def outgoing(self, message: Order | Heartbeat | Ask) -> Outgoing:
         """A message as it goes on the bus."""
@@ -224,6 +227,12 @@ class Operator(Known):
         return status.state in _DRIVING and braked
 
 
-def _next(now_ns: int, seen: int) -> int:
-    """Lamport's clock, in us of the wall clock where that is ahead of all that was seen."""
-    return max(now_ns // 1_000, seen + 1)
+def _next(now_ns: int, known: int, told: int) -> int:
+    """Lamport's clock, in us of the wall clock where that is ahead of all that was seen.
+
+    Args:
+        known: the greatest version of an order that was heard.
+        told: the greatest that robots say they know, believed as far as `AHEAD_US_MAX`.
+    """
+    now_us = now_ns // 1_000
+    return max(now_us, known + 1, min(told, now_us + AHEAD_US_MAX) + 1)

@@ -8,6 +8,7 @@ from agent import keys
 from agent.fleet import Fleet
 from agent.messages import Message, PlantState, Status, Stop, clipped
 from agent.supervision import State
+from deploy.operating import AHEAD_US_MAX
 
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)
@@ -56,9 +57,10 @@ class Stopping:
     def _hear_agent(self, now_ns: int, status: Status) -> None:
         robot = status.robot
         self._statuses[robot] = status
-        if status.order_version > self.message.version and robot not in self._agents_ns:
+        told, most = status.order_version, self._begun_ns // 1_000 + AHEAD_US_MAX
+        if self.message.version < told <= most and robot not in self._agents_ns:
             # It knew of a later leave than this stop, as when this machine's clock is behind: outdo that.
-            self.message = self.message._replace(version=status.order_version + 1)
+            self.message = self.message._replace(version=told + 1)
         elif self._obeys(robot):
             self._agents_ns.setdefault(robot, now_ns)
 
