@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tests.benchmarks.figures import Figure, Options, Result, figure_table, load
+from tests.benchmarks.processes import BenchmarkError
 
 NAMES: Final = (
     "cpu",
@@ -36,6 +37,7 @@ NAMES: Final = (
     "rovers",
     "bridge",
     "recording",
+    "hosts",
 )
 LOAD_QUIET: Final = 0.5
 
@@ -56,6 +58,9 @@ def _run(name: str, options: Options) -> tuple[Result | None, dict[str, Any]]:
     run: Callable[[Options], Result] = import_module(f"tests.benchmarks.{name}").run
     try:
         result = run(options)
+    except BenchmarkError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return None, {"error": str(error)}
     except Exception as error:
         traceback.print_exc()
         return None, {"error": f"{type(error).__name__}: {error}"}

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.hosts.hosts import Hosts, Setup, missing
+from tests.hosts.host import Setup
+from tests.hosts.hosts import Hosts, missing
 
 
 @pytest.fixture(scope="session")

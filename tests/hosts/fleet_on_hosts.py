@@ -15,7 +15,8 @@ import tomli_w
 
 from deploy.arguments import FLEETS
 from deploy.bundle import Platform, bundle_for
-from tests.hosts.hosts import Host, Hosts
+from tests.hosts.host import Host
+from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, wait_for
 
 UP_TIMEOUT_S: Final = 240.0

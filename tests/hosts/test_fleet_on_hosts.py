@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -225,12 +226,14 @@ def test_logs_are_merged_by_time(fleet: FleetOnHosts) -> None:
     fleet.handfast("resume")
     follow = fleet.start("logs", "--follow", "--robot", "3")
     assert follow.stdout is not None
-    os.set_blocking(follow.stdout.fileno(), False)
-    said: list[str] = []
+    pipe = follow.stdout.fileno()
+    os.set_blocking(pipe, False)
+    said: list[bytes] = []
 
     def heard(text: str) -> bool:
-        said.append(follow.stdout.read() or "")  # type: ignore[union-attr]
-        return text in "".join(said)
+        with contextlib.suppress(BlockingIOError):
+            said.append(os.read(pipe, 65_536))
+        return text.encode() in b"".join(said)
 
     wait_for(lambda: heard("robot 3"), "what was said before is shown", 20.0)
     fleet.handfast("stop", "--reason", "for the log")

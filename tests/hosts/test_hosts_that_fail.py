@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
+from tests.hosts.computers import NOBODYS_ADDRESS
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
-from tests.hosts.hosts import NOBODYS_ADDRESS, Hosts, Setup
+from tests.hosts.host import Setup
+from tests.hosts.hosts import Hosts
 
 pytestmark = pytest.mark.timeout(300)
 GOOD = 2

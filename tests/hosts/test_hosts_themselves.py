@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 from tests.hosts import spaces
-from tests.hosts.hosts import NOBODYS_ADDRESS, ROOT, Host, Hosts, Setup, missing
+from tests.hosts.computers import NOBODYS_ADDRESS, ROOT
+from tests.hosts.host import Host, Setup
+from tests.hosts.hosts import Hosts, missing
 from tests.process.harness import PATIENCE_S, wait_for
 
 MakeHosts = Callable[[int | Sequence[Setup]], Hosts]
@@ -195,7 +197,7 @@ def test_hosts_with_something_amiss(make_hosts: MakeHosts) -> None:
 def test_a_host_without_a_good_python_is_lent_the_one_under_test(
     can_have_hosts: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tests.hosts.hosts.python_to_lend", lambda: Path(sys.base_prefix))
+    monkeypatch.setattr("tests.hosts.host.python_to_lend", lambda: Path(sys.base_prefix))
     with Hosts(1) as hosts:
         ask = "import ensurepip, ssl, sys, venv; print(sys.version)"
         over_ssh = hosts.operator.ssh(
