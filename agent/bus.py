@@ -17,6 +17,7 @@ from typing import Any, Final, Literal
 import zenoh
 
 from agent.access import Security
+from agent.linger import Lingering
 from agent.node import INBOX_SIZE
 
 Mode = Literal["peer", "client", "router"]
@@ -34,6 +35,8 @@ RUNTIME: Final = (
 messages a second keep none of them busy, and handing over between threads cost a fifth of the CPU.
 Zenoh reads it from the environment; a ``ZENOH_RUNTIME`` that is set already is left alone."""
 RETRY_MS: Final = (50, 200)
+LINGER_PERIOD_S: Final = 0.5
+"""How often it is looked for links that are new (`agent.linger`)."""
 M_ARENA_MAX: Final = -8
 """Of glibc's `mallopt`."""
 
@@ -182,6 +185,8 @@ class Bus:
             self.close()
             raise
         self._near, self._far = self._sessions[0], self._sessions[-1]
+        self._lingering = Lingering()
+        self._linger_due_s = 0.0
         self._inboxes: dict[str, tuple[str, Any, int]] = {}
         self._publishers: dict[str, list[Any]] = {}
         self._tokens: list[Any] = []
@@ -239,6 +244,10 @@ class Bus:
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
+        now_s = time.monotonic()
+        if now_s >= self._linger_due_s:
+            self._linger_due_s = now_s + LINGER_PERIOD_S
+            self._lingering.end()
         for key, subscriber, inbox_size in self._inboxes.values():
             for _ in range(inbox_size):  # a flood that comes faster than it is taken must not keep the loop
                 if (sample := subscriber.try_recv()) is None:

@@ -50,6 +50,7 @@ def add_parser(commands: Any) -> None:
 def _router(options: argparse.Namespace) -> int:
     from agent.bus import Router, init_log, settings_of
     from agent.keys import alive, robot_of_alive
+    from agent.linger import Lingering
     from agent.refusals import FILTER
     from agent.service import Service
     from agent.zenoh_log import ZenohLog
@@ -70,6 +71,7 @@ def _router(options: argparse.Namespace) -> int:
             router = stack.enter_context(Router([listen], [], security))
             service = stack.enter_context(Service())
             _say(f"router of {name} on {listen}{', secured' if security else ', not secured'}")
+            lingering = Lingering()
             presence = router.watch(alive(name, "*", "*"))
             service.ready()
             while not interrupt.count:
@@ -78,6 +80,7 @@ def _router(options: argparse.Namespace) -> int:
                     _say(f"robot {robot}'s {role} {'came' if here else 'is gone'}")
                 for line in log.lines(time.monotonic_ns()):
                     _say(line)
+                lingering.end()
                 service.lives(time.monotonic_ns())
                 time.sleep(POLL_S)
     return INTERRUPTED

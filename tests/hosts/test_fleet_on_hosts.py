@@ -147,6 +147,12 @@ def test_killed_hung_and_cut_off_it_comes_back(fleet: FleetOnHosts, tmp_path: Pa
     for robot, data in recording.robots.items():
         driven = [state for t, state in zip(data.status.t, data.status.states, strict=True) if t < 33.5]
         assert driven[-1] == "running", f"robot {robot}: {driven[-1]}\n{said}"
+    # Those who were not cut off go on hearing each other: a link to nobody must not stall the others.
+    for robot in (1, 4, 5):
+        stamps = recording.robots[robot].plant.t
+        assert measured(f"longest silence of robot {robot}'s plant, s", float(np.diff(stamps).max())) < 1.0, (
+            said
+        )
     places = recording.hand_positions(np.array([33.5]))[0]
     for i, j in recording.fleet.formation.edges:
         apart = float(np.linalg.norm(places[i - 1] - places[j - 1]))
