@@ -1,10 +1,10 @@
 """Takes from Zenoh's sockets what makes closing one wait.
 
 Zenoh sets ``SO_LINGER`` to 10 s on every TCP and TLS link. When a peer has gone without a word (its cable,
-its radio, its power), the close of its link then blocks a thread of Zenoh's for so long, and with it every other
-link of the process: measured, two robots that hear each other well stopped to for as long as a third was
-away, with one thread as with Zenoh's own number of them, once as many peers are gone. Without it, the kernel
-sees to what is left to be sent.
+its radio, its power), the close of its link then blocks a thread of Zenoh's for so long, and with it every
+other link of the process. Measured: two robots that hear each other well stopped to for as long as a third
+was away, with one thread, and with Zenoh's own number of them as soon as as many peers were gone. Without
+it, the kernel sees to what is left to be sent.
 """
 
 from __future__ import annotations
