@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from agent.fleet import Fleet
@@ -58,12 +58,12 @@ class Arrivals(OperatorSession):
         for receiver in self.alive:
             self._came.setdefault(receiver, now)
 
-    def is_here(self, robot: int, since: float | None) -> bool:
-        """Whether its agent, heard from, and its plant are there; if asked, both came `since` then."""
-        came = [self._came.get((robot, role)) for role in ROLES]
-        if None in came or robot not in self.statuses:
-            return False
-        return since is None or all(moment is not None and moment >= since for moment in came)
+    def is_here(self, robot: int, since: Mapping[str, float]) -> bool:
+        """Whether its agent, heard from, and its plant are there; of roles in `since` only who came later."""
+        came = {role: self._came.get((robot, role)) for role in ROLES}
+        return robot in self.statuses and all(
+            moment is not None and moment >= since.get(role, moment) for role, moment in came.items()
+        )
 
     def drives(self, robot: int) -> bool:
         status = self.statuses.get(robot)
@@ -194,14 +194,13 @@ class BringUp:
                 self._one_at_a_time(row, connection, robot, stale[robot])
         elif starts:
             row.step = f"starting {robots_words(starts)}"
-            since = time.monotonic()
-            names = [name for robot in starts for name in stale[robot]]
-            connection.ask("restart", names=names)
+            begun = time.monotonic()
+            connection.ask("restart", names=[name for robot in starts for name in stale[robot]])
             for robot in starts:
-                self._await(row, connection, robot, since)
+                self._await(row, connection, robot, self._since(robot, stale[robot], begun))
         for robot in row.robots:
             if robot not in starts:
-                self._await(row, connection, robot, None)
+                self._await(row, connection, robot, {})
         lacking = [robot for robot in row.robots if robot not in row.outcomes]
         if lacking:
             raise HostError(self._why(connection, lacking))
@@ -215,18 +214,23 @@ class BringUp:
                 raise HostError(f"left as it was: {self._halted or 'interrupted'}")
             drove = self._arrivals.drives(robot)
             row.step = f"starting robot {robot} again"
-            since = time.monotonic()
+            since = self._since(robot, names, time.monotonic())
             connection.ask("restart", names=names)
             here = self._await(row, connection, robot, since, drives=drove)
             if not here:
                 self._halted = f"robot {robot} did not come back"
+
+    def _since(self, robot: int, names: Collection[str], begun: float) -> dict[str, float]:
+        """Since when which of a robot's processes are new, of those that are heard on the bus."""
+        name = self._fleet.fleet.name
+        return {role: begun for role in ROLES if units.unit_name(name, robot, role) in names}
 
     def _await(
         self,
         row: Row,
         connection: HostConnection,
         robot: int,
-        since: float | None,
+        since: Mapping[str, float],
         *,
         drives: bool = False,
     ) -> bool:

@@ -77,6 +77,16 @@ def test_again_there_is_nothing_to_do(fleet: FleetOnHosts) -> None:
     assert fleet.processes() == before
 
 
+def test_only_what_does_not_run_is_started(fleet: FleetOnHosts) -> None:
+    before = {role: fleet.process(1, role) for role in ("agent", "plant", "recorder")}
+    fleet.hosts[0].run("systemctl --user stop handfast-delta-robot-1-agent", check=True)
+    told = fleet.handfast("up")
+    assert "host1: up, robot 1 started" in told.stderr
+    assert told.stderr.count("up, nothing to do") == 2
+    after = {role: fleet.process(1, role) for role in before}
+    assert [after[role] == before[role] for role in before] == [False, True, True]
+
+
 def test_status_tells_of_every_process(fleet: FleetOnHosts) -> None:
     rows = fleet.status()
     assert len(rows) == 18
