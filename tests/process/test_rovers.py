@@ -9,13 +9,10 @@ import signal
 import time
 from pathlib import Path
 
-from agent import keys
 from agent.clock import NS_PER_S
-from agent.codec import encode
 from agent.latch import AWAITED
 from agent.messages import HandState, PlantState, Status, Wrench
 from bridges.mavlink import ardurover
-from bridges.mavlink.backend import UNTOLD
 from tests.ground_station import Operator
 from tests.process.harness import measured, no_trouble_in_logs
 from tests.process.rover_harness import Rovers, cold, rovers
@@ -118,11 +115,7 @@ def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
         stops_by_itself(fleet, operator)
         assert measured("seconds until it stops", (time.time_ns() - killed_ns) / NS_PER_S) < 3.5
         fleet.start(2, "plant")
-        begun_ns = time.time_ns()
-        # Its agent asks it to drive as soon as it is well. Whose wrench that is, only a mission tells.
-        fleet.first(begun_ns, PlantState, 2, lambda m: m.note == UNTOLD, "the new bridge knows of no mission")
-        assert fleet.mission is not None
-        fleet.bus.publish(keys.mission(fleet.name), encode(fleet.mission))
+        # Its agent asks it to drive as soon as it is well, and tells it by which mission: no operator has to.
         drives_again(fleet, operator)
         assert (operator.mode, operator.armed) == (ardurover.GUIDED, True)
         operator.set_mode("HOLD")
