@@ -19,11 +19,9 @@ from agent.order_sections import OrderSection
 from agent.orders import OrderError, first_mission, ordered
 from agent.plan import Plan, PlanError, plan_of
 from agent.supervision import DRIVING
+from deploy.order_versions import AHEAD_US_MAX
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
-AHEAD_US_MAX: Final = 24 * 3600 * 1_000_000
-"""Versions are us of operators' clocks, which differ by less than a day. A robot that tells of a later order
-lies, and must not push versions so far that no order can have a greater one."""
 NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 

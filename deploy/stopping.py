@@ -8,7 +8,7 @@ from agent import keys
 from agent.fleet import Fleet
 from agent.messages import Message, PlantState, Status, Stop, clipped
 from agent.supervision import State
-from deploy.operating import AHEAD_US_MAX
+from deploy.order_versions import AHEAD_US_MAX
 
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)

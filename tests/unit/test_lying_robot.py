@@ -8,7 +8,8 @@ from agent import keys
 from agent.codec import decode, encode
 from agent.formation import resolve, resolved
 from agent.messages import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
-from deploy.operating import AHEAD_US_MAX, Operator
+from deploy.operating import Operator
+from deploy.order_versions import AHEAD_US_MAX
 from deploy.stopping import Stopping
 from tests.process.small_fleets import triangle
 
