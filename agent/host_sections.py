@@ -1,4 +1,4 @@
-"""The tables of a fleet file that say where its processes run, and how they reach each other (PURE)."""
+"""The tables of a fleet file that no robot needs to agree on: hosts, network, recording (PURE)."""
 
 from __future__ import annotations
 

@@ -313,20 +313,7 @@ def runs_as_wanted(name: str) -> bool:
     return words is not None and [word.encode() for word in json.loads(words[1])] == running
 
 
-PROPERTIES: Final = (
-    "ActiveState",
-    "SubState",
-    "Result",
-    "MainPID",
-    "NRestarts",
-    "StatusText",
-    "MemoryCurrent",
-    "CPUUsageNSec",
-    "ExecMainStatus",
-    "ExecMainCode",
-    "LoadState",
-    "ActiveEnterTimestampMonotonic",
-)
+PROPERTIES: Final = ("ActiveState", "Result", "MainPID", "NRestarts", "StatusText")
 
 
 def shown(name: str) -> dict[str, str]:
