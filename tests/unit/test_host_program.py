@@ -49,11 +49,16 @@ def host(home: Path) -> Iterator[HostConnection]:
 
 @pytest.fixture
 def sleeper() -> Iterator[subprocess.Popen[bytes]]:
-    """A process that runs as a unit's would."""
-    child = subprocess.Popen([sys.executable, "-m", "timeit", "-n", "1", "import time; time.sleep(60)"])
-    yield child
-    child.send_signal(signal.SIGKILL)
-    child.wait()
+    """A process that runs as a unit's would.
+
+    It says when it runs: between ``exec`` and the first instruction its command line may read as empty.
+    """
+    words = [sys.executable, "-c", "import time; print(flush=True); time.sleep(60)"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        yield child
+        child.send_signal(signal.SIGKILL)
 
 
 def told(home: Path) -> list[str]:
