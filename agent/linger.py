@@ -20,30 +20,43 @@ _LINGER: Final = Struct("ii")  # whether, and for how many seconds
 
 
 class Lingering:
-    """The sockets of this process, of which each is looked at once."""
+    """The sockets of this process. Each is looked at again until it was changed: Zenoh has a link linger only
+    once it is open."""
 
     def __init__(self) -> None:
-        self._seen: set[int] = set()
+        self._done: set[int] = set()
 
     def end(self) -> int:
         """Has no TCP socket wait when it is closed; how many were changed."""
-        changed, seen = 0, set()
-        for name in os.listdir(FOLDER):
+        try:
+            names = os.listdir(FOLDER)
+        except OSError:
+            return 0  # no file handle is left for that: next time
+        changed, there = 0, set()
+        for name in names:
             try:
                 about = os.fstat(int(name))
                 if not stat.S_ISSOCK(about.st_mode):
                     continue
-                seen.add(about.st_ino)
-                if about.st_ino not in self._seen:
-                    changed += _without(int(name))
+                there.add(about.st_ino)
+                if about.st_ino not in self._done and _without(int(name)):
+                    self._done.add(about.st_ino)
+                    changed += 1
             except OSError:
                 continue  # closed meanwhile
-        self._seen = seen
+        self._done &= there
         return changed
 
 
 def _without(handle: int) -> bool:
-    with socket.socket(fileno=os.dup(handle)) as found:
+    """Whether it was a TCP socket that lingered; it does no more."""
+    own = os.dup(handle)
+    try:
+        found = socket.socket(fileno=own)
+    except OSError:  # it has become something else
+        os.close(own)
+        raise
+    with found:
         if found.family not in (socket.AF_INET, socket.AF_INET6) or found.type != socket.SOCK_STREAM:
             return False
         lingers, _ = _LINGER.unpack(found.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size))

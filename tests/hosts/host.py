@@ -250,14 +250,19 @@ class Host:
     # --- faults -----------------------------------------------------------------------------------
 
     def cut(self) -> None:
-        """Unplugs its cable."""
+        """Takes it out of range: nothing gets through, either way, and nobody is told.
+
+        A cable that is pulled would tell the kernel, which then takes up to a second of its own (Linux looks at
+        links that come and go once a second) before it sends anything over one that is back.
+        """
         self._cut = True
-        self._operator.space.links(f"link set {self._port} down")
+        self._operator.space.forward(self._port, through=False)
 
     def restore(self) -> None:
-        """Plugs it in again."""
+        """Brings it back into range."""
         self._cut = False
-        self._operator.space.links(f"link set {self._port} up")
+        self._operator.space.links(f"link set {self._port} up")  # down, where it was switched on meanwhile
+        self._operator.space.forward(self._port, through=True)
 
     def stop_sshd(self) -> None:
         """Ends its sshd and the sessions of it."""

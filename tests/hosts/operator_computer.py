@@ -153,12 +153,12 @@ class Operator:
         return self.run(["ssh", *options, *strict, name, command], timeout=timeout)
 
     def cut(self) -> None:
-        """Unplugs the operator's cable: the hosts still reach each other."""
-        self.space.links("link set port0 down")
+        """Takes the operator out of range, as `Host.cut`: the hosts still reach each other."""
+        self.space.forward("port0", through=False)
 
     def restore(self) -> None:
-        """Plugs it in again."""
-        self.space.links("link set port0 up")
+        """Brings it back into range."""
+        self.space.forward("port0", through=True)
 
     def pids(self) -> dict[int, str]:
         """Processes in the operator's network, by pid, with their command lines."""

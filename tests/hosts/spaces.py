@@ -27,6 +27,7 @@ MARK: Final = "HANDFAST_TEST_HOSTS"
 """In the environment of every process of a set: the set's name."""
 START_S: Final = 60.0
 STOP_S: Final = 20.0
+_DISABLED, _FORWARDING = 0, 3  # states of a bridge's port
 _NSENTER: Final = shutil.which("nsenter", path=f"{os.defpath}:/usr/sbin:/sbin") or "nsenter"
 _serial = 0
 
@@ -169,11 +170,18 @@ class Space:
 
     def links(self, lines: str) -> None:
         """Gives ip(8) commands, one a line, in this network namespace."""
+        self._batch("ip", lines)
+
+    def forward(self, port: str, *, through: bool) -> None:
+        """Whether the bridge lets anything through a port of it; who is behind it is not told."""
+        self._batch("bridge", f"link set dev {port} state {_FORWARDING if through else _DISABLED}")
+
+    def _batch(self, program: str, lines: str) -> None:
         done = subprocess.run(
-            [*self.command("net"), "ip", "-batch", "-"], input=lines, text=True, capture_output=True
+            [*self.command("net"), program, "-batch", "-"], input=lines, text=True, capture_output=True
         )
         if done.returncode != 0:
-            raise HostsFailed(f"ip: {done.stderr.strip()} in\n{lines}")
+            raise HostsFailed(f"{program}: {done.stderr.strip()} in\n{lines}")
 
     def pids(self, kind: str) -> set[int]:
         """Processes in its namespace of a kind, such as ``pid`` or ``net``."""

@@ -112,7 +112,7 @@ def test_a_users_unit_runs_logs_and_restarts(hosts: Hosts) -> None:
     assert not hosts[0].pids()
 
 
-def test_a_cut_host_is_reached_again_when_its_cable_is_back(hosts: Hosts) -> None:
+def test_a_cut_host_is_reached_again_when_it_is_back(hosts: Hosts) -> None:
     hosts[1].cut()
     assert not answers(hosts, hosts[1])
     assert answers(hosts, hosts[2])
