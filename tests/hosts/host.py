@@ -252,8 +252,8 @@ class Host:
     def cut(self) -> None:
         """Takes it out of range: nothing gets through, either way, and nobody is told.
 
-        A cable that is pulled would tell the kernel, which then takes up to a second of its own (Linux looks at
-        links that come and go once a second) before it sends anything over one that is back.
+        A cable that is pulled would tell the kernel, which then takes up to a second of its own before it
+        sends anything over one that is back: Linux looks at links that come and go once a second.
         """
         self._cut = True
         self._operator.space.forward(self._port, through=False)
