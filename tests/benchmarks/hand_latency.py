@@ -19,6 +19,7 @@ import zenoh
 from agent import keys
 from agent.bus import RUNTIME, settings_of
 from agent.codec import decode
+from agent.credentials import load
 from agent.fleet import load_fleet
 from agent.identity import MAIN, of_operator
 from agent.message_checks import Malformed
@@ -43,7 +44,7 @@ def listen(fleet_file: str, seconds: float) -> Heard:
     name = fleet.fleet.name
     security = None
     if fleet.is_secured:
-        security, _ = secured(fleet, keys_folder(name), of_operator(name, MAIN), print)
+        security = secured(fleet, load(keys_folder(name), of_operator(name, MAIN), time.time()))
     os.environ["ZENOH_RUNTIME"] = RUNTIME
     config = zenoh.Config()
     endpoints = [fleet.agent_endpoint(robot) for robot in fleet.ids]

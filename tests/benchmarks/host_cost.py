@@ -17,11 +17,10 @@ from typing import Final
 
 import numpy as np
 
-from agent.clock import NS_PER_S
 from tests.benchmarks.figures import Figure, spread
 from tests.benchmarks.hand_latency import Heard
 from tests.benchmarks.host_faults import SETTLE_S, drive_alone
-from tests.benchmarks.processes import BenchmarkError
+from tests.benchmarks.processes import BenchmarkError, cpu_s
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 
 MODULES: Final = {"agent": "-m agent ", "plant": "-m plant ", "recorder": "-m agent.recorder_process "}
@@ -30,9 +29,6 @@ OPEN: Final = "open"
 LISTEN_S: Final = 6.0
 _SPARE_S: Final = 60.0
 """A drive is stopped when its windows are over, however slow the machine."""
-_CPU_OF_PROCESS: Final = 2
-"""Low bits of the number of a clock that counts the CPU of a whole process, whose id, inverted, is in the
-others: what clock_getcpuclockid(3) makes."""
 
 
 @dataclass
@@ -63,9 +59,9 @@ def measure(arms: Mapping[str, FleetOnHosts], rounds: int, window_s: float) -> C
 def _window(costs: Costs, arm: str, fleet: FleetOnHosts, window_s: float) -> None:
     pids = processes_of(fleet)
     drive_alone(fleet, SETTLE_S + window_s + LISTEN_S + _SPARE_S)
-    before, begun = {role: _used_s(found) for role, found in pids.items()}, time.monotonic()
+    before, begun = {role: sum(map(cpu_s, found)) for role, found in pids.items()}, time.monotonic()
     time.sleep(window_s)
-    after, took_s = {role: _used_s(found) for role, found in pids.items()}, time.monotonic() - begun
+    after, took_s = {role: sum(map(cpu_s, found)) for role, found in pids.items()}, time.monotonic() - begun
     for role, found in pids.items():
         costs.cpu[arm][role].append(100.0 * (after[role] - before[role]) / took_s / len(found))
     heard = hand_states(fleet)
@@ -122,8 +118,3 @@ def figures(costs: Costs) -> list[Figure]:
 
 def _ratio(secured: list[float], bare: list[float]) -> float:
     return median(one / other for one, other in zip(secured, bare, strict=True))
-
-
-def _used_s(pids: list[int]) -> float:
-    """CPU of processes, s: with that of threads that are gone, as Zenoh's go when a peer does."""
-    return sum(time.clock_gettime_ns(~pid << 3 | _CPU_OF_PROCESS) for pid in pids) / NS_PER_S

@@ -64,7 +64,7 @@ class _Plan:
     window_s: float
 
 
-FULL: Final = _Plan((3, 6), 20.0, (1, 2, 5), 2, 3, 3, 15.0)
+FULL: Final = _Plan((3, 6), 20.0, (1, 2, 5), 6, 3, 3, 15.0)
 QUICK: Final = _Plan((3,), 20.0, (2,), 1, 1, 1, 8.0)
 
 
@@ -180,7 +180,7 @@ def _faults(found: _Found, fleet: FleetOnHosts, plan: _Plan) -> None:
     drive_alone(fleet, SETTLE_S + faults * (each_s + 1.0) + 30.0)
     killed = [strike(fleet, robot, signal.SIGKILL) for robot in plan.struck]
     frozen = [strike(fleet, robot, signal.SIGSTOP) for robot in plan.struck]
-    returns_ns = [cut_off(fleet, number) for number in range(plan.cuts)]
+    returns_ns = [cut_off(fleet, number % found.hosts) for number in range(plan.cuts)]
     fleet.handfast("stop")
     recording, fetch_s = fetched(fleet, fleet.folder / "faults")
 

@@ -6,7 +6,6 @@ turns and what else the machine does falls on both.
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import time
@@ -25,7 +24,7 @@ from agent.segments import MESSAGES, Segment
 from deploy.arguments import fleet_path
 from deploy.placing import place
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
-from tests.benchmarks.processes import ROLES, Group, Observer, mean, pss_mb, start_handfast
+from tests.benchmarks.processes import ROLES, Group, Observer, cpu_s, mean, pss_mb, start_handfast
 
 RECORDER: Final = "recorder"
 SETTLE_S: Final = 3.0
@@ -133,15 +132,8 @@ def _record(group: Group, fleet: Fleet, fleet_file: Path, recordings: Path) -> N
 
 
 def _cpu(robots: Group, recorders: Group) -> dict[str, float]:
-    used = {role: sum(map(_cpu_s, robots.pids(role))) for role in ROLES}
-    return used | {RECORDER: sum(map(_cpu_s, recorders.pids(RECORDER)))}
-
-
-def _cpu_s(pid: int) -> float:
-    """CPU that a process has used, s, to a hundredth: with that of threads that are gone, as Zenoh's go when
-    a peer does."""
-    user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    used = {role: sum(map(cpu_s, robots.pids(role))) for role in ROLES}
+    return used | {RECORDER: sum(map(cpu_s, recorders.pids(RECORDER)))}
 
 
 def _stored(fleet: Fleet, recordings: Path) -> int:
