@@ -36,7 +36,7 @@ from tests.benchmarks.host_faults import (
     runs_again_s,
     strike,
 )
-from tests.benchmarks.processes import BenchmarkError, environment, handfast
+from tests.benchmarks.processes import BenchmarkError, NotHereError, environment, handfast
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.hosts import Hosts, missing
 
@@ -96,7 +96,7 @@ class _Found:
 
 def run(options: Options) -> Result:
     if (reason := missing()) is not None:
-        raise BenchmarkError(reason)
+        raise NotHereError(reason)
     plan = QUICK if options.quick else FULL
     result = Result()
     with tempfile.TemporaryDirectory(prefix="handfast-bench-") as name:

@@ -44,6 +44,10 @@ class BenchmarkError(RuntimeError):
     """A benchmark could not run."""
 
 
+class NotHereError(BenchmarkError):
+    """This machine lacks what a benchmark needs; the text says what."""
+
+
 def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
     """Of a child: it finds this checkout's packages wherever it starts. An empty value unsets a variable."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
