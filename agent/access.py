@@ -77,7 +77,8 @@ def access_settings(
         agent.identity.IdentityError: a name or id that no certificate can have.
     """
     rules: list[dict[str, Any]] = [
-        # Nothing is held back of what goes out: who listens was let in with a certificate of the fleet.
+        # Nothing is held back from those of the fleet. All others get nothing, whoever has signed their
+        # certificates: Zenoh trusts the web's authorities besides ours, where a link is dialled.
         _rule(_OUT, _EVERYTHING, ["**"], flow="egress"),
         _rule(
             _LISTEN,
@@ -85,8 +86,8 @@ def access_settings(
             [keys.everything(fleet)],
         ),
     ]
-    subjects: list[dict[str, Any]] = [{"id": "any"}]
-    policies: list[dict[str, Any]] = [{"rules": [_OUT], "subjects": ["any"]}]
+    subjects: list[dict[str, Any]] = []
+    policies: list[dict[str, Any]] = []
 
     def allow(
         group: str, members: Sequence[Identity], may_put: Sequence[str], may_live: Sequence[str]
@@ -95,7 +96,7 @@ def access_settings(
             return
         names = [member.common_name for member in members]
         subjects.append({"id": group, "cert_common_names": names})
-        allowed = [_LISTEN]
+        allowed = [_OUT, _LISTEN]
         for kind, where in (("put", may_put), ("liveliness_token", may_live)):
             if where:
                 rules.append(_rule(f"{group} {kind}", (kind,), where))
@@ -108,7 +109,7 @@ def access_settings(
             f"robot {robot}",
             [of_robot(fleet, robot)],
             [keys.everything(own)],
-            [keys.alive(fleet, robot, "*")],
+            [keys.alive(fleet, robot, role) for role in keys.ROLES],
         )
     allow("operators", [of_operator(fleet, name) for name in operators], _orders(fleet), [])
     all_of_it = [keys.everything(fleet)]

@@ -1,7 +1,7 @@
 """Zenoh, and the only module of the agent that imports it.
 
 No callbacks: samples wait in bounded rings until `drain` takes them, so a flood costs its sender's
-old messages and never this process's time or memory. See `facts/zenoh.md` for what was measured.
+old messages and never this process's time or memory.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, Final, Literal
 import zenoh
 
 from agent.access import Security
+from agent.keys import robot_of_alive
 from agent.linger import Lingering
 from agent.node import INBOX_SIZE
 
@@ -25,7 +26,9 @@ Mode = Literal["peer", "client", "router"]
 PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `messages.BYTES_MAX`, so that most are counted."""
 LEASE_MS: Final = 1000
-OPEN_TIMEOUT_MS: Final = 1000
+LINK_TIMEOUT_S: Final = 3.0
+"""A link that is not open by then is tried anew. Robots have a shorter one among each other, by their fleet
+file: the first packet of an attempt is lost where a peer is out of reach, and not sent again for a second."""
 TX_QUEUE_SIZE: Final = 16
 RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (handover: app), tx: (handover: app), "
@@ -34,9 +37,11 @@ RUNTIME: Final = (
 """One thread for all of Zenoh's work instead of one or two for each kind: a robot's few hundred small
 messages a second keep none of them busy, and handing over between threads cost a fifth of the CPU.
 Zenoh reads it from the environment; a ``ZENOH_RUNTIME`` that is set already is left alone."""
-RETRY_MS: Final = (50, 200)
+RETRY_MS: Final = (50, 150)
 LINGER_PERIOD_S: Final = 0.5
 """How often it is looked for links that are new (`agent.linger`)."""
+PRESENCE_SIZE: Final = 4096
+"""Changes of who is there that wait, and that are taken at once."""
 M_ARENA_MAX: Final = -8
 """Of glibc's `mallopt`."""
 
@@ -46,19 +51,24 @@ class BusError(RuntimeError):
 
 
 def settings_of(
-    mode: Mode, listen: Sequence[str], connect: Sequence[str], security: Security | None
+    mode: Mode,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    security: Security | None,
+    link_timeout_s: float = LINK_TIMEOUT_S,
 ) -> dict[str, Any]:
     """Zenoh's settings, by their paths in its configuration.
 
     Explicit endpoints only: no multicast, no gossip, so links are those that were asked for.
     """
+    link_timeout_ms = round(link_timeout_s * 1000)
     settings: dict[str, Any] = {
         "mode": mode,
         "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
-        **({"connect/timeout_ms": OPEN_TIMEOUT_MS} if mode == "client" else {}),
+        **({"connect/timeout_ms": link_timeout_ms} if mode == "client" else {}),
         "connect/retry": {
             "period_init_ms": RETRY_MS[0],
             "period_max_ms": RETRY_MS[1],
@@ -71,7 +81,7 @@ def settings_of(
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         # A frozen process accepts connections but does not answer: nobody waits long for it.
-        "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
+        "transport/unicast/open_timeout": link_timeout_ms,
         # Messages of one tick wait here while Zenoh's thread has not run; its default of 2 lost some.
         "transport/link/tx/queue/size/data": TX_QUEUE_SIZE,
         "transport/shared_memory/enabled": False,
@@ -113,32 +123,41 @@ def _share_heap() -> None:
         mallopt(M_ARENA_MAX, 1)
 
 
-def _open(mode: Mode, listen: Sequence[str], connect: Sequence[str], security: Security | None) -> Any:
+def _open(
+    mode: Mode,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    security: Security | None,
+    link_timeout_s: float = LINK_TIMEOUT_S,
+) -> Any:
     """A session; raises `BusError`."""
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     _share_heap()
     try:
-        return zenoh.open(_config(settings_of(mode, listen, connect, security)))
+        return zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s)))
     except zenoh.ZError as error:
         text = str(error)
     if mode == "client":
         raise BusError(f"no router answers at {' or '.join(connect)}")
     where = ", ".join(listen)
     if "os error 98" in text or "in use" in text:
-        raise BusError(
-            f"cannot listen on {where}: the port is in use; stop what uses it, "
-            "or set another [network] base_port"
-        )
+        other = "let the router listen on another" if mode == "router" else "set another [network] base_port"
+        raise BusError(f"cannot listen on {where}: the port is in use; stop what uses it, or {other}")
     if "os error 99" in text or "assign requested address" in text:
         raise BusError(f"cannot listen on {where}: this machine does not have that address")
     raise BusError(f"cannot open the bus on {where}: {text.split(' at ')[0]}")
 
 
-def _open_client(routers: Sequence[str], security: Security | None, go_on_waiting: Callable[[], bool]) -> Any:
+def _open_client(
+    routers: Sequence[str],
+    security: Security | None,
+    go_on_waiting: Callable[[], bool],
+    link_timeout_s: float,
+) -> Any:
     """A session with the first router that answers. One that was there once is waited for by Zenoh itself."""
     while True:
         try:
-            return _open("client", [], routers, security)
+            return _open("client", [], routers, security, link_timeout_s)
         except BusError:
             if not go_on_waiting():
                 raise
@@ -159,6 +178,7 @@ class Bus:
         near: keys that come directly from this robot's own processes, though there are routers.
         security: how links are secured, None for not at all.
         go_on_waiting: asked whether to try again when no router answers.
+        link_timeout_s: a link that is not open by then is tried anew.
 
     Raises:
         BusError: an endpoint cannot be listened on, or no router answers.
@@ -173,14 +193,15 @@ class Bus:
         near: Collection[str] = (),
         security: Security | None = None,
         go_on_waiting: Callable[[], bool] = lambda: False,
+        link_timeout_s: float = LINK_TIMEOUT_S,
     ) -> None:
         self._sessions: list[Any] = []
         self._near_keys = near
         try:
             if listen or connect or not routers:
-                self._sessions.append(_open("peer", listen, connect, security))
+                self._sessions.append(_open("peer", listen, connect, security, link_timeout_s))
             if routers:
-                self._sessions.append(_open_client(routers, security, go_on_waiting))
+                self._sessions.append(_open_client(routers, security, go_on_waiting, link_timeout_s))
         except BaseException:
             self.close()
             raise
@@ -227,7 +248,9 @@ class Bus:
     def watch(self, key: str) -> Presence:
         """Watches the liveliness tokens that match `key`."""
         return Presence(
-            self._far.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(4096), history=True)
+            self._far.liveliness().declare_subscriber(
+                key, zenoh.handlers.FifoChannel(PRESENCE_SIZE), history=True
+            )
         )
 
     def declare(self, key: str) -> None:
@@ -281,7 +304,9 @@ class Router:
     def watch(self, key: str) -> Presence:
         """See `Bus.watch`."""
         return Presence(
-            self._session.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(4096), history=True)
+            self._session.liveliness().declare_subscriber(
+                key, zenoh.handlers.FifoChannel(PRESENCE_SIZE), history=True
+            )
         )
 
 
@@ -293,10 +318,17 @@ class Presence:
         self.alive: set[str] = set()
 
     def update(self) -> list[tuple[str, bool]]:
-        """Changes since the last call: (key of the token, True when it came or False when it went)."""
+        """Changes since the last call: (key of the token, True when it came or False when it went).
+
+        Of tokens that stand for no process nothing is told or kept: anybody may declare as many as he likes.
+        """
         changes = []
-        while (sample := self._subscriber.try_recv()) is not None:
+        for _ in range(PRESENCE_SIZE):  # a flood that comes faster than it is taken must not keep the loop
+            if (sample := self._subscriber.try_recv()) is None:
+                break
             key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+            if robot_of_alive(key) is None or (here and len(self.alive) >= PRESENCE_SIZE):
+                continue
             (self.alive.add if here else self.alive.discard)(key)
             changes.append((key, here))
         return changes

@@ -47,6 +47,14 @@ class CredentialsError(ValueError):
     """Credentials that cannot be used or made; the text says which file, and what to do."""
 
 
+class MissingError(CredentialsError):
+    """There are no credentials, or not all of them: they have to be made."""
+
+
+class NotYetValidError(CredentialsError):
+    """Credentials that will be good: this machine's clock, or the authority's, is not right."""
+
+
 @dataclass(frozen=True, slots=True)
 class Files:
     """Where the credentials of `identity` are."""
@@ -66,6 +74,15 @@ class Files:
     @property
     def key(self) -> Path:
         return self.folder / f"{self.identity.common_name}.key"
+
+    @property
+    def next_certificate(self) -> Path:
+        """The certificate that `store` is about to take, and beside it the authority's."""
+        return self.folder / f"{self.identity.common_name}.next.crt"
+
+    @property
+    def next_authority(self) -> Path:
+        return self.folder / "ca.next.crt"
 
     @property
     def next_key(self) -> Path:
@@ -100,13 +117,15 @@ def load(folder: Path, identity: Identity, now_s: float) -> Credentials:
 
     Raises:
         CredentialsError: a file is missing, can be read by others, does not belong to the others, is not the
-            authority's work, or the certificate is not valid now.
+            authority's work, or the certificate is not valid now; `MissingError` when a file is missing,
+            `NotYetValidError` when only the time has not come.
     """
     found = _load(Files(folder, identity))
     try:
         found.certificate.check_time(now_s)
     except CertificateError as error:
-        raise CredentialsError(f"{found.files.certificate}: {error}") from None
+        kind = NotYetValidError if error.reason == "not_yet_valid" else CredentialsError
+        raise kind(f"{found.files.certificate}: {error}") from None
     return found
 
 
@@ -158,14 +177,18 @@ def store(folder: Path, identity: Identity, bundle: bytes, now_s: float) -> Cred
         raise CredentialsError(f"the certificate for {identity} is one of {certificate.identity.common_name}")
     try:
         waiting = _waiting(files)
-        if waiting is not None and same_key(waiting, certificate):
-            key_files.move(files.next_key, files.key)
-        else:
+        is_new = waiting is not None and same_key(waiting, certificate)
+        if not is_new:
             key = key_from_pem(key_files.read(files.key, private=True))
             if not same_key(key, certificate):
                 raise CredentialsError(f"the certificate for {identity} is not for its key {files.key}")
-        key_files.write(files.certificate, parts[0] + b"\n")
-        key_files.write(files.authority, pem_of(authority))
+        # All is on the disk, which may be full, before anything takes the place of what is used.
+        key_files.write(files.next_certificate, parts[0] + b"\n")
+        key_files.write(files.next_authority, pem_of(authority))
+        if is_new:
+            key_files.move(files.next_key, files.key)
+        key_files.move(files.next_certificate, files.certificate)
+        key_files.move(files.next_authority, files.authority)
     except (KeyFileError, CertificateError) as error:
         raise CredentialsError(str(error)) from None
     return load(folder, identity, now_s)
@@ -190,8 +213,11 @@ def wanting(
             wanted = fingerprint(authority_from_pem(authority_pem))
     except CertificateError as error:
         raise CredentialsError(f"the authority's certificate: {error}") from None
-    if not (files.key.exists() and files.certificate.exists() and files.authority.exists()):
-        return "it has none yet"
+    try:
+        if not all(map(key_files.exists, (files.key, files.certificate, files.authority))):
+            return "it has none yet"
+    except KeyFileError as error:
+        raise CredentialsError(str(error)) from None
     if files.key.stat().st_mode & 0o077:
         raise CredentialsError(f"others may read the private key {files.key}: chmod 600 {files.key}")
     try:
@@ -204,10 +230,13 @@ def wanting(
     if missing:
         return f"it does not hold for {', '.join(missing)}"
     days = found.certificate.days_left(now_s)
+    ends_s = found.authority.not_valid_after_utc.timestamp()
     if now_s < found.certificate.not_before_s:
         return "it is not valid yet by this machine's clock"
-    if days <= RENEW_DAYS:
-        return "it has expired" if days <= 0 else f"it expires in {int(days)} days"
+    if days <= 0:
+        return "it has expired"
+    if days <= RENEW_DAYS and found.certificate.not_after_s < ends_s:  # another one could last longer
+        return f"it expires in {int(days)} days"
     return ""
 
 
@@ -226,19 +255,24 @@ def _parsed(files: Files, path: Path, parse: Callable[[bytes], T]) -> T:
     try:
         return parse(key_files.read(path, private=path == files.key))
     except KeyFileError as error:
-        raise CredentialsError(_advised(error, files)) from None
+        raise _advised(error, files) from None
     except CertificateError as error:
         raise CredentialsError(f"{path}: {error}") from None
 
 
-def _advised(error: KeyFileError, files: Files) -> str:
-    if files.folder.is_dir() and files.key.exists():
-        return str(error)
-    return f"{files.identity} of {files.identity.fleet} has no certificate: {error}"
+def _advised(error: KeyFileError, files: Files) -> CredentialsError:
+    try:
+        if all(map(key_files.exists, (files.authority, files.certificate, files.key))):
+            return CredentialsError(str(error))
+        if key_files.exists(files.key):
+            return MissingError(str(error))
+    except KeyFileError as cannot:
+        return CredentialsError(str(cannot))
+    return MissingError(f"{files.identity} of {files.identity.fleet} has no certificate: {error}")
 
 
 def _waiting(files: Files) -> EllipticCurvePrivateKey | None:
-    if not files.next_key.exists():
+    if not key_files.exists(files.next_key):
         return None
     data = key_files.read(files.next_key, private=True)
     try:

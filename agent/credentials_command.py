@@ -1,6 +1,6 @@
-"""``python -m agent.credentials``: a robot's part in getting its certificate, called over ssh.
+"""``python -m agent.credentials``: robots' part in getting their certificates, called over ssh.
 
-    request   says as JSON whether a certificate is needed, and then the request for it
+    request   says as JSON whether a certificate is needed, and then the request for it; a line for each robot
     store     takes the certificate and the authority's from standard input
 
 No secret passes through it: the private key is made here and stays.
@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Final
 
 from agent.certificates import PEM_BYTES_MAX
-from agent.credentials import CredentialsError, Files, load, make_request, store, wanting
+from agent.credentials import CredentialsError, make_request, store, wanting
 from agent.identity import Identity, IdentityError, addresses, of_robot
+from agent.key_files import reason
 
 DONE, FAILED = 0, 2
 _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
@@ -26,9 +27,7 @@ _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status: 0, or 2 with one line on standard error."""
-    parser = argparse.ArgumentParser(
-        prog="python -m agent.credentials", description="Credentials of one robot."
-    )
+    parser = argparse.ArgumentParser(prog="python -m agent.credentials", description="Credentials of robots.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     request = commands.add_parser("request", help="whether a certificate is needed, and the request for it")
     request.add_argument(
@@ -43,49 +42,46 @@ def main(argv: Sequence[str] | None = None) -> int:
     for command in (request, take):
         command.add_argument("--folder", required=True, metavar="DIR", help="where the credentials are")
         command.add_argument("--fleet", required=True, metavar="NAME", help="name of the fleet")
-        command.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot")
+    several = "id of the robot; may be given several times"
+    request.add_argument("--robot", required=True, type=int, action="append", metavar="ID", help=several)
+    take.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot")
     options = parser.parse_args(argv)
     try:
-        identity = of_robot(options.fleet, options.robot)
-        told = options.command(options, identity, Path(options.folder).expanduser())
+        told = options.command(options, Path(options.folder).expanduser())
     except (CredentialsError, IdentityError) as error:
         print(error, file=sys.stderr)
         return FAILED
-    print(json.dumps(told))
+    for each in told:
+        print(json.dumps(each))
     return DONE
 
 
-def _request(options: argparse.Namespace, identity: Identity, folder: Path) -> dict[str, object]:
+def _request(options: argparse.Namespace, folder: Path) -> list[dict[str, object]]:
     wanted = addresses(filter(None, options.addresses.split(",")))
     authority = None
     if options.ca is not None:
         try:
             authority = _input() if options.ca == "-" else Path(options.ca).read_bytes()
         except OSError as error:
-            raise CredentialsError(f"cannot read {options.ca}: {(error.strerror or '').lower()}") from None
+            raise CredentialsError(f"cannot read {options.ca}: {reason(error)}") from None
+    identities = [of_robot(options.fleet, robot) for robot in options.robot]
+    return [_requested(folder, identity, wanted, authority) for identity in identities]
+
+
+def _requested(
+    folder: Path, identity: Identity, wanted: Sequence[str], authority: bytes | None
+) -> dict[str, object]:
     why = wanting(folder, identity, wanted, authority, time.time())
     told: dict[str, object] = {"identity": identity.common_name, "wanting": why}
     if why:
         told["request"] = make_request(folder, identity).decode("ascii")
-    else:
-        told |= _present(folder, identity)
     return told
 
 
-def _store(_options: argparse.Namespace, identity: Identity, folder: Path) -> dict[str, object]:
+def _store(options: argparse.Namespace, folder: Path) -> list[dict[str, object]]:
+    identity = of_robot(options.fleet, options.robot)
     store(folder, identity, _input(), time.time())
-    return {"identity": identity.common_name, "wanting": ""} | _present(folder, identity)
-
-
-def _present(folder: Path, identity: Identity) -> dict[str, object]:
-    found = load(folder, identity, time.time())
-    return {
-        "not_after_s": found.certificate.not_after_s,
-        "addresses": list(found.certificate.addresses),
-        "fingerprint": found.certificate.fingerprint,
-        "authority": found.authority_fingerprint,
-        "key": str(Files(folder, identity).key),
-    }
+    return [{"identity": identity.common_name, "wanting": ""}]
 
 
 def _input() -> bytes:

@@ -42,6 +42,9 @@ from agent.schema import Problem, Reader, about, build, plain, printable, show
 from agent.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20
+LOOPBACK: Final = re.compile(r"127\.[0-9.]+|\[::1\]|localhost")
+ANY_ADDRESS: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
+"""Where everybody is listened to, and where a robot's own processes are then."""
 _PROBLEMS_SHOWN_MAX: Final = 100
 
 
@@ -202,26 +205,51 @@ class Fleet:
 
     def agent_endpoint(self, robot_id: int) -> str:
         """Where others reach a robot's agent, as Zenoh writes it. `FleetError` when there is no such one."""
-        return self._endpoint(robot_id, 0, to_listen=False)
+        return self._endpoint(robot_id, 0)
 
     def plant_endpoint(self, robot_id: int) -> str:
         """Where others reach a robot's plant, as Zenoh writes it. `FleetError` when there is no such one."""
-        return self._endpoint(robot_id, 1, to_listen=False)
+        return self._endpoint(robot_id, 1)
 
-    def agent_listens(self, robot_id: int) -> str:
+    def agent_listens(self, robot_id: int) -> tuple[str, ...]:
         """Where a robot's agent listens, as Zenoh writes it. `FleetError` when there is no such robot."""
-        return self._endpoint(robot_id, 0, to_listen=True)
+        return self._listens(robot_id, 0)
 
-    def plant_listens(self, robot_id: int) -> str:
+    def plant_listens(self, robot_id: int) -> tuple[str, ...]:
         """Where a robot's plant listens, as Zenoh writes it. `FleetError` when there is no such robot."""
-        return self._endpoint(robot_id, 1, to_listen=True)
+        return self._listens(robot_id, 1)
 
-    def _endpoint(self, robot_id: int, which: int, *, to_listen: bool) -> str:
+    def agent_near(self, robot_id: int) -> str:
+        """Where a robot's own processes reach its agent, which does not go with an address of its computer.
+
+        `FleetError` when there is no such robot.
+        """
+        return self._endpoint(robot_id, 0, self._near(robot_id))
+
+    def plant_near(self, robot_id: int) -> str:
+        """As `agent_near`, of its plant."""
+        return self._endpoint(robot_id, 1, self._near(robot_id))
+
+    def _listens(self, robot_id: int, which: int) -> tuple[str, ...]:
+        address, near = self._listening(robot_id), self._near(robot_id)
+        addresses = (address,) if address == near or address in ANY_ADDRESS else (address, near)
+        return tuple(self._endpoint(robot_id, which, each) for each in addresses)
+
+    def _listening(self, robot_id: int) -> str:
+        host = self.host_of(robot_id)
+        return self.network.address if host is None else host.listen or host.address or host.name
+
+    def _near(self, robot_id: int) -> str:
+        address = self._listening(robot_id)
+        if self.host_of(robot_id) is None or LOOPBACK.fullmatch(address):
+            return address
+        return ANY_ADDRESS.get(address, "127.0.0.1")
+
+    def _endpoint(self, robot_id: int, which: int, address: str | None = None) -> str:
         port = self.network.base_port + 2 * self.index(robot_id) + which
         host = self.host_of(robot_id)
-        address = self.network.address
-        if host is not None:
-            address = (host.listen if to_listen else None) or host.address or host.name
+        if address is None:
+            address = self.network.address if host is None else host.address or host.name
         return f"{'tls' if self.is_secured else 'tcp'}/{address}:{port}"
 
 

@@ -14,6 +14,9 @@ from agent.clock import NS_PER_S
 
 AGAIN_NS: Final = NS_PER_S // 2
 """What was said is not said again for so long."""
+LACKING_NS: Final = 2 * AGAIN_NS
+"""To somebody who lacks it for so long it is said whoever else says it: he may not hear them, or one of them
+lies to be heard by all but him."""
 SPREAD_NS: Final = NS_PER_S // 50
 """Robots wait for different times, in steps of this: mostly one says it and the others hear it."""
 STEPS: Final = 8
@@ -34,6 +37,8 @@ class Gossip:
         self._wait_ns = SPREAD_NS * (robot % STEPS)
         self._known = known
         self._due_ns: int | None = None
+        self._lacked_ns: int | None = None
+        self._lacked_last_ns = 0
         self._said_ns = -AGAIN_NS
         self._insists = False
 
@@ -43,8 +48,14 @@ class Gossip:
 
     def lacks(self, now_ns: int, mark: Mark) -> None:
         """Somebody knows only this much of it."""
-        if mark < self._known() and self._due_ns is None:
-            self._due_ns = max(now_ns, self._said_ns + AGAIN_NS) + self._wait_ns
+        if mark >= self._known():
+            return
+        if self._lacked_ns is None or now_ns > self._lacked_last_ns + AGAIN_NS:
+            self._lacked_ns = now_ns
+        self._lacked_last_ns = now_ns
+        if self._due_ns is None:
+            again_ns = min(self._said_ns + AGAIN_NS, self._lacked_ns + LACKING_NS)
+            self._due_ns = max(now_ns, again_ns) + self._wait_ns
 
     def asked(self, now_ns: int) -> None:
         """Somebody asks for it, who may not hear what others have said."""
@@ -53,12 +64,19 @@ class Gossip:
 
     def said(self, now_ns: int, mark: Mark) -> None:
         """Somebody has said as much of it, maybe this robot."""
-        if mark >= self._known():
-            self._said_ns, self._due_ns = now_ns, None
+        if mark < self._known():
+            return
+        self._said_ns = now_ns
+        if self._due_ns is not None and not self._is_last_moment(self._due_ns):
+            self._due_ns = None
+
+    def _is_last_moment(self, due_ns: int) -> bool:
+        return self._lacked_ns is not None and due_ns >= self._lacked_ns + LACKING_NS + self._wait_ns
 
     def due(self, now_ns: int) -> bool:
         """Whether to say it now."""
         if not self._insists and (self._due_ns is None or now_ns < self._due_ns):
             return False
-        self._said_ns, self._due_ns, self._insists = now_ns, None, False
+        self._said_ns, self._insists = now_ns, False
+        self._due_ns = self._lacked_ns = None
         return True

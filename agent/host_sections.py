@@ -66,8 +66,8 @@ class HostSection:
     python: str | None = setting(
         None,
         "Its Python, 3.11 or later. Left out: the first that is found.",
-        pattern=_FILE,
-        pattern_says="a file name",
+        pattern=r"[A-Za-z0-9_./+@-]{1,400}",  # a shell there reads it
+        pattern_says="a command or a path there of letters, digits and _ . / + @ - (~ is not expanded)",
         example='"/usr/bin/python3.12"',
     )
 
@@ -106,6 +106,15 @@ class NetworkSection:
         "Zenoh routers, as `HOST:PORT`. With them robots do not connect to each other but to the first of "
         "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd).",
         example='["192.168.1.2:7447"]',
+    )
+    link_timeout_s: float = setting(
+        0.4,
+        "A link between robots, or to a router, that is not open by then is tried anew: so soon do robots "
+        "find each other again. Opening one takes four round trips; with radios that need longer for these, "
+        "raise it. (Operators' commands wait longer.)",
+        unit="s",
+        ge=0.1,
+        le=10.0,
     )
 
 

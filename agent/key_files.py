@@ -17,7 +17,7 @@ class KeyFileError(ValueError):
 
 
 def private_directory(path: Path) -> None:
-    """Makes the folder, with those above it, if need be, for this user alone.
+    """Makes the folder, if need be, for this user alone; those above it, as the user makes folders.
 
     Raises:
         KeyFileError: it cannot be made, or others can look into it.
@@ -31,6 +31,17 @@ def private_directory(path: Path) -> None:
         raise KeyFileError(f"the folder {path} must belong to the user who starts this")
     if found.st_mode & 0o077:
         raise KeyFileError(f"others may look into {path}, which is for private keys: chmod 700 {path}")
+
+
+def exists(path: Path) -> bool:
+    """Whether it is there. `KeyFileError` when that cannot be found out."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise KeyFileError(f"cannot look for {path}: {reason(error)}") from None
+    return True
 
 
 def read(path: Path, *, private: bool = False, most: int = BYTES_MAX) -> bytes:

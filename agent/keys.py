@@ -8,6 +8,11 @@ from __future__ import annotations
 ROLES = ("agent", "plant")
 
 
+def of_robot(fleet: str, robot: int) -> str:
+    """How all keys begin on which one robot's agent and plant say something."""
+    return f"{fleet}/robot/{robot}/"
+
+
 def hand(fleet: str, robot: int | str) -> str:
     """Hand state of one robot, from its agent to its neighbours."""
     return f"{fleet}/robot/{robot}/hand"

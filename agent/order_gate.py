@@ -6,11 +6,14 @@ Inside, an order is what its codec made, sealed or not; so nobody inside can tak
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from agent import keys
 from agent.clock import NS_PER_S
+from agent.codec import VERSION
+from agent.message_checks import TYPE_OF
+from agent.messages import Mission, Resume, Stop
 from agent.seal import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
@@ -19,11 +22,15 @@ ahead: who has overheard one cannot use it later. Missions, stops and leaves hav
 again."""
 SEALS_BYTES_MAX: Final = 2_097_152
 """Of orders that may be said again: thousands of stops, or some twenty of the largest missions."""
-FORGED_MAX: Final = 4
-FORGED_PERIOD_NS: Final = NS_PER_S // 10
-"""Within such a period so many forged orders that one robot tells are looked at, and then no more of what it
-tells: to find out that a seal is none costs ten times as much as to make up one. What operators say
-themselves is always looked at."""
+NEW_MAX: Final = 4
+NEW_PERIOD_NS: Final = NS_PER_S // 10
+"""Within such a period so many seals that one robot tells are verified, and then no more, genuine or not:
+to verify one costs ten times as much as to make one up, and old orders can be repeated for nothing. Those
+that were verified of late are known, and cost nothing. What operators say themselves is always looked at."""
+_LASTING: Final = tuple(
+    bytes([0x90 | 2 + len(kind._fields), VERSION, TYPE_OF[kind]]) for kind in (Mission, Stop, Resume)
+)
+"""How those orders begin that are said again by whoever knows them (`agent.codec`)."""
 
 
 class OrderGate:
@@ -31,29 +38,36 @@ class OrderGate:
 
     Args:
         fleet: its name.
+        robots: ids of its robots.
         opener: of that fleet.
         sealer: of the operator whose process this is, None for those who only pass on what operators said.
         refused: told in a few words of each order that is not let in.
     """
 
     def __init__(
-        self, fleet: str, opener: Opener, sealer: Sealer | None, refused: Callable[[str], None]
+        self,
+        fleet: str,
+        robots: Iterable[int],
+        opener: Opener,
+        sealer: Sealer | None,
+        refused: Callable[[str], None],
     ) -> None:
         self._orders: Final = frozenset(
             key(fleet)
             for key in (keys.mission, keys.stop, keys.resume, keys.faults, keys.heartbeat, keys.ask)
         )
-        self._said_again: Final = frozenset(key(fleet) for key in (keys.mission, keys.stop, keys.resume))
-        self._told: Final = tuple(keys.told(fleet, "*").split("*"))
+        self._told: Final = frozenset(keys.told(fleet, robot) for robot in robots)
+        self._like_told: Final = tuple(keys.told(fleet, "*").split("*"))
         self._opener, self._sealer, self._refused = opener, sealer, refused
         self._sealed: OrderedDict[bytes, bytes] = OrderedDict()
         self._size = 0
-        self._forged: Counter[str] = Counter()
-        self._forged_ns = 0
+        self._new: Counter[str] = Counter()
+        self._new_ns = 0
 
     def is_order(self, key: str) -> bool:
         """Whether only what an operator has sealed is let through on `key`."""
-        return key in self._orders or self._is_told(key)
+        before, after = self._like_told
+        return key in self._orders or (key.startswith(before) and key.endswith(after))
 
     def let_in(self, key: str, payload: bytes, now_ns: int) -> bytes | None:
         """What came on `key`, opened if it is an order; None when it is not let in.
@@ -63,20 +77,27 @@ class OrderGate:
         """
         if not self.is_order(key):
             return payload
-        if self._is_told(key) and self._forges(key, now_ns):
-            self._refused(f"an order on {key}: after too many forged ones")
+        is_told = key in self._told
+        if not is_told and key not in self._orders:
+            self._refused("an order where no robot of the fleet tells any")  # whoever said it chose the key
+            return None
+        if is_told and not self._opener.knows(payload) and self._is_too_much(key, now_ns):
+            self._refused(f"an order on {key}: after too many that were new")
             return None
         try:
             order = self._opener.open(payload, now_ns / NS_PER_S)
         except Forged as error:
-            self._forged[key] += 1
             self._refused(f"an order on {key}: {error.reason.replace('_', ' ')}")
             return None
-        if not self._is_lasting(key) and abs(now_ns - order.sealed_ns) > AGE_NS_MAX:
+        lasts = order.payload.startswith(_LASTING)
+        if is_told and not lasts:
+            self._refused(f"an order on {key}: not one that robots tell")
+            return None
+        if not lasts and abs(now_ns - order.sealed_ns) > AGE_NS_MAX:
             when = "long ago" if now_ns > order.sealed_ns else "in the future"
             self._refused(f"an order on {key}: sealed {when} (by this computer's clock)")
             return None
-        self._remember(key, order.payload, payload)
+        self._remember(order.payload, payload)
         return order.payload
 
     def let_out(self, key: str, payload: bytes, now_ns: int) -> bytes | None:
@@ -92,25 +113,21 @@ class OrderGate:
         sealed = self._sealed.get(payload)
         if sealed is None and self._sealer is not None:
             sealed = self._sealer.seal(payload, now_ns)
-            self._remember(key, payload, sealed)
+            self._remember(payload, sealed)
+        if sealed is None:
+            self._refused(f"to say an order on {key}: the operator's seal of it is no longer known here")
         return sealed
 
-    def _forges(self, key: str, now_ns: int) -> bool:
-        """Whether too much that was forged has come on `key` of late."""
-        if not 0 <= now_ns - self._forged_ns < FORGED_PERIOD_NS:
-            self._forged_ns = now_ns
-            self._forged.clear()
-        return self._forged[key] >= FORGED_MAX
+    def _is_too_much(self, key: str, now_ns: int) -> bool:
+        """Counts a seal that is new; whether too many of these have come on `key` of late."""
+        if not 0 <= now_ns - self._new_ns < NEW_PERIOD_NS:
+            self._new_ns = now_ns
+            self._new.clear()
+        self._new[key] += 1
+        return self._new[key] > NEW_MAX
 
-    def _is_told(self, key: str) -> bool:
-        return key.startswith(self._told[0]) and key.endswith(self._told[1])
-
-    def _is_lasting(self, key: str) -> bool:
-        """Whether what comes there is said again, by whoever knows it."""
-        return key in self._said_again or self._is_told(key)
-
-    def _remember(self, key: str, payload: bytes, sealed: bytes) -> None:
-        if not self._is_lasting(key):
+    def _remember(self, payload: bytes, sealed: bytes) -> None:
+        if not payload.startswith(_LASTING):
             return  # heartbeats would soon be all that is remembered
         if payload in self._sealed:
             self._sealed.move_to_end(payload)

@@ -7,6 +7,7 @@ import gc
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,11 +15,12 @@ from typing import Any, Final, NamedTuple
 from agent import keys
 from agent.bus import Bus, BusError
 from agent.clock import NS_PER_S, Clock, RealClock
-from agent.credentials import CredentialsError
+from agent.credentials import CredentialsError, NotYetValidError
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, FleetError, load_fleet
 from agent.identity import of_robot
 from agent.node import Node, Ticks
+from agent.schema import printable
 from agent.sealed_bus import bus_for
 from agent.service import Service
 
@@ -99,7 +101,7 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
             bus.publish(key, payload)
         if node.condition[0] != state:
             state, reason = node.condition
-            log(f"{state}: {reason}" if reason else state)
+            log(f"{state}: {printable(reason)}" if reason else state)
             service.says(f"{state}: {reason}" if reason else state)
         service.lives(start_ns)
         if leave_by_ns is not None and (node.done or now_ns >= leave_by_ns):
@@ -112,7 +114,7 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
         ticks.plan(now_ns)
 
 
-def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> None:
+def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: Service) -> None:
     """Puts `node` on the bus and drives it by `clock` until the process is asked to end."""
     for key in node.publications:
         bus.declare(key)
@@ -121,9 +123,8 @@ def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log) -> N
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
-    with Service() as service:
-        service.ready()
-        loop(node, bus, clock, shutdown, log, service)
+    service.ready()
+    loop(node, bus, clock, shutdown, log, service)
     if node.rejected:
         reasons = sorted(((count, name) for name, count in node.rejected.items()), reverse=True)
         shown = ", ".join(f"{count} {name}" for count, name in reasons)
@@ -143,10 +144,11 @@ def robot_arguments(program: str, description: str) -> argparse.ArgumentParser:
 
 
 def logger(robot: int, role: str) -> Log:
-    """Writes lines of a process's log."""
+    """Writes lines of a process's log. Others' words may be in them: these move no terminal's cursor."""
 
     def log(text: str) -> None:
-        print(f"robot {robot} {role}: {text}", file=sys.stderr, flush=True)
+        lines = "\n".join(map(printable, text.split("\n")))
+        print(f"robot {robot} {role}: {lines}", file=sys.stderr, flush=True)
 
     return log
 
@@ -155,7 +157,7 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
     """The bus of one of a robot's processes: see `agent.sealed_bus.bus_for`.
 
     Raises:
-        agent.bus.BusError: it cannot be opened.
+        agent.bus.BusError: it cannot be opened now; nor can it before this computer's clock is set.
         StartError: the fleet is secured and the robot's certificate cannot be used.
     """
     if not fleet.is_secured:
@@ -167,8 +169,49 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
         )
     try:
         return bus_for(fleet, of_robot(fleet.fleet.name, robot), Path(folder), log, **bus)
+    except NotYetValidError as error:
+        raise BusError(str(error)) from None
     except CredentialsError as error:
         raise StartError(str(error)) from None
+
+
+def _run(
+    options: argparse.Namespace,
+    start: Callable[[Fleet, int, Clock, Log], Start],
+    shutdown: Shutdown,
+    service: Service,
+    log: Log,
+) -> None:
+    """Serves until the process is asked to end; raises as `open_bus` and `start` do."""
+    waits = False
+
+    def waiting() -> bool:
+        nonlocal waits
+        if not waits:
+            log("no router answers yet: waiting for one")
+            service.waits("waiting for a router")
+        waits = True
+        service.lives(time.monotonic_ns())
+        shutdown.look_for_parent()
+        return not shutdown.asked
+
+    fleet = load_fleet(options.fleet, options.overrides, options.law)
+    clock = RealClock(*FaultPlan(fleet).clock(options.robot))
+    node, listen, connect, close = start(fleet, options.robot, clock, log)
+    try:
+        with open_bus(
+            fleet,
+            options.robot,
+            options.keys,
+            log,
+            listen=listen,
+            connect=connect,
+            near=keys.near(fleet.fleet.name, options.robot),
+            go_on_waiting=waiting,
+        ) as bus:
+            serve(node, bus, clock, shutdown, log, service)
+    finally:
+        close()
 
 
 def main(
@@ -193,33 +236,9 @@ def main(
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
     log = logger(options.robot, role)
-    waits = False
-
-    def waiting() -> bool:
-        nonlocal waits
-        if not waits:
-            log("no router answers yet: waiting for one")
-        waits = True
-        return not shutdown.asked
-
     try:
-        fleet = load_fleet(options.fleet, options.overrides, options.law)
-        clock = RealClock(*FaultPlan(fleet).clock(options.robot))
-        node, listen, connect, close = start(fleet, options.robot, clock, log)
-        try:
-            with open_bus(
-                fleet,
-                options.robot,
-                options.keys,
-                log,
-                listen=listen,
-                connect=connect,
-                near=keys.near(fleet.fleet.name, options.robot),
-                go_on_waiting=waiting,
-            ) as bus:
-                serve(node, bus, clock, shutdown, log)
-        finally:
-            close()
+        with Service() as service:
+            _run(options, start, shutdown, service, log)
     except (FleetError, StartError) as error:
         log(str(error))
         return BAD_INPUT

@@ -7,10 +7,12 @@ two say, orders included, which agents tell on when they take them.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -28,6 +30,7 @@ from agent.process import (
     open_bus,
     robot_arguments,
 )
+from agent.recorder_thread import RecorderThread
 from agent.robot_recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
 from agent.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
 from agent.segments import About, Received
@@ -35,8 +38,15 @@ from agent.service import Service
 from agent.version import handfast_version
 
 POLL_S: Final = 0.05
-INBOX: Final = 16_384
-"""A minute of one robot: for so long a disk may stall and nothing is lost."""
+INBOX_S: Final = 60
+"""A recorder that does not get to run for so long misses nothing."""
+MESSAGES_PER_TICK: Final = 5.5
+"""What one robot says, statuses and what it tells on included."""
+INBOX_MIN: Final = 4096
+LOOK_BACK: Final = 32
+"""So many of the newest segments are asked for orders."""
+FOR_GOOD: Final = (errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.EACCES, errno.EPERM)
+"""Errors of a folder that another start does not mend."""
 NICE: Final = 10
 """Whatever else a robot's computer does comes first."""
 STEP_NS: Final = NS_PER_S // 2
@@ -76,39 +86,53 @@ def about(fleet: Fleet, fleet_toml: str, robot: int) -> About:
 
 
 def known(path: Path, orders: frozenset[str]) -> list[Received]:
-    """The orders that the newest segment of a folder tells of; none where there is none that can be read."""
-    try:
-        return [each for newest in segment_paths(path)[-1:] for each in known_orders(newest, orders)]
-    except OSError:
-        return []
+    """The orders that the newest segment of a folder tells of that tells of any: the newest of all may be
+    damaged or cut. None where there is none that can be read."""
+    with suppress(OSError):
+        for segment in segment_paths(path)[: -LOOK_BACK - 1 : -1]:
+            with suppress(OSError):
+                if found := list(known_orders(segment, orders)):
+                    return found
+    return []
 
 
-def record(bus: Bus, recorder: RobotRecorder, shutdown: Shutdown, service: Service) -> None:
-    """Records what comes until the process is asked to end."""
+def inbox_size(fleet: Fleet) -> int:
+    """Messages of one robot that may wait to be heard."""
+    return max(INBOX_MIN, round(INBOX_S * MESSAGES_PER_TICK * fleet.fleet.rate_hz))
+
+
+def record(bus: Bus, inbox: int, thread: RecorderThread, shutdown: Shutdown, service: Service) -> None:
+    """Records what comes until the process is asked to end and all is on the disk.
+
+    Args:
+        inbox: as many messages may wait on the bus.
+
+    Raises:
+        OSError: nothing can be recorded any more.
+    """
     clock = _WallClock()
+
+    def hear() -> None:
+        now_ns = clock.now_ns()
+        messages = list(bus.drain())
+        step_s = clock.stepped_ns() / NS_PER_S
+        thread.hear(now_ns, messages, overflow=len(messages) >= inbox, step_s=step_s)
+
     while not shutdown.asked:
         time.sleep(POLL_S)
-        now_ns = clock.now_ns()
-        _take(bus, recorder, now_ns)
-        if step_ns := clock.stepped_ns():
-            recorder.flush(now_ns)
-            recorder.set_clock(step_ns / NS_PER_S)
-        else:
-            recorder.flush_if_due(now_ns)
+        hear()
+        if thread.error is not None:
+            raise thread.error
         service.lives(time.monotonic_ns())
         shutdown.look_for_parent()
     service.stopping()
-    now_ns = clock.now_ns()
-    _take(bus, recorder, now_ns)
-    recorder.flush(now_ns)
-
-
-def _take(bus: Bus, recorder: RobotRecorder, now_ns: int) -> None:
-    count = 0
-    for count, (key, payload) in enumerate(bus.drain(), 1):  # noqa: B007 - counts what came
-        recorder.add(now_ns, key, payload)
-    if count >= INBOX:
-        recorder.overflow()
+    hear()
+    thread.end()
+    while thread.working:  # a disk that stalls
+        time.sleep(POLL_S)
+        service.lives(time.monotonic_ns())
+    if thread.error is not None:
+        raise thread.error
 
 
 def _open(path: Path, bytes_max: int, shutdown: Shutdown, service: Service, log: Log) -> SegmentFolder | None:
@@ -131,6 +155,12 @@ def _open(path: Path, bytes_max: int, shutdown: Shutdown, service: Service, log:
     return None
 
 
+def _bus(fleet: Fleet, robot: int, folder: str | None, log: Log) -> Bus:
+    os.nice(NICE)  # before Zenoh's threads are there, which have the niceness of who starts them
+    endpoints = [fleet.agent_near(robot), fleet.plant_near(robot)]
+    return open_bus(fleet, robot, folder, log, listen=[], connect=endpoints, through_routers=False)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
     for bad input."""
@@ -142,7 +172,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     log = logger(robot, "recorder")
     try:
         fleet = load_fleet(options.fleet)
-        endpoints = [fleet.agent_endpoint(robot), fleet.plant_endpoint(robot)]
         told = about(fleet, read_text(options.fleet, "fleet file"), robot)
         with Service() as service:
             service.ready()  # it does its work: a disk that is full must not look like a start that fails
@@ -151,16 +180,15 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return 0
             with (
                 folder,
-                open_bus(
-                    fleet, robot, options.keys, log, listen=[], connect=endpoints, through_routers=False
-                ) as bus,
+                _bus(fleet, robot, options.keys, log) as bus,
             ):
-                os.nice(NICE)
-                bus.subscribe(keys.everything(fleet.fleet.name), INBOX)
+                inbox = inbox_size(fleet)
+                bus.subscribe(keys.everything(fleet.fleet.name), inbox)
                 log(f"recording into {path}, at most {fleet.recording.max_mb} MB")
                 orders = order_keys(told.fleet, robot)
                 recorder = RobotRecorder(folder, told, orders, known(path, orders), log)
-                record(bus, recorder, shutdown, service)
+                with RecorderThread(recorder) as thread:
+                    record(bus, inbox, thread, shutdown, service)
                 log(f"ending ({shutdown.why})")
     except (FleetError, StartError) as error:
         log(str(error))
@@ -170,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
     except OSError as error:
         log(f"cannot record into {path}: {error.strerror or type(error).__name__}")
-        return BAD_INPUT
+        return BAD_INPUT if error.errno in FOR_GOOD else FAILED
     return 0
 
 

@@ -45,6 +45,7 @@ _OUTGOING: Final = re.compile(
     rb"Unable to connect to[a-z ]{0,40} ([a-z]{1,8}/[A-Za-z0-9._:\[\]-]{1,270})! (.{1,600})"
 )
 _MEANINGS: Final = (
+    (b"Too many open files", "this process has no file handles left"),
     (b"sent no certificate", "it has no certificate"),
     (b"UnknownIssuer", "its certificate is not from this fleet's authority"),
     (b"certificate: BadSignature", "its certificate is not from this fleet's authority"),
@@ -89,8 +90,8 @@ class Refusals:
                 kind = self._kind(_COLOURS.sub(b"", line))
                 if kind is not None:
                     self.add(kind)
-        if share < 1.0 and self.total > before:
-            self.add("attempts in a flood of them", round((self.total - before) * (1.0 / share - 1.0)))
+        if more := round((self.total - before) * (1.0 / share - 1.0)):
+            self.add("attempts in a flood of them", more)
 
     def add(self, kind: str, count: int = 1) -> None:
         """Counts a refusal; `kind` says what was refused and why, of few different texts."""

@@ -115,13 +115,23 @@ class RobotRecorder:
         """Told that messages were lost before they were added."""
         self._flags |= OVERFLOW
 
+    def lose(self, count: int) -> None:
+        """Told that so many messages were given up before they were added: the disk was too slow."""
+        if self._retry_ns is None:  # else it is said when the disk takes some again
+            self._log(f"the disk was too slow: {count} messages were not kept")
+        self.lost += count
+
     def flush_if_due(self, now_ns: int) -> None:
         """Puts on the disk what has waited for long enough."""
         if self._received and now_ns - self._begun_ns >= BLOCK_NS:
             self.flush(now_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Puts on the disk what waits; what it does not take is lost."""
+        """Puts on the disk what waits; what it does not take is lost.
+
+        Raises:
+            FileNotFoundError: the folder is gone: only another start makes it again.
+        """
         received, flags = self._received, self._flags
         if not received:
             return
@@ -132,6 +142,8 @@ class RobotRecorder:
         block = message_block(received, flags=flags, lost=self.lost)
         try:
             self._folder.append(block, lambda number: self._first(number, received[0][0]))
+        except FileNotFoundError:
+            raise
         except OSError as error:
             self._failed(now_ns, error)
             self.lost += len(received)

@@ -9,6 +9,7 @@ older than another is the receiver's to find out, by the version in the payload.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Collection
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -48,10 +49,8 @@ class Forged(ValueError):
 
 
 class Order(NamedTuple):
-    """An order that was found to be genuine: who gave it (the operator's name), when it was sealed (wall
-    time, ns), and its bytes."""
+    """An order that was found to be genuine: when it was sealed (wall time, ns), and its bytes."""
 
-    operator: str
     sealed_ns: int
     payload: bytes
 
@@ -76,10 +75,7 @@ class Sealer:
     def seal(self, payload: bytes, now_ns: int) -> bytes:
         """The sealed order of an encoded message; `now_ns`: the present, wall time."""
         signature = self._key.sign(_signed(now_ns, payload), self._algorithm)
-        packed: bytes = msgpack.packb(
-            (VERSION, now_ns, self._certificate, signature, payload), use_bin_type=True
-        )
-        return packed
+        return _packed((VERSION, now_ns, self._certificate, signature, payload))
 
 
 class Opener:
@@ -87,18 +83,25 @@ class Opener:
 
     Args:
         fleet: its name.
+        operators: names of those who may give it orders; a certificate alone is not enough, as it outlives
+            being one of them.
         authority: the certificate of its authority.
     """
 
-    def __init__(self, fleet: str, authority: x509.Certificate) -> None:
+    def __init__(self, fleet: str, operators: Collection[str], authority: x509.Certificate) -> None:
         from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
         from cryptography.hazmat.primitives.hashes import SHA256
 
         self._fleet = fleet
+        self._operators = frozenset(operators)
         self._authority = authority
         self._algorithm = ECDSA(SHA256())
         self._certificates: OrderedDict[bytes, Certificate] = OrderedDict()
         self._orders: OrderedDict[bytes, tuple[Certificate, int, bytes]] = OrderedDict()
+
+    def knows(self, sealed: bytes) -> bool:
+        """Whether to open it takes no signature to be verified."""
+        return sealed in self._orders
 
     def open(self, sealed: bytes, now_s: float) -> Order:
         """The order in `sealed`.
@@ -121,7 +124,7 @@ class Opener:
             certificate = self._certificate(der, now_s)
             self._check_signature(certificate, signature, _signed(sealed_ns, payload))
             _remember(self._orders, sealed, (certificate, sealed_ns, payload), ORDERS_MAX)
-        return Order(certificate.identity.name, sealed_ns, payload)
+        return Order(sealed_ns, payload)
 
     def _certificate(self, der: bytes, now_s: float) -> Certificate:
         certificate = self._certificates.get(der)
@@ -131,7 +134,8 @@ class Opener:
             except CertificateError as error:
                 raise Forged(error.reason, str(error)) from None
             identity = certificate.identity
-            if identity.role != "operator" or identity.fleet != self._fleet:
+            is_his = identity.fleet == self._fleet and identity.name in self._operators
+            if identity.role != "operator" or not is_his:
                 raise Forged("not_an_operator", f"sealed by {identity.common_name}")
             self._check_time(certificate, now_s)
             _remember(self._certificates, der, certificate, CERTIFICATES_MAX)
@@ -153,6 +157,11 @@ class Opener:
             certificate.check_time(now_s)
         except CertificateError as error:
             raise Forged(error.reason, str(error)) from None
+
+
+def _packed(parts: tuple[int, int, bytes, bytes, bytes]) -> bytes:
+    packed: bytes = msgpack.packb(parts, use_bin_type=True)
+    return packed
 
 
 def _signed(sealed_ns: int, payload: bytes) -> bytes:
@@ -186,6 +195,8 @@ def _parts(sealed: bytes) -> tuple[int, bytes, bytes, bytes]:
     ):
         if len(part) > most:
             raise Forged("oversized", f"{what} of {len(part)} bytes, at most {most} are accepted")
+    if _packed(array) != sealed:  # else one order could be written in many ways, each to be verified
+        raise Forged("malformed", "not written as short as it can be")
     return sealed_ns, der, signature, payload
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from agent.access import Security
-from agent.bus import Bus, init_log
+from agent.bus import LINK_TIMEOUT_S, Bus, init_log
 from agent.clock import NS_PER_S
-from agent.credentials import load
+from agent.credentials import Credentials, load
 from agent.fleet import Fleet
 from agent.identity import MAIN, Identity
 from agent.order_gate import OrderGate
@@ -26,20 +26,10 @@ from agent.zenoh_log import ZenohLog
 Log = Callable[[str], None]
 
 
-def secured(fleet: Fleet, folder: Path, identity: Identity, refused: Log) -> tuple[Security, OrderGate]:
-    """How `identity` takes part in a fleet, by its files in `folder`.
-
-    Args:
-        refused: told of each order that is not let in.
-
-    Raises:
-        agent.credentials.CredentialsError: they are not there, or not valid.
-    """
-    found = load(folder, identity, time.time())
-    sealer = Sealer(found) if identity.role == "operator" else None
-    name = fleet.fleet.name
-    security = Security(
-        identity,
+def secured(fleet: Fleet, found: Credentials) -> Security:
+    """How links are secured of whoever has these credentials."""
+    return Security(
+        found.identity,
         str(found.files.authority),
         str(found.files.certificate),
         str(found.files.key),
@@ -47,7 +37,18 @@ def secured(fleet: Fleet, folder: Path, identity: Identity, refused: Log) -> tup
         fleet.network.operators,
         (MAIN,) if fleet.network.routers else (),
     )
-    return security, OrderGate(name, Opener(name, found.authority), sealer, refused)
+
+
+def gate_of(fleet: Fleet, found: Credentials, refused: Log) -> OrderGate:
+    """Where orders come in and go out with whoever has these credentials.
+
+    Args:
+        refused: told of each order that is not let in.
+    """
+    sealer = Sealer(found) if found.identity.role == "operator" else None
+    name = fleet.fleet.name
+    opener = Opener(name, fleet.network.operators, found.authority)
+    return OrderGate(name, fleet.ids, opener, sealer, refused)
 
 
 class SealedBus(Bus):
@@ -57,6 +58,7 @@ class SealedBus(Bus):
         fleet: whose it is.
         folder: with the files of `identity`: a robot's, or an operator's, who seals what it says.
         log: told of what is refused.
+        go_on_waiting: as of a `Bus`; asked after what was refused meanwhile has been said.
         bus: what else a `Bus` takes.
 
     Raises:
@@ -64,13 +66,27 @@ class SealedBus(Bus):
         agent.credentials.CredentialsError: the files are not there, or not valid.
     """
 
-    def __init__(self, fleet: Fleet, folder: Path, identity: Identity, log: Log, **bus: Any) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        folder: Path,
+        identity: Identity,
+        log: Log,
+        go_on_waiting: Callable[[], bool] = lambda: False,
+        **bus: Any,
+    ) -> None:
         self._log = log
         self._zenoh_log = ZenohLog()
         try:
             init_log(FILTER)
-            security, self._gate = secured(fleet, folder, identity, self._zenoh_log.refusals.add)
-            super().__init__(security=security, **bus)
+            found = load(folder, identity, time.time())
+            self._gate = gate_of(fleet, found, self._zenoh_log.refusals.add)
+
+            def waits() -> bool:
+                self._say_refusals()  # why no router answers, if it is there
+                return go_on_waiting()
+
+            super().__init__(security=secured(fleet, found), go_on_waiting=waits, **bus)
         except BaseException:
             self._zenoh_log.close()
             raise
@@ -123,8 +139,17 @@ def bus_for(
     """
     scheme = "tls" if fleet.is_secured else "tcp"
     routers = [f"{scheme}/{router}" for router in fleet.network.routers] if through_routers else []
+    # Robots find each other again within a second; an operator may be far away, and has the time.
+    link_timeout_s = fleet.network.link_timeout_s if listen else LINK_TIMEOUT_S
     if identity is None or folder is None:
-        return Bus(listen=listen, connect=connect, routers=routers, near=near, go_on_waiting=go_on_waiting)
+        return Bus(
+            listen=listen,
+            connect=connect,
+            routers=routers,
+            near=near,
+            go_on_waiting=go_on_waiting,
+            link_timeout_s=link_timeout_s,
+        )
     return SealedBus(
         fleet,
         folder,
@@ -135,4 +160,5 @@ def bus_for(
         routers=routers,
         near=near,
         go_on_waiting=go_on_waiting,
+        link_timeout_s=link_timeout_s,
     )

@@ -23,7 +23,7 @@ SEGMENTS_MIN: Final = 4
 RESERVE_BYTES: Final = 200_000_000
 """What stays free on the disk for everything else on that computer."""
 LOCK_NAME: Final = "lock"
-_NAME: Final = re.compile(r"(\d{8,18})-[0-9a-f]{8}\.segment")
+SEGMENT_NAME: Final = re.compile(r"([0-9]{8,18})-[0-9a-f]{8}\.segment")
 """Number of the segment, and what tells it from one of the same number in a folder that was emptied: whoever
 has a copy of it knows that it only grows."""
 _HELD: Final = (errno.EWOULDBLOCK, errno.EACCES)
@@ -47,7 +47,16 @@ def segment_paths(folder: Path) -> list[Path]:
 
 
 def _numbered(folder: Path) -> list[tuple[int, Path]]:
-    return [(int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))]
+    return [
+        (int(match[1]), path) for path in folder.iterdir() if (match := SEGMENT_NAME.fullmatch(path.name))
+    ]
+
+
+def _size(path: Path) -> int | None:
+    """None when somebody has removed it."""
+    with suppress(FileNotFoundError):
+        return path.stat().st_size
+    return None
 
 
 class SegmentFolder:
@@ -81,7 +90,7 @@ class SegmentFolder:
                     raise
                 raise FolderInUseError(f"{path}: another process is recording there") from None
             there = sorted(_numbered(path))
-            self._closed = deque((each, each.stat().st_size) for _, each in there)
+            self._closed = deque((each, size) for _, each in there if (size := _size(each)) is not None)
             """Segments that are complete and their sizes, the oldest first."""
             self._next = 1 + max((number for number, _ in there), default=0)
             self._mark = os.urandom(4).hex()
@@ -112,9 +121,10 @@ class SegmentFolder:
     def end_segment(self) -> None:
         """Completes the newest segment: the next block begins another."""
         if self._file is not None:
-            os.close(self._file)
             self._closed.append((self._newest, self._size))
-            self._file, self._size = None, 0
+            file, self._file, self._size = self._file, None, 0
+            with suppress(OSError):  # the descriptor is gone all the same, and all is on the disk
+                os.close(file)
 
     def append(self, block: bytes, first: Callable[[int], bytes]) -> None:
         """Puts a block on the disk; removes the oldest segments for it.

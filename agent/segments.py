@@ -25,6 +25,8 @@ LEVEL: Final = 1
 """Of zlib: higher ones take several times as long for a few per cent."""
 CONTENT_BYTES_MAX: Final = 8 << 20
 """Of a block, before compression."""
+PACKED_BYTES_MAX: Final = CONTENT_BYTES_MAX + 65_536
+"""And after it: what cannot be compressed grows a little."""
 
 ABOUT: Final = 0
 MESSAGES: Final = 1
@@ -188,7 +190,7 @@ class Segment:
         if len(head) < _HEAD.size or not head.startswith(MAGIC):
             return None
         _, kind, flags, form, length, count, lost, first_ns, last_ns, content, own = _HEAD.unpack(head)
-        if zlib.crc32(head[:_CHECKED]) != own or form != FORMAT:
+        if zlib.crc32(head[:_CHECKED]) != own or form != FORMAT or length > PACKED_BYTES_MAX:
             return None
         return Block(kind, flags, count, lost, first_ns, last_ns, offset + _HEAD.size, length, content)
 

@@ -9,8 +9,12 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Final
 
+from agent.schema import printable
+
 SHARE: Final = 4
 """A loop says that it lives so many times within the time after which it would be killed."""
+WAITING_US: Final = 60_000_000
+"""That time while somebody else is waited for, in rounds that may take long."""
 
 
 class Service:
@@ -29,8 +33,10 @@ class Service:
             self._socket.setblocking(False)  # a loop must not wait for whoever watches it
         watched = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         timeout_us = environment.get("WATCHDOG_USEC", "")
-        self._period_ns = int(timeout_us) * 1000 // SHARE if watched and timeout_us.isdecimal() else 0
+        self._timeout_us = int(timeout_us) if watched and timeout_us.isdecimal() else 0
+        self._period_ns = self._timeout_us * 1000 // SHARE
         self._due_ns = 0
+        self._waits = False
 
     def _tell(self, text: str) -> None:
         if self._socket is not None:
@@ -39,11 +45,22 @@ class Service:
 
     def ready(self) -> None:
         """The process does its work from now on."""
+        if self._waits and self._timeout_us:
+            self._tell(f"WATCHDOG_USEC={self._timeout_us}")
+        self._waits = False
         self._tell("READY=1")
 
+    def waits(self, text: str) -> None:
+        """It has begun, and waits as `text` says: that must not look like a start that takes too long."""
+        if self._timeout_us:
+            self._tell(f"WATCHDOG_USEC={WAITING_US}")
+        self._waits = True
+        self._tell("READY=1")
+        self.says(text)
+
     def says(self, text: str) -> None:
-        """What it is doing, one line for ``systemctl status``."""
-        self._tell(f"STATUS={text}")
+        """What it is doing, one line for ``systemctl status``; of more lines each would be a notification."""
+        self._tell(f"STATUS={printable(text)}")
 
     def lives(self, now_ns: int) -> None:
         """Said in every round of the loop, by any clock that does not stand still; passed on in time."""

@@ -13,6 +13,7 @@ from deploy.interrupt import Interrupt
 from deploy.operator_session import OperatorSession
 from deploy.process_faults import Action, Process
 from deploy.session import connected
+from deploy.wording import robots
 
 NAMED_MAX: Final = 6
 """Of processes that go at one time, as when this machine is cut off, so many are named."""
@@ -22,9 +23,6 @@ class Attached:
     """The agents and plants of `fleet`, wherever they run.
 
     One that disappears is missed, no more: what runs it starts it again, and the others drive on.
-
-    Attributes:
-        warnings: sentences for the verdict, of those that were away for a while.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -32,7 +30,11 @@ class Attached:
         self.names: Final = {
             (robot, role): f"robot {robot}'s {role}" for robot in fleet.ids for role in ROLES
         }
-        self.warnings: list[str] = []
+        self._away: list[str] = []
+        self._ids = fleet.ids
+        self._records = fleet.recording.enabled and any(robot.host is not None for robot in fleet.robots)
+        self._unseen: set[int] = set()
+        """Robots of which nothing could be heard in the drive, but that may have recorded it."""
         self._present: frozenset[Process] = frozenset()
         self._gone_s: dict[Process, float | None] = {}
         """Those that were there and are not, and since when (fleet time)."""
@@ -50,13 +52,27 @@ class Attached:
                 since_s = self._gone_s.pop(process)
                 back.append(name)
                 if since_s is not None and time_s is not None and time_s > 0.0:
-                    self.warnings.append(
-                        f"{name.capitalize()} was gone from {since_s:.1f} s to {time_s:.1f} s"
-                    )
+                    self._away.append(f"{name.capitalize()} was gone from {since_s:.1f} s to {time_s:.1f} s")
         self._present = frozenset(present)
+        if gone and self._records and time_s is not None and time_s > 0.0:
+            self._unseen |= {
+                robot for robot in self._ids if all((robot, role) in self._gone_s for role in ROLES)
+            }
         at = "" if time_s is None else f"{time_s:.1f} s: "
         sentences = [f"{at}gone: {_named(gone)}"] if gone else []
         return [*sentences, f"{at}back: {_named(back)}"] if back else sentences
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences for the verdict, of those that were away for a while."""
+        if not self._unseen:
+            return self._away
+        who = robots(sorted(self._unseen))
+        return [
+            *self._away,
+            f"Nothing could be heard of {who} for a while: if only this machine was cut off, they drove on, "
+            "and `handfast fetch` has what they recorded",
+        ]
 
     def deaths(self) -> tuple[()]:
         """None: how a process on another machine has ended is not known here."""

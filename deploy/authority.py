@@ -141,8 +141,13 @@ class Authority:
     def fingerprint(self) -> str:
         return fingerprint(self._certificate)
 
+    @property
+    def not_after_s(self) -> float:
+        """When it ends, and at the latest what it signs; seconds since the Unix epoch."""
+        return self._certificate.not_valid_after_utc.timestamp()
+
     def days_left(self, now_s: float) -> float:
-        return (self._certificate.not_valid_after_utc.timestamp() - now_s) / DAY_S
+        return (self.not_after_s - now_s) / DAY_S
 
     def issued(self) -> tuple[Issued, ...]:
         """All that it has signed, the oldest first, of earlier generations too."""
@@ -157,7 +162,8 @@ class Authority:
             where: addresses that others reach it at.
 
         Raises:
-            AuthorityError: the fleet has no such robot, or the request is not one of `identity`.
+            AuthorityError: the fleet has no such robot, the request is not one of `identity`, or the
+                authority has expired.
         """
         from cryptography import x509
         from cryptography.hazmat.primitives.asymmetric import ec
@@ -190,7 +196,7 @@ class Authority:
 
     def _open(self, now_s: float) -> None:
         self._issued = self._read_index()
-        if not self._file.exists():
+        if not key_files.exists(self._file):
             self._make(1 + max((entry.generation for entry in self._issued), default=0), now_s)
             self.created = True
             return
@@ -207,10 +213,6 @@ class Authority:
         if self._certificate.public_key() != self._key.public_key():
             raise AuthorityError(f"{self._file}: the key and the certificate in it do not belong together")
         self.generation = int(generation)
-        if self.days_left(now_s) <= 0:
-            raise AuthorityError(
-                f"the authority of {self.fleet} has expired: `handfast keys {self.fleet} --replace-authority`"
-            )
         self._write_certificate()
 
     @property
@@ -234,7 +236,7 @@ class Authority:
 
     def _write_certificate(self) -> None:
         path, wanted = self.folder / "ca.crt", self.certificate_pem
-        if not path.exists() or key_files.read(path) != wanted:
+        if not key_files.exists(path) or key_files.read(path) != wanted:
             key_files.write(path, wanted)
 
     def _sign(
@@ -244,6 +246,10 @@ class Authority:
             raise AuthorityError(f"{identity.common_name} is not of the fleet {self.fleet}")
         if identity.robot is not None and identity.robot not in self._robots:
             raise AuthorityError(f"there is no robot {identity.robot} in {self.fleet}")
+        if self.days_left(now_s) <= 0:
+            raise AuthorityError(
+                f"the authority of {self.fleet} has expired: `handfast keys {self.fleet} --replace-authority`"
+            )
         try:
             holds_for = addresses((*where, *LOOPBACK))
         except IdentityError as error:
@@ -270,7 +276,7 @@ class Authority:
         )
 
     def _read_index(self) -> list[Issued]:
-        if not self._index.exists():
+        if not key_files.exists(self._index):
             return []
         try:
             tables: Any = json.loads(key_files.read(self._index, most=INDEX_BYTES_MAX))

@@ -8,16 +8,26 @@ from typing import Final
 from agent.clock import NS_PER_S
 from agent.fleet import digest
 from agent.messages import Stop
+from agent.schema import printable
 from deploy.operating import Known
 
 OVER: Final = "the run is over"
 """Reason of the stop at the regular end of a drive. The next drive lifts it; any other was said by somebody
 who meant it, and stands until somebody says otherwise."""
+BROKEN_OFF: Final = "the drive broke off"
+"""Likewise at the end of one that an error of this program or its machine has ended."""
 
 
-def clock(time_ns: int) -> str:
-    """Local time of day."""
-    return time.strftime("%H:%M:%S", time.localtime(time_ns / NS_PER_S))
+def clock(time_ns: int, now_ns: int) -> str:
+    """Local time of day, with the date where that is not today's."""
+    then, now = time.localtime(time_ns / NS_PER_S), time.localtime(now_ns / NS_PER_S)
+    today = (then.tm_year, then.tm_yday) == (now.tm_year, now.tm_yday)
+    return time.strftime("%H:%M:%S" if today else "%Y-%m-%d %H:%M:%S", then)
+
+
+def why(stop: Stop) -> str:
+    """The reason of a stop as it follows the sentence about it, "" without any."""
+    return f": {printable(stop.reason)}" if stop.reason else ""
 
 
 def stop_in_force(known: Known) -> Stop | None:
@@ -45,15 +55,14 @@ def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
     stop, mission = stop_in_force(known), known.mission
     if stop is None and mission is not None and now_ns < mission.epoch_ns + mission.duration_ns:
         end_ns = mission.epoch_ns + mission.duration_ns
-        what = f" ({mission.note})" if mission.note else ""
+        what = f" ({printable(mission.note)})" if mission.note else ""
         return (
-            f"{name} is driving already: a mission that was given at {clock(mission.time_ns)}{what} and ends "
-            f"at {clock(end_ns)}; wait until then, or say `handfast stop` first"
+            f"{name} is driving already: a mission that was given at {clock(mission.time_ns, now_ns)}{what} "
+            f"and ends at {clock(end_ns, now_ns)}; wait until then, or say `handfast stop` first"
         )
     if stop is not None and stop.reason != OVER and not resume:
-        why = f": {stop.reason}" if stop.reason else ""
         return (
-            f"the robots of {name} were told to stop at {clock(stop.time_ns)}{why}; drive with --resume if "
-            "they may drive again"
+            f"the robots of {name} were told to stop at {clock(stop.time_ns, now_ns)}{why(stop)}; drive with "
+            "--resume if they may drive again"
         )
     return ""

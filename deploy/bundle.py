@@ -7,9 +7,9 @@ keeps them, so that a fleet can be brought up again in a field.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.version import handfast_version
+from deploy.folders import cache_folder
 
 REQUIREMENTS: Final = Path(__file__).parent / "robot_requirements.txt"
 PACKAGES: Final = ("agent", "plant", "bridges")
@@ -32,8 +33,11 @@ PACKAGES: Final = ("agent", "plant", "bridges")
 DOWNLOAD_TIMEOUT_S: Final = 600.0
 GLIBC_OLDEST: Final = 17
 _INDEX: Final = "bundle.json"
-_locks: dict[str, threading.Lock] = {}
-_locks_guard = threading.Lock()
+_locks: dict[Path, threading.Lock] = {}
+_failed: dict[Path, str] = {}
+"""Why wheels could not be had: not asked for again by this command, host for host."""
+_downloads: set[subprocess.Popen[str]] = set()
+_guard = threading.Lock()
 
 
 class BundleError(RuntimeError):
@@ -97,49 +101,80 @@ class Bundle:
 
     @cached_property
     def version(self) -> str:
-        """Names what is installed from it, all of its contents included."""
-        everything = json.dumps([sorted(self.wheels.items()), self.program_name])
-        digest = hashlib.sha256(everything.encode()).hexdigest()[:8]
-        return f"{handfast_version()}-{digest}"
-
-
-def cache_folder() -> Path:
-    """Where wheels are kept between commands."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "handfast" / "bundles"
+        """Names what is installed from it: handfast's version, our packages, and last the wheels, which
+        differ for computers of different kinds."""
+        wheels = json.dumps(sorted(self.wheels.items())).encode()
+        digests = (hashlib.sha256(part).hexdigest()[:8] for part in (self.program, wheels))
+        return "-".join((handfast_version(), *digests))
 
 
 def bundle_for(platform: Platform, program: bytes) -> Bundle:
-    """The bundle for a computer; fetches the wheels when they are not here yet. Threads may ask at once.
+    """The bundle for a computer; fetches the wheels when they are not here yet. Threads may ask at once: one
+    fetches, and where it cannot, all others are told so.
 
     Raises:
         BundleError: they cannot be had.
     """
     text = REQUIREMENTS.read_text(encoding="utf-8")
-    key = hashlib.sha256(f"{text}{platform}".encode()).hexdigest()[:16]
-    folder = cache_folder() / key
-    with _locks_guard:
-        lock = _locks.setdefault(key, threading.Lock())
+    folder = cache_folder("bundles") / hashlib.sha256(f"{text}{platform}".encode()).hexdigest()[:16]
+    with _guard:
+        lock = _locks.setdefault(folder, threading.Lock())
     with lock:
-        if not (folder / _INDEX).is_file():
-            _fetch(platform, folder)
-    return Bundle(folder, json.loads((folder / _INDEX).read_text(encoding="utf-8")), program)
+        if folder in _failed:
+            raise BundleError(_failed[folder])
+        try:
+            wheels = _wheels(folder)
+            if wheels is None:
+                wheels = _fetch(platform, folder)
+        except BundleError as error:
+            _failed[folder] = str(error)
+            raise
+    return Bundle(folder, wheels, program)
 
 
-def _fetch(platform: Platform, folder: Path) -> None:
+def end_downloads() -> None:
+    """Ends those under way: they fail. From another thread."""
+    with _guard:
+        for process in _downloads:
+            process.kill()
+
+
+def _wheels(folder: Path) -> dict[str, str] | None:
+    """Wheels in a folder of the cache, by name their SHA-256; None where they are not all there."""
+    try:
+        wheels: dict[str, str] = json.loads((folder / _INDEX).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return wheels if all((folder / name).is_file() for name in wheels) else None
+
+
+def _fetch(platform: Platform, folder: Path) -> dict[str, str]:
+    """Wheels as `_wheels`. The folder comes to its place whole; another command may have been quicker."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as hidden:
-            _download(platform, Path(hidden))
+            fetched = Path(hidden) / "bundle"
+            fetched.mkdir()
+            _download(platform, fetched)
             digests = {
                 path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-                for path in sorted(Path(hidden).glob("*.whl"))
+                for path in sorted(fetched.glob("*.whl"))
             }
-            (Path(hidden) / _INDEX).write_text(json.dumps(digests), encoding="utf-8")
-            shutil.rmtree(folder, ignore_errors=True)
-            shutil.copytree(hidden, folder)
+            (fetched / _INDEX).write_text(json.dumps(digests), encoding="utf-8")
+            theirs = _wheels(folder)
+            if theirs is None:
+                shutil.rmtree(folder, ignore_errors=True)  # left by what was interrupted
+                try:
+                    fetched.rename(folder)
+                except OSError as error:
+                    if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                        raise
+                theirs = _wheels(folder)
     except OSError as error:
         raise BundleError(f"cannot keep wheels in {folder.parent}: {error.strerror or error}") from None
+    if theirs is None:
+        raise BundleError(f"cannot keep wheels in {folder}: others remove them")
+    return theirs
 
 
 def _download(platform: Platform, folder: Path) -> None:
@@ -148,31 +183,40 @@ def _download(platform: Platform, folder: Path) -> None:
     words += ["--implementation", "cp", "--python-version", f"{platform.python[0]}.{platform.python[1]}"]
     for tag in platform.tags:
         words += ["--platform", tag]
+    process = subprocess.Popen(
+        [*words, "-r", str(REQUIREMENTS)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    )
+    with _guard:
+        _downloads.add(process)
     try:
-        done = subprocess.run(
-            [*words, "-r", str(REQUIREMENTS)],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            stdin=subprocess.DEVNULL,
-            timeout=DOWNLOAD_TIMEOUT_S,
-        )
+        _, stderr = process.communicate(timeout=DOWNLOAD_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         raise BundleError(f"wheels for {platform} did not come within {DOWNLOAD_TIMEOUT_S:.0f} s") from None
-    if done.returncode:
-        errors = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
-        said = (errors or done.stderr.splitlines() or ["pip failed"])[0]
+    finally:
+        with _guard:
+            _downloads.discard(process)
+        process.kill()
+        process.communicate()
+    if process.returncode < 0:
+        raise BundleError(f"no wheels for {platform}: interrupted")
+    if process.returncode:
+        errors = [line for line in stderr.splitlines() if "ERROR" in line or "No module named" in line]
+        said = (errors or stderr.splitlines() or ["pip failed"])[0]
         raise BundleError(f"no wheels for {platform}: {said.removeprefix('ERROR: ')}")
 
 
 def program_archive() -> bytes:
-    """Our packages as a zip archive; the same bytes for the same files."""
+    """Our packages as a zip archive; the same bytes for the same files, whichever zlib is here."""
     memory = BytesIO()
-    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
         for name, data in _contents():
             entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
             entry.external_attr = 0o644 << 16
-            entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, data)
     return memory.getvalue()
 

@@ -9,6 +9,7 @@ from typing import Final
 
 from agent.fleet import Fleet
 from agent.identity import of_robot
+from agent.key_files import reason
 from deploy.arguments import InputError
 from deploy.authority import Authority
 from deploy.hosts import located
@@ -28,7 +29,7 @@ def read_requests(file: str, fleet: Fleet) -> dict[int, str]:
         with open(sys.stdin.fileno() if file == "-" else Path(file), "rb", closefd=file != "-") as stream:
             data = stream.read(REQUESTS_BYTES_MAX + 1)
     except OSError as error:
-        raise InputError(f"cannot read {file}: {(error.strerror or str(error)).lower()}") from None
+        raise InputError(f"cannot read {file}: {reason(error)}") from None
     try:
         found = json.loads(data) if len(data) <= REQUESTS_BYTES_MAX else None
     except ValueError:  # no JSON, or no UTF-8

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -51,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return _rover_simulator(arguments[1:])
             options = _parser().parse_args(arguments)
             result: int = options.command(options)
+            sys.stdout.flush()  # here, where it can be told that nobody reads it
             return result
     except (FleetError, InputError) as error:
         print(f"handfast: {error}", file=sys.stderr)
@@ -71,8 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         exec("")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output is gone (`handfast check ... | head`): nothing is left to say.
-        sys.stderr.close()
+        # The reader of our output is gone (`handfast check ... | head`): nothing is left to say or flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
 
 
@@ -164,9 +167,10 @@ def _run(options: argparse.Namespace) -> int:
         try:
             with view:
                 run.run()
-        except (BusError, RecordingError) as error:
+        except (BusError, RecordingError, OSError) as error:
             print(f"handfast: {error}", file=sys.stderr)
-            folder.close([str(error)])
+            with suppress(RecordingError):
+                folder.close([str(error)])
             return FAILED
         finally:
             ports.close()

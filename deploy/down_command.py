@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet import Fleet
-from deploy.arguments import fleet_path, host_argument, load, no_changes
+from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled
 
@@ -65,8 +65,8 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
         stopping = stop(fleet, REASON)
     except NoAnswerError:
         view.say("no robot answers: nothing to stop")
-    except BusError as error:
-        view.say(f"not stopped over the bus: {error}")
+    except (BusError, InputError) as error:  # such as a certificate that is out of date: ssh is another way
+        view.say(f"not stopped over the bus, robots brake as their processes end: {error}")
     else:
         if stopping.done:
             view.say("all robots brake")

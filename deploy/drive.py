@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -11,33 +10,26 @@ from typing import Final
 
 from agent import keys
 from agent.bus import Bus
-from agent.clock import NS_PER_S, RealClock
+from agent.clock import NS_PER_S
 from agent.codec import encode
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
-from agent.formation import resolve
-from agent.hand import Pose
-from agent.messages import Ask, Event, Heartbeat, Message, PlantState, Status, Stop
+from agent.messages import Event, Heartbeat, Stop
 from agent.node import next_tick_ns
 from agent.order_sections import OrderSection
 from agent.orders import OrderError
-from agent.supervision import State
-from deploy.author import author
-from deploy.before_drive import OVER, clock, refusal, stop_in_force
+from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.fleet_processes import FleetProcesses
+from deploy.followed import Followed, Record
 from deploy.interrupt import Interrupt
-from deploy.live import View, Watch, fleet_time_s
-from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from deploy.process_faults import WORDS, Action, Process, actions
-from deploy.readiness import in_words, is_ready, stands, waits
-from deploy.stopping import has_heard
-from deploy.vehicle_checks import VehicleChecks
+from deploy.live import View
+from deploy.operating import HEARTBEAT_PERIOD_NS, refused
+from deploy.process_faults import WORDS, Action, actions
+from deploy.standstill import Standstill
 from deploy.wording import robots
 
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
-AGAIN_PERIOD_NS: Final = NS_PER_S // 2
-"""How often something is said again that a process has not heard."""
 ORDER_LATE_NS: Final = NS_PER_S // 2
 """An order of the fleet file counts as given at its time, as in a simulation, unless that is so long ago."""
 EPOCH_AHEAD_NS: Final = NS_PER_S // 2
@@ -50,18 +42,8 @@ VEHICLES_TIMEOUT_S: Final = 120.0
 """So long for vehicles: one that was just switched on takes 40 s, and its operator has to arm it."""
 WAITS_PERIOD_S: Final = 5.0
 """How often it is said what is waited for."""
-STOP_AGAIN_S: Final = 0.25
-"""A status comes five times a second: who has not told of a stop by then may not have heard it."""
-STOP_TIMEOUT_S: Final = 2.0
-INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
-VEHICLES_STOP_TIMEOUT_S: Final = 4.0
-"""A rover takes seconds to rest: its bridge stays for that, also after Ctrl-C; a second Ctrl-C ends it."""
-RECORDER_INBOX: Final = 65_536
 HAND_OVER_NS: Final = 2 * NS_PER_S
 """So long after the epoch all must have said that they know what to drive, if they are to be left alone."""
-
-Record = Callable[[int, str, bytes], Message | None]
-"""Takes what came: time of reception (ns), key, payload; gives the message, None when it is none."""
 
 
 class Drive:
@@ -69,6 +51,7 @@ class Drive:
 
     Args:
         processes: those of the fleet.
+        bus: connected to all of them.
         record: keeps what comes.
         duration_s, orders: what is driven; the fleet file's unless given.
         resume: whether a stop that somebody else gave is to be lifted; one that the regular end of a drive
@@ -81,6 +64,7 @@ class Drive:
         self,
         fleet: Fleet,
         processes: FleetProcesses,
+        bus: Bus,
         record: Record,
         view: View,
         interrupt: Interrupt,
@@ -89,214 +73,144 @@ class Drive:
         orders: Sequence[OrderSection] | None = None,
         resume: bool = False,
     ) -> None:
-        self._fleet, self._processes, self._record = fleet, processes, record
-        self._view, self._interrupt = view, interrupt
+        self._fleet, self._processes, self._view, self._interrupt = fleet, processes, view, interrupt
         self._duration_s = fleet.fleet.duration_s if duration_s is None else duration_s
         self._orders = fleet.orders if orders is None else orders
         self._resume = resume
-        self._clock = RealClock()
-        geometry = resolve(fleet)
-        self._watch = Watch(fleet, geometry)
-        self._operator = Operator(fleet, geometry)
-        self._checks = VehicleChecks(fleet)
-        self._states: dict[int, PlantState] = {}
-        """The latest state of each plant that is up."""
-        self._truths: dict[int, PlantState] = {}
-        """Where each simulated body really was last, for those that measure with noise."""
+        self._followed = Followed(fleet, bus, processes, record)
+        self._watch, self._operator = self._followed.watch, self._followed.operator
+        self._clock, self._checks = self._followed.clock, self._followed.checks
         self._todo: list[tuple[float, Callable[[], None]]] = []
         """What rules will do to processes and what the fleet file orders, with its fleet time (s), the next
         one last."""
         self._events = 0
-        self._epoch_ns: int | None = None
-        self._refused: dict[int, int] = {}
-        """How many missions for other fleet files each agent had refused before this one was given."""
-        self._present: set[Process] = set()
-        self._show_due_ns = self._heartbeat_due_ns = self._ask_due_ns = self._again_due_ns = 0
-        self._author = author()
+        self._show_due_ns = self._heartbeat_due_ns = 0
         self._is_over = self._is_left = False
         self.reasons: list[str] = []
 
-    def run(self, bus: Bus, *, detach: bool = False) -> None:
+    def run(self, *, detach: bool = False) -> None:
         """From the wait for the fleet to its standstill, or, with `detach`, until all know what to drive.
-
-        Args:
-            bus: connected to all processes of the fleet.
 
         Raises:
             deploy.recorder.RecordingError: the recording cannot be written (the fleet is stopped first).
         """
-        name = self._fleet.fleet.name
-        for key in self._operator.keys.values():
-            bus.declare(key)
-        bus.subscribe(keys.everything(name), RECORDER_INBOX)
-        self._presence = bus.watch(keys.alive(name, "*", "*"))
         try:
-            if self._wait_until_ready(bus) and self._begin(bus):
+            if self._wait_until_ready() and self._begin():
                 if detach:
-                    self._is_left = self._hand_over(bus)
+                    self._is_left = self._hand_over()
                 else:
-                    self._drive(bus)
+                    self._drive()
         finally:
-            begun = self._processes.ours or self._epoch_ns is not None
+            begun = self._processes.ours or self._followed.epoch_ns is not None
             if begun and not self._is_left:
-                self._stop(bus)
+                self._stop()
 
     @property
     def end_ns(self) -> int:
         """When the mission ends (wall clock); 0 when none was given."""
-        return 0 if self._epoch_ns is None else self._epoch_ns + round(self._duration_s * NS_PER_S)
+        epoch_ns = self._followed.epoch_ns
+        return 0 if epoch_ns is None else epoch_ns + round(self._duration_s * NS_PER_S)
+
+    @property
+    def is_left(self) -> bool:
+        """Whether robots drive on although this has ended."""
+        return self._is_left
 
     # ------------------------------------------------------------------ phases
 
-    def _wait_until_ready(self, bus: Bus) -> bool:
-        names = self._processes.names
+    def _wait_until_ready(self) -> bool:
+        followed, names = self._followed, self._processes.names
         begun = time.monotonic()
         timeout_s = READY_TIMEOUT_S + READY_TIMEOUT_PER_PROCESS_S * len(names)
         timeout_s = max(timeout_s, VEHICLES_TIMEOUT_S if self._checks.robots else 0.0)
         alive = False
         say_due_s = WAITS_PERIOD_S
-        while self._step(bus):
-            missing = [name for process, name in names.items() if process not in self._present]
+        while self._step():
+            missing = [name for process, name in names.items() if process not in followed.present]
             waited_s = time.monotonic() - begun
             if not missing and not alive:
                 alive = True
                 self._view.say(f"all {len(names)} processes alive after {waited_s:.2f} s")
-            self._ask(bus)
+            followed.ask()
             now_ns = self._clock.now_ns()
             refusals = self._checks.refusals(now_ns)
             if refusals:
                 self._fail(f"Not started: {'; '.join(refusals)}.")
                 return False
-            if alive and self._is_ready and self._checks.complete(now_ns):
+            if alive and followed.is_ready and self._checks.complete(now_ns):
                 for warning in self._checks.warnings():
                     self._view.say(f"warning: {warning}")
                 return True
             if waited_s > timeout_s:
-                self._fail(f"Not ready within {timeout_s:.0f} s: {self._waits(missing)}.")
+                self._fail(f"Not ready within {timeout_s:.0f} s: {followed.waits(missing)}.")
                 return False
             if waited_s >= say_due_s:
                 say_due_s += WAITS_PERIOD_S
-                self._view.say(f"waiting after {waited_s:.0f} s: {self._waits(missing)}")
+                self._view.say(f"waiting after {waited_s:.0f} s: {followed.waits(missing)}")
         return False
 
-    @property
-    def _is_ready(self) -> bool:
-        states = self._watch.states().values()
-        if self._processes.ours:
-            return all(map(is_ready, states))
-        # Those that drove before stand: a new mission, and leave to drive, make them ready.
-        return all(is_ready(state) or state == State.STOPPED.value for state in states) and (
-            not self._operator.behind or self._operator.foreign is not None
-        )
-
-    def _waits(self, missing: Sequence[str]) -> str:
-        """What keeps the fleet from starting."""
-        if missing:
-            return ", ".join(missing)
-        found = waits(self._fleet.ids, self._watch.statuses, self._states)
-        if not found and self._operator.behind:
-            return "nobody tells what was ordered last"
-        return in_words(found) if found else in_words(self._checks.waits())
-
-    def _begin(self, bus: Bus) -> bool:
+    def _begin(self) -> bool:
         """Gives the mission, and leave to drive to robots that were stopped; False when that cannot be."""
         now_ns, stop = self._clock.now_ns(), None
         if not self._processes.ours:
-            why = refusal(self._operator, now_ns, resume=self._resume)
-            if why:
-                self._fail(f"Not started: {why}.")
+            obstacle = refusal(self._operator, now_ns, resume=self._resume)
+            if obstacle:
+                self._fail(f"Not started: {obstacle}.")
                 return False
             stop = stop_in_force(self._operator)
         ahead_ns = EPOCH_AHEAD_NS if stop is None else STOPPED_AHEAD_NS
-        epoch_ns = self._epoch_ns = next_tick_ns(now_ns + ahead_ns, self._fleet.period_ns, 0)
-        self._plan(bus)
-        self._refused = {robot: _refusals(status) for robot, status in self._watch.statuses.items()}
-        self._again_due_ns, self._ask_due_ns = now_ns + AGAIN_PERIOD_NS, now_ns
-        self._say(bus, self._operator.begin(now_ns, epoch_ns, round(self._duration_s * NS_PER_S)))
-        return stop is None or self._lift(bus, stop, epoch_ns - EPOCH_AHEAD_NS)
+        epoch_ns = next_tick_ns(now_ns + ahead_ns, self._fleet.period_ns, 0)
+        self._plan(epoch_ns)
+        self._followed.begin(epoch_ns, round(self._duration_s * NS_PER_S))
+        return stop is None or self._lift(stop, epoch_ns - EPOCH_AHEAD_NS)
 
-    def _lift(self, bus: Bus, stop: Stop, by_ns: int) -> bool:
+    def _lift(self, stop: Stop, by_ns: int) -> bool:
         """Gives leave to drive as soon as all know the new mission: nobody may go on with one before it."""
-        while self._ignorant:
-            if not self._go_on(bus):
+        while ignorant := self._followed.ignorant:
+            if not self._go_on():
                 return False
             if self._clock.now_ns() >= by_ns:
-                self._fail(f"Not started: {robots(self._ignorant)} did not take the mission.")
+                self._fail(f"Not started: {robots(ignorant)} did not take the mission.")
                 return False
         newest = stop_in_force(self._operator)
         if newest is None or newest.version != stop.version:
             self._fail("Not started: another operator said stop or resume meanwhile.")
             return False
+        now_ns = self._clock.now_ns()
         if stop.reason != OVER:
-            why = f": {stop.reason}" if stop.reason else ""
-            self._view.say(f"lifting the stop that was given at {clock(stop.time_ns)}{why}")
-        self._say(bus, self._operator.order_resume(self._clock.now_ns(), ()))
+            self._view.say(f"lifting the stop that was given at {clock(stop.time_ns, now_ns)}{why(stop)}")
+        self._followed.say(self._operator.order_resume(now_ns, ()))
         return True
 
-    def _hand_over(self, bus: Bus) -> bool:
+    def _hand_over(self) -> bool:
         """Waits until all know what to drive, and leaves them to it; False when not all do."""
-        while late := self._ignorant or self._slow:
-            if not self._go_on(bus):
+        by_ns = (self._followed.epoch_ns or 0) + HAND_OVER_NS
+        while late := self._followed.ignorant or self._followed.slow:
+            if not self._go_on():
                 return False
-            if self._clock.now_ns() >= (self._epoch_ns or 0) + HAND_OVER_NS:
+            if self._clock.now_ns() >= by_ns:
                 self._fail(f"Not left to drive alone: {robots(late)} did not take the mission.")
                 return False
         return True
 
-    @property
-    def _ignorant(self) -> list[int]:
-        """Robots of whose agent or plant it is not known that it has the mission."""
-        version, statuses = self._operator.mission_version, self._watch.statuses
-        return [
-            robot
-            for robot in self._fleet.ids
-            if robot not in statuses
-            or statuses[robot].mission_version < version
-            or not self._operator.counts(self._states.get(robot))
-        ]
-
-    @property
-    def _slow(self) -> list[int]:
-        """Robots whose agents have not said that they know the last stop or leave."""
-        version = self._operator.order_version
-        return [robot for robot, each in self._watch.statuses.items() if each.order_version < version]
-
-    def _drive(self, bus: Bus) -> None:
+    def _drive(self) -> None:
         while self._clock.now_ns() < self.end_ns:
-            if not self._go_on(bus):
+            if not self._go_on():
                 return
         self._show()  # how it ended, whenever the last look was
         self._is_over = True
         for sentence in self._processes.lacking():
             self._fail(sentence)
 
-    def _go_on(self, bus: Bus) -> bool:
+    def _go_on(self) -> bool:
         """A step of a fleet that was given its mission: tells who lacks something; False when it ends."""
-        now_ns = self._clock.now_ns()
-        if now_ns >= self._again_due_ns:
-            # Said again until all have it: a process that starts again needs it too.
-            self._again_due_ns = now_ns + AGAIN_PERIOD_NS
-            for message in self._operator.wanted(self._watch.statuses, self._states, self._processes.up):
-                self._say(bus, message)
-        self._ask(bus)
-        return self._step(bus) and not self._is_refused() and not self._is_overtaken()
-
-    def _ask(self, bus: Bus) -> None:
-        """Asks for what was ordered and not heard: other operators' messages need not come here, agents tell
-        them."""
-        now_ns = self._clock.now_ns()
-        if self._operator.behind and now_ns >= self._ask_due_ns:
-            self._ask_due_ns = now_ns + AGAIN_PERIOD_NS
-            self._say(bus, Ask(now_ns, self._author))
+        self._followed.say_again()
+        self._followed.ask()
+        return self._step() and not self._is_refused() and not self._is_overtaken()
 
     def _is_refused(self) -> bool:
         """Whether an agent has refused the mission because it reads another fleet file."""
-        version = self._operator.mission_version
-        strangers = [
-            robot
-            for robot, status in self._watch.statuses.items()
-            if status.mission_version < version and _refusals(status) > self._refused.get(robot, 0)
-        ]
+        strangers = self._followed.strangers
         if strangers:
             self._fail(f"Not driven: this is not the fleet file that is read by {robots(strangers)}.")
         return bool(strangers)
@@ -304,179 +218,116 @@ class Drive:
     def _is_overtaken(self) -> bool:
         """Whether another operator has begun another drive, which those that were up before go on with."""
         mission = self._operator.mission
-        if self._processes.ours or mission is None or mission.epoch_ns == self._epoch_ns:
+        if self._processes.ours or mission is None or mission.epoch_ns == self._followed.epoch_ns:
             return False
         self._is_left = True
         self._fail("Another operator has begun another drive, and the robots drive that.")
         return True
 
-    def _plan(self, bus: Bus) -> None:
-        """Notes what is to be done at which time; of one time, what rules do comes first."""
-        rules = FaultPlan(self._fleet).file_rules()
-        todo: list[tuple[float, Callable[[], None]]] = [
-            (action.time_s, partial(self._carry_out, action))
-            for action in actions(rules, self._fleet.ids, self._duration_s)
-        ]
-        todo += [(order.at, partial(self._give, bus, order)) for order in self._orders]
-        self._todo = sorted(todo, key=itemgetter(0))[::-1]
-
-    def _give(self, bus: Bus, order: OrderSection) -> None:
-        """Carries out an order of the fleet file; one that cannot be is a reason for the verdict."""
-        assert self._epoch_ns is not None
-        now_ns, due_ns = self._clock.now_ns(), self._epoch_ns + round(order.at * NS_PER_S)
-        try:
-            given_ns = due_ns if now_ns - due_ns < ORDER_LATE_NS else now_ns
-            self._say(bus, self._operator.give(order, given_ns))
-        except OrderError as error:
-            self._fail(refused(order, error))
-
-    def _say(self, bus: Bus, message: Order | Heartbeat | Ask) -> None:
-        bus.publish(*self._operator.outgoing(message))
-
-    def _stop(self, bus: Bus) -> None:
+    def _stop(self) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
-        self._processes.resume_all()
-        hurried = self._interrupt.count > 0
-        if hurried:
-            self._view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
-        ours = self._processes.ours
-        timeout_s = INTERRUPT_STOP_TIMEOUT_S if hurried and ours else STOP_TIMEOUT_S
-        if self._checks.robots:
-            timeout_s = VEHICLES_STOP_TIMEOUT_S
-        stop = self._operator.order_stop(self._clock.now_ns(), self._why_stop(hurried))
-        self._say(bus, stop)
-        begun = time.monotonic()
-        again = begun + STOP_AGAIN_S
-        waiting = [
-            robot for robot in self._fleet.ids if all(self._processes.up(robot, role) for role in keys.ROLES)
-        ]
-        while (now := time.monotonic()) < begun + timeout_s and self._interrupt.count < 2:
-            self._collect(bus)
-            statuses = self._watch.statuses
-            rest = all(stands(statuses.get(robot), self._states.get(robot)) for robot in waiting)
-            # Those that end now will not drive again; others must have latched the stop.
-            if rest and (ours or all(has_heard(statuses.get(robot), stop) for robot in waiting)):
-                break
-            if now >= again:
-                again = now + STOP_AGAIN_S
-                if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
-                    self._say(bus, stop)
-            time.sleep(POLL_S / 2)
-        self._collect(bus)
-        deaf = [robot for robot in self._fleet.ids if not has_heard(self._watch.statuses.get(robot), stop)]
-        if deaf and not ours:
-            self._fail(f"Not heard to stop: {robots(deaf)}.")
+        standstill = Standstill(self._followed, self._interrupt)
+        standstill.wait(self._view, self._why_stop())
+        if standstill.deaf and not self._processes.ours:
+            self._fail(f"Not heard to stop: {robots(standstill.deaf)}.")
+        if standstill.lost is not None:
+            raise standstill.lost
 
-    def _why_stop(self, hurried: bool) -> str:
+    def _why_stop(self) -> str:
         """The reason of the stop at the end, by which the next drive knows whether it may lift it."""
-        if hurried:
+        if self._interrupt.count:
             return "interrupted"
         if not self._is_over:
-            return "; ".join(self.reasons) or OVER
+            return "; ".join(self.reasons) or BROKEN_OFF
         # One that somebody said during the drive, and nobody lifted, holds beyond it.
         standing = stop_in_force(self._operator)
         return OVER if standing is None else standing.reason
 
     # ------------------------------------------------------------------ every step
 
-    def _step(self, bus: Bus) -> bool:
+    def _step(self) -> bool:
         """Waits a moment, takes what came, does what rules order; False when the run has to end."""
+        followed = self._followed
         time.sleep(min(POLL_S, max(0.0, self._until_next_s())))
-        self._collect(bus)
-        at_s = fleet_time_s(self._clock.now_ns(), self._epoch_ns)
-        news = self._watch.news(at_s)
-        if self._epoch_ns is None and not self._processes.ours:
+        followed.collect()
+        news = self._watch.news(followed.time_s)
+        if followed.epoch_ns is None and not self._processes.ours:
             news = []  # of what was ordered and done before this drive, as agents tell it now
-        for sentence in [*news, *self._look(at_s)]:
+        for sentence in [*news, *followed.look()]:
             self._view.say(sentence)
         while self._until_next_s() <= 0.0:
             _, do = self._todo.pop()
             do()
-            self._collect(bus)
+            followed.collect()
         now_ns = self._clock.now_ns()
         if self._beats and now_ns >= self._heartbeat_due_ns:
             self._heartbeat_due_ns = now_ns + HEARTBEAT_PERIOD_NS
-            self._say(bus, Heartbeat(now_ns, self._author))
+            followed.say(Heartbeat(now_ns, followed.author))
         if now_ns >= self._show_due_ns:
             self._show_due_ns = now_ns + SHOW_PERIOD_NS
             self._show()
         return not self._interrupt.count and not self._deaths()
-
-    def _look(self, at_s: float | None) -> list[str]:
-        """What is to be said of processes that came or went."""
-        for key, here in self._presence.update():
-            process = keys.robot_of_alive(key)
-            if process is not None:
-                (self._present.add if here else self._present.discard)(process)
-                if not here and not self._processes.ours and process[1] == "agent":
-                    self._watch.forget(process[0])
-        return self._processes.look(self._present, at_s)
-
-    def _show(self) -> None:
-        self._view.show(self._watch.picture(fleet_time_s(self._clock.now_ns(), self._epoch_ns)))
-
-    def _collect(self, bus: Bus) -> None:
-        now_ns = self._clock.now_ns()
-        for key, payload in bus.drain():
-            message = self._record(now_ns, key, payload)
-            if message is not None:
-                self._watch.feed(key, message)
-                self._operator.hear(key, message)
-                self._checks.feed(now_ns, key, message)
-                self._locate(key, message)
-
-    def _locate(self, key: str, message: Message) -> None:
-        if type(message) is PlantState:
-            name, robot = self._fleet.fleet.name, message.robot
-            if key == keys.plant_state(name, robot):
-                self._states[robot] = message
-            elif key == keys.plant_truth(name, robot):
-                self._truths[robot] = message
-
-    def _deaths(self) -> bool:
-        """Reports every child that has ended of its own; True when there was one."""
-        deaths = self._processes.deaths()
-        for child, how in deaths:
-            at = fleet_time_s(self._clock.now_ns(), self._epoch_ns)
-            when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
-            self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
-            for line in child.last_lines():
-                self._view.say(f"    {line}")
-        return bool(deaths)
-
-    # ------------------------------------------------------------------ what rules do to processes
 
     @property
     def _beats(self) -> bool:
         """Whether robots need this operator's heartbeat."""
         return self._fleet.supervision.deadman_s is not None
 
-    def _until_next_s(self) -> float:
-        """Time until something is to be done, s."""
-        if not self._todo or self._epoch_ns is None:
-            return float("inf")
-        return self._todo[-1][0] - (self._clock.now_ns() - self._epoch_ns) / NS_PER_S
+    def _show(self) -> None:
+        self._view.show(self._watch.picture(self._followed.time_s))
 
-    def _carry_out(self, action: Action) -> None:
-        robot, role = action.robot, action.role
-        seen = self._truths.get(robot) or self._states.get(robot)
-        if not self._processes.carry_out(action, None if seen is None else Pose._make(seen[3:8])):
-            return  # it has died of its own, which ends the run
-        now_ns = self._clock.now_ns()
-        if action.what == "start" and role == "plant":
-            self._states.pop(robot, None)
-        event = Event(robot, self._events, now_ns, role, action.what, action.rule)
-        self._events += 1
-        self._record(now_ns, keys.events(self._fleet.fleet.name), encode(event))
-        at = fleet_time_s(now_ns, self._epoch_ns)
-        name = self._processes.names[robot, role]
-        self._view.say(f"{at:.1f} s: rule {action.rule!r} {WORDS[action.what]} {name}")
+    def _deaths(self) -> bool:
+        """Reports every child that has ended of its own; True when there was one."""
+        deaths = self._processes.deaths()
+        for child, how in deaths:
+            at = self._followed.time_s
+            when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
+            self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
+            for line in child.last_lines():
+                self._view.say(f"    {line}")
+        return bool(deaths)
 
     def _fail(self, reason: str) -> None:
         self.reasons.append(reason)
         self._view.say(reason)
 
+    # ------------------------------------------------------------------ what is done at its time
 
-def _refusals(status: Status) -> int:
-    """How many missions an agent has refused because they are for another fleet file."""
-    return dict(status.counters).get("rejected.digest", 0)
+    def _plan(self, epoch_ns: int) -> None:
+        """Notes what is to be done at which time; of one time, what rules do comes first."""
+        rules = FaultPlan(self._fleet).file_rules()
+        todo: list[tuple[float, Callable[[], None]]] = [
+            (action.time_s, partial(self._carry_out, action))
+            for action in actions(rules, self._fleet.ids, self._duration_s)
+        ]
+        todo += [(order.at, partial(self._give, order, epoch_ns)) for order in self._orders]
+        self._todo = sorted(todo, key=itemgetter(0))[::-1]
+
+    def _until_next_s(self) -> float:
+        """Time until something is to be done, s."""
+        epoch_ns = self._followed.epoch_ns
+        if not self._todo or epoch_ns is None:
+            return float("inf")
+        return self._todo[-1][0] - (self._clock.now_ns() - epoch_ns) / NS_PER_S
+
+    def _give(self, order: OrderSection, epoch_ns: int) -> None:
+        """Carries out an order of the fleet file; one that cannot be is a reason for the verdict."""
+        now_ns, due_ns = self._clock.now_ns(), epoch_ns + round(order.at * NS_PER_S)
+        try:
+            given_ns = due_ns if now_ns - due_ns < ORDER_LATE_NS else now_ns
+            self._followed.say(self._operator.give(order, given_ns))
+        except OrderError as error:
+            self._fail(refused(order, error))
+
+    def _carry_out(self, action: Action) -> None:
+        followed, robot, role = self._followed, action.robot, action.role
+        if not self._processes.carry_out(action, followed.pose(robot)):
+            return  # it has died of its own, which ends the run
+        now_ns = self._clock.now_ns()
+        if action.what == "start" and role == "plant":
+            followed.states.pop(robot, None)
+        event = Event(robot, self._events, now_ns, role, action.what, action.rule)
+        self._events += 1
+        followed.record(now_ns, keys.events(self._fleet.fleet.name), encode(event))
+        name = self._processes.names[robot, role]
+        self._view.say(f"{followed.time_s:.1f} s: rule {action.rule!r} {WORDS[action.what]} {name}")

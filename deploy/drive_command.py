@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from contextlib import suppress
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet import Fleet, load_fleet
@@ -12,7 +15,10 @@ from deploy.outcome import finish, refuse_errors, run_folder
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from deploy.interrupt import Interrupt
+    from deploy.registry import Registration
     from deploy.runfolder import RunFolder
 
 ROBOTS_FILE: Final = "robots.toml"
@@ -139,35 +145,58 @@ def _attend(
     options: argparse.Namespace, fleet: Fleet, driven: Fleet, folder: RunFolder, interrupt: Interrupt
 ) -> int:
     """Drives it to the end, and reports."""
-    import tomli_w
-
     from agent.bus import BusError
-    from agent.fleet import to_dict
     from deploy.attached import Attached
+    from deploy.before_drive import BROKEN_OFF
     from deploy.drive import Drive
     from deploy.live import make_view
     from deploy.operator_bus import operator_bus
     from deploy.recorder import RecordingError
-    from deploy.registry import Registration
 
-    robots_file = folder.path / ROBOTS_FILE
-    robots_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
     view, processes = make_view(quiet=options.quiet), Attached(fleet)
-    drive = Drive(
-        *(fleet, processes, folder.record, view, interrupt),
-        duration_s=driven.fleet.duration_s,
-        orders=driven.orders,
-        resume=options.resume,
-    )
     try:
-        with view, Registration(fleet.fleet.name, folder.path, robots_file), operator_bus(fleet) as bus:
-            drive.run(bus)
-    except (BusError, RecordingError) as error:
+        with view, _registered(fleet, folder.path), operator_bus(fleet) as bus:
+            drive = Drive(
+                *(fleet, processes, bus, folder.record, view, interrupt),
+                duration_s=driven.fleet.duration_s,
+                orders=driven.orders,
+                resume=options.resume,
+            )
+            drive.run()
+    except BaseException as error:
+        # Whatever it is: what was recorded until then can be read.
+        with suppress(RecordingError):
+            folder.close([str(error) or BROKEN_OFF])
+        if not isinstance(error, BusError | RecordingError):
+            raise
         print(f"handfast: {error}", file=sys.stderr)
-        folder.close([str(error)])
         return FAILED
     interrupted = interrupt.count > 0
     return finish(options, folder, drive.reasons, interrupted=interrupted, warnings=processes.warnings)
+
+
+def _registered(fleet: Fleet, folder: Path) -> Registration:
+    """Makes the drive known, with the fleet as its robots read it.
+
+    Raises:
+        InputError: a file cannot be written.
+        agent.private_folder.NotPrivateError: see there.
+    """
+    import tomli_w
+
+    from agent.fleet import to_dict
+    from agent.private_folder import NotPrivateError
+    from deploy.registry import Registration
+
+    path = folder / ROBOTS_FILE
+    try:
+        path.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
+        return Registration(fleet.fleet.name, folder, path)
+    except NotPrivateError:
+        raise
+    except OSError as error:
+        where, what = error.filename or path, error.strerror or error
+        raise InputError(f"not started: cannot write {where}: {what}") from None
 
 
 def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt: Interrupt) -> int:
@@ -180,17 +209,17 @@ def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt:
     from deploy.session import valid
 
     view = make_view(quiet=options.quiet)
-    drive = Drive(
-        *(fleet, Attached(fleet), lambda _, __, payload: valid(payload), view, interrupt),
-        duration_s=driven.fleet.duration_s,
-        orders=(),
-        resume=options.resume,
-    )
     with view, operator_bus(fleet) as bus:
-        drive.run(bus, detach=True)
+        drive = Drive(
+            *(fleet, Attached(fleet), bus, lambda _, __, payload: valid(payload), view, interrupt),
+            duration_s=driven.fleet.duration_s,
+            orders=(),
+            resume=options.resume,
+        )
+        drive.run(detach=True)
+    if drive.is_left and not drive.reasons:
+        until = clock(drive.end_ns, time.time_ns())
+        print(f"{fleet.fleet.name} drives until {until}; `handfast stop {quote(options.fleet)}` stops it")
     if interrupt.count:
         return INTERRUPTED
-    if drive.reasons:
-        return FAILED
-    print(f"{fleet.fleet.name} drives until {clock(drive.end_ns)}; `handfast stop {options.fleet}` stops it")
-    return DONE
+    return FAILED if drive.reasons else DONE

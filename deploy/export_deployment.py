@@ -24,7 +24,7 @@ from deploy.bundle import Bundle, Platform
 from deploy.host_connection import NO_PYTHON, bootstrap
 from deploy.host_keys import MODULE
 from deploy.host_places import fleet_file, places
-from deploy.host_setup import CLOCK_ERROR_MAX_S
+from deploy.host_setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
 from deploy.hosts import hosts_of, robots_on
 from deploy.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
 
@@ -32,8 +32,6 @@ SAME: Final = Path(__file__).parent / "deployment"
 GROUP: Final = "handfast_robots"
 OPERATORS_FLEET: Final = "fleet.toml"
 PROGRAM: Final = Path(host_program.__file__)
-INSTALL_BYTES: Final = 500_000_000
-"""Wheels and what is installed from them; a host with less is full."""
 ROOT: Final = "{{handfast_root}}"
 VERSION: Final = "{{handfast_version}}"
 _PLATFORM: Final = re.compile(r"3\.(\d{1,2}) ([a-z0-9_]{1,20}) (?:glibc2\.(\d{1,2})|musl)", re.ASCII)
@@ -55,7 +53,7 @@ class Pack:
 
 
 def parse_platform(text: str) -> Platform:
-    """The platform that `str_of` writes so.
+    """The platform that is given so (`PLATFORM_SAYS`).
 
     Raises:
         DeploymentError: it is none, or one that handfast does not run on.
@@ -67,11 +65,6 @@ def parse_platform(text: str) -> Platform:
     if int(minor) < 11:
         raise DeploymentError(f"{text!r}: robots need Python 3.11 or later")
     return Platform((3, int(minor)), machine, ("glibc", f"2.{glibc}") if glibc else ("", ""))
-
-
-def str_of(platform: Platform) -> str:
-    """A platform as it is given on the command line."""
-    return f"{platform.python[0]}.{platform.python[1]} {platform.machine} {''.join(platform.libc) or 'musl'}"
 
 
 def texts(
@@ -156,9 +149,8 @@ def _bundle(pack: Pack) -> dict[str, Any]:
 
 
 def _of_one(fleet: Fleet, host: HostSection, robots_text: str) -> dict[str, Any]:
-    for field, value in (("key", host.key), ("python", host.python)):
-        if value is not None and re.search(r"\{[{%#]", value):
-            raise DeploymentError(f"host.{host.name}.{field}: Ansible would read {value!r} as a template")
+    if host.key is not None and re.search(r"\{[{%#]", host.key):
+        raise DeploymentError(f"host.{host.name}.key: Ansible would read {host.key!r} as a template")
     there = places(fleet, ROOT, VERSION, robots_text)
     robots = robots_on(fleet, host)
     name = fleet.fleet.name

@@ -41,7 +41,10 @@ def add_parser(commands: Any) -> None:
         help='Python, processor and C library of hosts, such as "3.11 aarch64 glibc2.36", once for each kind '
         "that the fleet has (default: those of this machine)",
     )
-    parser.set_defaults(command=handled(_export), **no_changes())
+    parser.add_argument(
+        "--no-check", dest="check", action="store_false", help="go on even where `check` finds errors"
+    )
+    parser.set_defaults(command=handled(_export), quiet=False, **no_changes())
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -49,19 +52,18 @@ def _export(options: argparse.Namespace) -> int:
 
     from agent.fleet import to_dict
     from deploy.bundle import BundleError
-    from deploy.check import check
     from deploy.export_deployment import DeploymentError, texts
+    from deploy.folders import refuse_full
     from deploy.hosts import hosts_of, located, refuse_simulated, robots_text
+    from deploy.outcome import refuse_errors
 
     fleet = load(options)
     source = str(fleet_path(options.fleet))
     hosts = hosts_of(fleet, source)
     refuse_simulated(fleet, source)
     out = Path(options.out or f"{fleet.fleet.name}-deployment").expanduser()
-    _refuse_full(out)
-    for finding in check(fleet):
-        if finding.level in ("error", "warning"):
-            print(finding, file=sys.stderr)
+    refuse_full(out)
+    refuse_errors(options, fleet)
     fleet = located(fleet)
     try:
         packs = _packs(options.platforms)
@@ -100,14 +102,6 @@ def _this_machine() -> Platform:
         )
     except BundleError:
         raise InputError("robots run Linux, and this machine does not: name theirs, --platform") from None
-
-
-def _refuse_full(out: Path) -> None:
-    try:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise InputError(f"{out} is not an empty folder: name another one with --out, or remove it")
-    except OSError as error:
-        raise InputError(f"cannot look into {out}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _write(out: Path, written: dict[str, str], packs: list[Pack]) -> None:

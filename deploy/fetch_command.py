@@ -35,7 +35,8 @@ def add_parser(commands: Any) -> None:
 
 
 def _fetch(options: argparse.Namespace) -> int:
-    from deploy.fetching import Fetching, cache_folder
+    from deploy.fetching import Fetching
+    from deploy.folders import refuse_full
     from deploy.host_jobs import HostJobs
     from deploy.hosts import hosts_of, located
     from deploy.hosts_view import FAILED as HOST_FAILED
@@ -48,32 +49,38 @@ def _fetch(options: argparse.Namespace) -> int:
 
     now_s = time.time()
     since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))
-    if options.all and (since_s or until_s):
+    if options.all and (since_s is not None or until_s is not None):
         raise InputError("--all takes all that there is: leave out --since and --until")
+    if since_s is not None and until_s is not None and since_s >= until_s:
+        raise InputError(f"--until {options.until} must be later than --since {options.since}")
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
         name = fleet.fleet.name
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        out = Path(options.out) if options.out else Path("runs") / f"{name}-fetched-{stamp}"
+        refuse_full(out)
         hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
-        fetching = Fetching(fleet, cache_folder(name), since_s)
+        fetching = Fetching(fleet, since_s)
         with make_hosts_view() as view, HostJobs(located(fleet), hosts, fetching) as jobs:
             jobs.wait(view, interrupt)
             rows = list(jobs.rows.values())
             view.show(rows)
-        if interrupt.count:
-            return INTERRUPTED
-        if not fetching.folders:
-            return FAILED
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        out = Path(options.out) if options.out else Path("runs") / f"{name}-fetched-{stamp}"
-        choice = Choice(name, _ns(since_s), _ns(until_s), options.all)
-        try:
-            merged = merge(list(fetching.folders.values()), out, choice, report=options.report)
-        except (MergeError, FolderError, RecordingError) as error:
-            raise InputError(str(error)) from None
+    if interrupt.count:
+        return INTERRUPTED
+    # From here on a Ctrl-C ends the command where it is.
+    lacking = [robot for row in rows for robot in row.robots if robot not in fetching.folders]
+    warnings = [warning for robot in lacking if (warning := fetching.fall_back(robot)) is not None]
+    if not fetching.folders:
+        return FAILED
+    choice = Choice(name, _ns(since_s), _ns(until_s), options.all)
+    try:
+        merged = merge(fetching.folders, out, choice, warnings=warnings, report=options.report)
+    except (MergeError, FolderError, RecordingError) as error:
+        for warning in warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        raise InputError(str(error)) from None
     print(f"{merged.messages} messages of {len(merged.robots)} robots in {merged.folder}")
-    for warning in merged.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
     say_verdict(merged.metrics, merged.folder)
     return FAILED if any(row.state == HOST_FAILED for row in rows) else DONE
 

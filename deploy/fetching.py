@@ -3,79 +3,167 @@
 from __future__ import annotations
 
 import os
+import time
+from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from agent.fleet import Fleet
-from deploy.host_connection import HostConnection
+from agent.segment_folder import SEGMENT_NAME, segment_paths
+from deploy.folders import cache_folder
+from deploy.host_connection import HostConnection, HostError
 from deploy.hosts import robots_on
 from deploy.hosts_view import Row
 
 PART_BYTES: Final = 1 << 20
+SHARE_MAX: Final = 10
+"""More than so many times what a robot's recording may take is not brought: the file may have allowed more
+once, but no host may fill this disk."""
 
-
-def cache_folder(fleet: str) -> Path:
-    """Where copies are kept, so that another fetch brings what is new only."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "handfast" / "recordings" / fleet
+Listed = dict[str, tuple[int, float]]
+"""Segments on a host, by name: size (bytes), when it was written to last (wall clock there, s)."""
 
 
 class Fetching:
     """Brings the recordings of each host's robots into folders of their own, ``robot-N``.
 
-    Recordings only grow at their end, and go as whole files: here is kept what is there.
+    Recordings only grow at their end, and go as whole files: here is kept what is there. Nothing that a host
+    says is believed: it names no place on this computer.
 
     Args:
         since_s: files that were not written to since then are left there.
+
+    Attributes:
+        folders: by robot, what was brought.
     """
 
-    def __init__(self, fleet: Fleet, into: Path, since_s: float | None) -> None:
-        self._fleet, self._into, self._since_s = fleet, into, since_s
+    def __init__(self, fleet: Fleet, since_s: float | None) -> None:
+        self._fleet, self._since_s = fleet, since_s
+        self._into = cache_folder("recordings") / fleet.fleet.name
         self.folders: dict[int, Path] = {}
 
     def __call__(self, connection: HostConnection, row: Row) -> None:
         """Brings those of one host; see `deploy.host_jobs.Work`.
 
         Raises:
-            deploy.host_connection.HostError: the connection was lost, or a file cannot be read.
+            deploy.host_connection.HostError: the connection was lost, a file cannot be read or kept, or the
+                host says what cannot be.
         """
-        robots = robots_on(self._fleet, connection.host)
         got = 0
-        for robot in robots:
-            there = f"fleets/{self._fleet.fleet.name}/recordings/robot-{robot}"
-            files = connection.ask("listing", folder=there, pattern="*")
-            folder = self._into / f"robot-{robot}"
-            folder.mkdir(parents=True, exist_ok=True)
-            for path in folder.iterdir():
-                if path.name not in files:
-                    path.unlink()  # it went there to make room for newer ones
-            wanted = {
-                name: size
-                for name, (size, written_s) in files.items()
-                if self._since_s is None or written_s >= self._since_s
-            }
-            total = sum(wanted.values())
-            for name, size in wanted.items():
-                row.step = f"robot {robot}: {got / 1e6:.0f} of {total / 1e6:.0f} MB"
-                got += self._copy(connection, f"{there}/{name}", folder / name, size)
-            self.folders[robot] = folder
+        for robot in robots_on(self._fleet, connection.host):
+            try:
+                got += self._bring(connection, row, robot)
+            except OSError as error:
+                raise HostError(
+                    f"cannot keep copies in {self._folder(robot)}: {error.strerror or error}"
+                ) from None
+            self.folders[robot] = self._folder(robot)
         row.done(f"fetched {got / 1e6:.1f} MB")
 
-    @staticmethod
-    def _copy(connection: HostConnection, there: str, here: Path, size: int) -> int:
-        """Brings what is missing of one file; how much that was."""
-        begun = here.stat().st_size if here.exists() else 0
-        if begun > size:
-            begun = 0  # another file of that name
-        got = 0
-        with open(here, "r+b" if begun else "wb") as stream:
-            stream.seek(begun)
-            stream.truncate()
-            while begun + got < size:
-                most = min(PART_BYTES, size - begun - got)
-                _, data = connection.exchange("get", None, path=there, offset=begun + got, most=most)
-                if not data:
-                    break
-                stream.write(data)
-                got += len(data)
+    def fall_back(self, robot: int) -> str | None:
+        """Takes a robot's recording as it was fetched before, since its host does not give it now.
+
+        Returns a warning, None where nothing was fetched before.
+        """
+        folder = self._folder(robot)
+        try:
+            fetched_s = folder.stat().st_mtime if segment_paths(folder) else None
+        except OSError:
+            return None
+        if fetched_s is None:
+            return None
+        self.folders[robot] = folder
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(fetched_s))
+        return f"what robot {robot} recorded is as fetched at {when}: its host does not give it now"
+
+    def _folder(self, robot: int) -> Path:
+        return self._into / f"robot-{robot}"
+
+    def _bring(self, connection: HostConnection, row: Row, robot: int) -> int:
+        """Brings what is missing of one robot's recording; how much that was."""
+        there = f"fleets/{self._fleet.fleet.name}/recordings/robot-{robot}"
+        folder = self._folder(robot)
+        folder.mkdir(parents=True, exist_ok=True)
+        listed = self._listing(connection, robot, there)
+        _remove_pruned(folder, listed)
+        lacking = {
+            name: size - _size(folder / name)
+            for name, (size, written_s) in listed.items()
+            if self._since_s is None or written_s >= self._since_s
+        }
+        got, total = 0, sum(max(0, each) for each in lacking.values())
+        for name in lacking:
+            row.step = f"robot {robot}: {got / 1e6:.0f} of {total / 1e6:.0f} MB"
+            try:
+                got += _copy(connection, f"{there}/{name}", folder / name, listed[name][0])
+            except HostError:
+                if name in self._listing(connection, robot, there):
+                    raise
+                # It has made room for newer ones meanwhile.
+        os.utime(folder)  # when all of it was here: see `fall_back`
         return got
+
+    def _listing(self, connection: HostConnection, robot: int, there: str) -> Listed:
+        told = connection.ask("listing", folder=there, pattern="*.segment")
+        if not isinstance(told, dict):
+            raise HostError(f"does not say what robot {robot} recorded")
+        # The name becomes that of a file here.
+        listed: Listed = {
+            name: _about(name, about) for name, about in told.items() if SEGMENT_NAME.fullmatch(name)
+        }
+        total = sum(size for size, _ in listed.values())
+        if total > SHARE_MAX * self._fleet.recording.max_mb * 1_000_000:
+            raise HostError(
+                f"says that robot {robot} recorded {total // 1_000_000} MB, and recording.max_mb is "
+                f"{self._fleet.recording.max_mb}: not brought"
+            )
+        return listed
+
+
+def _about(name: str, about: Any) -> tuple[int, float]:
+    match about:
+        case [int(size), int() | float() as written_s] if 0 <= size < 2**63:
+            return size, written_s
+    raise HostError(f"says nonsense of {name}: {str(about)[:100]}")
+
+
+def _remove_pruned(folder: Path, listed: Listed) -> None:
+    """Removes copies of what made room for newer ones there: older than all that is there. Where nothing is
+    there, as on a new SD card, these copies are all that there is."""
+    numbers = [number for name in listed if (number := _number(name)) is not None]
+    for path in segment_paths(folder) if numbers else ():
+        number = _number(path.name)
+        if number is not None and number < min(numbers):
+            path.unlink()
+
+
+def _number(name: str) -> int | None:
+    match = SEGMENT_NAME.fullmatch(name)
+    return int(match[1]) if match else None
+
+
+def _size(path: Path) -> int:
+    with suppress(FileNotFoundError):
+        return path.stat().st_size
+    return 0
+
+
+def _copy(connection: HostConnection, there: str, here: Path, size: int) -> int:
+    """Brings what is missing of one file; how much that was."""
+    begun = _size(here)
+    if begun > size:
+        begun = 0  # another file of that name
+    got = 0
+    with open(here, "r+b" if begun else "wb") as stream:
+        stream.seek(begun)
+        stream.truncate()
+        while begun + got < size:
+            most = min(PART_BYTES, size - begun - got)
+            _, data = connection.exchange("get", None, path=there, offset=begun + got, most=most)
+            if len(data) > most:
+                raise HostError(f"gave {len(data)} bytes of {there}, asked for {most}")
+            if not data:
+                break
+            stream.write(data)
+            got += len(data)
+    return got

@@ -22,9 +22,16 @@ GREETING_TIMEOUT_S: Final = 20.0
 ANSWER_TIMEOUT_S: Final = 60.0
 NOISE_BYTES_MAX: Final = 100_000
 """A login may print before our program speaks, so much at most."""
+# A host must not fill this computer's memory: more is no answer of our program's.
+LINE_BYTES_MAX: Final = 64_000_000
+DATA_BYTES_MAX: Final = 16_000_000
+ANSWERS_MAX: Final = 4
+"""So many may wait to be looked at."""
 STDERR_BYTES_MAX: Final = 20_000
 CLOCK_ROUNDS: Final = 5
 CLOSE_S: Final = 0.5
+END_S: Final = 2.0
+"""ssh that has closed its output ends within this, or is ended."""
 NO_PYTHON: Final = "handfast finds no python"
 START: Final = (
     'import sys; s = sys.stdin.buffer; exec(compile(s.read(int(s.readline())), "host_program", "exec"))'
@@ -52,7 +59,7 @@ def bootstrap(python: str | None) -> str:
     test = "import sys; sys.exit(sys.version_info < (3, 11))"
     script = (
         f'found=; for p in {wanted}; do if "$p" -c "{test}" >/dev/null 2>&1; then '
-        f"exec \"$p\" -u -c '\\''{START}'\\''; fi; "
+        f"exec \"$p\" -P -u -c '\\''{START}'\\''; fi; "
         'v=$("$p" --version 2>/dev/null | head -n 1); [ -n "$v" ] && found="$found $p is $v;"; done; '
         f'echo "{NO_PYTHON}:$found"; exit 3'
     )
@@ -60,20 +67,22 @@ def bootstrap(python: str | None) -> str:
 
 
 class HostConnection:
-    """Our program on one host. A context manager; leaving it ends the program there.
+    """Our program on one host, and ssh to there. A context manager: entering it waits until the program
+    answers, leaving it ends the program. `abort` and `close` may be called before.
 
     Args:
         accept_new: takes the key of a host that was never met before for its own.
 
     Attributes:
-        about: what the program says of the computer (`host_program.hello`).
+        about: what the program says of the computer (`host_program.hello`), once it has answered.
 
     Raises:
-        HostError: the host cannot be reached, does not let us in, or has no Python that will do.
+        HostError: there is no ssh here.
     """
 
     def __init__(self, host: HostSection, *, accept_new: bool = False) -> None:
         self.host: Final = host
+        self.about: dict[str, Any] = {}
         self._said = ""
         try:
             self._process = subprocess.Popen(
@@ -85,23 +94,24 @@ class HostConnection:
             )
         except FileNotFoundError:
             raise HostError(ssh.NO_SSH) from None
-        self._answers: queue.SimpleQueue[tuple[dict[str, Any], bytes] | None] = queue.SimpleQueue()
+        self._answers: queue.Queue[tuple[dict[str, Any], bytes] | None] = queue.Queue(ANSWERS_MAX)
         self._listener = threading.Thread(target=self._listen_errors, daemon=True)
         self._listener.start()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
+
+    def __enter__(self) -> HostConnection:
+        """Raises `HostError`: the host cannot be reached, does not let us in, or has no Python for us."""
         try:
             program = PROGRAM.read_bytes()
             self._write(str(len(program)).encode() + b"\n" + program)
             greeting = self._next(GREETING_TIMEOUT_S)[0]
             if "no_python" in greeting:
-                raise HostError(_no_python(host, greeting["no_python"]))
-            self.about: Final[dict[str, Any]] = self.ask("hello")
+                raise HostError(_no_python(self.host, greeting["no_python"]))
+            self.about = self.ask("hello")
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> HostConnection:
         return self
 
     def __exit__(
@@ -188,9 +198,13 @@ class HostConnection:
         return answer
 
     def _lost(self) -> HostError:
-        self._process.wait()
+        try:
+            status = self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            status = self._process.wait()
         self._listener.join(1.0)
-        return HostError(ssh.reason(self.host, self._said))
+        return HostError(ssh.ended(self.host, status, self._said))
 
     def _listen_errors(self) -> None:
         stream = self._process.stderr
@@ -204,17 +218,25 @@ class HostConnection:
         """Passes on answers as they come; None when there will be no more."""
         stream = self._process.stdout
         assert stream is not None
-        with stream, suppress(OSError, ValueError):  # cut in the middle of an answer
-            if (greeting := _greeting(stream)) is not None:
-                self._answers.put((greeting, b""))
-                while "no_python" not in greeting and (line := stream.readline()):
-                    answer = json.loads(line)
-                    size = int(answer.get("blob") or 0)
-                    data = stream.read(size)
-                    if len(data) < size:
-                        break
-                    self._answers.put((answer, data))
-        self._answers.put(None)
+        try:
+            # Cut in the middle of an answer, or none of our program's.
+            with stream, suppress(OSError, ValueError, TypeError, RecursionError):
+                if (greeting := _greeting(stream)) is not None:
+                    self._answers.put((greeting, b""))
+                    while "no_python" not in greeting and (answer := _answer(stream)) is not None:
+                        self._answers.put(answer)
+        finally:
+            self._answers.put(None)
+
+
+def _answer(stream: IO[bytes]) -> tuple[dict[str, Any], bytes] | None:
+    """The next answer, None when there is none that is whole. Raises what a line that is none may raise."""
+    head = json.loads(stream.readline(LINE_BYTES_MAX) or "null")
+    size = int(head.get("blob") or 0) if isinstance(head, dict) else -1
+    if not 0 <= size <= DATA_BYTES_MAX:
+        return None
+    data = stream.read(size)
+    return (head, data) if len(data) == size else None
 
 
 def _greeting(stream: IO[bytes]) -> dict[str, Any] | None:

@@ -11,6 +11,7 @@ from typing import Final
 
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
+from deploy.bundle import end_downloads
 from deploy.host_connection import HostConnection, HostError
 from deploy.hosts import robots_on
 from deploy.hosts_view import DOING, HostsView, Row
@@ -41,6 +42,7 @@ class HostJobs:
     ) -> None:
         self.rows: Final = {host.name: Row(host.name, robots_on(fleet, host)) for host in hosts}
         self.ended = False
+        self._why = "interrupted"
         self._work, self._accept_new = work, accept_new
         self._hosts = hosts
         self._connections: list[HostConnection] = []
@@ -59,7 +61,7 @@ class HostJobs:
         self._pool.shutdown(cancel_futures=True)
         for row in self.rows.values():
             if row.state == DOING:
-                row.fail("interrupted")
+                row.fail(self._why)
 
     @property
     def busy(self) -> bool:
@@ -74,26 +76,29 @@ class HostJobs:
         if interrupt.count:
             self.end()
 
-    def end(self) -> None:
-        """What is still under way fails now."""
+    def end(self, why: str = "interrupted") -> None:
+        """What is still under way fails now, for a reason; the first one counts."""
         with self._guard:
+            self._why = self._why if self.ended else why
             self.ended = True
             connections = list(self._connections)
         for connection in connections:
             connection.abort()
+        end_downloads()
 
     def _run(self, host: HostSection) -> None:
         row = self.rows[host.name]
         try:
-            with HostConnection(host, accept_new=self._accept_new) as connection:
-                with self._guard:
-                    if self.ended:
-                        return
-                    self._connections.append(connection)
+            connection = HostConnection(host, accept_new=self._accept_new)
+            with self._guard:  # before it answers, which may take its time: Ctrl-C must reach it
+                self._connections.append(connection)
+                if self.ended:
+                    connection.abort()
+            with connection:
                 self._work(connection, row)
                 if row.state == DOING:
                     row.done("done")
         except HostError as error:
-            row.fail("interrupted" if self.ended else str(error))
+            row.fail(self._why if self.ended else str(error))
         except Exception as error:  # a mistake of ours must not leave the others waiting for this host
             row.fail(f"{type(error).__name__}: {error}")

@@ -26,9 +26,10 @@ class HostKeys:
 
     def __init__(self, fleet: Fleet, authority: Authority) -> None:
         self._fleet, self._authority = fleet, authority
+        self._addresses = {host.name: host.address or host.name for host in fleet.hosts}
 
-    def __call__(self, connection: HostConnection, version: str, folder: str) -> list[int]:
-        """Sees to the robots of one host; returns those that got new ones.
+    def __call__(self, connection: HostConnection, version: str, folder: str) -> None:
+        """Sees to the robots of one host.
 
         Args:
             version: what is installed there.
@@ -37,31 +38,25 @@ class HostKeys:
         Raises:
             HostError: one cannot be made there, or the authority does not sign.
         """
-        host = connection.host
-        return [
-            robot
-            for robot in robots_on(self._fleet, host)
-            if self._provide(connection, robot, version, folder, [host.address or host.name])
-        ]
-
-    def _provide(
-        self, connection: HostConnection, robot: int, version: str, folder: str, addresses: Sequence[str]
-    ) -> bool:
-        name = self._fleet.fleet.name
-        who = ["--folder", folder, "--fleet", name, "--robot", str(robot)]
+        # A connection's own host may have no address: it is as ssh's configuration says.
+        addresses = [self._addresses[connection.host.name]]
+        robots = robots_on(self._fleet, connection.host)
+        who = ["--folder", folder, "--fleet", self._fleet.fleet.name]
         asked = ["request", *who, "--addresses", ",".join(addresses), "--ca", "-"]
+        asked += [word for robot in robots for word in ("--robot", str(robot))]
         authority = self._authority.certificate_pem.decode("ascii")
-        told = json.loads(
-            connection.ask("run", module=MODULE, arguments=asked, version=version, text=authority)
-        )
-        if not told["wanting"]:
-            return False
+        told = connection.ask("run", module=MODULE, arguments=asked, version=version, text=authority)
+        for robot, line in zip(robots, told.splitlines(), strict=True):
+            answer = json.loads(line)
+            if answer["wanting"]:
+                text = self._signed(robot, answer["request"], addresses)
+                words = ["store", *who, "--robot", str(robot)]
+                connection.ask("run", module=MODULE, arguments=words, version=version, text=text)
+
+    def _signed(self, robot: int, request: str, addresses: Sequence[str]) -> str:
+        identity = of_robot(self._fleet.fleet.name, robot)
         try:
-            signed = self._authority.sign(
-                of_robot(name, robot), told["request"].encode("ascii"), addresses, time.time()
-            )
+            signed = self._authority.sign(identity, request.encode("ascii"), addresses, time.time())
         except AuthorityError as error:
             raise HostError(str(error)) from None
-        text = signed.decode("ascii")
-        connection.ask("run", module=MODULE, arguments=["store", *who], version=version, text=text)
-        return True
+        return signed.decode("ascii")

@@ -10,31 +10,35 @@ well: ``{"ok": result, "blob": n}`` and n bytes, or ``{"error": text}``.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
 import platform
 import pwd
 import re
+import select
 import shutil
+import signal
 import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
 GREETING: Final = b"handfast host program 1\n"
 SYSTEMCTL_TIMEOUT_S: Final = 30.0
 INSTALL_TIMEOUT_S: Final = 300.0
+LOOK_S: Final = 0.5
+"""How often an installation looks whether anybody still waits for it."""
 RESERVE_BYTES: Final = 50_000_000
 """No file is put when less than this would be left of the disk."""
 COMPLETE: Final = ".complete"
+LOCK: Final = ".lock"
 LINGER: Final = Path("/var/lib/systemd/linger")
-BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
-CGROUPS: Final = Path("/sys/fs/cgroup")
 
 Answer = tuple[Any, bytes]
 
@@ -87,16 +91,13 @@ def hello() -> dict[str, Any]:
     user = pwd.getpwuid(os.getuid()).pw_name
     return {
         "python": list(sys.version_info[:3]),
-        "executable": sys.executable,
         "machine": platform.machine(),
         "system": platform.system(),
         "libc": list(platform.libc_ver()),
-        "host": platform.node(),
         "user": user,
         "root": str(root()),
         "free_bytes": shutil.disk_usage(folder).free,
         "writable": os.access(folder, os.W_OK),
-        "boot": BOOT_ID.read_text().strip() if BOOT_ID.exists() else "",
         "systemd": user_manager(),
         "lingers": (LINGER / user).exists(),
         "journal": reads_journal(),
@@ -136,27 +137,57 @@ def systemctl(*arguments: str, check: bool = True) -> subprocess.CompletedProces
 
 
 def command(
-    words: list[str], timeout_s: float, *, check: bool = True, text: str | None = None
+    words: list[str], timeout_s: float, *, check: bool = True, text: str = "", waited_for: bool = False
 ) -> subprocess.CompletedProcess[str]:
-    """Runs a program; `HostError` with the end of what it said when it cannot be or, to `check`, fails."""
+    """Runs a program; `HostError` with the end of what it said when it cannot be or, to `check`, fails.
+
+    Args:
+        waited_for: it and its children are also ended when nobody waits for the answer any more.
+    """
+    name = Path(words[0]).name
+    pipe = subprocess.PIPE
     try:
-        done = subprocess.run(
+        child = subprocess.Popen(
             words,
-            capture_output=True,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
             text=True,
             errors="replace",
             env=environment(),
-            timeout=timeout_s,
-            input="" if text is None else text,
+            start_new_session=True,
         )
     except FileNotFoundError:
         raise HostError(f"there is no {words[0]}") from None
-    except subprocess.TimeoutExpired:
-        raise HostError(f"{Path(words[0]).name} did not end within {timeout_s:.0f} s") from None
-    if check and done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or f"exit status {done.returncode}").splitlines()
-        raise HostError(f"{Path(words[0]).name}: {said[-1][:300]}")
-    return done
+    deadline = time.monotonic() + timeout_s
+    told: str | None = text
+    while True:
+        left_s = deadline - time.monotonic()
+        try:
+            out, said = child.communicate(told, timeout=max(0.0, min(left_s, LOOK_S)))
+            break
+        except subprocess.TimeoutExpired:
+            told = None  # it has it
+            if left_s > 0 and not (waited_for and nobody_waits()):
+                continue
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        raise HostError(f"{name} did not end within {timeout_s:.0f} s" if left_s <= 0 else GONE)
+    if check and child.returncode:
+        lines = (said.strip() or out.strip() or f"exit status {child.returncode}").splitlines()
+        raise HostError(f"{name}: {lines[-1][:300]}")
+    return subprocess.CompletedProcess(words, child.returncode, out, said)
+
+
+GONE: Final = "nobody waits for the answer any more"
+
+
+def nobody_waits() -> bool:
+    """Whether nobody reads our answers any more. Our input tells nothing: all of it may have come at once."""
+    poll = select.poll()
+    poll.register(1, 0)
+    return bool(poll.poll(0))
 
 
 def reads_journal() -> bool:
@@ -186,7 +217,7 @@ def sha256(path: Path) -> str:
 
 
 @request
-def put(path: str, blob: bytes, mode: int = 0o644) -> None:
+def put(path: str, blob: bytes) -> None:
     """Writes a file whole or not at all."""
     target = inside(path)
     target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -196,14 +227,14 @@ def put(path: str, blob: bytes, mode: int = 0o644) -> None:
             f"the disk is full: {free / 1e6:.0f} MB are free in {target.parent}, "
             f"{(len(blob) + RESERVE_BYTES) / 1e6:.0f} MB are needed"
         )
-    write(target, blob, mode)
+    write(target, blob)
 
 
-def write(target: Path, data: bytes, mode: int) -> None:
+def write(target: Path, data: bytes) -> None:
     hidden = target.with_name(f".{target.name}.new")
     with suppress(FileNotFoundError):
         hidden.unlink()
-    handle = os.open(hidden, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    handle = os.open(hidden, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     try:
         with open(handle, "wb") as stream:
             stream.write(data)
@@ -221,7 +252,7 @@ def write(target: Path, data: bytes, mode: int) -> None:
 
 @request
 def installed(version: str) -> bool:
-    """Whether that version is here, whole, with a Python that works."""
+    """Whether an installation of that version was finished here and has not been removed since."""
     folder = inside(f"versions/{version}")
     return (folder / COMPLETE).exists() and (folder / "bin" / "python").exists()
 
@@ -229,97 +260,175 @@ def installed(version: str) -> bool:
 @request
 def install(version: str, wheels: list[str], pip: str, program: str) -> None:
     """Makes that version from wheels and our own packages, all of which were put here before."""
-    folder = inside(f"versions/{version}")
-    needed, free = 400_000_000, shutil.disk_usage(root()).free
-    if free < needed:
-        raise HostError(
-            f"the disk is full: {free / 1e6:.0f} MB are free in {root()}, {needed / 1e6:.0f} MB are needed"
-        )
+    with alone(INSTALL_TIMEOUT_S):
+        if not installed(version):  # another operator may just have done it
+            make_version(inside(f"versions/{version}"), wheels, pip, program)
+
+
+@contextmanager
+def alone(timeout_s: float) -> Iterator[None]:
+    """Within it no other operator's program installs or removes versions here; waits so long for that."""
+    root().mkdir(mode=0o700, parents=True, exist_ok=True)
+    with open(root() / LOCK, "wb") as lock:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= deadline:
+                    raise HostError("another installation is under way there: try again later") from None
+            if nobody_waits():
+                raise HostError(GONE)
+            time.sleep(LOOK_S)
+        yield
+
+
+def make_version(folder: Path, wheels: list[str], pip: str, program: str) -> None:
+    """Installs into a folder."""
     shutil.rmtree(folder, ignore_errors=True)  # what an interrupted installation left
-    command([sys.executable, "-m", "venv", "--without-pip", str(folder)], 60.0)
+    words = [sys.executable, "-P", "-m", "venv", "--without-pip", str(folder)]
+    command(words, 60.0, waited_for=True)
     python = str(folder / "bin" / "python")
     files = [str(inside(wheel)) for wheel in wheels]
     quiet = ["--quiet", "--disable-pip-version-check", "--no-cache-dir"]
     offline = ["--isolated", "--no-index", "--no-deps", "--no-compile"]
     command(
-        [sys.executable, f"{inside(pip)}/pip", "--python", python, "install", *quiet, *offline, *files],
+        [sys.executable, "-P", f"{inside(pip)}/pip", "--python", python, "install", *quiet, *offline, *files],
         INSTALL_TIMEOUT_S,
+        waited_for=True,
     )
-    found = command([python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], 30.0)
+    found = command([python, "-P", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], 30.0)
     with zipfile.ZipFile(inside(program)) as archive:
         archive.extractall(found.stdout.strip())
     # What agents and plants load is compiled here and now, and shown to load.
-    command([python, "-P", "-c", "import agent.__main__, plant.__main__, bridges.mavlink.__main__"], 120.0)
+    words = [python, "-P", "-c", "import agent.__main__, plant.__main__, bridges.mavlink.__main__"]
+    command(words, 120.0, waited_for=True)
+    os.sync()  # a power loss must not leave the mark without what it stands for
     (folder / COMPLETE).touch()
 
 
 @request
 def tidy(keep: list[str]) -> list[str]:
     """Removes versions that no unit of this user's mentions, but for those named; returns what went."""
-    used = "\n".join(path.read_text(errors="replace") for path in units_folder().glob("handfast-*.service"))
     gone = []
-    for folder in sorted(root().glob("versions/*")):
-        if folder.name not in keep and f"/versions/{folder.name}/" not in used:
-            shutil.rmtree(folder, ignore_errors=True)
-            gone.append(folder.name)
+    with alone(0.0):
+        files = units_folder().glob("handfast-*.service")
+        used = "\n".join(path.read_text(errors="replace") for path in files)
+        for folder in sorted(root().glob("versions/*")):
+            if folder.name not in keep and f"/versions/{folder.name}/" not in used:
+                shutil.rmtree(folder, ignore_errors=True)
+                gone.append(folder.name)
     return gone
 
 
 # ---------------------------------------------------------------------- units
 
 
-def unit_names(fleet: str) -> list[str]:
-    """Units of a fleet that have a file here or are loaded still."""
-    files = [path.name for path in units_folder().glob(f"handfast-{fleet}-robot-*.service")]
-    listed = systemctl(
-        "list-units", "--all", "--plain", "--no-legend", f"handfast-{fleet}-robot-*.service", check=False
-    )
-    loaded = [line.split()[0] for line in listed.stdout.splitlines() if line.split()]
+PROPERTIES: Final = (
+    "Id",
+    "ActiveState",
+    "Result",
+    "MainPID",
+    "NRestarts",
+    "StatusText",
+    "NeedDaemonReload",
+)
+
+
+def shown(patterns: Collection[str]) -> dict[str, dict[str, str]]:
+    """What systemd says of units, by name: of those that are named, and of those it knows that match."""
+    done = systemctl("show", "--all", f"--property={','.join(PROPERTIES)}", "--", *patterns, check=False)
+    found = {}
+    for block in done.stdout.split("\n\n"):
+        about = dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
+        if name := about.pop("Id", ""):
+            found[name] = about
+    return found
+
+
+def units_of(fleet: str) -> dict[str, dict[str, str]]:
+    """What systemd says of the units of a fleet that have a file here or are loaded still, by name."""
+    mask = f"handfast-{fleet}-robot-*.service"
+    files = [path.name for path in units_folder().glob(mask)]
+    known = shown([mask, *files])
     pattern = re.compile(rf"handfast-{re.escape(fleet)}-robot-\d+-[a-z]+\.service")
-    return sorted({name for name in (*files, *loaded) if pattern.fullmatch(name)})
+    return {name: known.get(name, {}) for name in sorted({*files, *known}) if pattern.fullmatch(name)}
 
 
 @request
-def units(fleet: str, wanted: dict[str, str]) -> list[str]:
-    """Makes the fleet's unit files those that are wanted (name -> text), ends what is not wanted any more.
+def compare(fleet: str, wanted: dict[str, str]) -> dict[str, list[str]]:
+    """How the fleet's units differ from those that are wanted (name -> text); changes nothing.
 
-    Returns the wanted ones that do not run, or run something else than their file says.
+    Returns names: `stale`, which do not run, or run something else than they should; `unwritten`, whose
+    files are not as they should be; `unwanted`, which should not be here.
     """
+    there = units_of(fleet)
+    return {
+        "stale": [name for name, text in wanted.items() if not runs_as_wanted(text, there.get(name, {}))],
+        "unwritten": [
+            name
+            for name, text in wanted.items()
+            if file_text(name) != text or there.get(name, {}).get("NeedDaemonReload") == "yes"
+        ],
+        "unwanted": [name for name in there if name not in wanted],
+    }
+
+
+def file_text(name: str) -> str | None:
+    """What a unit's file says, None where there is none."""
+    try:
+        return (units_folder() / name).read_text(errors="replace")
+    except FileNotFoundError:
+        return None
+
+
+def runs_as_wanted(text: str, about: dict[str, str]) -> bool:
+    """Whether a unit is active, its process is what `text` says, and has read what `text` says it reads."""
+    pid = about.get("MainPID", "0")
+    if about.get("ActiveState") != "active" or listed("runs", text) != command_line(pid):
+        return False
+    age_s = used(pid).get("age_s")
+    if age_s is None:
+        return False
+    # Hosts whose clock is off are refused before anything is written: wall times of now and of files can
+    # be compared, whatever the clock was when the process started. A file of the future tells nothing.
+    now_s = time.time()
+    return not any(now_s - age_s < modified_s(path) <= now_s for path in listed("reads", text))
+
+
+def listed(what: str, text: str) -> list[str]:
+    """The words of a unit file's line ``# WHAT: [...]``."""
+    found = re.search(rf"^# {what}: (\[.*\])$", text, re.MULTILINE)
+    return list(json.loads(found[1])) if found else []
+
+
+def command_line(pid: str) -> list[str]:
+    """Words of a process's command line; none when it is gone."""
+    try:
+        data = Path(f"/proc/{int(pid)}/cmdline").read_bytes()
+    except (OSError, ValueError):
+        return []
+    return os.fsdecode(data).rstrip("\0").split("\0")
+
+
+def modified_s(path: str) -> float:
+    """When a file was written to last, wall time; 0 when it is not there."""
+    try:
+        return os.stat(path).st_mtime
+    except OSError:
+        return 0.0
+
+
+@request
+def units(wanted: dict[str, str]) -> None:
+    """Writes unit files (name -> text); what runs goes on as it is."""
     folder = units_folder()
     folder.mkdir(mode=0o755, parents=True, exist_ok=True)
-    remove_units([name for name in unit_names(fleet) if name not in wanted])
-    changed = False
     for name, text in wanted.items():
-        path = folder / name
-        if not path.exists() or path.read_text() != text:
-            write(path, text.encode(), 0o644)
-            changed = True
-    if changed:
-        systemctl("daemon-reload")
-    return [name for name in wanted if not runs_as_wanted(name)]
-
-
-def runs_as_wanted(name: str) -> bool:
-    """Whether a unit is active, and its process is what its file says."""
-    about = shown(name)
-    if about.get("ActiveState") != "active":
-        return False
-    try:
-        running = Path(f"/proc/{about['MainPID']}/cmdline").read_bytes().rstrip(b"\0").split(b"\0")
-    except (OSError, KeyError):
-        return False
-    text = (units_folder() / name).read_text()
-    words = re.search(r"^# runs: (\[.*\])$", text, re.MULTILINE)
-    return words is not None and [word.encode() for word in json.loads(words[1])] == running
-
-
-PROPERTIES: Final = ("ActiveState", "Result", "MainPID", "NRestarts", "StatusText")
-
-
-def shown(name: str) -> dict[str, str]:
-    """What systemd says of a unit."""
-    done = systemctl("show", name, f"--property={','.join(PROPERTIES)}", check=False)
-    return dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+        if file_text(name) != text:
+            write(folder / name, text.encode())
+    systemctl("daemon-reload")
 
 
 @request
@@ -331,11 +440,15 @@ def restart(names: list[str]) -> None:
 
 
 @request
-def state(name: str) -> str:
-    """A unit's state in a word or two."""
-    about = shown(name)
-    active, result = about.get("ActiveState", "unknown"), about.get("Result", "success")
-    return active if result == "success" else f"{active} ({result})"
+def states(names: list[str]) -> dict[str, str]:
+    """Units' states in a word or two."""
+    known = shown(names)
+    told = {}
+    for name in names:
+        about = known.get(name, {})
+        active, result = about.get("ActiveState", "unknown"), about.get("Result", "success")
+        told[name] = active if result == "success" else f"{active} ({result})"
+    return told
 
 
 @request
@@ -346,13 +459,13 @@ def last_lines(name: str, count: int) -> list[str]:
     return [line[:300] for line in done.stdout.splitlines() if line.strip()]
 
 
-def remove_units(names: list[str]) -> None:
+@request
+def remove(names: list[str]) -> None:
     """Stops units, waits for that, and removes them and their files."""
-    if not names:
+    if not names:  # systemctl would take that for all units
         return
     systemctl("stop", *names, check=False)
     for name in names:
-        systemctl("disable", name, check=False)
         with suppress(FileNotFoundError):
             (units_folder() / name).unlink()
     systemctl("reset-failed", *names, check=False)
@@ -362,21 +475,20 @@ def remove_units(names: list[str]) -> None:
 @request
 def down(fleet: str) -> dict[str, Any]:
     """Stops and removes a fleet's units; says which there were and what is left in spite of it."""
-    names = unit_names(fleet)
-    remove_units(names)
+    names = list(units_of(fleet))
+    remove(names)
     shutil.rmtree(inside(f"fleets/{fleet}/state"), ignore_errors=True)
-    return {"stopped": names, "left": [*unit_names(fleet), *processes(fleet)]}
+    return {"stopped": names, "left": [*units_of(fleet), *processes(fleet)]}
 
 
 def processes(fleet: str) -> list[str]:
-    """Processes of a fleet on this computer that this user may see: ``process PID (what)``."""
-    needle = f"/fleets/{fleet}/".encode()
+    """Processes of a fleet of this user's, as far as they can be seen: ``process PID``."""
+    needle = f"{root()}/fleets/{fleet}/"
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            words = (folder / "cmdline").read_bytes().split(b"\0")
-            if any(needle in word for word in words) and b"-m" in words:
-                found.append(f"process {folder.name}")
+        words = command_line(folder.name)
+        if "-m" in words and any(needle in word for word in words):
+            found.append(f"process {folder.name}")
     return found
 
 
@@ -384,15 +496,10 @@ def processes(fleet: str) -> list[str]:
 def status(fleet: str) -> dict[str, Any]:
     """What the fleet's units here do: by name, what systemd says, CPU time and memory of its process."""
     told = {}
-    for name in unit_names(fleet):
-        about: dict[str, Any] = dict(shown(name))
-        about.update(used(about.get("MainPID", "0")))
-        text = ""
-        with suppress(OSError):
-            text = (units_folder() / name).read_text()
-        found = re.search(r"/versions/([^/]+)/", text)
-        about["version"] = found[1] if found else ""
-        told[name] = about
+    for name, about in units_of(fleet).items():
+        pid = about.get("MainPID", "0")
+        found = re.search(r"/versions/([^/]+)/bin/python ", " ".join(command_line(pid)))
+        told[name] = {**about, **used(pid), "version": found[1] if found else ""}
     return {"units": told, "load": os.getloadavg()[0], "cores": os.cpu_count() or 1}
 
 
@@ -412,7 +519,7 @@ def used(pid: str) -> dict[str, float]:
     }
 
 
-# ---------------------------------------------------------------------- the loop
+# ---------------------------------------------------------------------- what was installed, and what it left
 
 
 @request
@@ -440,6 +547,9 @@ def get(path: str, offset: int = 0, most: int = 1 << 20) -> Answer:
     with open(inside(path), "rb") as stream:
         stream.seek(offset)
         return None, stream.read(most)
+
+
+# ---------------------------------------------------------------------- the loop
 
 
 def answer(line: bytes, blob: bytes) -> Answer:

@@ -1,9 +1,9 @@
-"""Makes one host ready for its robots: looks at it, installs, writes the fleet file and the units."""
+"""Makes one host ready for its robots: looks at it, installs, writes the fleet file, what is to start."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from agent.fleet import Fleet
@@ -14,13 +14,14 @@ from deploy.host_connection import Clock, HostConnection, HostError
 from deploy.hosts import robots_on
 
 INSTALL_TIMEOUT_S: Final = 400.0
-UNITS_TIMEOUT_S: Final = 60.0
+INSTALL_BYTES: Final = 500_000_000
+"""Wheels and what is installed from them; a host with less is full."""
 CLOCK_ERROR_MAX_S: Final = 1.0
 """Orders and certificates of a host whose clock is further off make no sense there."""
 
 Say = Callable[[str], None]
 """Told what is being done, in a few words."""
-Keys = Callable[[HostConnection, str, str], Collection[int]]
+Keys = Callable[[HostConnection, str, str], None]
 """Gives the robots of a host their certificates, see `deploy.host_keys.HostKeys`."""
 
 
@@ -29,17 +30,18 @@ class Prepared(NamedTuple):
 
     Attributes:
         version: what is installed there.
-        places: where its files are.
-        restart: units that do not run yet, or run something else than they should.
+        units: texts of the robots' units, by robot and name.
+        stale: by robot, its units that do not run yet, or run something else than they should; none of
+            robots whose units are all well. Their files are as they were.
+        unwanted: units that should not be there.
         warnings: what its operator should know.
-        clock: how its clock stands to this machine's.
     """
 
     version: str
-    places: units.Places
-    restart: tuple[str, ...]
+    units: Mapping[int, Mapping[str, str]]
+    stale: Mapping[int, tuple[str, ...]]
+    unwanted: tuple[str, ...]
     warnings: tuple[str, ...]
-    clock: Clock
 
 
 def prepare(
@@ -84,25 +86,39 @@ def prepare(
     digests = {file: hashlib.sha256(text.encode()).hexdigest()}
     if connection.ask("missing", paths=digests):
         connection.exchange("put", text.encode(), path=file)
-    renewed: Collection[int] = ()
     if places.keys is not None and keys is not None:
         say("certificates")
-        renewed = keys(connection, bundle.version, places.keys)
-    wanted = {
-        (robot, units.unit_name(name, robot, role)): units.unit(fleet, robot, role, places)
+        keys(connection, bundle.version, places.keys)
+    texts = {
+        robot: {
+            units.unit_name(name, robot, role): units.unit(fleet, robot, role, places)
+            for role in units.roles(fleet)
+        }
         for robot in robots_on(fleet, host)
-        for role in units.roles(fleet)
     }
-    files = {unit: text for (_, unit), text in wanted.items()}
-    stale = connection.ask("units", fleet=name, wanted=files, timeout_s=UNITS_TIMEOUT_S)
-    # A process reads its certificate when it starts.
-    restart = [unit for robot, unit in wanted if unit in stale or robot in renewed]
+    say("comparing")
+    wanted = {unit: text for of_robot in texts.values() for unit, text in of_robot.items()}
+    found = connection.ask("compare", fleet=name, wanted=wanted)
+    stale = {
+        robot: tuple(unit for unit in of_robot if unit in found["stale"])
+        for robot, of_robot in texts.items()
+        if not of_robot.keys().isdisjoint(found["stale"])
+    }
+    # Files of robots that run as they should: what a crash would start is the same.
+    fine = {
+        unit: text
+        for robot, of_robot in texts.items()
+        if robot not in stale
+        for unit, text in of_robot.items()
+    }
+    if not fine.keys().isdisjoint(found["unwritten"]):
+        connection.ask("units", wanted=fine)
     if not about["journal"]:
         warnings.append(
             f"{about['user']} may not read its journal, `handfast logs` shows nothing of it: "
             f"sudo usermod -aG systemd-journal {about['user']}"
         )
-    return Prepared(bundle.version, places, tuple(restart), tuple(warnings), clock)
+    return Prepared(bundle.version, texts, stale, tuple(found["unwanted"]), tuple(warnings))
 
 
 def _refuse(host: HostSection, about: Mapping[str, Any]) -> None:
@@ -132,6 +148,12 @@ def _clock_warnings(fleet: Fleet, clock: Clock) -> list[str]:
 
 def install(connection: HostConnection, bundle: Bundle, say: Say) -> None:
     """Installs a bundle, sending only what is not there yet; raises `HostError`."""
+    free = connection.about["free_bytes"]
+    if free < INSTALL_BYTES:
+        raise HostError(
+            f"the disk is full: {free / 1e6:.0f} MB are free in {connection.about['root']}, "
+            f"{INSTALL_BYTES / 1e6:.0f} MB are needed"
+        )
     files = {f"wheels/{name}": digest for name, digest in bundle.wheels.items()}
     program = f"wheels/{bundle.program_name}"
     lacking = connection.ask("missing", paths=files | {program: hashlib.sha256(bundle.program).hexdigest()})

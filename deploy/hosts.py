@@ -18,16 +18,25 @@ def located(fleet: Fleet) -> Fleet:
     """`fleet` with the address of every host that has robots; what it leaves out ssh's configuration knows.
 
     Raises:
-        InputError: that says nothing.
+        InputError: that says nothing, or two of them have one address: two sets of processes would fight
+            for its files.
     """
     used = {robot.host for robot in fleet.robots}
     hosts = []
+    first: dict[str, str] = {}
     for host in fleet.hosts:
         if host.name in used and host.address is None:
             try:
                 host = replace(host, address=ssh.address_of(host))
             except ssh.SshError as error:
                 raise InputError(f"host {host.name}: {error}") from None
+        if host.name in used and host.address is not None:
+            other = first.setdefault(host.address.lower(), host.name)
+            if other != host.name:
+                raise InputError(
+                    f"hosts {other} and {host.name} both have the address {host.address}: robots may share a "
+                    "host by its name"
+                )
         hosts.append(host)
     return replace(fleet, hosts=tuple(hosts))
 

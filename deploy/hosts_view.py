@@ -6,14 +6,11 @@ import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Final, Protocol, TextIO
 
-from rich.console import Console
-from rich.live import Live
 from rich.table import Table
-from rich.text import Text
 
+from deploy.views import LinesView, Speaker, TerminalView, plain
 from deploy.wording import robots as robots_words
 
 DOING, DONE, FAILED = "doing", "done", "failed"
@@ -46,16 +43,8 @@ class Row:
         self.step, self.state = what, DONE
 
 
-class HostsView(Protocol):
-    """Where rows are shown. A context manager."""
-
-    def __enter__(self) -> HostsView: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-    def say(self, text: str) -> None:
-        """One line that stays."""
-        ...
+class HostsView(Speaker, Protocol):
+    """Where rows are shown."""
 
     def show(self, rows: Sequence[Row]) -> None:
         """All rows as they are now."""
@@ -65,26 +54,15 @@ class HostsView(Protocol):
 def make_hosts_view(stream: TextIO | None = None) -> HostsView:
     """A table on a terminal, lines elsewhere; on standard error unless told otherwise."""
     stream = sys.stderr if stream is None else stream
-    return Terminal(Console(file=stream)) if stream.isatty() else Lines(stream)
+    return Terminal(stream) if stream.isatty() else Lines(stream)
 
 
-class Lines:
+class Lines(LinesView):
     """A line whenever a host comes to something else."""
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+        super().__init__(stream)
         self._said: dict[str, str] = {}
-
-    def __enter__(self) -> Lines:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        pass
-
-    def say(self, text: str) -> None:
-        print(text, file=self._stream, flush=True)
 
     def show(self, rows: Sequence[Row]) -> None:
         for row in rows:
@@ -95,23 +73,11 @@ class Lines:
                 self.say(f"{row.host}: {failed}{what}")
 
 
-class Terminal:
-    """A table that is redrawn in place, and stays as it was at the end."""
+class Terminal(TerminalView):
+    """A table of hosts, which stays as it was at the end."""
 
-    def __init__(self, console: Console) -> None:
-        self._live = Live(console=console, auto_refresh=False)
-
-    def __enter__(self) -> Terminal:
-        self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._live.stop()
-
-    def say(self, text: str) -> None:
-        self._live.console.print(text, markup=False, highlight=False, soft_wrap=True)
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(stream, transient=False)
 
     def show(self, rows: Sequence[Row]) -> None:
         table = Table(expand=True, pad_edge=False, box=None)
@@ -120,5 +86,5 @@ class Terminal:
         table.add_column("", ratio=1)
         for row in rows:
             shown = robots_words(row.robots).removeprefix("robots ").removeprefix("robot ")
-            table.add_row(row.host, shown, Text(row.step, style=STYLES[row.state]))
-        self._live.update(table, refresh=True)
+            table.add_row(plain(row.host), shown, plain(row.step, STYLES[row.state]))
+        self._draw(table)

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from agent import key_files
+from agent.certificates import DAY_S
 from agent.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting
 from agent.fleet import Fleet
-from agent.identity import MAIN, Identity, IdentityError, addresses, of_operator, of_robot, of_router
+from agent.identity import MAIN, Identity, IdentityError, addresses, of_operator, of_robot, of_router, parse
+from agent.key_files import KeyFileError
 from deploy.arguments import InputError, fleet_arguments, load_unresolved
-from deploy.authority import Authority, AuthorityError, Issued, keys_folder
+from deploy.authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
 from deploy.certificate_requests import answer, read_requests
 
 DONE: Final = 0
-NEW_AUTHORITY: Final = (
-    "every certificate of before is void. `handfast up` gives the robots new ones; who has none of them yet "
-    "is shut out"
-)
+NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"
+LAST_DAYS: Final = 365
+"""An authority that is about to end is told of for so long: no certificate outlives it."""
 
 
 def add_parser(commands: Any) -> None:
@@ -80,7 +82,7 @@ def _keys(options: argparse.Namespace) -> int:
     now_s = time.time()
     try:
         requests = read_requests(options.sign, fleet) if options.sign is not None else None
-        if (options.list or requests is not None) and not (folder / "authority.pem").exists():
+        if (options.list or requests is not None) and not key_files.exists(folder / "authority.pem"):
             raise InputError(f"{name} has no authority in {folder}: `handfast keys {options.fleet}` makes it")
         with Authority(folder, name, fleet.ids, now_s) as authority:
             if requests is not None:
@@ -89,7 +91,7 @@ def _keys(options: argparse.Namespace) -> int:
             if not options.list:
                 _make(options, fleet, authority, now_s)
             _show(authority, now_s)
-    except (AuthorityError, CredentialsError, IdentityError) as error:
+    except (AuthorityError, CredentialsError, IdentityError, KeyFileError) as error:
         raise InputError(str(error)) from None
     return DONE
 
@@ -138,6 +140,35 @@ def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s
         out = Path(options.out).expanduser() if options.out is not None else authority.folder
         where = options.addresses or [router.rpartition(":")[0] for router in fleet.network.routers]
         _provide(authority, out, of_router(name, options.router), where, options.renew, now_s)
+    if options.replace_authority:
+        for line in _void(options.fleet, fleet, authority):
+            print(line)
+
+
+def _void(file: str, fleet: Fleet, authority: Authority) -> Iterator[str]:
+    """Who had a certificate and has none of this authority, each with the command that makes one."""
+    by_up = []
+    for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
+        who = parse(name)
+        if entry.generation == authority.generation:
+            continue
+        reached = "".join(f" --address {each}" for each in entry.addresses if each not in LOOPBACK)
+        if who.role == "operator" and who.name in fleet.network.operators:
+            yield f"void: {who}; `handfast keys {file} --operator {who.name}`"
+        elif who.role == "router":
+            yield f"void: {who}; `handfast keys {file} --router{reached}`, with --out DIR to carry it"
+        elif who.robot in fleet.ids:
+            if fleet.host_of(who.robot) is not None:
+                by_up.append(who.name)
+            else:
+                yield f"void: {who}; `handfast keys {file} --robot {who.name}{reached} --out DIR`"
+    if by_up:
+        yield f"void: robot{'s' if len(by_up) > 1 else ''} {', '.join(by_up)}; `handfast up {file}`"
+
+
+def _latest(authority: Authority) -> dict[str, Issued]:
+    """The last certificate of each, by their common names."""
+    return {entry.identity: entry for entry in authority.issued()}
 
 
 def address_of(fleet: Fleet, robot: int) -> str:
@@ -160,17 +191,24 @@ def _provide(
 
 
 def _show(authority: Authority, now_s: float) -> None:
-    latest: dict[str, Issued] = {entry.identity: entry for entry in authority.issued()}
+    days = authority.days_left(now_s)
     rows: list[tuple[str, ...]] = [
-        ("authority", f"generation {authority.generation}", _date(now_s, authority.days_left(now_s)), "")
+        ("authority", f"generation {authority.generation}", _date(now_s, days), _ending(days))
     ]
-    for name, entry in sorted(latest.items(), key=lambda item: _order(item[0])):
+    for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
         rows.append(
             (*name.split(".")[1:], _date(now_s, entry.days_left(now_s)), state(entry, authority, now_s))
         )
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     for row in rows:
         print("  ".join(text.ljust(width) for text, width in zip(row, [*widths, 0], strict=True)).rstrip())
+
+
+def _ending(days: float) -> str:
+    if days >= LAST_DAYS:
+        return ""
+    when = f"ends in {int(days)} days, and all certificates with it" if days > 0 else "expired"
+    return f"{when}: --replace-authority, with the fleet at rest"
 
 
 def state(entry: Issued, authority: Authority, now_s: float) -> str:
@@ -180,15 +218,15 @@ def state(entry: Issued, authority: Authority, now_s: float) -> str:
         return "void: of an authority that was replaced"
     if days <= 0:
         return "expired"
-    return (
-        f"expires in {int(days)} days: renewed when there is an opportunity"
-        if days <= RENEW_DAYS
-        else "valid"
-    )
+    if days > RENEW_DAYS:
+        return "valid"
+    if entry.not_after_s >= authority.not_after_s:
+        return f"ends in {int(days)} days, with its authority"
+    return f"expires in {int(days)} days: renewed when there is an opportunity"
 
 
 def _date(now_s: float, days: float) -> str:
-    return f"until {datetime.fromtimestamp(now_s + days * 86_400, UTC):%Y-%m-%d}"
+    return f"until {datetime.fromtimestamp(now_s + days * DAY_S, UTC):%Y-%m-%d}"
 
 
 def _order(name: str) -> tuple[str, int, str]:

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import sys
-import termios
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from math import hypot, isinf
-from types import TracebackType
-from typing import Any, Final, Protocol, TextIO, TypeVar
+from typing import Final, Protocol, TextIO, TypeVar
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Group
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
-from rich.text import Text
 
 from agent import keys
 from agent.clock import NS_PER_S
@@ -29,6 +24,7 @@ from deploy.fault_words import defaults, held, lasts, words
 from deploy.live_faults import Held, shown
 from deploy.news import News
 from deploy.operating import Known
+from deploy.views import LinesView, Speaker, TerminalView, plain
 
 STYLES: Final = {
     State.RUNNING.value: "green",
@@ -205,16 +201,8 @@ def _keep_newest(known: dict[int, S], message: S) -> bool:
     return True
 
 
-class View(Protocol):
-    """Where progress is shown. A context manager."""
-
-    def __enter__(self) -> View: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-    def say(self, text: str) -> None:
-        """One line that stays."""
-        ...
+class View(Speaker, Protocol):
+    """Where progress is shown."""
 
     def show(self, picture: Picture) -> None:
         """The fleet as it is now."""
@@ -229,26 +217,16 @@ def make_view(stream: TextIO | None = None, *, quiet: bool = False, period_s: fl
     stream = sys.stderr if stream is None else stream
     if quiet or not stream.isatty():
         return Lines(stream, quiet=quiet, period_s=period_s)
-    return Terminal(Console(file=stream))
+    return Terminal(stream)
 
 
-class Lines:
-    """Plain lines, for logs and pipes."""
+class Lines(LinesView):
+    """A line now and then."""
 
     def __init__(self, stream: TextIO, *, quiet: bool, period_s: float) -> None:
-        self._stream, self._quiet, self._period_s = stream, quiet, period_s
+        super().__init__(stream)
+        self._quiet, self._period_s = quiet, period_s
         self._due_s = 0.0
-
-    def __enter__(self) -> Lines:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        pass
-
-    def say(self, text: str) -> None:
-        print(text, file=self._stream, flush=True)
 
     def show(self, picture: Picture) -> None:
         if self._quiet or picture.time_s is None or picture.time_s < self._due_s:
@@ -258,39 +236,17 @@ class Lines:
         self.say(f"{picture.time_s:6.1f} s  {summary(picture)}" + (f", {line}" if line else ""))
 
 
-class Terminal:
-    """A table that is redrawn in place."""
+class Terminal(TerminalView):
+    """A table of robots."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._settings: list[Any] | None = None
-
-    def __enter__(self) -> Terminal:
-        # A Ctrl-C that the terminal echoes as ^C would shift the table from where it is redrawn.
-        with suppress(termios.error, ValueError, OSError):
-            self._settings = termios.tcgetattr(self._console.file.fileno())
-            quiet = list(self._settings)
-            quiet[3] &= ~termios.ECHOCTL
-            termios.tcsetattr(self._console.file.fileno(), termios.TCSANOW, quiet)
-        self._live.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._live.__exit__(kind, error, trace)
-        if self._settings is not None:
-            termios.tcsetattr(self._console.file.fileno(), termios.TCSANOW, self._settings)
-
-    def say(self, text: str) -> None:
-        self._console.print(Text(text))
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(stream, transient=True)
 
     def show(self, picture: Picture) -> None:
-        lines = [Text(summary(picture))]
+        lines = [plain(summary(picture))]
         if picture.faults:
-            lines.append(Text(faults_line(picture), style="yellow"))
-        self._live.update(Group(_bar(picture), *lines, _table(picture)), refresh=True)
+            lines.append(plain(faults_line(picture), "yellow"))
+        self._draw(Group(_bar(picture), *lines, _table(picture)))
 
 
 def summary(picture: Picture) -> str:
@@ -357,12 +313,12 @@ def _table(picture: Picture) -> Table:
     for robot, about in rows[:ROWS_MAX]:
         table.add_row(
             str(robot),
-            Text(about.state or "-", style=STYLES.get(about.state, "")),
+            plain(about.state or "-", STYLES.get(about.state, "")),
             "-" if about.error_m is None else f"{about.error_m:.3f}",
             f"{about.age_ms:.0f}",
             "-" if about.tick_us is None else str(about.tick_us),
             str(about.overruns),
-            "; ".join(filter(None, (about.reason, _clock(about)))),
+            plain("; ".join(filter(None, (about.reason, _clock(about))))),
         )
     if len(rows) > ROWS_MAX:
         table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "")

@@ -36,13 +36,10 @@ class LocalRun:
         vehicles: Sequence[Vehicle] = (),
     ) -> None:
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
+        self._interrupt = interrupt
         self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles)
-        self._drive = Drive(fleet, self._processes, folder.record, view, interrupt)
+        self.reasons: list[str] = []
         self._has_vehicles = any(robot.plant == "mavlink" for robot in fleet.robots)
-
-    @property
-    def reasons(self) -> list[str]:
-        return self._drive.reasons
 
     def run(self) -> None:
         """From start to end; whatever happens, no process is left.
@@ -57,7 +54,11 @@ class LocalRun:
                 Registration(self._fleet.fleet.name, self._folder.path, self._folder.fleet_file),
                 operator_bus(self._fleet) as bus,
             ):
-                self._drive.run(bus)
+                drive = Drive(
+                    self._fleet, self._processes, bus, self._folder.record, self._view, self._interrupt
+                )
+                self.reasons = drive.reasons
+                drive.run()
         finally:
             timeout_s = VEHICLES_END_TIMEOUT_S if self._has_vehicles else END_TIMEOUT_S
             for child in self._processes.end(timeout_s):

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from agent.fleet import Fleet
@@ -36,6 +37,11 @@ FOLLOWED_LINES: Final = 20
 """Lines of each host that are shown before those that are followed."""
 HOLD_S: Final = 0.6
 """Lines that are followed wait so long for earlier ones of other hosts."""
+LOOK_S: Final = 0.2
+"""How often it is looked for Ctrl-C while nothing comes."""
+CLOSE_S: Final = 0.2
+LINE_BYTES_MAX: Final = 4_000_000
+SAID_BYTES_MAX: Final = 20_000
 
 
 class Line(NamedTuple):
@@ -85,16 +91,15 @@ def _logs(options: argparse.Namespace) -> int:
             if (robots := [robot for robot in robots_on(fleet, host) if robot in wanted])
         ]
         try:
-            for line in _followed(readers, interrupt) if options.follow else _merged(readers, options.lines):
-                _print(line)
+            for line in (
+                followed(readers, interrupt) if options.follow else merged(readers, options.lines, interrupt)
+            ):
                 if interrupt.count:
                     break
+                _print(line)
         finally:
             for reader in readers:
                 reader.close()
-    for reader in readers:
-        if reader.error and not interrupt.count:
-            print(f"handfast: {reader.host.name}: {reader.error}", file=sys.stderr)
     if interrupt.count:
         return INTERRUPTED
     return FAILED if any(reader.error for reader in readers) else DONE
@@ -127,40 +132,70 @@ def command(
 
 
 class Reader:
-    """The log of one host as it comes. `error` says what went wrong when its lines have ended."""
+    """The log of one host as it comes. `error` says what went wrong when its lines have ended.
+
+    Raises:
+        InputError: there is no ssh here.
+    """
 
     def __init__(self, host: HostSection, remote: str) -> None:
         self.host = host
         self.error = ""
-        self.lines: queue.Queue[Line | None] = queue.Queue(100_000)
-        self._closed = False
-        self._process = subprocess.Popen(
-            ssh.command(host, remote),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-        )
-        threading.Thread(target=self._read, daemon=True).start()
+        self._lines: queue.Queue[Line | None] = queue.Queue(100_000)
+        self._said = b""
+        try:
+            self._process = subprocess.Popen(
+                ssh.command(host, remote),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except FileNotFoundError:
+            raise InputError(ssh.NO_SSH) from None
+        self._listener = threading.Thread(target=self._listen_errors, daemon=True)
+        self._listener.start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def next(self, timeout_s: float) -> Line | None:
+        """The next line; None when there is no more, which is said where it is for a reason.
+
+        Raises:
+            queue.Empty: none has come within this time.
+        """
+        line = self._lines.get(timeout=timeout_s) if timeout_s else self._lines.get_nowait()
+        if line is None and self.error:
+            print(f"handfast: {self.host.name}: {self.error}", file=sys.stderr, flush=True)
+        return line
 
     def _read(self) -> None:
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        for data in self._process.stdout:
-            line = _parsed(self.host.name, data)
-            if line is not None:
-                self.lines.put(line)
-        said = self._process.stderr.read().decode(errors="replace")
+        stream = self._process.stdout
+        assert stream is not None
+        with stream:
+            while data := stream.readline(LINE_BYTES_MAX):
+                line = _parsed(self.host.name, data)
+                if line is not None:
+                    self._lines.put(line)
         status = self._process.wait()
-        if status and not self._closed:
-            self.error = ssh.reason(self.host, said) if status == 255 else printable(said.strip()[-300:])
-        self.lines.put(None)
+        self._listener.join(1.0)  # a master connection of ssh's own, which goes on, may hold it open
+        if status:
+            self.error = ssh.ended(self.host, status, self._said.decode(errors="replace"))
+        self._lines.put(None)
+
+    def _listen_errors(self) -> None:
+        stream = self._process.stderr
+        assert stream is not None
+        with stream:
+            while data := stream.readline(LINE_BYTES_MAX):
+                self._said = (self._said + data)[-SAID_BYTES_MAX:]
 
     def close(self) -> None:
-        self._closed = True
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
+        self._reader.join(CLOSE_S)
+        self._listener.join(CLOSE_S)
 
 
 def _parsed(host: str, data: bytes) -> Line | None:
@@ -174,30 +209,34 @@ def _parsed(host: str, data: bytes) -> Line | None:
         return None
 
 
-def _merged(readers: Sequence[Reader], last: int | None) -> Iterator[Line]:
-    """All lines in the order of time; of each host the `last` ones only."""
+def merged(readers: Sequence[Reader], last: int | None, interrupt: Interrupt) -> Iterator[Line]:
+    """All lines in the order of time, until Ctrl-C; of each host the `last` ones only."""
 
     def lines(reader: Reader) -> Iterator[Line]:
-        while (line := reader.lines.get()) is not None:
+        while not interrupt.count:
+            try:
+                line = reader.next(LOOK_S)
+            except queue.Empty:
+                continue
+            if line is None:
+                return
             yield line
 
     each = [iter(deque(lines(reader), last)) if last is not None else lines(reader) for reader in readers]
     return heapq.merge(*each)
 
 
-def _followed(readers: Sequence[Reader], interrupt: Interrupt) -> Iterator[Line]:
+def followed(readers: Sequence[Reader], interrupt: Interrupt) -> Iterator[Line]:
     """Lines as they come, each held back for a moment in which others may bring an earlier one."""
     waiting: list[tuple[Line, float]] = []
     open_readers = list(readers)
     while (open_readers or waiting) and not interrupt.count:
         now = time.monotonic()
         for reader in list(open_readers):
-            while not reader.lines.empty():
-                line = reader.lines.get()
-                if line is None:
-                    open_readers.remove(reader)
-                    break
-                heapq.heappush(waiting, (line, now + HOLD_S))
+            with suppress(queue.Empty):
+                while (line := reader.next(0.0)) is not None:
+                    heapq.heappush(waiting, (line, now + HOLD_S))
+                open_readers.remove(reader)
         while waiting and (waiting[0][1] <= now or not open_readers):
             yield heapq.heappop(waiting)[0]
         time.sleep(0.05)

@@ -7,8 +7,10 @@ said in warnings, which the report shows.
 from __future__ import annotations
 
 import heapq
+import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +22,7 @@ from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import TIME_NS_MAX, Mission, Resume, Stop
 from agent.segments import Received
+from deploy.recorder import RecordingError
 from deploy.robot_recording import (
     GAP_NS,
     Damage,
@@ -27,7 +30,7 @@ from deploy.robot_recording import (
     SegmentFile,
     Told,
     by_time,
-    segment_files,
+    recordings,
 )
 from deploy.runfolder import RunFolder
 
@@ -65,11 +68,22 @@ class Merged(NamedTuple):
     metrics: dict[str, Any]
 
 
-def merge(folders: Sequence[Path], out: Path, choice: Choice | None = None, *, report: bool = True) -> Merged:
-    """Makes the run's folder `out` of the recordings in `folders`, each with segments of a robot or more.
+def merge(
+    folders: Mapping[int, Path],
+    out: Path,
+    choice: Choice | None = None,
+    *,
+    warnings: Sequence[str] = (),
+    report: bool = True,
+) -> Merged:
+    """Makes the run's folder `out` of what robots recorded; when it cannot be made, nothing stays of it.
 
     Where robots had different fleet files in that time, those count whose file is the mission's, or most
     robots'; warnings name the others.
+
+    Args:
+        folders: by robot, with its segments.
+        warnings: what else has to be said of the recordings.
 
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
@@ -77,7 +91,8 @@ def merge(folders: Sequence[Path], out: Path, choice: Choice | None = None, *, r
         deploy.runfolder.FolderError: `out` is not empty or cannot be written.
         deploy.recorder.RecordingError: the recording cannot be written.
     """
-    plan = _plan(segment_files(folders), choice or Choice())
+    there_is = recordings(folders)
+    plan = _plan(there_is.segments, choice or Choice())
     fleet = resolved(
         parse_fleet(plan.newest.about.fleet_toml, source=f"the fleet file in {plan.newest.path}")
     )
@@ -89,13 +104,21 @@ def merge(folders: Sequence[Path], out: Path, choice: Choice | None = None, *, r
             folder.record(received_ns, key, payload)
             count += 1
         if count == len(plan.orders):
-            raise MergeError(f"all that was recorded {_times(plan.since_ns, plan.until_ns)} is damaged")
-        warnings = (*plan.warnings, *_missing(plan, fleet, damage))
-        metrics = folder.finish(warnings=warnings, report=report)
-    finally:
-        folder.close()
+            times = _times(plan.since_ns, plan.until_ns)
+            raise MergeError(
+                f"all that was recorded {times} is damaged"
+                if damage.pieces
+                else f"nothing was recorded {times}"
+            )
+        said = (*warnings, *plan.warnings, *_refused(there_is.refused), *_missing(plan, fleet, damage))
+        metrics = folder.finish(warnings=said, report=report)
+    except BaseException:  # Ctrl-C as well
+        with suppress(RecordingError):
+            folder.close()
+        shutil.rmtree(out, ignore_errors=True)
+        raise
     robots = sorted({segment.about.robot for segment in plan.segments})
-    return Merged(out, tuple(robots), count, plan.since_ns, plan.until_ns, warnings, metrics)
+    return Merged(out, tuple(robots), count, plan.since_ns, plan.until_ns, said, metrics)
 
 
 # --- what is taken --------------------------------------------------------------------------------
@@ -223,6 +246,13 @@ def _messages(plan: _Plan, damage: Damage) -> Iterator[Received]:
     return heapq.merge(plan.orders, (received for received in others if received not in orders))
 
 
+def _refused(robots: Sequence[int]) -> list[str]:
+    return [
+        f"robot {robot}'s computer also gave recordings of other robots: they are left out"
+        for robot in robots
+    ]
+
+
 def _missing(plan: _Plan, fleet: Fleet, damage: Damage) -> list[str]:
     """What has to be said of the recordings that a run was made of."""
     by_robot: dict[int, list[SegmentFile]] = {robot: [] for robot in fleet.ids}
@@ -267,6 +297,9 @@ def _missing(plan: _Plan, fleet: Fleet, damage: Damage) -> list[str]:
         if pieces := damage.pieces.get(robot, 0):
             what = "a damaged piece is" if pieces == 1 else f"{pieces} damaged pieces are"
             found.append(f"of robot {robot}'s recording {what} left out")
+        if foreign := damage.foreign.get(robot, 0):
+            what = "a message is" if foreign == 1 else f"{foreign} messages are"
+            found.append(f"of robot {robot}'s recording {what} left out that it cannot have heard")
     return found
 
 

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from agent import keys
@@ -19,7 +19,7 @@ from agent.order_sections import OrderSection
 from agent.orders import OrderError, first_mission, ordered
 from agent.plan import Plan, PlanError, plan_of
 from agent.supervision import DRIVING
-from deploy.order_versions import AHEAD_US_MAX
+from deploy.order_versions import can_be
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
 NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"
@@ -113,23 +113,38 @@ class Operator(Known):
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         super().__init__(fleet, geometry)
-        self._missions_seen = self._orders_seen = 0
+        self._claims = dict.fromkeys(fleet.ids, (0, 0))
+        """What each robot said last that it knows: versions of a mission, and of a stop or leave."""
 
     def hear(self, key: str, message: Message) -> bool:
-        if type(message) is Status:
-            self._seen(message.mission_version, message.order_version)
-        elif type(message) is Beacon:
-            self._seen(message.mission_version, max(message.stop_version, message.resume_version))
+        name = self.fleet.fleet.name
+        if type(message) is Status and key == keys.status(name, message.robot):
+            self._claim(message.robot, message.mission_version, message.order_version)
+        elif type(message) is Beacon and key == keys.beacon(name, message.robot):
+            order_version = max(message.stop_version, message.resume_version)
+            self._claim(message.robot, message.mission_version, order_version)
         return super().hear(key, message)
 
-    def _seen(self, mission_version: int, order_version: int) -> None:
-        self._missions_seen = max(self._missions_seen, mission_version)
-        self._orders_seen = max(self._orders_seen, order_version)
+    def _claim(self, robot: int, mission_version: int, order_version: int) -> None:
+        if robot in self._claims:
+            self._claims[robot] = mission_version, order_version
 
     @property
     def behind(self) -> bool:
         """Whether agents know of an order that was not heard here: they tell it when they are asked."""
-        return self._missions_seen > self.mission_version or self._orders_seen > self.order_version
+        return any(
+            mission > self.mission_version or order > self.order_version
+            for mission, order in self._claims.values()
+        )
+
+    def claimants(self, now_ns: int) -> list[int]:
+        """Robots that say that they know of an order which was not heard here, as far as that can be."""
+        return [
+            robot
+            for robot, (mission, order) in sorted(self._claims.items())
+            if (self.mission_version < mission and can_be(mission, now_ns))
+            or (self.order_version < order and can_be(order, now_ns))
+        ]
 
     # ------------------------------------------------------------------ orders
 
@@ -166,10 +181,10 @@ class Operator(Known):
         return self.resume
 
     def _next_mission(self, now_ns: int) -> int:
-        return _next(now_ns, self.mission_version, self._missions_seen)
+        return _next(now_ns, self.mission_version, [mission for mission, _ in self._claims.values()])
 
     def _next_order(self, now_ns: int) -> int:
-        return _next(now_ns, self.order_version, self._orders_seen)
+        return _next(now_ns, self.order_version, [order for _, order in self._claims.values()])
 
     def outgoing(self, message: Order | Heartbeat | Ask) -> Outgoing:
         """A message as it goes on the bus."""
@@ -225,12 +240,12 @@ class Operator(Known):
         return status.state in _DRIVING and braked
 
 
-def _next(now_ns: int, known: int, told: int) -> int:
+def _next(now_ns: int, known: int, told: Iterable[int]) -> int:
     """Lamport's clock, in us of the wall clock where that is ahead of all that was seen.
 
     Args:
         known: the greatest version of an order that was heard.
-        told: the greatest that robots say they know, believed as far as `AHEAD_US_MAX`.
+        told: those that robots say they know, believed as far as they can be.
     """
-    now_us = now_ns // 1_000
-    return max(now_us, known + 1, min(told, now_us + AHEAD_US_MAX) + 1)
+    believed = (version for version in told if can_be(version, now_ns))
+    return max(now_ns // 1_000, known + 1, max(believed, default=0) + 1)

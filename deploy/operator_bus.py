@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from agent.bus import Bus
-from agent.credentials import CredentialsError
+from agent.credentials import CredentialsError, MissingError
 from agent.fleet import Fleet
 from agent.identity import MAIN, IdentityError, of_operator
+from agent.schema import printable
 from agent.sealed_bus import bus_for
 from deploy.arguments import InputError
 from deploy.authority import keys_folder
@@ -36,28 +38,25 @@ def operator_bus(fleet: Fleet) -> Bus:
     if not fleet.is_secured:
         return bus_for(fleet, None, None, _log, listen=[], connect=connect)
     name = fleet.fleet.name
-    folder = os.environ.get(KEYS, "")
+    given = os.environ.get(KEYS, "")
+    folder = Path(given).expanduser() if given else keys_folder(name)
     who = os.environ.get(OPERATOR, MAIN)
     try:
         identity = of_operator(name, who)
-        if who not in fleet.network.operators:
-            raise InputError(
-                f"{OPERATOR}: robots of {name} take no orders of {who}; network.operators are "
-                f"{', '.join(fleet.network.operators)}"
-            )
-        return bus_for(
-            fleet,
-            identity,
-            Path(folder).expanduser() if folder else keys_folder(name),
-            _log,
-            listen=[],
-            connect=connect,
-        )
     except IdentityError as error:
         raise InputError(f"{OPERATOR}: {error}") from None
+    if who not in fleet.network.operators:
+        raise InputError(
+            f"{OPERATOR}: robots of {name} take no orders of {who}; network.operators are "
+            f"{', '.join(fleet.network.operators)}"
+        )
+    try:
+        return bus_for(fleet, identity, folder, _log, listen=[], connect=connect)
     except CredentialsError as error:
-        raise InputError(f"{error}; `handfast keys` makes one") from None
+        advice = "; `handfast keys` makes one" if isinstance(error, MissingError) else ""
+        raise InputError(f"{error}{advice}") from None
 
 
 def _log(text: str) -> None:
-    print(f"handfast: {text}", file=sys.stderr)
+    with suppress(OSError, ValueError):  # an output that is gone keeps no order from being given
+        print(f"handfast: {printable(text)}", file=sys.stderr)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.fleet import Fleet
+from agent.schema import printable
 from deploy.arguments import InputError
 from deploy.running import DONE, FAILED, INTERRUPTED
 
@@ -79,9 +80,9 @@ def say_verdict(metrics: dict[str, Any], folder: Path) -> None:
     verdict = metrics["verdict"]
     print("PASSED" if verdict["passed"] else "FAILED")
     for reason in verdict["reasons"]:
-        print(f"  {reason}")
+        print(f"  {printable(reason)}")
     for warning in verdict["warnings"]:
-        print(f"  warning: {warning}")
+        print(f"  warning: {printable(warning)}")
     settled = metrics["settling_time_s"]
     nearest = metrics["min_distance_m"]["edge"]
     error = metrics["final_distance_error_m"]

@@ -20,6 +20,7 @@ from typing import Final
 from agent.fleet import load_fleet
 from agent.private_folder import private_folder
 from agent.schema import show
+from deploy.arguments import bundled, fleet_path
 from deploy.wording import NAMES_SHOWN
 
 _PREFIX: Final = "run-"
@@ -108,7 +109,7 @@ def find(what: str) -> Path:
     """The placed fleet file that is meant: of a fleet that runs here by its name, of a run by its folder.
 
     A fleet file means the run of its fleet here; where there is none it is taken as it is, with its own
-    addresses and ports, for a fleet that was started otherwise.
+    addresses and ports, for a fleet that was started otherwise. So does the name of a bundled fleet.
 
     Raises:
         NotRunningError: nothing of the kind runs here, or two runs have that name.
@@ -119,7 +120,8 @@ def find(what: str) -> Path:
         here = [run for run in runs if Path(run.folder).resolve() == path.resolve()]
         if here:
             return Path(here[0].fleet_file)
-        if all(run.name != what for run in runs):  # else a folder that happens to have a fleet's name
+        # Else a folder that happens to have a fleet's name.
+        if all(run.name != what for run in runs) and what not in bundled():
             raise NotRunningError(f"no run lives in the folder {path}{_those(runs)}")
     if path.is_file():
         exact = [run for run in runs if Path(run.fleet_file).resolve() == path.resolve()]
@@ -130,6 +132,8 @@ def find(what: str) -> Path:
     if path.suffix == ".toml" or len(path.parts) > 1:
         raise NotRunningError(f"{show(what)[1:-1]}: there is no such file{_those(runs)}")
     found = _only(what, runs)
+    if found is None and what in bundled():
+        return fleet_path(what)
     if found is None:
         raise NotRunningError(f"no fleet of the name {show(what)} runs here{_those(runs)}")
     return found

@@ -1,14 +1,19 @@
 """What robots' computers recorded (`agent.recorder_process`), in folders that were brought here: what
-there is of it, and its messages by time."""
+there is of it, and its messages by time.
+
+A recording is believed about its own robot only: whose it is its folder says, and what its robot and its
+recorder could not have heard there is left out.
+"""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from agent import keys
 from agent.clock import NS_PER_S
 from agent.codec import decode
 from agent.message_checks import Malformed
@@ -19,7 +24,6 @@ from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Rece
 
 GAP_NS: Final = NS_PER_S
 """A robot is never silent for so long: something is missing."""
-"""How a sealed order begins: an array of four, of which the first is 1."""
 
 
 class MergeError(RuntimeError):
@@ -64,69 +68,87 @@ class SegmentFile:
         return max(last for _, last in self.stretches)
 
     def overlaps(self, since_ns: int, until_ns: int) -> bool:
-        return self.first_ns <= until_ns and self.last_ns >= since_ns
+        return any(first_ns <= until_ns and last_ns >= since_ns for first_ns, last_ns in self.stretches)
 
 
 @dataclass
 class Damage:
-    """What was found damaged while reading, by robot: pieces."""
+    """What was found damaged while reading, by robot: pieces. And messages that are not its own."""
 
     pieces: dict[int, int] = field(default_factory=dict)
+    foreign: dict[int, int] = field(default_factory=dict)
 
-    def add(self, robot: int, count: int) -> None:
-        if count:
-            self.pieces[robot] = self.pieces.get(robot, 0) + count
+    def add(self, robot: int, pieces: int, foreign: int) -> None:
+        if pieces:
+            self.pieces[robot] = self.pieces.get(robot, 0) + pieces
+        if foreign:
+            self.foreign[robot] = self.foreign.get(robot, 0) + foreign
 
 
-def segment_files(folders: Sequence[Path]) -> list[SegmentFile]:
-    """All segments in the folders that hold messages; of copies of one the one with most of them.
+class Recordings(NamedTuple):
+    """All segments that hold messages, and of which robots some were left out as another's."""
 
-    One that lost its first block belongs to whom its neighbour in the folder belongs to.
+    segments: Sequence[SegmentFile]
+    refused: Sequence[int]
+
+
+def recordings(folders: Mapping[int, Path]) -> Recordings:
+    """What there is in the folders of robots, by their ids.
+
+    A segment that lost its first block belongs to whom its neighbour in the folder belongs to.
 
     Raises:
         MergeError: a folder or a file cannot be read.
     """
-    found: dict[tuple[object, ...], SegmentFile] = {}
-    for folder in folders:
+    found: list[SegmentFile] = []
+    refused = []
+    for robot, folder in folders.items():
         try:
-            read = [scan(path) for path in segment_paths(folder)]
+            told = [(path, about_of(path)) for path in segment_paths(folder)]
+            known = next((about for _, about in told if about is not None and about.robot == robot), None)
+            for path, about in told:
+                if about is not None and about.robot != robot:
+                    refused.append(robot)
+                    continue
+                known = about or known
+                if known is not None and (segment := scan(path, known)).messages:
+                    found.append(segment)
         except OSError as error:
             raise MergeError(f"cannot read {error.filename or folder}: {error.strerror or error}") from None
-        known: About | None = next((each.about for each in read if each.about.robot), None)
-        for each in read:
-            known = each.about if each.about.robot else known
-            if known is None or not each.messages:
-                continue
-            mine = each if each.about.robot else replace(each, about=known)
-            key = (mine.about.fleet, mine.about.robot, mine.about.boot, each.path.name, mine.first_ns)
-            if key not in found or found[key].messages < mine.messages:
-                found[key] = mine
-    return list(found.values())
+    return Recordings(found, sorted(set(refused)))
 
 
-_NOBODY: Final = About("", "", 0, "", "", 0, 0, "")
-
-
-def scan(path: Path) -> SegmentFile:
-    """What the heads of one segment tell, and its orders. Its robot is 0 where the first block is damaged.
+def about_of(path: Path) -> About | None:
+    """What a segment's first block tells, None where it is damaged.
 
     Raises:
         OSError: it cannot be read.
     """
-    about, messages = _NOBODY, 0
+    with open(path, "rb") as stream:
+        segment = Segment(stream)
+        block = next(segment.blocks(), None)
+        return segment.about(block) if block is not None and block.kind == ABOUT else None
+
+
+def scan(path: Path, about: About) -> SegmentFile:
+    """What the heads of one segment tell, and its orders.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    messages = 0
     stretches: list[tuple[int, int]] = []
     losses: list[Loss] = []
     told: dict[tuple[str, bytes], Told] = {}
+    wanted = order_keys(about.fleet, about.robot)
     with open(path, "rb") as stream:
         segment = Segment(stream)
         for block in segment.blocks():
             if block.kind == ABOUT:
-                about = segment.about(block) or about
                 continue
             if block.kind == KNOWN or block.flags & ORDERS:
-                wanted = order_keys(about.fleet, about.robot)
                 for received in segment.messages(block):
-                    if (about.robot and received[1] not in wanted) or received[1:] in told:
+                    if received[1] not in wanted or received[1:] in told:
                         continue  # orders are said again and again: the first time counts
                     if (order := _order(received[2])) is not None:
                         told[received[1:]] = Told(received, order)
@@ -177,14 +199,21 @@ def by_time(
 
 
 def _messages(segment: SegmentFile, since_ns: int, until_ns: int, damage: Damage) -> Iterator[Received]:
+    own = keys.of_robot(segment.about.fleet, segment.about.robot)
+    orders = order_keys(segment.about.fleet, segment.about.robot)
+    foreign = 0
     try:
         with open(segment.path, "rb") as stream:
             reader = Segment(stream)
             for block in reader.blocks():
                 if block.kind == MESSAGES and block.first_ns <= until_ns and block.last_ns >= since_ns:
                     for received in reader.messages(block):
-                        if since_ns <= received[0] <= until_ns:
+                        if not since_ns <= received[0] <= until_ns:
+                            continue
+                        if received[1].startswith(own) or received[1] in orders:
                             yield received
-            damage.add(segment.about.robot, reader.damaged)
+                        else:
+                            foreign += 1
+            damage.add(segment.about.robot, reader.damaged, foreign)
     except OSError as error:
         raise MergeError(f"cannot read {segment.path}: {error.strerror or error}") from None

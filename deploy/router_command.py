@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -60,14 +59,14 @@ def _router(options: argparse.Namespace) -> int:
         fleet = load(options)
         listen = _listen(options, fleet)
         if options.print_config:
-            settings = settings_of("router", [listen], [], _security(options, fleet, _say))
+            settings = settings_of("router", [listen], [], _security(options, fleet))
             print(json.dumps(_nested(settings), indent=2))
             return DONE
         name = fleet.fleet.name
         with ExitStack() as stack:
             log = stack.enter_context(ZenohLog())
             init_log(FILTER)
-            security = _security(options, fleet, log.refusals.add)
+            security = _security(options, fleet)
             router = stack.enter_context(Router([listen], [], security))
             service = stack.enter_context(Service())
             _say(f"router of {name} on {listen}{', secured' if security else ', not secured'}")
@@ -103,10 +102,10 @@ def _listen(options: argparse.Namespace, fleet: Fleet) -> str:
     return f"{'tls' if fleet.is_secured else 'tcp'}/{where}"
 
 
-def _security(options: argparse.Namespace, fleet: Fleet, refused: Callable[[str], None]) -> Security | None:
+def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
     if not fleet.is_secured:
         return None
-    from agent.credentials import CredentialsError
+    from agent.credentials import CredentialsError, MissingError, load
     from agent.identity import IdentityError, of_router
     from agent.sealed_bus import secured
     from deploy.authority import keys_folder
@@ -114,9 +113,11 @@ def _security(options: argparse.Namespace, fleet: Fleet, refused: Callable[[str]
     name = fleet.fleet.name
     folder = keys_folder(name) if options.keys is None else Path(options.keys).expanduser()
     try:
-        return secured(fleet, folder, of_router(name), refused)[0]
-    except (CredentialsError, IdentityError) as error:
+        return secured(fleet, load(folder, of_router(name), time.time()))
+    except MissingError as error:
         raise InputError(f"{error}; `handfast keys {options.fleet} --router --address A` makes one") from None
+    except (CredentialsError, IdentityError) as error:
+        raise InputError(str(error)) from None
 
 
 def _nested(settings: dict[str, Any]) -> dict[str, Any]:

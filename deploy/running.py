@@ -10,7 +10,10 @@ from agent.fleet import Fleet, FleetError, load_fleet
 from deploy.arguments import InputError
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-MEANING = "FLEET is the name of a fleet that runs on this machine, the folder of its run, or a fleet file."
+MEANING = (
+    "FLEET is the name of a fleet that runs on this machine, the folder of its run, or a fleet file; the "
+    "name of a bundled fleet means its file where no such fleet runs here."
+)
 
 Command = Callable[[argparse.Namespace], int]
 
@@ -20,10 +23,20 @@ class NoAnswerError(Exception):
 
 
 def running_fleet(what: str) -> Fleet:
-    """The fleet that is meant, as its processes read it; raises as `deploy.registry.find`."""
+    """The fleet that is meant, as its processes read it, with the addresses of its hosts.
+
+    Raises:
+        deploy.registry.NotRunningError, agent.fleet.FleetError: see `deploy.registry.find`.
+        InputError: nobody knows where a host is.
+    """
     from deploy.registry import find
 
-    return load_fleet(find(what))
+    fleet = load_fleet(find(what))
+    if any(robot.host is not None for robot in fleet.robots):
+        from deploy.hosts import located
+
+        return located(fleet)
+    return fleet
 
 
 def handled(command: Command) -> Command:

@@ -7,6 +7,7 @@ It never asks anything: what would need an answer is a failure that says what to
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 from pathlib import Path
 from typing import Final
@@ -79,38 +80,69 @@ def address_of(host: HostSection) -> str:
 NO_SSH: Final = "there is no ssh on this machine: install OpenSSH's client"
 
 
+def by_hand(host: HostSection, program: str = "ssh") -> str:
+    """What to type to log in as our commands do; of ``ssh-copy-id`` as well."""
+    words = [program]
+    if host.address is not None:
+        words += ["-o", f"HostName={host.address.strip('[]')}"]
+    if host.port is not None:
+        words += ["-p", str(host.port)]
+    if host.key is not None:
+        words += ["-i", str(Path(host.key).expanduser())]
+    return shlex.join([*words, f"{host.user}@{host.name}" if host.user is not None else host.name])
+
+
+def ended(host: HostSection, status: int, said: str) -> str:
+    """Why a command on a host ended. A status of 255 is ssh's own, any other that of the program there."""
+    if status < 0:
+        return LOST
+    if status == 255:
+        return reason(host, said)
+    last = _last(said)
+    return f"the program there ended (status {status})" + (f": {last}" if last else "")
+
+
+LOST: Final = "the connection to it was lost"
+
+
 def reason(host: HostSection, said: str) -> str:
     """What the errors of ssh mean, and what to do about them."""
-    name = host.name
+    changed = re.search(r"Host key for (\S+) has changed", said)
+    address = (host.address or host.name).strip("[]")
+    known_as = (
+        changed[1] if changed else f"[{address}]:{host.port}" if host.port not in (None, 22) else address
+    )
     known: list[tuple[str, str]] = [
         (
             r"REMOTE HOST IDENTIFICATION HAS CHANGED|Host key for .* has changed",
             "its host key is not the one that is known: another computer may pose as it. If you know why "
-            f"it has changed, remove the old one (ssh-keygen -R {host.address or name}), log in once by hand",
+            f"it has changed, remove the old one ({shlex.join(['ssh-keygen', '-R', printable(known_as)])}), "
+            "log in once by hand",
         ),
         (
             r"Host key verification failed|No .* host key is known",
-            f"its host key is not known yet: log in once by hand (ssh {name}) and compare it, or give "
+            f"its host key is not known yet: log in once by hand ({by_hand(host)}) and compare it, or give "
             "--accept-new-host-keys",
-        ),
-        (
-            r"Permission denied|Too many authentication failures",
-            f"it does not let {host.user or 'you'} in: put your public key there (ssh-copy-id {name}), or "
-            "name another with user and key",
         ),
         (r"Could not resolve hostname", "nobody knows that name: give its address"),
         (r"Connection refused", "it is there, but no ssh server answers on that port"),
         (r"No route to host|Network is unreachable", "it cannot be reached: there is no way to that address"),
         (r"timed out|Operation timed out|Timeout, server", "it does not answer"),
-        (r"Connection (closed|reset) by|Broken pipe|lost connection", "the connection to it was lost"),
+        # Who has no key is not let in: the key is the reason.
         (r"Identity file .* not accessible|no such identity", "the key file does not exist"),
         (r"Bad owner or permissions|UNPROTECTED PRIVATE KEY", "others may read the key or the configuration"),
+        (
+            r"Permission denied|Too many authentication failures",
+            f"it does not let {host.user or 'you'} in: put your public key there "
+            f"({by_hand(host, 'ssh-copy-id')}), or name another with user and key",
+        ),
+        (r"Connection (closed|reset) by|Broken pipe|lost connection", LOST),
     ]
     last = _last(said)
     for pattern, meaning in known:
         if re.search(pattern, said):
             return f"{meaning} (ssh: {last})"
-    return f"ssh: {last}" if last else "the connection to it was lost"
+    return f"ssh: {last}" if last else LOST
 
 
 def _last(said: str) -> str:

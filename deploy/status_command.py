@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any, Final
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, Final
 
-from deploy.arguments import fleet_path, host_argument, load, no_changes
+from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
+if TYPE_CHECKING:
+    from agent.messages import Status
+
 LISTEN_S: Final = 2.0
 HOSTS_TIMEOUT_S: Final = 60.0
+LOOK_S: Final = 0.05
 
 
 def add_parser(commands: Any) -> None:
@@ -31,7 +39,18 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(command=handled(_status), **no_changes())
 
 
+def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
+    """As `deploy.session.Session.wait`, without a session."""
+    deadline = time.monotonic() + timeout_s
+    while not look():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(LOOK_S)
+    return True
+
+
 def _status(options: argparse.Namespace) -> int:
+    from agent.bus import BusError
     from deploy import units
     from deploy.host_connection import HostConnection
     from deploy.host_jobs import HostJobs
@@ -39,7 +58,7 @@ def _status(options: argparse.Namespace) -> int:
     from deploy.hosts_view import FAILED as HOST_FAILED
     from deploy.hosts_view import Row
     from deploy.operator_session import OperatorSession
-    from deploy.status_table import HostStatus, host_rows, print_table, process_row
+    from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -50,17 +69,28 @@ def _status(options: argparse.Namespace) -> int:
 
         def ask(connection: HostConnection, row: Row) -> None:
             told = connection.ask("status", fleet=fleet.fleet.name)
-            found[row.host] = HostStatus(told["units"], connection.clock(), told["load"])
+            found[row.host] = host_status(told, connection.clock())
 
-        with OperatorSession(fleet) as session, HostJobs(fleet, hosts, ask) as jobs:
+        with ExitStack() as stack:
+            statuses: dict[int, Status] = {}
+            wait, expected = wait_for, 0
+            try:
+                session = stack.enter_context(OperatorSession(fleet))
+                wait, statuses, expected = session.wait, session.statuses, len(fleet.ids)
+            except (BusError, InputError) as error:
+                print(f"handfast: agents are not heard, only hosts are asked: {error}", file=sys.stderr)
+            jobs = stack.enter_context(HostJobs(fleet, hosts, ask))
+
+            def asked() -> bool:
+                return interrupt.count > 0 or not jobs.busy
 
             def known() -> bool:
-                heard = len(session.statuses) == len(fleet.ids)
-                return interrupt.count > 0 or (not jobs.busy and heard)
+                return asked() and (interrupt.count > 0 or len(statuses) >= expected)
 
-            if not session.wait(known, LISTEN_S):
-                session.wait(lambda: not jobs.busy or interrupt.count > 0, HOSTS_TIMEOUT_S)
-            statuses = dict(session.statuses)
+            if not wait(known, LISTEN_S):
+                wait(asked, HOSTS_TIMEOUT_S)
+            if not interrupt.count:
+                jobs.end(f"it has not said all within {LISTEN_S + HOSTS_TIMEOUT_S:.0f} s")
     if interrupt.count:
         return INTERRUPTED
     for row in jobs.rows.values():

@@ -13,13 +13,16 @@ from rich.text import Text
 
 from agent.fleet import Fleet
 from agent.messages import Status
+from agent.schema import printable
 from deploy import units
-from deploy.host_connection import Clock
+from deploy.host_connection import Clock, HostError
 from deploy.live import STYLES
 from deploy.wording import robots
 
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240
+_WORDS: Final = ("ActiveState", "Result", "StatusText", "version")
+_NUMBERS: Final = ("cpu_s", "age_s", "memory_bytes")
 
 
 @dataclass
@@ -30,6 +33,26 @@ class HostStatus:
     clock: Clock | None = None
     load: float | None = None
     error: str = ""
+
+
+def host_status(told: Mapping[str, Any], clock: Clock) -> HostStatus:
+    """What a host said, once it is found to make sense.
+
+    Raises:
+        HostError: it does not.
+    """
+    try:
+        found = {
+            str(name): {
+                **{word: str(about[word]) for word in _WORDS if word in about},
+                **{number: float(about[number]) for number in _NUMBERS if number in about},
+                "NRestarts": int(about.get("NRestarts") or 0),
+            }
+            for name, about in told["units"].items()
+        }
+        return HostStatus(found, clock, float(told["load"]))
+    except (TypeError, ValueError, LookupError, AttributeError, OverflowError) as error:
+        raise HostError(f"what it says of its units makes no sense ({type(error).__name__})") from None
 
 
 def host_rows(found: Mapping[str, HostStatus]) -> dict[str, dict[str, Any]]:
@@ -56,7 +79,7 @@ def process_row(
         "role": role,
         "unit": about.get("ActiveState") or ("unknown" if host.error else "none"),
         "result": about.get("Result"),
-        "restarts": int(about["NRestarts"]) if about.get("NRestarts") else None,
+        "restarts": about.get("NRestarts"),
         "cpu_percent": 100.0 * about["cpu_s"] / about["age_s"] if about.get("age_s") else None,
         "memory_mb": about["memory_bytes"] / 1e6 if "memory_bytes" in about else None,
         "up_s": about.get("age_s"),
@@ -105,20 +128,20 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
             str(row["robot"]),
             row["host"],
             row["role"],
-            Text(unit, style="" if row["unit"] == "active" else "bold red"),
+            Text(printable(unit), style="" if row["unit"] == "active" else "bold red"),
             _shown(row["restarts"], "d"),
             _span(row["up_s"]),
             _shown(row["cpu_percent"], ".1f"),
             _shown(row["memory_mb"], ".0f"),
-            Text(state, style=STYLES.get(state, "")),
+            Text(printable(state), style=STYLES.get(state, "")),
             _shown(row["oldest_ms"], ".0f"),
-            why,
+            Text(printable(why)),  # anybody's words
         )
     console.print(table)
     versions: dict[str, set[int]] = {}
     for row in rows:
-        if row["version"]:
-            versions.setdefault(row["version"], set()).add(row["robot"])
+        if row["version"]:  # its last part is of the wheels, which are others for another processor
+            versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
     for name, host in found.items():
         if host.error:
             console.print(f"{name}: {host.error}", style="bold red", markup=False)
@@ -132,7 +155,9 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
             )
     if len(versions) > 1:
         who = "; ".join(f"{name}: {robots(sorted(ids))}" for name, ids in sorted(versions.items()))
-        console.print(f"not all robots run the same ({who}): `handfast up` again", style="bold red")
+        console.print(
+            f"not all robots run the same ({who}): `handfast up` again", style="bold red", markup=False
+        )
     for version in versions if len(versions) == 1 else ():
         console.print(f"version {version}", markup=False)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from agent.fleet import Fleet
+from agent.identity import of_robot
 from deploy.children import ONE_THREAD
 from deploy.processes import MODULES
 
@@ -26,6 +27,8 @@ STOP_TIMEOUT_S: Final = 5
 START_TIMEOUT_S: Final = 60
 MEMORY_MAX_MB: Final = 1024
 TASKS_MAX: Final = 128
+FILES_MAX: Final = 8192
+"""Anybody in the network can open connections: the usual 1024 would soon be used up."""
 BAD_INPUT: Final = 2
 """Exit status of a process that would fail again in the same way: it is not started again."""
 
@@ -80,14 +83,18 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
 
 def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
     """Text of a process's unit file."""
-    return "\n".join(_lines(fleet, robot, role, arguments(fleet, robot, role, places)))
+    reads = []
+    if places.keys is not None:  # with another authority it gets another one as well
+        reads.append(f"{places.keys}/{of_robot(fleet.fleet.name, robot).common_name}.crt")
+    return "\n".join(_lines(fleet, robot, role, arguments(fleet, robot, role, places), reads))
 
 
-def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str]) -> Iterator[str]:
+def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Sequence[str]) -> Iterator[str]:
     name = fleet.fleet.name
-    # Read again by deploy.host_program: tells whether what runs is what is meant.
+    # Read again by deploy.host_program: tells whether what runs is what is meant, and has read what is there.
     yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
     yield f"# runs: {json.dumps(words)}"
+    yield f"# reads: {json.dumps(reads)}"
     yield "[Unit]"
     yield f"Description=handfast {name}: robot {robot}'s {role}"
     yield "StartLimitIntervalSec=0"  # a robot has to come back, however often it fell
@@ -107,6 +114,7 @@ def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str]) -> Iterato
     yield f"TimeoutStopSec={STOP_TIMEOUT_S}"
     yield f"MemoryMax={MEMORY_MAX_MB}M"
     yield f"TasksMax={TASKS_MAX}"
+    yield f"LimitNOFILE={FILES_MAX}"
     yield "LimitCORE=0"
     yield "OOMPolicy=stop"
     yield "UMask=0077"

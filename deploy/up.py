@@ -9,24 +9,22 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
 from agent.keys import ROLES
-from agent.supervision import DRIVING, State
+from agent.supervision import DRIVING
 from deploy import units
+from deploy.arrivals import Arrivals
 from deploy.bundle import program_archive
 from deploy.host_connection import HostConnection, HostError
 from deploy.host_jobs import LOOK_S, HostJobs
 from deploy.host_setup import Keys, Prepared, prepare
 from deploy.hosts import robots_text
-from deploy.hosts_view import HostsView, Row
+from deploy.hosts_view import DONE, HostsView, Row
 from deploy.interrupt import Interrupt
-from deploy.live_faults import Receiver
-from deploy.operator_session import OperatorSession
-from deploy.readiness import is_ready
 from deploy.wording import robots as robots_words
 
 LISTEN_S: Final = 1.5
@@ -34,62 +32,11 @@ LISTEN_S: Final = 1.5
 PRESENT_TIMEOUT_S: Final = 30.0
 UNITS_PERIOD_S: Final = 2.0
 """How often it is looked whether a unit that is waited for has failed for good."""
+IDLE_S: Final = 3.0
+"""A robot that came back drives again within this after the first sign of it, if the others still do."""
 SETTLE_S: Final = 5.0
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
-_SETTLED: Final = _DRIVING | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}
-
-
-class Arrivals(OperatorSession):
-    """Who is there, and since when. One thread collects; others may look."""
-
-    def __init__(self, fleet: Fleet) -> None:
-        super().__init__(fleet)
-        self._came: dict[Receiver, float] = {}
-
-    def look(self) -> None:
-        """Takes what came."""
-        self.collect()
-        now = time.monotonic()
-        for receiver in list(self._came):
-            if receiver not in self.alive:
-                self._came.pop(receiver, None)
-                self.statuses.pop(receiver[0], None)
-        for receiver in self.alive:
-            self._came.setdefault(receiver, now)
-
-    def is_here(self, robot: int, since: Mapping[str, float]) -> bool:
-        """Whether its agent, heard from, and its plant are there; of roles in `since` only who came later."""
-        came = {role: self._came.get((robot, role)) for role in ROLES}
-        return robot in self.statuses and all(
-            moment is not None and moment >= since.get(role, moment) for role, moment in came.items()
-        )
-
-    def drives(self, robot: int) -> bool:
-        status = self.statuses.get(robot)
-        return status is not None and status.state in _DRIVING
-
-    @property
-    def driving(self) -> bool:
-        """Whether any robot drives."""
-        return any(map(self.drives, self.fleet.ids))
-
-    def settled(self, robot: int) -> bool:
-        """Whether it is ready to drive, drives, or has driven."""
-        status = self.statuses.get(robot)
-        return status is not None and (is_ready(status.state) or status.state in _SETTLED)
-
-    @property
-    def drives_by_another_file(self) -> bool:
-        """Whether robots drive a mission for another fleet file than this one."""
-        return self.driving and self.operator.mission is None and self.operator.foreign is not None
-
-    def says(self, robot: int) -> str:
-        """State of a robot's agent, and why."""
-        status = self.statuses.get(robot)
-        if status is None:
-            return "silent"
-        return f"{status.state}: {status.reason}" if status.reason else status.state
 
 
 class BringUp:
@@ -100,6 +47,12 @@ class BringUp:
         hosts: those to bring up.
         keys: gives robots of a secured fleet their certificates; None where it is not secured.
         accept_new: takes the keys of hosts that were never met before for their own.
+
+    Attributes:
+        rows: by host, what became of it.
+        left: robots that should have started again and did not, as one before them did not come back.
+        warnings: what the operator should know.
+        versions: by host, what is installed there.
     """
 
     def __init__(
@@ -108,6 +61,7 @@ class BringUp:
         self._fleet, self._keys = fleet, keys
         self._jobs = HostJobs(fleet, hosts, self._bring, accept_new=accept_new)
         self.rows: Final = self._jobs.rows
+        self.left: set[int] = set()
         self.warnings: list[str] = []
         self.versions: dict[str, str] = {}
         self._text = robots_text(fleet)
@@ -133,7 +87,7 @@ class BringUp:
                     return
                 if self._arrivals.operator.behind:
                     self._arrivals.say_ask()
-                if time.monotonic() > listen_until:
+                if self._arrivals.complete or time.monotonic() > listen_until:
                     self._rolling = self._arrivals.driving
                     self._foreign = self._arrivals.drives_by_another_file
                     self._listened.set()
@@ -143,7 +97,7 @@ class BringUp:
                 self._settle(interrupt)
             self._arrivals.look()
             for row in self.rows.values():
-                row.outcomes = {robot: self._arrivals.says(robot) for robot in row.outcomes}
+                self._conclude(row)
             view.show(list(self.rows.values()))
 
     def _settle(self, interrupt: Interrupt) -> None:
@@ -156,6 +110,13 @@ class BringUp:
                 break
             time.sleep(LOOK_S)
 
+    def _conclude(self, row: Row) -> None:
+        """Says of a host's robots what they do at the end."""
+        gone = [robot for robot in row.outcomes if not self._arrivals.is_here(robot, {})]
+        row.outcomes = {robot: self._arrivals.says(robot) for robot in row.outcomes if robot not in gone}
+        if gone and row.state == DONE:
+            row.fail(f"{robots_words(gone)} came and went again: `handfast logs` says why")
+
     # ------------------------------------------------------------------ one host, in a thread of its own
 
     def _bring(self, connection: HostConnection, row: Row) -> None:
@@ -164,107 +125,185 @@ class BringUp:
 
         def before_changes() -> None:
             say("listening whether the fleet drives")
-            self._listened.wait(LISTEN_S + 5.0)
+            if not self._listened.wait(LISTEN_S + 5.0):
+                raise HostError("left as it was: this machine is too busy to hear whether the fleet drives")
             if self._foreign:
                 raise HostError(
                     "left as it was: the fleet drives by another fleet file. `handfast stop` first, then up"
                 )
+            if not self._rolling:
+                self._refuse_unheard(connection)
 
         prepared = prepare(
             connection, self._fleet, self._text, self._program, say, self._keys, before_changes
         )
         self.versions[row.host] = prepared.version
         self.warnings += [f"{row.host}: {warning}" for warning in prepared.warnings]
-        self._start(row, connection, prepared)
-        connection.ask("tidy", keep=[prepared.version])
-
-    def _start(self, row: Row, connection: HostConnection, prepared: Prepared) -> None:
-        fleet = self._fleet
-        robot_of = {
-            units.unit_name(fleet.fleet.name, robot, role): robot
-            for robot in row.robots
-            for role in units.roles(fleet)
-        }
-        stale = {
-            robot: [name for name in prepared.restart if robot_of[name] == robot] for robot in row.robots
-        }
-        starts = [robot for robot in row.robots if stale[robot]]
-        if self._rolling:
-            for robot in starts:
-                self._one_at_a_time(row, connection, robot, stale[robot])
-        elif starts:
-            row.step = f"starting {robots_words(starts)}"
-            begun = time.monotonic()
-            connection.ask("restart", names=[name for robot in starts for name in stale[robot]])
-            for robot in starts:
-                self._await(row, connection, robot, self._since(robot, stale[robot], begun))
-        for robot in row.robots:
-            if robot not in starts:
-                self._await(row, connection, robot, {})
-        lacking = [robot for robot in row.robots if robot not in row.outcomes]
-        if lacking:
-            raise HostError(self._why(connection, lacking))
-        what = f"{robots_words(starts)} started" if starts else "nothing to do"
+        what = self._start(row, connection, prepared)
+        row.step = "looking for what is left"
+        self.warnings += [f"{row.host}: {warning}" for warning in self._left_over(connection, prepared)]
         row.done(f"up, {what}")
 
-    def _one_at_a_time(self, row: Row, connection: HostConnection, robot: int, names: list[str]) -> None:
-        row.step = f"waiting for its turn to start robot {robot} again"
-        with self._turn:
-            if self._halted or self._jobs.ended:
-                raise HostError(f"left as it was: {self._halted or 'interrupted'}")
-            drove = self._arrivals.drives(robot)
-            row.step = f"starting robot {robot} again"
-            since = self._since(robot, names, time.monotonic())
-            connection.ask("restart", names=names)
-            here = self._await(row, connection, robot, since, drives=drove)
-            if not here:
-                self._halted = f"robot {robot} did not come back"
+    def _refuse_unheard(self, connection: HostConnection) -> None:
+        """Raises `HostError` where the fleet is heard to stand, but a robot there says that it drives."""
+        told = connection.ask("status", fleet=self._fleet.fleet.name)["units"]
+        for robot in self._fleet.ids:
+            about = told.get(units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
+            state = about.get("StatusText", "").partition(":")[0]
+            if about.get("ActiveState") != "active" or state not in _DRIVING:
+                continue
+            if not self._arrivals.drives(robot):
+                raise HostError(
+                    f"left as it was: robot {robot} drives, but is not heard here: `handfast stop` first, or "
+                    "open the ports"
+                )
+            self._rolling = True  # it has begun just now
 
-    def _since(self, robot: int, names: Collection[str], begun: float) -> dict[str, float]:
-        """Since when which of a robot's processes are new, of those that are heard on the bus."""
+    def _start(self, row: Row, connection: HostConnection, prepared: Prepared) -> str:
+        """Has robots start that do not run as they should, and waits for all; says what was done."""
+        starts = list(prepared.stale)
+        left: list[int] = []
+        since: dict[int, Mapping[str, float]] = {robot: {} for robot in row.robots}
+        if self._rolling:
+            left = self._one_at_a_time(row, connection, prepared)
+            since = {robot: {} for robot in row.robots if robot not in starts or robot in left}
+        else:
+            row.step = f"starting {robots_words(starts)}" if starts else "looking"
+            if prepared.unwanted:
+                connection.ask("remove", names=prepared.unwanted)
+            since |= self._restart(connection, prepared, starts)
+        self._await(row, connection, since)
+        problems = []
+        if lacking := [robot for robot in row.robots if robot not in row.outcomes]:
+            problems.append(self._why(connection, lacking))
+        if left:
+            self.left.update(left)
+            problems.append(f"{robots_words(left)} left as before: {self._halted or 'interrupted'}")
+        if problems:
+            raise HostError("; ".join(problems))
+        return f"{robots_words(starts)} started" if starts else "nothing to do"
+
+    def _one_at_a_time(self, row: Row, connection: HostConnection, prepared: Prepared) -> list[int]:
+        """Has robots start again in their turns; gives those that were left as they were."""
+        left = []
+        if prepared.unwanted:
+            with self._turn:
+                if not self._halted:
+                    connection.ask("remove", names=prepared.unwanted)
+        for robot in prepared.stale:
+            row.step = f"waiting for its turn to start robot {robot} again"
+            with self._turn:
+                if self._halted or self._jobs.ended:
+                    left.append(robot)
+                    continue
+                self._halted = f"robot {robot} did not come back"  # also where its host dies in its turn
+                row.step = f"starting robot {robot} again"
+                drove = self._arrivals.drives(robot)
+                since = self._restart(connection, prepared, [robot])
+                if self._await(row, connection, since, drives=drove):
+                    self._halted = ""
+        return left
+
+    def _restart(
+        self, connection: HostConnection, prepared: Prepared, robots: Sequence[int]
+    ) -> dict[int, dict[str, float]]:
+        """Has robots start by the units that they should have.
+
+        Returns:
+            By robot, since when which of its processes are new, of those that are heard on the bus.
+        """
+        begun = time.monotonic()
         name = self._fleet.fleet.name
-        return {role: begun for role in ROLES if units.unit_name(name, robot, role) in names}
+        if robots:
+            texts = {unit: text for robot in robots for unit, text in prepared.units[robot].items()}
+            connection.ask("units", wanted=texts)
+            connection.ask("restart", names=[unit for robot in robots for unit in prepared.stale[robot]])
+        return {
+            robot: {
+                role: begun for role in ROLES if units.unit_name(name, robot, role) in prepared.stale[robot]
+            }
+            for robot in robots
+        }
 
     def _await(
         self,
         row: Row,
         connection: HostConnection,
-        robot: int,
-        since: Mapping[str, float],
+        since: Mapping[int, Mapping[str, float]],
         *,
         drives: bool = False,
     ) -> bool:
-        """Waits until a robot is heard on the bus, or one of its processes will not start; whether it is."""
-        deadline = time.monotonic() + PRESENT_TIMEOUT_S
-        look_due = time.monotonic() + UNITS_PERIOD_S
-        row.step = f"waiting for robot {robot} on the bus"
-        names = [units.unit_name(self._fleet.fleet.name, robot, role) for role in ROLES]
-        while time.monotonic() < deadline and not self._jobs.ended:
-            if self._arrivals.is_here(robot, since) and (not drives or self._arrivals.drives(robot)):
-                row.outcomes[robot] = self._arrivals.says(robot)
-                return True
-            if time.monotonic() > look_due:
-                look_due += UNITS_PERIOD_S
-                if any(connection.ask("state", name=name).startswith("failed") for name in names):
-                    return False
-            time.sleep(LOOK_S)
-        return False
+        """Waits until robots are heard on the bus, or a process of those that are not will not start.
+
+        Args:
+            since: by robot, see `Arrivals.is_here`.
+            drives: they must drive, too; unless nothing of the fleet drives any more.
+
+        Returns:
+            Whether all of them are there.
+        """
+        waiting = dict(since)
+        now = time.monotonic()
+        deadline, look_due, idle_due = now + PRESENT_TIMEOUT_S, now + UNITS_PERIOD_S, now + IDLE_S
+        while waiting and now < deadline and not self._jobs.ended:
+            row.step = f"waiting for {robots_words(list(waiting))} on the bus"
+            here = [robot for robot in waiting if self._arrivals.is_here(robot, waiting[robot])]
+            if self._arrivals.driving or not here or not all(map(self._arrivals.settled, here)):
+                idle_due = now + IDLE_S
+            for robot in here:
+                if not drives or self._arrivals.drives(robot) or now >= idle_due:
+                    row.outcomes[robot] = self._arrivals.says(robot)
+                    del waiting[robot]
+            if waiting and now >= look_due:
+                look_due = now + UNITS_PERIOD_S
+                for robot in self._failed(connection, waiting):
+                    del waiting[robot]
+            if waiting:
+                time.sleep(LOOK_S)
+            now = time.monotonic()
+        return all(robot in row.outcomes for robot in since)
+
+    def _failed(self, connection: HostConnection, robots: Iterable[int]) -> list[int]:
+        """Those of which a process will not start again by itself."""
+        told = self._states(connection, robots)
+        return sorted({robot for (robot, _), state in told.items() if state.startswith("failed")})
+
+    def _states(
+        self, connection: HostConnection, robots: Iterable[int], roles: Sequence[str] = ROLES
+    ) -> dict[tuple[int, str], str]:
+        """States of robots' units."""
+        name = self._fleet.fleet.name
+        names = {(robot, role): units.unit_name(name, robot, role) for robot in robots for role in roles}
+        told = connection.ask("states", names=list(names.values())) if names else {}
+        return {process: told[unit] for process, unit in names.items()}
 
     def _why(self, connection: HostConnection, robots: Sequence[int]) -> str:
         """Why robots are not there: what their processes said last."""
-        name = self._fleet.fleet.name
-        lines = []
-        for robot in robots:
-            for role in ROLES:
-                unit = units.unit_name(name, robot, role)
-                told = connection.ask("last_lines", name=unit, count=1)
-                state = connection.ask("state", name=unit)
-                if state != "active" or (robot, role) not in self._arrivals.alive:
-                    said = f": {told[-1]}" if told else ""
-                    lines.append(f"robot {robot}'s {role} is {state}{said}")
-        if lines:
-            return "; ".join(lines)
-        return (
-            f"{robots_words(robots)}: running there, but not heard here: is the port open "
-            f"({self._fleet.agent_endpoint(robots[0])} and so on)?"
-        )
+        states = self._states(connection, robots)
+        wrong = {process: state for process, state in states.items() if state != "active"}
+        lines = [self._told(connection, *process, state) for process, state in wrong.items()]
+        silent = [robot for robot in robots if all((robot, role) not in wrong for role in ROLES)]
+        if silent:
+            lines.append(
+                f"{robots_words(silent)}: running there, but not heard here: is the port open "
+                f"({self._fleet.agent_endpoint(silent[0])} and so on)?"
+            )
+        return "; ".join(lines)
+
+    def _told(self, connection: HostConnection, robot: int, role: str, state: str) -> str:
+        unit = units.unit_name(self._fleet.fleet.name, robot, role)
+        told = connection.ask("last_lines", name=unit, count=1)
+        return f"robot {robot}'s {role} is {state}{f': {told[-1]}' if told else ''}"
+
+    def _left_over(self, connection: HostConnection, prepared: Prepared) -> list[str]:
+        """Removes what nothing needs any more; says what is still wrong though all robots are there."""
+        warnings = []
+        recorders = [role for role in units.roles(self._fleet) if role not in ROLES]
+        try:
+            for (robot, role), state in self._states(connection, prepared.stale, recorders).items():
+                if state not in ("active", "activating"):
+                    warnings.append(self._told(connection, robot, role, state))
+            connection.ask("tidy", keep=[prepared.version])
+        except HostError as error:
+            warnings.append(f"versions that nothing needs may still be there: {error}")
+        return warnings

@@ -87,20 +87,16 @@ def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
 
 def _say(work: BringUp, interrupt: Interrupt) -> int:
     """Says what became of each robot; the exit status."""
-    up = 0
+    from deploy.hosts_view import DONE as HOST_DONE
+
     for row in work.rows.values():
         for robot in row.robots:
-            outcome = row.outcomes.get(robot)
-            up += outcome is not None
-            print(f"robot {robot} on {row.host}: {outcome or f'NOT UP: {row.step}'}")
+            outcome = row.outcomes.get(robot, f"NOT UP: {row.step}")
+            print(
+                f"robot {robot} on {row.host}: {outcome}{' (left as before)' if robot in work.left else ''}"
+            )
     for warning in work.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    if len(set(work.versions.values())) > 1:
-        print(
-            f"warning: hosts have other Pythons or processors, so other wheels: {work.versions}",
-            file=sys.stderr,
-        )
     if interrupt.count:
         return INTERRUPTED
-    wanted = sum(len(row.robots) for row in work.rows.values())
-    return DONE if up == wanted else FAILED
+    return DONE if all(row.state == HOST_DONE for row in work.rows.values()) else FAILED

@@ -16,7 +16,7 @@ from pathlib import Path
 from agent.clock import Clock
 from agent.fleet import Fleet
 from agent.messages import FLOAT_MAX
-from agent.process import Log, StartError
+from agent.process import FAILED, Log, StartError
 from plant.backend import PlantBackend
 from plant.server import main as serve
 from plant.standing import Place, Standing, StandingBody, StandingError
@@ -53,10 +53,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             standing = Standing(options.pose_file)
         except StandingError as error:
+            if error.passes:
+                raise
             raise StartError(str(error)) from None
         return StandingBody(from_fleet(fleet, robot, options.pose or standing.place), standing)
 
-    return serve(rest, "python -m plant", make)
+    try:
+        return serve(rest, "python -m plant", make)
+    except StandingError as error:
+        print(f"plant: {error}", file=sys.stderr)
+        return FAILED
 
 
 if __name__ == "__main__":

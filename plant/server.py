@@ -29,6 +29,6 @@ def main(
             fleet = resolved(fleet)
         backend = make(fleet, robot, clock, log)
         node = PlantNode(fleet, robot, backend)
-        return Start(node, [fleet.plant_listens(robot)], [fleet.agent_endpoint(robot)], backend.close)
+        return Start(node, fleet.plant_listens(robot), [fleet.agent_near(robot)], backend.close)
 
     return process_main(argv, program, "plant", start)

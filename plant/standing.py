@@ -6,16 +6,19 @@ ended: the file is mapped memory, which the kernel keeps.
 
 from __future__ import annotations
 
+import errno
 import mmap
 import os
 import zlib
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from struct import Struct
 from typing import Final
 
 from agent.hand import Pose
-from plant.backend import Command, PlantBackend, Reading
+from agent.segment_folder import PASSING
+from plant.backend import Check, Command, PlantBackend, Reading
 
 _PLACE: Final = Struct("<Qddd")  # number of the record; x, y (m, W), heading (rad)
 _CHECKSUM: Final = Struct("<I")
@@ -25,8 +28,16 @@ Place = tuple[float, float, float]
 """x, y (m, W), heading (rad)."""
 
 
-class StandingError(OSError):
-    """The file cannot be used; the text is one clear line."""
+class StandingError(RuntimeError):
+    """The file cannot be used; the text is one clear line.
+
+    Attributes:
+        passes: whether it may be usable later, as one on a disk that is full.
+    """
+
+    def __init__(self, text: str, *, passes: bool) -> None:
+        super().__init__(text)
+        self.passes = passes
 
 
 class Standing:
@@ -43,12 +54,13 @@ class Standing:
             path.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
-                os.ftruncate(handle, 2 * _SLOT)
+                _allocate(handle)
                 self._memory = mmap.mmap(handle, 2 * _SLOT)
             finally:
                 os.close(handle)
         except OSError as error:
-            raise StandingError(f"cannot use the pose file {path}: {error.strerror or error}") from None
+            text = f"cannot use the pose file {path}: {error.strerror or error}"
+            raise StandingError(text, passes=error.errno in PASSING) from None
         found = [record for slot in (0, 1) if (record := self._read(slot)) is not None]
         self._number = max((number for number, _ in found), default=0)
         self.place: Place | None = dict(found).get(self._number)
@@ -74,6 +86,14 @@ class Standing:
         self._memory.close()
 
 
+def _allocate(handle: int) -> None:
+    """Has the disk set aside what the file takes: a full one would kill us at a write to mapped memory."""
+    there = os.pread(handle, 2 * _SLOT, 0)
+    if os.pwrite(handle, there.ljust(2 * _SLOT, b"\0"), 0) < 2 * _SLOT:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    os.ftruncate(handle, 2 * _SLOT)
+
+
 class StandingBody(PlantBackend):
     """`body`, whose place is noted at every step."""
 
@@ -84,6 +104,12 @@ class StandingBody(PlantBackend):
         reading = self._body.step(now_ns, command)
         self._standing.write(reading.pose)
         return reading
+
+    def go_ahead(self) -> None:
+        self._body.go_ahead()
+
+    def checks(self, now_ns: int) -> Sequence[Check]:
+        return self._body.checks(now_ns)
 
     def close(self) -> None:
         self._body.close()

@@ -10,11 +10,13 @@ import contextlib
 import os
 import re
 import secrets
-import stat
 import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+from agent import key_files
+from agent.key_files import KeyFileError
 
 KEY_BYTES: Final = 32
 EPOCH_S: Final = 1_420_070_400
@@ -27,7 +29,6 @@ LEFT_AHEAD: Final = STEPS_PER_S
 """The same for what is stored in the end: messages signed since `Timestamps.next` was asked last."""
 _NS_PER_STEP: Final = 10_000
 _MAX: Final = 2**48 - 1
-_FILE_MAX: Final = 256
 
 
 class SigningError(ValueError):
@@ -42,20 +43,9 @@ def load_key(path: str | Path) -> bytes:
     """
     path = Path(path)
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        raise SigningError(f"cannot read the signing key {path}: {_reason(error)}") from None
-    try:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode):
-            raise SigningError(f"the signing key {path} must be a plain file")
-        if found.st_uid != os.getuid():
-            raise SigningError(f"the signing key {path} must belong to the user who starts the bridge")
-        if found.st_mode & 0o077:
-            raise SigningError(f"others may read the signing key {path}: chmod 600 {path}")
-        data = os.read(handle, _FILE_MAX)
-    finally:
-        os.close(handle)
+        data = key_files.read(path, private=True)
+    except KeyFileError as error:
+        raise SigningError(f"the signing key: {error}") from None
     if len(data) == KEY_BYTES:
         return data
     if re.fullmatch(rb"\s*[0-9a-fA-F]{64}\s*", data):
@@ -82,7 +72,7 @@ def make_key(path: str | Path) -> bytes:
     except FileExistsError:
         raise SigningError(f"{path} is there already: a key is never written over") from None
     except OSError as error:
-        raise SigningError(f"cannot write the signing key {path}: {_reason(error)}") from None
+        raise SigningError(f"cannot write the signing key {path}: {key_files.reason(error)}") from None
     return key
 
 
@@ -121,7 +111,11 @@ class Timestamps:
             self._stored = self._last + AHEAD
             _write(path, self._stored)
         except OSError as error:
-            raise SigningError(f"cannot keep the signing timestamp in {path}: {_reason(error)}") from None
+            raise SigningError(
+                f"cannot keep the signing timestamp in {path}: {key_files.reason(error)}"
+            ) from None
+        except KeyFileError as error:
+            raise SigningError(f"cannot keep the signing timestamp: {error}") from None
         self._wanted = self._stored
         self._wake = threading.Event()
         self._ended = False
@@ -153,7 +147,7 @@ class Timestamps:
         self._wake.set()
         self._thread.join(1.0)
         if not self._thread.is_alive():
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(KeyFileError):
                 _write(self._path, min(self._stored, self._last + LEFT_AHEAD))
 
     def _keep(self) -> None:
@@ -166,8 +160,8 @@ class Timestamps:
             try:
                 _write(self._path, wanted)
                 self._stored, self.trouble = wanted, ""
-            except OSError as error:
-                self.trouble = f"cannot keep the signing timestamp in {self._path}: {_reason(error)}"
+            except KeyFileError as error:
+                self.trouble = f"cannot keep the signing timestamp: {error}"
 
 
 @dataclass(frozen=True)
@@ -200,10 +194,9 @@ def timestamp_at(now_ns: int) -> int:
 
 
 def _read(path: Path) -> int:
-    try:
-        text = path.read_text(encoding="ascii", errors="replace").strip()
-    except FileNotFoundError:
+    if not key_files.exists(path):
         return 0
+    text = key_files.read(path).decode("ascii", "replace").strip()
     if not re.fullmatch(r"[0-9]{1,15}", text) or int(text) > _MAX:
         raise SigningError(
             f"the signing timestamp in {path} is damaged: remove it while this machine's clock is right"
@@ -213,20 +206,4 @@ def _read(path: Path) -> int:
 
 def _write(path: Path, value: int) -> None:
     """Whole or not at all, also when the power fails."""
-    new = path.with_name(path.name + ".new")
-    handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
-    with open(handle, "w", encoding="ascii") as file:
-        file.write(f"{value}\n")
-        file.flush()
-        os.fsync(handle)
-    new.replace(path)
-    with contextlib.suppress(OSError):  # some file systems cannot sync a folder
-        folder = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()
+    key_files.write(path, f"{value}\n".encode("ascii"), private=True)

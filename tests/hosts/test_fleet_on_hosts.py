@@ -87,6 +87,17 @@ def test_only_what_does_not_run_is_started(fleet: FleetOnHosts) -> None:
     assert [after[role] == before[role] for role in before] == [False, True, True]
 
 
+def test_a_renewed_certificate_is_taken_into_use_though_the_up_that_brought_it_was_ended(
+    fleet: FleetOnHosts,
+) -> None:
+    before = {robot: fleet.process(robot, "agent") for robot in (1, 4)}
+    (fleet.hosts[0].home / ".local/share/handfast/fleets/delta/keys/delta.robot.1.crt").touch()
+    assert "host1: up, robot 1 started" in fleet.handfast("up").stderr
+    after = {robot: fleet.process(robot, "agent") for robot in before}
+    assert [after[robot] == before[robot] for robot in before] == [False, True]
+    assert fleet.handfast("up").stderr.count("up, nothing to do") == 3
+
+
 def test_status_tells_of_every_process(fleet: FleetOnHosts) -> None:
     rows = fleet.status()
     assert len(rows) == 18

@@ -23,7 +23,7 @@ WRONG = [
     (Setup(linger=False), "the processes of root would end with the last login: sudo loginctl enable-linger"),
     (Setup(home_mb=64), "the disk is full: "),
     (Setup(), "its host key is not the one that is known: another computer may pose as it."),
-    (Setup(), "it does not let you in: put your public key there (ssh-copy-id host9)"),
+    (Setup(), "it does not let you in: put your public key there (ssh-copy-id "),
     (Setup(), "it is there, but no ssh server answers on that port"),
 ]
 OLD, OTHER_KEY, LOCKED, WITHOUT_SSH = 4, 7, 8, 9  # indices

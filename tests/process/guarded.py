@@ -19,6 +19,7 @@ from typing import Any
 
 from agent import keys
 from agent.bus import Bus, Presence, Router, init_log
+from agent.credentials import load
 from agent.fleet import Fleet
 from agent.identity import Identity, parse
 from agent.refusals import FILTER
@@ -50,7 +51,7 @@ def main() -> None:
     if identity.role == "router":
         with ZenohLog() as log:
             init_log(FILTER)
-            settings, _ = secured(fleet, folder, identity, refused)
+            settings = secured(fleet, load(folder, identity, time.time()))
             with Router(options["listen"], [], settings) as router:
                 serve(None, router.watch(keys.everything(FLEET)), log, identity)
         return

@@ -19,8 +19,7 @@ from agent.credentials import Files, load
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.identity import MAIN, Identity, of_operator, of_robot
-from agent.order_gate import OrderGate
-from agent.seal import Opener, Sealer
+from agent.sealed_bus import gate_of
 from deploy.authority import Authority
 from tests.process.fleet_harness import Robots, placed
 from tests.process.harness import ADDRESS
@@ -101,7 +100,7 @@ class Ear(Bus):
     def __init__(self, fleet: Fleet, at: Keys, connect: list[str]) -> None:
         identity = at.operator(EAR)
         found = load(at.of(identity), identity, at.now_s)
-        self._gate = OrderGate(at.name, Opener(at.name, found.authority), Sealer(found), lambda _: None)
+        self._gate = gate_of(fleet, found, lambda _: None)
         self.given: dict[str, bytes] = {}
         super().__init__(listen=[], connect=connect, security=at.security(identity))
 

@@ -26,7 +26,7 @@ import tomli_w
 import zenoh
 
 from agent import keys
-from agent.bus import Bus
+from agent.bus import Bus, BusError, Router
 from agent.codec import VERSION, decode, encode
 from agent.fleet import Fleet, load_fleet, to_dict
 from agent.message_checks import Malformed
@@ -44,7 +44,15 @@ from agent.messages import (
     Wrench,
 )
 from tests.process.fleet_harness import Robots, make_fleet, placed, robots
-from tests.process.harness import Command, assert_same_way, environment, hands, measured, no_trouble_in_logs
+from tests.process.harness import (
+    ADDRESS,
+    Command,
+    assert_same_way,
+    environment,
+    hands,
+    measured,
+    no_trouble_in_logs,
+)
 from tests.wire import sealed
 
 AGREE_M = 0.02
@@ -92,6 +100,15 @@ def test_same_robot_twice(tmp_path: Path) -> None:
         assert f"cannot listen on {all_robots.fleet.agent_endpoint(1)}: the port is in use" in says
         all_robots.drive()
         assert not all_robots.died()
+
+
+def test_a_port_that_a_router_cannot_have() -> None:
+    """It has no base_port to change."""
+    with socket.create_server((ADDRESS, 0)) as taken:
+        endpoint = f"tcp/{ADDRESS}:{taken.getsockname()[1]}"
+        with pytest.raises(BusError, match="the port is in use") as raised:
+            Router([endpoint], [], None)
+    assert str(raised.value).endswith("stop what uses it, or let the router listen on another")
 
 
 def test_address_of_another_machine(tmp_path: Path) -> None:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +22,7 @@ from deploy.drive_command import ROBOTS_FILE
 from deploy.recording import Recording
 from deploy.registry import find, running
 from tests.process.fleet_harness import Robots, all_ready
-from tests.process.harness import Command, last_lines, no_trouble_in_logs
+from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
 from tests.process.small_fleets import triangle
 
 SLOW = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")
@@ -201,3 +204,29 @@ def test_robots_that_read_another_file_are_not_driven(tmp_path: Path) -> None:
             r"this one's is \w+; give the file that they read",
             command.err,
         )
+
+
+def test_robots_stop_at_a_ctrl_c_that_also_ends_who_reads(tmp_path: Path) -> None:
+    """As of `handfast drive ... 2>&1 | tee log`: nobody is left to be told of the stop."""
+    with fleet_up(tmp_path) as fleet:
+        reader, writer = os.pipe()
+        try:
+            command = [sys.executable, "-P", "-m", "deploy.cli", "drive", str(fleet.fleet_file)]
+            process = subprocess.Popen(
+                [*command, "--duration", "60", "--out", "out", "--no-report"],
+                **dict.fromkeys(("stdout", "stderr"), writer),
+                cwd=tmp_path,
+                env=environment(),
+                start_new_session=True,
+            )
+        finally:
+            os.close(writer)
+        try:
+            fleet.wait_until_all("running", END_S)
+        finally:
+            os.close(reader)
+            process.send_signal(signal.SIGINT)
+            fleet.wait(lambda: process.poll() is not None, "the end of the drive", END_S)
+        fleet.wait_until_all("stopped")
+        assert order_driven(fleet).reason == "interrupted"
+        complete(tmp_path / "out")

@@ -115,7 +115,7 @@ def test_a_drive_is_recorded_and_a_killed_recorder_loses_a_second(tmp_path: Path
         assert "ending (SIGTERM)" in robots.log(1, RECORDER).read_text()
 
         own = robots.run_folder.finish(report=False)
-        found = merge([robots.recording(robot) for robot in robots.fleet.ids], tmp_path / "merged")
+        found = merge({robot: robots.recording(robot) for robot in robots.fleet.ids}, tmp_path / "merged")
     assert found.robots == robots.fleet.ids
     assert all(warning.startswith("nothing was recorded of robot 2 from") for warning in found.warnings)
     assert len(found.warnings) <= 1

@@ -25,7 +25,7 @@ from agent.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
 from agent.codec import encode
 from agent.credentials import Files, load
 from agent.identity import Identity, of_operator, of_robot, of_router
-from agent.messages import Stop
+from agent.messages import Resume, Stop
 from agent.seal import Sealer
 from deploy.authority import Authority
 from deploy.ports import Reservation
@@ -356,6 +356,21 @@ def test_a_robot_tells_again_what_an_operator_said_and_nothing_else(fleet: Fleet
     assert fleet.one.got == [told]
 
 
+def test_who_is_none_of_the_fleet_is_told_nothing(fleet: Fleet) -> None:
+    """Not even who listens to what, whoever has signed the certificate."""
+    eve = of_operator(FLEET, "eve")  # not one of network.operators
+    folder = fleet.make(eve)
+    with attacks(fleet.endpoint(), security(folder, eve)) as session:
+        publisher = session.declare_publisher(keys.hand(FLEET, 2))
+        with session.declare_subscriber(keys.hand(FLEET, 1), zenoh.handlers.RingChannel(8)) as ear:
+            fleet.one.refuses(f"a message of {eve.common_name}")
+            with attacks(fleet.endpoint(), security(fleet.folder / "robot-2", of_robot(FLEET, 2))) as two:
+                heard(two, keys.beacon(FLEET, 2))  # by then she would have been told as well
+            assert not publisher.matching_status.matching
+            assert ear.try_recv() is None
+    fleet.end()
+
+
 def test_a_flood_of_what_is_refused(fleet: Fleet) -> None:
     """Neither the honest nor the log suffer."""
     robot_2 = security(fleet.folder / "robot-2", of_robot(FLEET, 2))
@@ -383,9 +398,8 @@ def test_a_router_looks_at_everybody(tmp_path: Path, port: int) -> None:
         for identity in (of_router(FLEET), of_operator(FLEET), *(of_robot(FLEET, n) for n in (1, 2))):
             folders[identity] = tmp_path / identity.common_name
             credentials(by, folders[identity], identity, (ADDRESS,), now_s)
-        sealed = Sealer(load(folders[of_operator(FLEET)], of_operator(FLEET), now_s)).seal(
-            ATTACK, time.time_ns()
-        )
+        operators = load(folders[of_operator(FLEET)], of_operator(FLEET), now_s)
+        sealed = Sealer(operators).seal(encode(Resume(1, time.time_ns(), ())), time.time_ns())
         robot_1, robot_2 = of_robot(FLEET, 1), of_robot(FLEET, 2)
         with (
             Guarded(folders[of_router(FLEET)], of_router(FLEET), [endpoint], []) as router,

@@ -26,7 +26,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Opener, tu
         ann = credentials(by, folder / "ann", of_operator(FLEET, "ann"))
         sealer = Sealer(ann)
         sealed = tuple(sealer.seal(payload, int(NOW_S * 1e9)) for payload in PAYLOADS)
-        yield Opener(FLEET, ann.authority), sealed
+        yield Opener(FLEET, ["ann"], ann.authority), sealed
 
 
 def opened(opener: Opener, sealed: bytes) -> bytes | None:

@@ -56,7 +56,10 @@ def test_all_is_denied_but_what_is_listed() -> None:
     for message in ("put", "delete", "query", "reply", "declare_queryable", "liveliness_token"):
         assert allowed(settings, f"{FLEET}.robot.3", message) == []
         assert allowed(settings, "other.operator.main", message) == []
-    assert allowed(settings, "anybody", "put", "egress") == ["**"]
+    for name in (f"{FLEET}.robot.1", f"{FLEET}.operator.main", f"{FLEET}.router.main"):
+        assert allowed(settings, name, "put", "egress") == ["**"]
+    for name in ("anybody", "www.example.com", f"{FLEET}.robot.3"):  # other authorities may sign such ones
+        assert allowed(settings, name, "put", "egress") == []
 
 
 def test_a_robot_has_its_own_keys() -> None:
@@ -74,6 +77,8 @@ def test_a_robot_has_its_own_keys() -> None:
             assert not may(settings, name, "put", order(FLEET))
         for wild in (f"{FLEET}/**", f"{FLEET}/robot/*/hand", f"{FLEET}/*", "**"):
             assert not may(settings, name, "put", wild)
+        for role in ("*", "other", "agent/other"):
+            assert not may(settings, name, "liveliness_token", keys.alive(FLEET, robot, role))
         assert not may(settings, name, "liveliness_token", keys.alive(FLEET, "*", "agent"))
         for message in ("delete", "query", "reply", "declare_queryable"):
             assert not may(settings, name, message, keys.hand(FLEET, robot))
@@ -117,7 +122,7 @@ def test_names_that_no_certificate_can_have() -> None:
 
 def test_nobody_in_a_group() -> None:
     settings = access_settings(FLEET, (), (), ())
-    assert [subject["id"] for subject in settings["subjects"]] == ["any"]
+    assert (settings["subjects"], settings["policies"]) == ([], [])
 
 
 def test_what_a_process_is_given(tmp_path: Path) -> None:

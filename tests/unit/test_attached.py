@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
+
 from agent.keys import ROLES
 from deploy.attached import NAMED_MAX, Attached
 from deploy.process_faults import Action
 from tests.unit.order_fleets import square
+from tests.unit.test_fleet_hosts import fleet as hosts_fleet
 
 FLEET = square()
 ALL = frozenset((robot, role) for robot in FLEET.ids for role in ROLES)
@@ -59,3 +64,25 @@ def test_they_are_left_as_they_are() -> None:
     assert made.deaths() == ()
     made.resume_all()
     assert made.up(*AGENT)
+
+
+@pytest.mark.parametrize("records", [True, False])
+def test_who_may_have_driven_on_unheard_is_told_where_that_is_recorded(records: bool) -> None:
+    fleet = hosts_fleet()
+    made = Attached(replace(fleet, recording=replace(fleet.recording, enabled=records)))
+    everybody = frozenset(made.names)
+    made.look(everybody, None)
+    made.look(frozenset(), -1.0)  # before the drive
+    made.look(everybody, -0.5)
+    made.look(everybody - {(1, "agent"), (2, "agent")}, 3.0)
+    made.look(everybody, 4.0)
+    before = len(made.warnings)
+    assert before == 2
+    made.look(everybody - {(2, "agent")}, 5.0)
+    made.look(everybody - {(2, "agent"), (2, "plant")}, 5.1)
+    made.look(everybody, 6.0)
+    told = [warning for warning in made.warnings if "fetch" in warning]
+    assert told == records * [
+        "Nothing could be heard of robot 2 for a while: if only this machine was cut off, they drove on, and "
+        "`handfast fetch` has what they recorded"
+    ]

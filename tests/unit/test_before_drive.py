@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from agent import keys
@@ -41,10 +43,10 @@ def test_a_fleet_that_was_ordered_nothing_or_whose_mission_is_over_may_be_driven
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_fleet_that_drives_is_left_alone(resume: bool) -> None:
     driving = known(MISSION._replace(note="robot 7 joins"), stop(2), leave(3))
-    end = clock(EPOCH + 60 * S)
+    begun, end = clock(EPOCH - S, AFTER), clock(EPOCH + 60 * S, AFTER)
     assert refusal(driving, AFTER - 1, resume=resume) == (
-        f"square is driving already: a mission that was given at {clock(EPOCH - S)} (robot 7 joins) and ends "
-        f"at {end}; wait until then, or say `handfast stop` first"
+        f"square is driving already: a mission that was given at {begun} (robot 7 joins) "
+        f"and ends at {end}; wait until then, or say `handfast stop` first"
     )
 
 
@@ -52,8 +54,8 @@ def test_a_stop_that_somebody_said_stands_until_it_is_lifted_by_name() -> None:
     stopped = known(MISSION, leave(2), stop(3))
     for now_ns in (DURING, AFTER):
         assert refusal(stopped, now_ns, resume=False) == (
-            f"the robots of square were told to stop at {clock(EPOCH)}: a person; drive with --resume if "
-            "they may drive again"
+            f"the robots of square were told to stop at {clock(EPOCH, now_ns)}: a person; drive with "
+            "--resume if they may drive again"
         )
         assert refusal(stopped, now_ns, resume=True) == ""
     assert refusal(known(stop(3, "interrupted")), AFTER, resume=False)
@@ -92,3 +94,22 @@ def test_robots_that_read_another_file_are_not_driven_by_this_one() -> None:
     made = Known(FLEET, resolve(FLEET))
     made.hear(keys.mission("square"), other)  # by an operator, whom no robot believes
     assert refusal(made, AFTER, resume=True) == ""
+
+
+def test_a_time_of_another_day_has_its_date(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    try:
+        noon = 1_800_014_400 * S
+        assert clock(noon, noon + 11 * 3600 * S) == "12:00:00"
+        assert clock(noon, noon + 13 * 3600 * S) == "2027-01-15 12:00:00"
+        assert clock(noon, noon + 366 * 24 * 3600 * S) == "2027-01-15 12:00:00"
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+def test_what_robots_tell_is_safe_to_print() -> None:
+    assert ": \\x1b[2Jnow; drive with" in refusal(known(stop(3, "\x1b[2Jnow")), AFTER, resume=False)
+    driving = known(MISSION._replace(note="\x1b[2J"))
+    assert " (\\x1b[2J) and ends" in refusal(driving, DURING, resume=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import zipfile
 from io import BytesIO
 from pathlib import Path
@@ -52,7 +53,9 @@ def test_the_version_names_all_that_is_in_it():
     ]
     assert len({one.version, *(other.version for other in others)}) == 3
     assert one.version == Bundle(Path("elsewhere"), one.wheels, b"x").version
-    assert re.fullmatch(r"[\w.+-]+-[0-9a-f]{8}", one.version)
+    assert re.fullmatch(r"[\w.+]+-[0-9a-f]{8}-[0-9a-f]{8}", one.version)
+    same = [each.version.rpartition("-")[0] for each in (one, *others)]
+    assert same[0] == same[1] != same[2], "but for its last part that of all computers with our packages"
 
 
 def test_all_that_robots_need_is_locked_with_hashes():
@@ -89,6 +92,78 @@ def test_wheels_are_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert (first.folder / "pip-1.whl").read_bytes() == b"abc"
     bundle_for(Platform((3, 12), "aarch64", ("glibc", "2.36")), b"x")
     assert len(fetched) == 2
+
+
+def test_what_is_left_of_an_older_cache_is_fetched_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def download(platform: Platform, folder: Path) -> None:
+        for name in ("a.whl", "b.whl"):
+            (folder / name).write_bytes(b"abc")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(bundle, "_download", download)
+    folder = bundle_for(PI, b"x").folder
+    for harm in (lambda: (folder / "b.whl").unlink(), lambda: (folder / "bundle.json").write_text("{")):
+        harm()
+        assert set(bundle_for(PI, b"x").wheels) == {"a.whl", "b.whl"}
+        assert (folder / "b.whl").is_file()
+    assert [path for path in folder.parent.iterdir() if path != folder] == []
+
+
+def test_another_command_may_be_quicker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def download(platform: Platform, folder: Path) -> None:
+        (folder / "a.whl").write_bytes(b"ours")
+        monkeypatch.setattr(bundle, "_download", theirs)
+        with monkeypatch.context() as other:
+            other.setattr(bundle, "_locks", {})  # of another process
+            bundle_for(PI, b"x")
+
+    def theirs(platform: Platform, folder: Path) -> None:
+        (folder / "a.whl").write_bytes(b"theirs")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(bundle, "_download", download)
+    assert (bundle_for(PI, b"x").folder / "a.whl").read_bytes() == b"theirs"
+
+
+def test_a_registry_that_is_not_there_is_waited_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked = []
+
+    def download(platform: Platform, folder: Path) -> None:
+        asked.append(platform)
+        raise BundleError("no wheels for it")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(bundle, "_download", download)
+    for _ in range(3):
+        with pytest.raises(BundleError, match="no wheels"):
+            bundle_for(PI, b"x")
+    assert len(asked) == 1
+
+
+def test_a_download_can_be_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 60\n")
+    python.chmod(0o755)
+    begun = threading.Event()
+
+    class Guard(set[Any]):
+        def add(self, process: Any) -> None:
+            super().add(process)
+            begun.set()
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(bundle.sys, "executable", str(python))
+    monkeypatch.setattr(bundle, "_downloads", Guard())
+
+    def end() -> None:
+        begun.wait(10.0)
+        bundle.end_downloads()
+
+    thread = threading.Thread(target=end)
+    thread.start()
+    with pytest.raises(BundleError, match=r"no wheels for Python 3\.11, aarch64, glibc 2\.36: interrupted"):
+        bundle_for(PI, b"x")
+    thread.join()
 
 
 def test_an_interrupted_download_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

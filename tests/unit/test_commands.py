@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -106,3 +107,17 @@ def test_the_fleet_with_a_reserve_can_be_driven() -> None:
     fleet = load_fleet(FLEETS / "reserve.toml")
     assert [robot.id for robot in fleet.robots if robot.reserve] == [7]
     assert [finding for finding in check(fleet) if finding.level in ("error", "warning")] == []
+
+
+def test_whoever_reads_the_output_may_go() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "deploy.cli", "check", "delta"]
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    try:
+        done = subprocess.run(
+            words, stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=buffered, timeout=60
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")

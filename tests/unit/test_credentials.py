@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from agent import credentials_command
 from agent.certificates import CertificateError, authority_from_pem, issued, key_from_pem
-from agent.credentials import CredentialsError, Files, load, make_request, store, wanting
+from agent.credentials import (
+    CredentialsError,
+    Files,
+    MissingError,
+    NotYetValidError,
+    load,
+    make_request,
+    store,
+    wanting,
+)
 from agent.identity import of_operator, of_robot
-from deploy.authority import CERTIFICATE_DAYS, Authority
+from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
 from tests.unit.trusted import FLEET, NOW_S, authority, credentials
 
 DAY_S = 86_400
@@ -115,10 +126,73 @@ def test_files_that_others_can_read_or_change(signed: tuple[Authority, Path]) ->
         make_request(folder, ME)
 
 
+def test_a_full_disk_leaves_what_was_there(
+    signed: tuple[Authority, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of the files it is that there is no room for."""
+    by, folder = signed
+    before = load(folder, ME, NOW_S)
+    bundle = by.sign(ME, make_request(folder, ME), (), NOW_S)
+    genuine = os.fsync
+    for room in range(2):
+        left = iter(range(room))
+
+        def fsync(handle: int, left: Iterator[int] = left) -> None:
+            if next(left, None) is None:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            genuine(handle)
+
+        with monkeypatch.context() as full:
+            full.setattr(os, "fsync", fsync)
+            with pytest.raises(CredentialsError, match=r"cannot write .*: no space left on device"):
+                store(folder, ME, bundle, NOW_S)
+        assert load(folder, ME, NOW_S).certificate == before.certificate
+    assert store(folder, ME, bundle, NOW_S).certificate != before.certificate
+    assert not list(folder.glob("*.next.*"))
+
+
+def test_a_folder_that_cannot_be_looked_into(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = Path.stat
+
+    def refuse(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if path.parent != tmp_path:
+            return genuine(path, follow_symlinks=follow_symlinks)
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    key = Files(tmp_path, ME).key
+    with pytest.raises(CredentialsError, match=f"cannot look for {key}: permission denied"):
+        wanting(tmp_path, ME, (), None, NOW_S)
+    with pytest.raises(CredentialsError, match=r"cannot look for .*: permission denied") as raised:
+        load(tmp_path, ME, NOW_S)
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_what_is_missing_is_told_from_what_is_wrong(signed: tuple[Authority, Path]) -> None:
+    _, folder = signed
+    files = Files(folder, ME)
+    files.key.chmod(0o640)
+    with pytest.raises(CredentialsError) as wrong:
+        load(folder, ME, NOW_S)
+    assert type(wrong.value) is CredentialsError
+    files.certificate.unlink()
+    with pytest.raises(MissingError):
+        load(folder, ME, NOW_S)
+
+
+def test_a_certificate_that_ends_with_its_authority_is_not_renewed_again_and_again(tmp_path: Path) -> None:
+    end_s = NOW_S + AUTHORITY_DAYS * DAY_S
+    with authority(tmp_path / "authority") as by:
+        credentials(by, tmp_path / "robot", ME, now_s=end_s - 200 * DAY_S)
+        pem = by.certificate_pem
+    assert wanting(tmp_path / "robot", ME, (), pem, end_s - 5 * DAY_S) == ""
+    assert wanting(tmp_path / "robot", ME, (), pem, end_s) == "it has expired"
+
+
 def test_times(signed: tuple[Authority, Path]) -> None:
     _, folder = signed
     load(folder, ME, NOW_S - 300)  # a robot's clock may be a little behind
-    with pytest.raises(CredentialsError, match="not valid yet: is this machine's clock right"):
+    with pytest.raises(NotYetValidError, match="not valid yet: is this machine's clock right"):
         load(folder, ME, NOW_S - 3600)
     with pytest.raises(CredentialsError, match="expired 2 days ago"):
         load(folder, ME, NOW_S + (CERTIFICATE_DAYS + 2) * DAY_S)
@@ -205,9 +279,7 @@ def test_the_robots_command(
     assert (status, err, json.loads(out)["wanting"]) == (0, "", "")
     status, out, err = run(*asks, stdin=by.certificate_pem)
     told = json.loads(out)
-    assert (status, told["wanting"], told["authority"]) == (0, "", by.fingerprint)
-    assert "request" not in told
-    assert set(told["addresses"]) >= {"10.0.0.2", "r2.lan"}
+    assert (status, told) == (0, {"identity": ME.common_name, "wanting": ""})
     assert run("store", stdin=b"x")[::2] == (
         2,
         "robot 2: 0 certificates came, not two: its own and the authority's\n",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from io import StringIO
 from typing import Any, cast
 
@@ -14,13 +15,16 @@ from agent import keys
 from agent.bus import Bus
 from agent.codec import decode, encode
 from agent.fleet import Fleet, digest, parse_fleet
+from agent.formation import resolve
 from agent.messages import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
 from deploy.attached import Attached
-from deploy.before_drive import OVER
+from deploy.before_drive import BROKEN_OFF, OVER, refusal
 from deploy.drive import Drive
 from deploy.interrupt import Interrupt
 from deploy.live import Lines
+from deploy.operating import Known
+from deploy.recorder import RecordingError
 from deploy.session import valid
 from tests.unit.order_fleets import order
 
@@ -48,6 +52,8 @@ class Robots:
         late_s: how long after a mission each takes it; None: never.
         refuses: robots whose file is another.
         deaf: robots that take no stop and no leave.
+        boasts: what a robot says that it knows, version of mission and of stop or leave, whatever is true.
+        gone: robots whose plants disappear when they have taken the mission.
     """
 
     def __init__(self, state: str, *history: Mission | Stop | Resume) -> None:
@@ -56,6 +62,9 @@ class Robots:
         self.late_s: dict[int, float | None] = {1: 0.0, 2: 0.0}
         self.refuses: set[int] = set()
         self.deaf: set[int] = set()
+        self.boasts: dict[int, tuple[int, int]] = {}
+        self.gone: set[int] = set()
+        self._left: set[int] = set()
         self.on_mission: Callable[[], list[tuple[str, Message]]] = list
         self._extra: list[tuple[str, Message]] = []
         self._missions = [each for each in history if type(each) is Mission]
@@ -114,11 +123,14 @@ class Robots:
                 keys.status("two", robot),
                 encode(
                     Status(
-                        *(robot, 1, now_ns, self.state, "", "", self.version(robot), orders),
+                        *(robot, 1, now_ns, self.state, "", ""),
+                        *self.boasts.get(robot, (self.version(robot), orders)),
                         *((), (), (), counters),
                     )
                 ),
             )
+            if robot in self._left:
+                continue
             known = self.known(robot)
             since_ns = 0 if known is None else (now_ns - known.epoch_ns) // FLEET.period_ns
             number = 7 if known is None else FIRST_ROUND + since_ns
@@ -126,6 +138,9 @@ class Robots:
                 keys.plant_state("two", robot),
                 encode(PlantState(robot, number, now_ns, *[0.0] * 7, True, True, True, "")),
             )
+            if robot in self.gone and self._given is not None:
+                self._left.add(robot)
+                self._changes.append((keys.alive("two", robot, "plant"), False))
 
     def of(self, kind: type[Any]) -> list[Any]:
         return [message for message, _ in self.said if type(message) is kind]
@@ -135,14 +150,18 @@ def driven(robots: Robots, **options: Any) -> tuple[Drive, str]:
     interrupt = options.pop("interrupt", Interrupt())
     detach, fleet = options.pop("detach", False), options.pop("fleet", FLEET)
     options.setdefault("duration_s", 0.2)
-    stream = StringIO()
+    stream, record = options.pop("stream", StringIO()), options.pop("record", unrecorded)
     drive = Drive(
-        *(fleet, Attached(fleet), lambda _, __, payload: valid(payload)),
+        *(fleet, Attached(fleet), cast(Bus, robots), record),
         *(Lines(stream, quiet=True, period_s=1.0), interrupt),
         **options,
     )
-    drive.run(cast(Bus, robots), detach=detach)
+    drive.run(detach=detach)
     return drive, stream.getvalue()
+
+
+def unrecorded(_now_ns: int, _key: str, payload: bytes) -> Message | None:
+    return valid(payload)
 
 
 def over(fleet: Fleet = FLEET) -> Mission:
@@ -243,12 +262,7 @@ def test_who_is_not_heard_to_stop_is_named(interrupts: int) -> None:
     robots, interrupt = Robots("ready"), Interrupt()
     robots.deaf = {2}
     if interrupts:
-
-        def ctrl_c() -> list[tuple[str, Message]]:
-            interrupt.count, interrupt.number = 1, 2
-            return []
-
-        robots.on_mission = ctrl_c
+        robots.on_mission = partial(interrupted, interrupt)
     drive, _ = driven(robots, interrupt=interrupt)
     assert drive.reasons == ["Not heard to stop: robot 2."]
     stops = robots.of(Stop)
@@ -299,3 +313,108 @@ def test_left_to_themselves_robots_get_no_stop() -> None:
     assert drive.end_ns == robots.of(Mission)[0].epoch_ns + 30 * S
     assert robots.of(Resume)
     assert robots.of(Stop) == []
+
+
+class Gone(StringIO):
+    """An output whose reader is gone."""
+
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
+
+
+def test_an_output_that_is_gone_keeps_no_stop_from_being_said() -> None:
+    """As when Ctrl-C also ends what the output is piped into."""
+    robots, interrupt = Robots("ready"), Interrupt()
+    robots.on_mission = partial(interrupted, interrupt)
+    driven(robots, interrupt=interrupt, stream=Gone())
+    assert {stop.reason for stop in robots.of(Stop)} == {"interrupted"}
+
+
+def interrupted(interrupt: Interrupt) -> list[tuple[str, Message]]:
+    interrupt.count, interrupt.number = 1, 2
+    return []
+
+
+def test_the_stop_is_said_before_a_word_about_it() -> None:
+    robots, interrupt = Robots("ready"), Interrupt()
+    robots.on_mission = partial(interrupted, interrupt)
+
+    class Late(StringIO):
+        def write(self, text: str) -> int:
+            assert "stopping every robot" not in text or robots.of(Stop)
+            return super().write(text)
+
+    _, said = driven(robots, interrupt=interrupt, stream=Late())
+    assert "SIGINT: stopping every robot" in said
+
+
+def test_a_drive_that_breaks_off_leaves_a_stop_that_nobody_lifts_without_a_word() -> None:
+    robots = Robots("ready")
+
+    def broken() -> list[tuple[str, Message]]:
+        raise ZeroDivisionError
+
+    robots.on_mission = broken
+    with pytest.raises(ZeroDivisionError):
+        driven(robots)
+    assert {stop.reason for stop in robots.of(Stop)} == {BROKEN_OFF}
+    assert refusal(known(robots.of(Stop)[-1]), time.time_ns(), resume=False)
+
+
+@pytest.mark.parametrize("last", [Mission, Stop])
+def test_a_recording_that_fails_ends_the_drive_but_not_its_stop(last: type[Any]) -> None:
+    """It is said again and again, and who does not hear it is named, whenever the disk was full."""
+    robots = Robots("ready")
+    robots.deaf = {2}
+    stream = StringIO()
+
+    def record(_now_ns: int, _key: str, payload: bytes) -> Message | None:
+        if robots.of(last):
+            raise RecordingError("the disk is full")
+        return valid(payload)
+
+    with pytest.raises(RecordingError, match="the disk is full"):
+        driven(robots, record=record, stream=stream)
+    stops = robots.of(Stop)
+    assert len(stops) > 5
+    assert {stop.reason for stop in stops} == {BROKEN_OFF if last is Mission else OVER}
+    assert stream.getvalue().splitlines()[-1] == "Not heard to stop: robot 2."
+
+
+def test_a_robot_that_boasts_of_what_cannot_be_keeps_no_drive_from_starting() -> None:
+    robots = Robots("ready")
+    robots.boasts = {2: (2**61, 2**61)}
+    drive, _ = driven(robots)
+    assert drive.reasons == []
+    assert robots.of(Mission)[0].version < 2**60
+
+
+def test_a_robot_that_tells_of_what_nobody_says_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deploy.drive.READY_TIMEOUT_S", 1.2)
+    monkeypatch.setattr("deploy.drive.READY_TIMEOUT_PER_PROCESS_S", 0.0)
+    robots = Robots("ready")
+    robots.boasts = {2: (0, time.time_ns() // 1_000)}
+    drive, _ = driven(robots)
+    assert drive.reasons == [
+        "Not ready within 1 s: robot 2 says that something was ordered, and nobody tells it."
+    ]
+    assert len(robots.of(Ask)) >= 2
+    assert robots.of(Mission) == []
+
+
+def test_a_plant_that_is_gone_knows_no_mission(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deploy.drive.HAND_OVER_NS", 0)
+    robots = Robots("ready")
+    robots.gone = {2}
+    robots.late_s = {1: 0.3, 2: 0.0}
+    drive, _ = driven(robots, detach=True, duration_s=30.0)
+    assert drive.reasons[0] == "Not left to drive alone: robot 2 did not take the mission."
+    assert not drive.is_left
+    assert robots.of(Stop)
+
+
+def known(*orders: Stop) -> Known:
+    made = Known(FLEET, resolve(FLEET))
+    for each in orders:
+        made.hear(TOLD, each)
+    return made

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import re
+import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
-from deploy.arguments import FLEETS
+from agent.bus import BusError
+from agent.private_folder import NotPrivateError
+from deploy.arguments import FLEETS, InputError
 from deploy.cli import main
 from deploy.ports import Reservation
+from deploy.recorder import RecordingError
+from deploy.recording import Recording
 from tests.process.fleet_harness import BASE_PORT
 
 PAIR = (FLEETS / "pair.toml").read_text()
@@ -92,3 +99,95 @@ def test_a_fleet_that_is_not_up(
         ports.close()
     assert said.startswith("fleet pair does not answer: none of its 4 agents and plants is there")
     assert not (tmp_path / "runs").exists()
+
+
+class Drives:
+    """Stands for a `Drive` that is over at once."""
+
+    end_ns = time.time_ns() + 10**9
+    reasons: list[str]
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.reasons = [] if self.is_left else ["It failed."]
+
+    is_left = True
+
+    def run(self, *, detach: bool = False) -> None: ...
+
+
+@pytest.fixture
+def drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A fleet that is up and lets itself be driven; its folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("deploy.attached.refused", lambda *_, **__: "")
+    monkeypatch.setattr("deploy.operator_bus.operator_bus", lambda _: nullcontext())
+    monkeypatch.setattr("deploy.drive.Drive", Drives)
+    return tmp_path
+
+
+@pytest.mark.parametrize("interrupts", [0, 1])
+def test_robots_that_drive_alone_are_told_of_whatever_happened(
+    drives: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, interrupts: int
+) -> None:
+    monkeypatch.setattr(Drives, "run", lambda *_, **__: [os.kill(os.getpid(), 2) for _ in range(interrupts)])
+    (drives / "my pair.toml").write_text(PAIR)
+    assert main(["drive", "my pair.toml", "--detach", "--quiet"]) == (130 if interrupts else 0)
+    assert re.fullmatch(
+        r"pair drives until \d\d:\d\d:\d\d; `handfast stop 'my pair.toml'` stops it\n",
+        capsys.readouterr().out,
+    )
+    monkeypatch.setattr(Drives, "is_left", False)
+    assert main(["drive", "my pair.toml", "--detach", "--quiet"]) == (130 if interrupts else 1)
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (OSError(28, "No space left on device", "/x/run-1"), "not started: cannot write /x/run-1: No space"),
+        (NotPrivateError("/x must be a folder of this user"), "/x must be a folder of this user"),
+        (InputError("no certificate"), "no certificate"),
+    ],
+)
+def test_a_drive_that_cannot_begin_leaves_a_complete_recording(
+    drives: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+    says: str,
+) -> None:
+    def fails(*_: object) -> None:
+        raise error
+
+    place = (
+        "deploy.operator_bus.operator_bus" if type(error) is InputError else "deploy.registry.Registration"
+    )
+    monkeypatch.setattr(place, fails)
+    assert refused(capsys, "pair", "--out", "out", "--quiet").startswith(says)
+    assert is_complete(drives / "out")
+
+
+def test_a_drive_that_breaks_off_leaves_a_complete_recording(
+    drives: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Drives, "run", fails)
+    with pytest.raises(ZeroDivisionError):
+        main(["drive", "pair", "--out", "out", "--quiet"])
+    assert is_complete(drives / "out")
+    monkeypatch.setattr(Drives, "run", disconnected)
+    assert refused(capsys, "pair", "--out", "more", "--quiet", status=1) == "the bus is gone"
+    assert is_complete(drives / "more")
+
+
+def disconnected(*_: object, **__: object) -> None:
+    raise BusError("the bus is gone")
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether the recording of a drive in which nothing was heard was brought to its end."""
+    with pytest.raises(RecordingError, match=r"holds no message") as caught:
+        Recording.from_folder(folder)
+    return "cut short" not in str(caught.value)

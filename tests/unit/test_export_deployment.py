@@ -23,7 +23,8 @@ from agent.host_sections import HostSection
 from deploy import export_deployment_command
 from deploy.arguments import FLEETS
 from deploy.bundle import Bundle, Platform
-from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platform, str_of, texts
+from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platform, texts
+from deploy.finding import Finding
 from deploy.host_connection import Clock
 from deploy.host_setup import prepare
 from deploy.hosts import located, robots_on, robots_text
@@ -64,18 +65,19 @@ class UpsHost:
         return Clock(0.0, 0.001)
 
     def ask(self, what: str, **asked: Any) -> Any:
-        if what == "units":
+        if what == "compare":
             self.units = asked["wanted"]
         if what == "missing":
             self.files |= set(asked["paths"])
-        return {"installed": True, "missing": [], "units": []}[what]
+        compared = {"stale": [], "unwritten": [], "unwanted": []}
+        return {"installed": True, "missing": [], "compare": compared}[what]
 
 
 def ups(fleet: Fleet, host: HostSection, monkeypatch: pytest.MonkeyPatch) -> UpsHost:
     """What `handfast up` brings to a host."""
     there = UpsHost(host)
     monkeypatch.setattr("deploy.host_setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
-    keys = (lambda *_: []) if fleet.is_secured else None
+    keys = (lambda *_: None) if fleet.is_secured else None
     prepare(there, fleet, robots_text(fleet), b"program", lambda _: None, keys, lambda: None)  # type: ignore[arg-type]
     return there
 
@@ -143,10 +145,15 @@ def test_robots_of_a_secured_fleet_ask_and_are_answered_by_id():
 
 
 @pytest.mark.parametrize(
-    "text", ["3.11 aarch64 glibc2.36", "3.12 x86_64 musl", "3.13  armv7l glibc2.31", "3.11 x86_64 glibc2.9"]
+    ("text", "platform"),
+    [
+        ("3.11 aarch64 glibc2.36", Platform((3, 11), "aarch64", ("glibc", "2.36"))),
+        ("3.12 x86_64 musl", Platform((3, 12), "x86_64", ("", ""))),
+        ("3.13  armv7l glibc2.9", Platform((3, 13), "armv7l", ("glibc", "2.9"))),
+    ],
 )
-def test_platforms_are_read_as_they_are_said(text: str):
-    assert str_of(parse_platform(text)) == " ".join(text.split())
+def test_platforms_are_read_as_they_are_said(text: str, platform: Platform):
+    assert parse_platform(text) == platform
 
 
 @pytest.mark.parametrize(
@@ -191,6 +198,19 @@ def export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int
         return status
 
     return run
+
+
+def test_what_check_finds_wrong_is_refused_as_by_up(
+    export: Callable[..., int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setattr("deploy.check.check", lambda _: [Finding("error", "x", "too near")])
+    assert export("--out", str(tmp_path / "out")) == 2
+    assert not (tmp_path / "out").exists()
+    assert "because of the errors above" in capsys.readouterr().err
+    assert export("--out", str(tmp_path / "out"), "--no-check") == 0
 
 
 def test_the_folder_is_whole(export: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]):

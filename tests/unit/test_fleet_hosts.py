@@ -7,7 +7,11 @@ import tomllib
 import pytest
 import tomli_w
 
+from agent.__main__ import start as agent_start
+from agent.clock import RealClock
 from agent.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
+from plant import server
+from plant.unicycle import from_fleet
 
 FLEET = """
 [fleet]
@@ -41,6 +45,13 @@ def fleet(tables: str = HOSTS, first: str = LEFT, second: str = RIGHT, *sets: st
     return parse_fleet(FLEET % (tables, first, second), source="here", overrides=sets)
 
 
+@pytest.mark.parametrize("python", ["~/venv/bin/python", "my python", "python'", '$HOME/py"', "{{x}}", ""])
+def test_a_python_that_a_shell_would_read_as_something_else_is_refused(python: str) -> None:
+    (found,) = problems(HOSTS.replace('user = "r"', f"python = {tomli_w.dumps({'x': python})[4:].strip()}"))
+    assert found.startswith("host.right.python: ")
+    assert "~ is not expanded" in found
+
+
 def problems(*arguments: str) -> list[str]:
     with pytest.raises(FleetError) as caught:
         fleet(*arguments)
@@ -50,9 +61,9 @@ def problems(*arguments: str) -> list[str]:
 def test_processes_are_reached_on_their_hosts_and_listen_there():
     secured = fleet()
     assert secured.is_secured
-    assert secured.agent_endpoint(1) == secured.agent_listens(1) == "tls/10.0.0.1:7600"
+    assert secured.agent_endpoint(1) == secured.agent_listens(1)[0] == "tls/10.0.0.1:7600"
     assert secured.plant_endpoint(2) == "tls/10.0.0.2:7603"
-    assert secured.plant_listens(2) == "tls/0.0.0.0:7603"
+    assert secured.plant_listens(2) == ("tls/0.0.0.0:7603",)
     open_ = fleet(HOSTS + '[network]\nsecurity = "off"')
     assert open_.agent_endpoint(1) == "tcp/10.0.0.1:7600"
 
@@ -60,7 +71,49 @@ def test_processes_are_reached_on_their_hosts_and_listen_there():
 def test_a_host_without_an_address_is_where_its_name_says():
     named = fleet('[host.left]\n[host."right.local"]', second='host = "right.local"')
     assert named.agent_endpoint(1) == "tls/left:7600"
-    assert named.plant_listens(2) == "tls/right.local:7603"
+    assert named.plant_listens(2) == ("tls/right.local:7603", "tls/127.0.0.1:7603")
+
+
+@pytest.mark.parametrize(
+    ("listen", "listens", "near"),
+    [
+        ("10.0.0.1", ["10.0.0.1", "127.0.0.1"], "127.0.0.1"),
+        ("[fe80::1]", ["[fe80::1]", "127.0.0.1"], "127.0.0.1"),
+        ("left.lan", ["left.lan", "127.0.0.1"], "127.0.0.1"),
+        ("0.0.0.0", ["0.0.0.0"], "127.0.0.1"),
+        ("[::]", ["[::]"], "[::1]"),
+        ("127.0.0.2", ["127.0.0.2"], "127.0.0.2"),
+        ("[::1]", ["[::1]"], "[::1]"),
+        ("localhost", ["localhost"], "localhost"),
+    ],
+)
+def test_a_robot_does_not_lose_its_body_with_an_address(listen: str, listens: list[str], near: str):
+    """Its own processes reach each other over the loopback, wherever others reach them."""
+    made = fleet(HOSTS.replace("0.0.0.0", listen))
+    assert made.agent_listens(2) == tuple(f"tls/{each}:7602" for each in listens)
+    assert made.plant_listens(2) == tuple(f"tls/{each}:7603" for each in listens)
+    assert (made.agent_near(2), made.plant_near(2)) == (f"tls/{near}:7602", f"tls/{near}:7603")
+    assert made.agent_endpoint(2) == "tls/10.0.0.2:7602"
+
+
+def test_agent_and_plant_listen_on_the_loopback_and_the_plant_dials_it(monkeypatch: pytest.MonkeyPatch):
+    made = fleet()
+    agent = agent_start(made, 1, RealClock(), print)
+    assert (agent.listen, agent.connect) == (("tls/10.0.0.1:7600", "tls/127.0.0.1:7600"), [])
+    other = agent_start(made, 2, RealClock(), print)
+    assert other.connect == ["tls/10.0.0.1:7600"]
+    found = []
+
+    def run(*_: object) -> int:
+        start = _[3]
+        assert callable(start)
+        found.append(start(made, 1, RealClock(), print))
+        return 0
+
+    monkeypatch.setattr(server, "process_main", run)
+    assert server.main([], "python -m plant", lambda fleet, robot, *_: from_fleet(fleet, robot)) == 0
+    assert found[0].listen == ("tls/10.0.0.1:7601", "tls/127.0.0.1:7601")
+    assert found[0].connect == ["tls/127.0.0.1:7600"]
 
 
 def test_robots_may_share_a_host_and_take_it_from_the_defaults():
@@ -72,7 +125,8 @@ def test_robots_may_share_a_host_and_take_it_from_the_defaults():
 def test_without_hosts_nothing_is_secured_and_all_is_as_before():
     local = fleet("", "", "")
     assert not local.is_secured
-    assert local.agent_endpoint(1) == local.agent_listens(1) == "tcp/127.0.0.1:7600"
+    assert local.agent_endpoint(1) == local.agent_near(1) == "tcp/127.0.0.1:7600"
+    assert local.agent_listens(1) == ("tcp/127.0.0.1:7600",)
     assert fleet('[network]\nsecurity = "mtls"', "", "").agent_endpoint(1) == "tls/127.0.0.1:7600"
 
 

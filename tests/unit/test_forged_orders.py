@@ -11,9 +11,9 @@ from agent import keys
 from agent.codec import encode
 from agent.identity import of_operator
 from agent.messages import Stop
-from agent.order_gate import FORGED_MAX, FORGED_PERIOD_NS, OrderGate
+from agent.order_gate import NEW_MAX, NEW_PERIOD_NS, OrderGate
 from agent.seal import Opener, Order, Sealer
-from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 NOW_NS = int(NOW_S * 1e9)
 TOLD = keys.told(FLEET, 2)
@@ -22,10 +22,11 @@ TOLD = keys.told(FLEET, 2)
 class Counting(Opener):
     """An opener that says how often it was asked."""
 
-    asked = 0
+    asked = verified = 0
 
     def open(self, sealed: bytes, now_s: float) -> Order:
         self.asked += 1
+        self.verified += not self.knows(sealed)
         return super().open(sealed, now_s)
 
 
@@ -37,10 +38,12 @@ class Scene:
             ann = credentials(by, folder / "ann", of_operator(FLEET, "ann"))
         self.order = encode(Stop(2, NOW_NS, "why"))
         self.genuine = Sealer(ann).seal(self.order, NOW_NS)
+        sealer = Sealer(ann)
+        self.old = [sealer.seal(encode(Stop(1, NOW_NS, f"{number}")), NOW_NS) for number in range(100)]
         self.forged = self.genuine.replace(b"why", b"yhw")
         self.refused: Counter[str] = Counter()
-        self.opener = Counting(FLEET, ann.authority)
-        self.gate = OrderGate(FLEET, self.opener, None, self._refuse)
+        self.opener = Counting(FLEET, ["ann"], ann.authority)
+        self.gate = OrderGate(FLEET, ROBOTS, self.opener, None, self._refuse)
 
     def _refuse(self, what: str) -> None:
         self.refused[what] += 1
@@ -57,13 +60,25 @@ def scene(tmp_path: Path) -> Scene:
 
 def test_of_a_flood_a_few_are_looked_at_and_all_are_counted(scene: Scene) -> None:
     scene.flood(TOLD, NOW_NS)
-    assert scene.opener.asked == FORGED_MAX
+    assert scene.opener.asked == NEW_MAX
     assert scene.refused == {
-        f"an order on {TOLD}: bad signature": FORGED_MAX,
-        f"an order on {TOLD}: after too many forged ones": 1000 - FORGED_MAX,
+        f"an order on {TOLD}: bad signature": NEW_MAX,
+        f"an order on {TOLD}: after too many that were new": 1000 - NEW_MAX,
     }
-    scene.flood(TOLD, NOW_NS + FORGED_PERIOD_NS)
-    assert scene.opener.asked == 2 * FORGED_MAX
+    scene.flood(TOLD, NOW_NS + NEW_PERIOD_NS)
+    assert scene.opener.asked == 2 * NEW_MAX
+
+
+def test_of_a_flood_of_genuine_ones_a_few_are_looked_at(scene: Scene) -> None:
+    """Old orders, overheard: more than are remembered as verified."""
+    let_in = [scene.gate.let_in(TOLD, old, NOW_NS) for old in scene.old * 2]
+    assert len([each for each in let_in if each is not None]) == 2 * NEW_MAX
+    assert scene.opener.verified == NEW_MAX
+
+
+def test_what_is_known_is_let_in_as_often_as_it_is_told(scene: Scene) -> None:
+    for _ in range(100):
+        assert scene.gate.let_in(TOLD, scene.genuine, NOW_NS) == scene.order
 
 
 def test_others_are_let_in(scene: Scene) -> None:
@@ -74,7 +89,7 @@ def test_others_are_let_in(scene: Scene) -> None:
 
 def test_the_robot_itself_is_let_in_again_soon(scene: Scene) -> None:
     scene.flood(TOLD, NOW_NS)
-    late_ns = NOW_NS + FORGED_PERIOD_NS
+    late_ns = NOW_NS + NEW_PERIOD_NS
     assert scene.gate.let_in(TOLD, scene.genuine, late_ns - 1) is None
     assert scene.gate.let_in(TOLD, scene.genuine, late_ns) == scene.order
     scene.flood(TOLD, late_ns)

@@ -9,7 +9,7 @@ import pytest
 from agent import keys
 from agent.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
-from agent.gossip import AGAIN_NS, SPREAD_NS, STEPS, Gossip
+from agent.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from agent.messages import Ask, Mission, PlantState, Resume, Stop, Wrench
 from agent.node import FIRST_ROUND
 from agent.supervision import DRIVING, State
@@ -62,6 +62,31 @@ def test_who_hears_another_say_it_is_quiet():
     teller.gossip.lacks(T0, (4, 0))
     teller.gossip.said(T0 + PERIOD, (5, 0))
     assert teller.says(T0 + PERIOD, T0 + NS_PER_S) == []
+
+
+@pytest.mark.parametrize("every", [1, 5, 24])
+@pytest.mark.parametrize("robot", [0, 7])
+def test_who_lacks_it_is_told_though_another_says_it_all_the_while(robot: int, every: int):
+    """A robot that was taken over may say it to all but the one who lacks it."""
+    teller = Teller(robot)
+    said = []
+    teller.gossip.said(T0 - PERIOD, (5, 0))
+    for tick, now in enumerate(range(T0, T0 + 2 * LACKING_NS, PERIOD)):
+        teller.gossip.lacks(now, (4, 0))
+        said += [now] * teller.gossip.due(now)
+        if tick % every == every - 1:
+            teller.gossip.said(now, (5, 0))
+    assert said == [T0 + LACKING_NS + robot * SPREAD_NS]
+
+
+def test_who_lacked_it_long_ago_and_not_since_does_not_make_the_next_one_urgent():
+    teller = Teller(robot=1)
+    teller.gossip.lacks(T0, (4, 0))
+    teller.gossip.said(T0 + PERIOD, (5, 0))
+    later = T0 + 10 * NS_PER_S
+    teller.gossip.said(later - PERIOD, (5, 0))
+    teller.gossip.lacks(later, (4, 0))
+    assert teller.says(later, later + NS_PER_S) == [later - PERIOD + AGAIN_NS + SPREAD_NS]
 
 
 def test_an_older_one_that_another_says_is_not_it():

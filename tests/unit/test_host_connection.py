@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import stat
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from agent.host_sections import HostSection
+from deploy import host_connection, host_program
 from deploy.host_connection import HostConnection, HostError
 
 HOST = HostSection("rover1", "10.0.0.1")
@@ -33,6 +35,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.delenv(name, raising=False)
     return home
+
+
+def connect(host: HostSection = HOST) -> None:
+    with HostConnection(host):
+        pass
 
 
 def say(tools: Path, text: str) -> None:
@@ -62,7 +69,7 @@ def test_a_login_that_prints_does_not_disturb(here: Path, shell: str):
 def test_files_are_put_whole_and_only_within_the_folder(here: Path):
     data = os.urandom(3_000_000)
     with HostConnection(HOST) as connection:
-        connection.exchange("put", data, path="fleets/a/x.bin", mode=0o600)
+        connection.exchange("put", data, path="fleets/a/x.bin")
         there = here / ".local/share/handfast/fleets/a/x.bin"
         assert there.read_bytes() == data
         assert stat.S_IMODE(there.stat().st_mode) == 0o600
@@ -101,21 +108,64 @@ def test_no_python_that_will_do(here: Path):
     os.environ["PATH"] = str(tools)
     (tools / "head").symlink_to("/usr/bin/head")
     with pytest.raises(HostError, match=r"there is no Python of 3\.11 or later .*python3 is Python 3\.9\.2"):
-        HostConnection(HOST)
+        connect()
     with pytest.raises(HostError, match=r"/nowhere/python is no Python of 3\.11 or later"):
-        HostConnection(HostSection("rover1", "10.0.0.1", python="/nowhere/python"))
+        connect(HostSection("rover1", "10.0.0.1", python="/nowhere/python"))
 
 
 def test_what_ssh_says_is_the_reason(here: Path):
     say(here.parent / "tools", "#!/bin/sh\necho 'x: Permission denied (publickey).' >&2; exit 255\n")
     with pytest.raises(HostError, match="it does not let you in"):
-        HostConnection(HOST)
+        connect()
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("echo 'sh: Permission denied' >&2; exit 126", r"^the program there ended \(status 126\): sh: Perm"),
+        ("exit 0", r"^the program there ended \(status 0\)$"),
+        ("exec >&-; exec 2>&-; sleep 60", "^the connection to it was lost$"),
+    ],
+)
+def test_a_program_there_that_ends_is_not_taken_for_ssh(
+    here: Path, monkeypatch: pytest.MonkeyPatch, script: str, why: str
+):
+    monkeypatch.setattr(host_connection, "END_S", 0.2)
+    say(here.parent / "tools", f"#!/bin/sh\n{script}\n")
+    with pytest.raises(HostError, match=why):
+        connect()
+
+
+@pytest.mark.parametrize(
+    "answer",
+    ['{"ok": 1, "blob": 99999999999}', '{"ok": 1, "blob": -1}', "[1]", "x", '{"blob": {}}', "[" * 9999],
+)
+def test_an_answer_that_is_none_ends_the_conversation(here: Path, answer: str):
+    text = f"echo; printf %s {shlex.quote(host_program.GREETING.decode())}; echo '{answer}'; exit 0"
+    say(here.parent / "tools", f"#!/bin/sh\n{text}\n")
+    with pytest.raises(HostError, match="the program there ended"):
+        connect()
+
+
+def test_it_can_be_aborted_before_it_has_answered(here: Path):
+    say(here.parent / "tools", "#!/bin/sh\nexec sleep 60\n")
+    connection = HostConnection(HOST)
+    connection.abort()
+    with pytest.raises(HostError, match="the connection to it was lost"), connection:
+        pass
+
+
+def test_what_lies_in_the_home_there_is_not_loaded(here: Path, monkeypatch: pytest.MonkeyPatch):
+    (here / "json.py").write_text("raise SystemExit('not mine')")
+    monkeypatch.chdir(here)  # as a login does
+    with HostConnection(HOST) as connection:
+        assert connection.ask("clock") > 0
 
 
 def test_no_ssh_at_all(here: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PATH", str(here))
     with pytest.raises(HostError, match="there is no ssh on this machine"):
-        HostConnection(HOST)
+        connect()
 
 
 def test_a_host_that_falls_silent_is_given_up(here: Path):

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+import zipfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from agent.host_sections import HostSection
-from deploy.host_connection import HostConnection
+from deploy import host_program
+from deploy.host_connection import HostConnection, HostError
+from tests.process.harness import wait_for
 
 FAKE_SSH = '#!/bin/sh\nfor last; do :; done\nexec /bin/sh -c "$last"\n'
 FAKE_SYSTEMCTL = """#!/bin/sh
 echo "$@" >> "$HOME/told"
 case "$*" in
   *is-system-running*) echo running ;;
-  *list-units*) cat "$HOME/loaded" 2>/dev/null ;;
   *show*) cat "$HOME/shown" 2>/dev/null ;;
 esac
 """
@@ -77,41 +82,111 @@ def units(home: Path) -> Path:
     return home / ".config/systemd/user"
 
 
-def test_units_are_written_once_and_those_not_wanted_go(home: Path, host: HostConnection) -> None:
-    told(home)
-    assert host.ask("units", fleet="two", wanted={AGENT: "a", OTHER: "b"}) == [AGENT, OTHER]
+def compared(host: HostConnection, **wanted: str) -> dict[str, list[str]]:
+    """How the units of robots 1 and 2 differ from these, by the first word of what differs."""
+    names = {"agent": AGENT, "other": OTHER}
+    found = host.ask("compare", fleet="two", wanted={names[key]: text for key, text in wanted.items()})
+    return {what: differ for what, differ in found.items() if differ}
+
+
+def show(home: Path, pid: int, state: str = "active", unit: str = AGENT, **more: str) -> None:
+    """Has systemctl show a unit, beside one that somebody else has."""
+    lines = [f"Id={STRANGER}", "ActiveState=active", ""]
+    lines += [f"Id={unit}", f"MainPID={pid}", f"ActiveState={state}", *(f"{k}={v}" for k, v in more.items())]
+    (home / "shown").write_text("\n".join(lines) + "\n")
+
+
+def runs(child: subprocess.Popen[bytes], reads: Sequence[Path] = ()) -> str:
+    """Text of a unit whose process that is."""
+    words = Path(f"/proc/{child.pid}/cmdline").read_text().rstrip("\0").split("\0")
+    return f"# runs: {json.dumps(words)}\n# reads: {json.dumps(list(map(str, reads)))}\n"
+
+
+def test_units_are_compared_and_nothing_is_written(home: Path, host: HostConnection) -> None:
+    assert compared(host, agent="a") == {"stale": [AGENT], "unwritten": [AGENT]}
+    assert not units(home).exists()
+    host.ask("units", wanted={AGENT: "a", OTHER: "b"})
     assert "daemon-reload" in told(home)
     assert (units(home) / AGENT).read_text() == "a"
-    host.ask("units", fleet="two", wanted={AGENT: "a", OTHER: "b"})
-    assert "daemon-reload" not in told(home), "nothing has changed"
     (units(home) / STRANGER).write_text("of another fleet")
-    host.ask("units", fleet="two", wanted={AGENT: "a"})
-    orders = told(home)
-    assert f"stop {OTHER}" in orders
+    assert compared(host, agent="a") == {"stale": [AGENT], "unwanted": [OTHER]}
+    assert told(home) == [
+        f"show --all --property=Id,ActiveState,Result,MainPID,NRestarts,StatusText,NeedDaemonReload -- "
+        f"handfast-two-robot-*.service {' '.join(path.name for path in units(home).glob('*-two-robot-*'))}"
+    ], "systemd is asked once"
+    host.ask("remove", names=[OTHER])
+    assert f"stop {OTHER}" in told(home)
     assert sorted(path.name for path in units(home).iterdir()) == [AGENT, STRANGER]
 
 
-def test_a_unit_runs_as_wanted_when_its_process_is_what_its_file_says(
+def test_a_file_that_systemd_has_not_read_counts_as_unwritten(home: Path, host: HostConnection) -> None:
+    host.ask("units", wanted={AGENT: "a"})
+    show(home, 0, NeedDaemonReload="no")
+    assert "unwritten" not in compared(host, agent="a")
+    show(home, 0, NeedDaemonReload="yes")
+    assert compared(host, agent="a")["unwritten"] == [AGENT]
+
+
+def test_a_unit_runs_as_wanted_when_its_process_is_what_is_wanted(
     home: Path, host: HostConnection, sleeper: subprocess.Popen[bytes]
 ) -> None:
-    words = Path(f"/proc/{sleeper.pid}/cmdline").read_bytes().rstrip(b"\0").split(b"\0")
-    right = f"# runs: {json.dumps([word.decode() for word in words])}\n"
-    shown = f"ActiveState=active\nMainPID={sleeper.pid}\n"
-    (home / "shown").write_text(shown)
-    assert host.ask("units", fleet="two", wanted={AGENT: right}) == []
-    other = right.replace("60", "61")
-    assert host.ask("units", fleet="two", wanted={AGENT: other}) == [AGENT], "it runs something else"
-    (home / "shown").write_text(shown.replace("=active", "=activating"))
-    assert host.ask("units", fleet="two", wanted={AGENT: right}) == [AGENT]
-    (home / "shown").write_text("ActiveState=active\nMainPID=0\n")
-    assert host.ask("units", fleet="two", wanted={AGENT: right}) == [AGENT]
+    right = runs(sleeper)
+    show(home, sleeper.pid)
+    host.ask("units", wanted={AGENT: "a"})
+    assert compared(host, agent=right) == {"unwritten": [AGENT]}, "what its file says does not count"
+    assert "stale" in compared(host, agent=right.replace("60", "61")), "it runs something else"
+    show(home, sleeper.pid, "activating")
+    assert "stale" in compared(host, agent=right)
+    show(home, 0)
+    assert "stale" in compared(host, agent=right)
+    show(home, sleeper.pid, unit=OTHER)
+    assert compared(host, agent=right, other=right)["stale"] == [AGENT], "each is what is said of it"
+
+
+def test_a_unit_whose_certificate_was_renewed_since_it_started_does_not_run_as_wanted(
+    home: Path, host: HostConnection, sleeper: subprocess.Popen[bytes], tmp_path: Path
+) -> None:
+    certificate = tmp_path / "robot.crt"
+    show(home, sleeper.pid)
+    started = time.time() - host.ask("status", fleet="two")["units"][AGENT]["age_s"]
+    for modified, stale in ((started - 5.0, False), (time.time(), True), (time.time() + 3600.0, False)):
+        certificate.touch()
+        os.utime(certificate, (modified, modified))
+        assert ("stale" in compared(host, agent=runs(sleeper, [certificate]))) is stale
+    certificate.unlink()
+    assert "stale" not in compared(host, agent=runs(sleeper, [certificate])), "the process will say so"
+
+
+def test_states_of_several_units_are_told_apart(home: Path, host: HostConnection) -> None:
+    show(home, 0, "failed", Result="exit-code")
+    assert host.ask("states", names=[AGENT, STRANGER, OTHER]) == {
+        AGENT: "failed (exit-code)",
+        STRANGER: "active",
+        OTHER: "unknown",
+    }
+
+
+def test_a_version_is_that_of_the_process_not_of_the_file(home: Path, host: HostConnection) -> None:
+    python = home / "versions/1-bb/bin/python"
+    python.parent.mkdir(parents=True)
+    python.symlink_to(sys.executable)
+    words = [str(python), "-c", "import time; print(flush=True); time.sleep(60)"]
+    host.ask("units", wanted={AGENT: "ExecStart=/h/versions/1-cc/bin/python"})
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        show(home, child.pid)
+        assert host.ask("status", fleet="two")["units"][AGENT]["version"] == "1-bb"
+        child.kill()
+    show(home, 0, "inactive")
+    assert host.ask("status", fleet="two")["units"][AGENT]["version"] == ""
 
 
 def test_down_stops_and_removes_all_and_says_what_is_left(home: Path, host: HostConnection) -> None:
-    host.ask("units", fleet="two", wanted={AGENT: "a"})
+    host.ask("units", wanted={AGENT: "a"})
     state = home / ".local/share/handfast/fleets/two/state"
     state.mkdir(parents=True)
-    (home / "loaded").write_text(f"{OTHER} loaded failed failed x\n")
+    show(home, 0, "failed", OTHER)
     told(home)
     answer = host.ask("down", fleet="two")
     assert answer["stopped"] == [AGENT, OTHER]
@@ -124,21 +199,26 @@ def test_down_stops_and_removes_all_and_says_what_is_left(home: Path, host: Host
 def test_a_process_that_outlived_its_unit_is_found(home: Path, host: HostConnection) -> None:
     folder = home / ".local/share/handfast/fleets/two"
     folder.mkdir(parents=True)
-    words = [sys.executable, "-m", "timeit", "-n", "1", "import time; time.sleep(60)", str(folder / "x")]
-    child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    words = [sys.executable, "-m", "timeit", "-n", "1", "import time; time.sleep(60)"]
+    null = subprocess.DEVNULL
+    child = subprocess.Popen([*words, str(folder / "x")], stdout=null, stderr=null)
+    others = subprocess.Popen(
+        [*words, "/home/other/.local/share/handfast/fleets/two/x"], stdout=null, stderr=null
+    )
     try:
         left = host.ask("down", fleet="two")["left"]
         assert left == [f"process {child.pid}"]
     finally:
-        child.kill()
-        child.wait()
+        for each in (child, others):
+            each.kill()
+            each.wait()
 
 
 def test_old_versions_go_but_those_in_use(home: Path, host: HostConnection) -> None:
     versions = home / ".local/share/handfast/versions"
     for name in ("1-aa", "1-bb", "1-cc"):
         (versions / name).mkdir(parents=True)
-    host.ask("units", fleet="two", wanted={AGENT: "ExecStart=/h/versions/1-bb/bin/python"})
+    host.ask("units", wanted={AGENT: "ExecStart=/h/versions/1-bb/bin/python"})
     assert host.ask("tidy", keep=["1-cc"]) == ["1-aa"]
     assert sorted(path.name for path in versions.iterdir()) == ["1-bb", "1-cc"]
 
@@ -150,3 +230,99 @@ def test_an_installation_that_was_interrupted_does_not_count(home: Path, host: H
     assert host.ask("installed", version="1-aa") is False
     (folder / ".complete").touch()
     assert host.ask("installed", version="1-aa") is True
+
+
+FAKE_PYTHON = """#!/bin/sh
+# What an installation runs: `venv` makes another one of these, and pip, whose own child it waits for.
+CHILD='echo $$ >> "$HOME/pips"; sleep 60; true'
+case "$*" in
+  *venv*) for last; do :; done; mkdir -p "$last/bin"; cp "$0" "$last/bin/python" ;;
+  *sysconfig*) echo "$HOME" ;;
+  *pip*) echo "$$" >> "$HOME/pips"; [ ! -e "$HOME/slow" ] || sh -c "$CHILD" ;;
+esac
+"""
+
+
+@pytest.fixture
+def installs(home: Path, tmp_path: Path) -> list[str]:
+    """Words of a Python on the host for which `install` is quick, or with a file `slow` at home lasts."""
+    fake = tmp_path / "fake"
+    fake.write_text(FAKE_PYTHON)
+    fake.chmod(0o755)
+    root = home / ".local/share/handfast"
+    (root / "wheels").mkdir(parents=True)
+    with zipfile.ZipFile(root / "wheels/program.zip", "w"):
+        pass
+    source = Path(host_program.__file__).read_text().replace("sys.executable", repr(str(fake)))
+    asked = {
+        "do": "install",
+        "version": "1-aa",
+        "wheels": [],
+        "pip": "pip.whl",
+        "program": "wheels/program.zip",
+    }
+    (tmp_path / "program.py").write_text(source)
+    (tmp_path / "asked").write_text(json.dumps(asked) + "\n")
+    return [sys.executable, str(tmp_path / "program.py")]
+
+
+def install(words: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Asks for an installation, all at once as Ansible does: no input is left."""
+    with open(Path(words[-1]).parent / "asked", "rb") as asked:
+        return subprocess.Popen(words, stdin=asked, stdout=subprocess.PIPE)
+
+
+def answered(child: subprocess.Popen[bytes]) -> dict[str, object]:
+    out, _ = child.communicate(timeout=30.0)
+    found: dict[str, object] = json.loads(out.splitlines()[-1])
+    return found
+
+
+def pips(home: Path, count: int) -> list[int]:
+    """Processes of pip, once there were so many."""
+    file = home / "pips"
+    wait_for(lambda: file.exists() and len(file.read_text().split()) >= count, "pip runs", 20.0)
+    return list(map(int, file.read_text().split()))
+
+
+def test_one_installs_at_a_time_and_who_comes_second_finds_it_done(home: Path, installs: list[str]) -> None:
+    root = home / ".local/share/handfast"
+    with open(root / ".lock", "wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        two = [install(installs), install(installs)]
+        with pytest.raises(subprocess.TimeoutExpired):
+            two[0].wait(0.5)
+        assert not (home / "pips").exists()
+    assert [answered(each) for each in two] == [{"ok": None, "blob": 0}] * 2
+    assert (root / "versions/1-aa/.complete").exists()
+    assert len(pips(home, 1)) == 1
+
+
+def test_an_installation_that_nobody_waits_for_ends_with_what_it_started(
+    home: Path, installs: list[str]
+) -> None:
+    (home / "slow").touch()
+    with install(installs) as child:
+        running = pips(home, 2)
+        assert child.stdout is not None
+        child.stdout.close()  # as when the connection is lost
+        child.wait(timeout=20.0)
+    wait_for(lambda: not any(map(is_running, running)), "pip and its child end", 20.0)
+    assert not (home / ".local/share/handfast/versions/1-aa/.complete").exists()
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_versions_stay_while_one_is_installed(home: Path, host: HostConnection) -> None:
+    version = home / ".local/share/handfast/versions/1-aa"
+    version.mkdir(parents=True)
+    with open(home / ".local/share/handfast/.lock", "wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(HostError, match="another installation is under way there"):
+            host.ask("tidy", keep=[])
+    assert version.exists()

@@ -1,30 +1,23 @@
-"""What is said of hosts and their processes: tables, lines, merged logs."""
+"""What is said of hosts and their processes: tables and lines."""
 
 from __future__ import annotations
 
 import io
-import json
-import queue
 from collections.abc import Sequence
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from agent.host_sections import HostSection
 from agent.messages import Status
-from deploy import logs_command
-from deploy.host_connection import Clock
+from deploy.host_connection import Clock, HostError
 from deploy.hosts_view import Lines, Row
-from deploy.interrupt import Interrupt
-from deploy.logs_command import Line, Reader
-from deploy.status_table import HostStatus, host_rows, print_table, process_row
+from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
 from tests.unit.test_fleet_hosts import fleet
 
 FLEET = fleet()
 UNIT = {
     "ActiveState": "active", "Result": "success", "NRestarts": "2", "cpu_s": 3.0, "age_s": 60.0,
-    "memory_bytes": 80e6, "version": "1-aa", "StatusText": "running",
+    "memory_bytes": 80e6, "version": "1-aa-77", "StatusText": "running",
 }  # fmt: skip
 
 
@@ -33,11 +26,13 @@ def status(robot: int) -> Status:
     return Status(robot, 1, 0, "degraded", "", "without robot 3", 1, 0, neighbours, (), (), ())
 
 
-def rows(versions: Sequence[str] = ("1-aa", "1-aa")) -> tuple[list[dict[str, Any]], dict[str, HostStatus]]:
+def rows(
+    versions: Sequence[str] = ("1-aa-77", "1-aa-77"),
+) -> tuple[list[dict[str, Any]], dict[str, HostStatus]]:
     found = {}
     for robot, (name, version) in enumerate(zip(("left", "right"), versions, strict=True), 1):
         unit = {f"handfast-two-robot-{robot}-agent.service": UNIT | {"version": version}}
-        found[name] = HostStatus(unit, Clock(0.002, 0.001), 1.5)
+        found[name] = host_status({"units": unit, "load": 1.5}, Clock(0.002, 0.001))
     told = [
         process_row(FLEET, robot, role, found[name], status(robot) if robot == 1 else None)
         for robot, name in ((1, "left"), (2, "right"))
@@ -55,6 +50,22 @@ def test_a_row_has_what_the_host_and_the_robot_say() -> None:
     assert (agent["state"], agent["reason"]) == ("degraded", "without robot 3")
     assert agent["oldest_ms"] == 20.0, "of those that were heard"
     assert (silent["unit"], silent["state"]) == ("active", None)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        [],
+        {"units": {"a.service": UNIT}},
+        {"units": [], "load": 1.0},
+        {"units": {"a.service": 7}, "load": 1.0},
+        {"units": {"a.service": UNIT | {"cpu_s": "much"}}, "load": 1.0},
+        {"units": {"a.service": UNIT | {"NRestarts": "often"}}, "load": 1.0},
+    ],
+)
+def test_a_host_that_says_nonsense_is_told_from_one_that_is_well(told: Any) -> None:
+    with pytest.raises(HostError, match="makes no sense"):
+        host_status(told, Clock(0.0, 0.1))
 
 
 def test_a_host_that_cannot_be_asked_is_unknown_not_down() -> None:
@@ -78,7 +89,11 @@ def test_the_table_tells_all_of_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert "right: it does not answer" in out
     assert "without robot 3" in out
     assert "version 1-aa" in out
-    print_table(*rows(("1-aa", "1-bb")))
+    print_table(*rows(("1-aa-77", "1-aa-88")))
+    assert "version 1-aa\n" in capsys.readouterr().out, (
+        "other wheels for another processor are no other version"
+    )
+    print_table(*rows(("1-aa-77", "1-bb-77")))
     assert "not all robots run the same (1-aa: robot 1; 1-bb: robot 2)" in capsys.readouterr().out
 
 
@@ -95,40 +110,8 @@ def test_lines_say_a_thing_once_and_leave_counts_to_the_table() -> None:
     ]  # fmt: skip
 
 
-def reader(host: str, *times_us: int) -> Reader:
-    lines: queue.Queue[Line | None] = queue.Queue()
-    for time_us in times_us:
-        lines.put(Line(time_us, host, str(time_us)))
-    lines.put(None)
-    return cast(Reader, SimpleNamespace(host=HostSection(host), lines=lines, error=""))
-
-
-def test_logs_of_several_hosts_come_in_the_order_of_time() -> None:
-    readers = [reader("a", 1, 4, 5), reader("b", 2, 3, 9)]
-    assert [line.time_us for line in logs_command._merged(readers, None)] == [1, 2, 3, 4, 5, 9]
-    readers = [reader("a", 1, 4, 5), reader("b", 2, 3, 9)]
-    assert [line.time_us for line in logs_command._merged(readers, 1)] == [5, 9], "the last of each host"
-
-
-def test_lines_that_are_followed_wait_for_earlier_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs_command, "HOLD_S", 0.05)
-    readers = [reader("a", 7, 8), reader("b", 6)]
-    assert [line.time_us for line in logs_command._followed(readers, Interrupt())] == [6, 7, 8]
-
-
-@pytest.mark.parametrize(
-    ("entry", "text"),
-    [
-        ({"MESSAGE": "hello"}, "hello"),
-        ({"MESSAGE": [104, 105, 255]}, "hi\N{REPLACEMENT CHARACTER}"),
-        ({"MESSAGE": "a\x1b[31mb"}, "a\\x1b[31mb"),
-    ],
-)
-def test_a_line_is_safe_to_print(entry: dict[str, Any], text: str) -> None:
-    line = logs_command._parsed("a", json.dumps(entry | {"__REALTIME_TIMESTAMP": "17"}).encode())
-    assert line == Line(17, "a", text)
-
-
-def test_what_is_no_entry_is_left_out() -> None:
-    assert logs_command._parsed("a", b"-- no entries --") is None
-    assert logs_command._parsed("a", b"{}") is None
+def test_anybodys_words_are_text(capsys: pytest.CaptureFixture[str]) -> None:
+    told, found = rows()
+    told[0]["state"], told[0]["reason"] = "stopped", "[/x] [red]lunch\x1b[2J"
+    print_table(told, found)
+    assert "[/x] [red]lunch\\x1b[2J" in capsys.readouterr().out

@@ -32,6 +32,13 @@ def test_an_address_that_is_left_out_is_that_of_the_ssh_configuration(configured
     )
 
 
+def test_two_names_for_one_computer_are_found_where_only_ssh_knows(configured: None) -> None:
+    both = NAMED.replace("10.0.0.2", "LEFT.lan")
+    with pytest.raises(InputError, match=r"^hosts left and right both have the address LEFT.lan: robots may"):
+        located(fleet(both))
+    assert located(fleet(both, second=LEFT)).hosts[0].address == "left.lan", "nobody is on the other one"
+
+
 def test_without_ssh_it_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert located(fleet(HOSTS)) == fleet(HOSTS), "nobody has to be asked"
@@ -53,7 +60,7 @@ def test_robots_read_nothing_of_how_the_operator_logs_in() -> None:
     there = fleet(HOSTS + '[host.more]\nkey = "~/.ssh/secret"\nport = 2222\nuser = "root"\n')
     text = robots_text(there)
     assert parse_fleet(text, source="robots").agent_endpoint(2) == there.agent_endpoint(2)
-    assert parse_fleet(text, source="robots").agent_listens(2) == "tls/0.0.0.0:7602"
+    assert parse_fleet(text, source="robots").agent_listens(2) == ("tls/0.0.0.0:7602",)
     for word in ("secret", "2222", "user"):
         assert word not in text
 

@@ -146,8 +146,13 @@ def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
     with authority(tmp_path, late_s) as by:
         found = credentials(by, tmp_path / "r", ME, now_s=late_s)
         assert found.certificate.days_left(late_s) == 100
-    with pytest.raises(AuthorityError, match="has expired: `handfast keys guarded --replace-authority`"):
-        authority(tmp_path, NOW_S + AUTHORITY_DAYS * DAY_S)
+    end_s = NOW_S + AUTHORITY_DAYS * DAY_S
+    with authority(tmp_path, end_s) as by:  # it can be looked at, and replaced
+        request = make_request(tmp_path / "r", ME)
+        with pytest.raises(AuthorityError, match="has expired: `handfast keys guarded --replace-authority`"):
+            by.sign(ME, request, (), end_s)
+        by.replace(end_s)
+        by.sign(ME, request, (), end_s)
 
 
 @pytest.mark.parametrize(

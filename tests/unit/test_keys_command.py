@@ -6,15 +6,18 @@ import argparse
 import re
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from agent.credentials import RENEW_DAYS, load
+from agent.credentials import RENEW_DAYS, load, make_request
+from agent.host_sections import HostSection
 from agent.identity import of_operator, of_robot, of_router
 from deploy import keys_command
 from deploy.arguments import InputError
-from deploy.authority import CERTIFICATE_DAYS, keys_folder
+from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
+from tests.unit.order_fleets import square
 
 Run = Callable[..., list[str]]
 DAY_S = 86_400
@@ -91,6 +94,46 @@ def test_everybody_shut_out(run: Run, tmp_path: Path) -> None:
     assert [line.split()[-1] for line in said if line.startswith("operator  ")] == ["valid"]
     assert said[-1].endswith("void: of an authority that was replaced")
     assert run("--robot", "3", "--out", str(tmp_path / "r3"))[-1].endswith("valid")
+
+
+def test_who_needs_a_new_certificate_is_said(run: Run, tmp_path: Path) -> None:
+    """Each with the command that makes it."""
+    ann = ("--set", 'network.operators=["main", "ann"]')
+    run("--operator", "ann", *ann)
+    run("--router", "--address", "10.0.0.9")
+    run("--robot", "3", "--out", str(tmp_path / "r3"), "--address", "10.0.0.3")
+    assert [line for line in run("--replace-authority", *ann) if line.startswith("void:")] == [
+        "void: operator ann; `handfast keys delta --operator ann`",
+        "void: robot 3; `handfast keys delta --robot 3 --address 10.0.0.3 --out DIR`",
+        "void: router main; `handfast keys delta --router --address 10.0.0.9`, with --out DIR to carry it",
+    ]
+
+
+def test_robots_with_a_host_are_given_theirs_by_up(tmp_path: Path) -> None:
+    name = "few"
+    fleet = replace(square(), hosts=(HostSection("left"),))
+    fleet = replace(fleet, robots=tuple(replace(robot, host="left") for robot in fleet.robots))
+    with Authority(tmp_path, name, fleet.ids, time.time()) as by:
+        for robot in (1, 2):
+            identity = of_robot(name, robot)
+            by.sign(identity, make_request(tmp_path, identity), (), time.time())
+        by.replace(time.time())
+        assert list(keys_command._void("f.toml", fleet, by)) == ["void: robots 1, 2; `handfast up f.toml`"]
+
+
+def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun_s = time.time()
+    run()
+    late_s = begun_s + (AUTHORITY_DAYS - 20) * DAY_S
+    monkeypatch.setattr(time, "time", lambda: late_s)
+    assert re.search(r"ends in (19|20) days, and all certificates with it: --repl", run("--list")[0])
+    said = run()  # renews it once, to the authority's end, and not again
+    assert said[0].startswith("operator main: made")
+    assert re.search(r"ends in (19|20) days, with its authority", said[-1])
+    assert run() == said[1:]
+    monkeypatch.setattr(time, "time", lambda: late_s + 20 * DAY_S)
+    assert "expired: --replace-authority" in run("--list")[0]
+    assert run("--replace-authority")[0].startswith("made authority 2 of delta")
 
 
 @pytest.mark.parametrize(

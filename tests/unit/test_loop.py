@@ -11,7 +11,7 @@ from agent.bus import Bus
 from agent.clock import NS_PER_S
 from agent.codec import decode, encode
 from agent.fleet import digest, parse_fleet
-from agent.messages import Mission, PlantState
+from agent.messages import Mission, PlantState, Stop
 from agent.process import Shutdown, loop
 from agent.service import Service
 from plant.node import PlantNode
@@ -117,6 +117,17 @@ def test_the_clock_is_told_of_the_epoch_as_soon_as_it_is_known():
     _, clock, stamps, _ = looped("", {}, 5)
     assert len(stamps) == 6
     assert clock.epochs == [T0 + NS_PER_S] * 4  # the first tick does not know it, after the last it ends
+
+
+def test_what_others_give_as_a_reason_stays_on_its_line():
+    fleet = parse_fleet(FLEET % "", source="here")
+    node = PlantNode(fleet, 1, from_fleet(fleet, 1))
+    clock = Clock({})
+    stop = Stop(1, T0, "here\nrobot 2 plant: all is well")
+    wire = Wire(clock, {T0: ("two/stop", encode(stop))})
+    said: list[str] = []
+    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(3)), said.append, Service({}))
+    assert "braking: stop: here\\nrobot 2 plant: all is well" in said
 
 
 @pytest.mark.parametrize("early_ns", [1, 400_000])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.key_files import KeyFileError
 from bridges.mavlink import signing
 from bridges.mavlink.signing import AHEAD, EPOCH_S, STEPS_PER_S, SigningError, Timestamps, load_key, make_key
 
@@ -128,7 +129,7 @@ def test_a_disk_that_fails_is_told_and_does_not_stop_the_stamps(
 
     def fail(path: Path, value: int) -> None:
         tried.set()
-        raise OSError(28, "No space left on device")
+        raise KeyFileError(f"cannot write {path}: no space left on device")
 
     monkeypatch.setattr(signing, "_write", fail)
     late_ns = NOW_NS + 15 * 10**9

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -22,8 +22,8 @@ from agent.segments import About, Received
 from deploy.merging import MARGIN_NS, Choice, Merged, merge
 from deploy.recording import Recording
 from deploy.report import rebuild
-from deploy.robot_recording import Damage, MergeError, by_time, segment_files
-from deploy.runfolder import FolderError
+from deploy.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
+from deploy.runfolder import FolderError, RunFolder
 from tests.unit.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=2.0)
@@ -84,11 +84,19 @@ def record_all(
 
 def merged(folders: list[Path], out: Path, choice: Choice | None = None) -> Merged:
     """Without pictures, which take a second."""
-    return merge(folders, out, choice, report=False)
+    return merge(by_robot(folders), out, choice, report=False)
+
+
+def by_robot(folders: Iterable[Path]) -> dict[int, Path]:
+    return {int(folder.name.removeprefix("robot-")): folder for folder in folders}
+
+
+def segments_in(folders: Iterable[Path]) -> Sequence[SegmentFile]:
+    return recordings(by_robot(folders)).segments
 
 
 def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
-    found = merge(record_all(tmp_path / "hosts"), tmp_path / "run")
+    found = merge(by_robot(record_all(tmp_path / "hosts")), tmp_path / "run")
     assert found.warnings == ()
     assert found.robots == IDS
     assert found.metrics["verdict"] == {"passed": True, "reasons": [], "warnings": []}
@@ -105,7 +113,7 @@ def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
 
 
 def test_messages_are_in_order_of_their_reception(tmp_path: Path) -> None:
-    segments = segment_files(record_all(tmp_path / "hosts"))
+    segments = segments_in(record_all(tmp_path / "hosts"))
     times = [received[0] for received in by_time(segments, 0, 2**62, Damage())]
     assert times == sorted(times)
     assert len(times) == sum(len(list(said(robot))) for robot in IDS)
@@ -115,7 +123,7 @@ def test_a_segment_from_before_a_clock_was_set_back_finds_its_place(tmp_path: Pa
     computer = Computer(tmp_path, 1)
     computer.record(shifted(said(1), 100.0))
     computer.record(said(1))
-    times = [received[0] for received in by_time(segment_files([computer.folder]), 0, 2**62, Damage())]
+    times = [received[0] for received in by_time(segments_in([computer.folder]), 0, 2**62, Damage())]
     assert times == sorted(times)
     assert len(times) == 2 * len(list(said(1)))
 
@@ -270,16 +278,6 @@ def test_what_a_disk_did_not_take_is_said(tmp_path: Path) -> None:
 # --- what is taken --------------------------------------------------------------------------------
 
 
-def test_copies_count_once_and_the_longer_one(tmp_path: Path) -> None:
-    folders = record_all(tmp_path / "hosts")
-    copy = tmp_path / "earlier"
-    copy.mkdir()
-    for path in segment_paths(folders[0]):
-        (copy / path.name).write_bytes(path.read_bytes()[:-50])
-    found = merged([copy, *folders], tmp_path / "run")
-    assert found.messages == sum(len(list(said(robot))) for robot in IDS)
-
-
 def test_another_fleet_file_is_left_out_and_named(tmp_path: Path) -> None:
     other = make_fleet(*triangle(2), duration_s=99.0)
     for robot in IDS:
@@ -303,8 +301,10 @@ def test_without_a_mission_the_file_of_most_counts(tmp_path: Path) -> None:
 def test_one_fleet_of_several(tmp_path: Path) -> None:
     folders = record_all(tmp_path / "hosts")
     later = make_fleet(*triangle(2), name="later")
-    Computer(tmp_path / "later", 1, later).record(shifted(said(1), 1000.0))
-    folders += sorted((tmp_path / "later").iterdir())
+    of_later = [(ns, key.replace(f"{NAME}/", "later/", 1), payload) for ns, key, payload in said(1)]
+    Computer(tmp_path / "later", 1, later).record(shifted(of_later, 1000.0))
+    for path in (tmp_path / "later" / "robot-1").glob("*.segment"):
+        path.rename(folders[0] / path.name)
     assert merged(folders, tmp_path / "named", Choice(fleet=NAME)).robots == IDS
     with pytest.raises(MergeError, match=f"no recordings of a fleet none; there are some of later, {NAME}"):
         merged(folders, tmp_path / "none", Choice(fleet="none"))
@@ -319,11 +319,11 @@ def test_versions_that_differ_are_named(tmp_path: Path) -> None:
 
 
 def test_nothing_there_is_one_clear_line(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
+    (tmp_path / "robot-1").mkdir()
     with pytest.raises(MergeError, match="no recordings of robots in what was given"):
-        merged([tmp_path / "empty"], tmp_path / "run")
-    with pytest.raises(MergeError, match=r"cannot read .*nowhere: No such file"):
-        merged([tmp_path / "nowhere"], tmp_path / "run")
+        merged([tmp_path / "robot-1"], tmp_path / "run")
+    with pytest.raises(MergeError, match=r"cannot read .*robot-2: No such file"):
+        merged([tmp_path / "robot-2"], tmp_path / "run")
     folders = record_all(tmp_path / "hosts")
     with pytest.raises(MergeError, match=r"nothing was recorded from 1970-.* until 1970-.*, only from 2025-"):
         merged(folders, tmp_path / "run", Choice(since_ns=1, until_ns=NS_PER_S))
@@ -344,6 +344,72 @@ def test_a_fleet_file_of_another_version(tmp_path: Path) -> None:
         merged([computer.folder], tmp_path / "run")
 
 
+# --- what is believed ------------------------------------------------------------------------------
+
+
+def test_a_computer_cannot_speak_for_another_robot(tmp_path: Path) -> None:
+    """Robot 2's computer gives recordings that say they are robot 1's, and messages of robot 1 in its own."""
+    made_up = [each for each in said(1) if "told" not in each[1]]
+
+    def with_made_up(robot: int, heard: list[Received]) -> list[Received]:
+        return sorted([*heard, *made_up]) if robot == 2 else heard
+
+    folders = record_all(tmp_path / "hosts", with_made_up)
+    Computer(tmp_path / "posing", 1).record(said(1))
+    for path in (tmp_path / "posing" / "robot-1").glob("*.segment"):
+        path.rename(folders[1] / path.name)
+    found = merged(folders, tmp_path / "run")
+    assert found.messages == sum(len(list(said(robot))) for robot in IDS)
+    assert found.warnings == (
+        "robot 2's computer also gave recordings of other robots: they are left out",
+        f"of robot 2's recording {len(made_up)} messages are left out that it cannot have heard",
+    )
+
+
+def test_orders_are_believed_from_keys_of_orders_only(tmp_path: Path) -> None:
+    later = MISSION._replace(version=9, epoch_ns=EPOCH_NS + 900 * NS_PER_S)
+
+    def with_stray(robot: int, heard: list[Received]) -> list[Received]:
+        stray = (heard[0][0], keys.told(NAME, 1), encode(later))
+        return [heard[0], stray, *heard[1:]] if robot == 2 else heard
+
+    folders = record_all(tmp_path / "hosts", with_stray)
+    for path in segment_paths(folders[1]):  # nor where the first block, which says whose it is, is damaged
+        data = bytearray(path.read_bytes())
+        data[60] ^= 1
+        path.write_bytes(data)
+        break
+    assert merged(folders, tmp_path / "run").since_ns == EPOCH_NS - MARGIN_NS
+
+
+# --- what it leaves --------------------------------------------------------------------------------
+
+
+def test_a_time_between_two_stretches_is_no_damage(tmp_path: Path) -> None:
+    def gap(robot: int, heard: list[Received]) -> list[Received]:
+        return [each for each in heard if not EPOCH_NS < each[0] < EPOCH_NS + 1_900_000_000]
+
+    folders = record_all(tmp_path / "hosts", gap)
+    choice = Choice(since_ns=EPOCH_NS + 600_000_000, until_ns=EPOCH_NS + 700_000_000)
+    with pytest.raises(MergeError, match=r"^nothing was recorded from .* until .*, only from 2025-"):
+        merged(folders, tmp_path / "run", choice)
+    assert not (tmp_path / "run").exists()
+    between = next(said(1))[0] + 1  # within a block
+    with pytest.raises(MergeError, match=r"^nothing was recorded from "):
+        merged(folders[:1], tmp_path / "run", Choice(since_ns=between, until_ns=between + 1))
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_is_interrupted_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RunFolder, "finish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        merged(record_all(tmp_path / "hosts"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_recordings(tmp_path: Path) -> None:
     """Thirty times as much on the disk takes no more memory to put in order."""
@@ -354,7 +420,7 @@ def test_memory_does_not_grow_with_the_recordings(tmp_path: Path) -> None:
             heard = list(said(robot))
             for number in range(times):
                 Computer(hosts, robot).record(shifted(heard, 3.0 * number))
-        segments = segment_files(sorted(hosts.iterdir()))
+        segments = segments_in(sorted(hosts.iterdir()))
         tracemalloc.start()
         count = sum(1 for _ in by_time(segments, 0, 2**62, Damage()))
         _, most = tracemalloc.get_traced_memory()

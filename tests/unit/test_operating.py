@@ -13,6 +13,7 @@ from agent.messages import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, 
 from agent.node import FIRST_ROUND
 from agent.orders import OrderError
 from deploy.operating import NO_MISSION, Known, Operator, refused
+from deploy.order_versions import AHEAD_US_MAX
 from tests.unit.order_fleets import EPOCH, S, order, square
 
 FLEET = square()
@@ -195,3 +196,27 @@ def test_it_is_behind_when_agents_know_of_more() -> None:
     assert other.behind
     other.hear(STOP, Stop(7, EPOCH, ""))
     assert not other.behind
+
+
+def test_who_tells_of_more_is_known_as_far_as_it_can_be() -> None:
+    made = operator()
+    most = US + AHEAD_US_MAX
+    made.hear(keys.status("square", 1), status(1, most + 1, most + 1))
+    assert made.claimants(EPOCH) == []
+    assert made.behind, "it is asked for all the same"
+    made.hear(keys.status("square", 2), status(2, 0, most))
+    made.hear(keys.beacon("square", 3), Beacon(3, 1, EPOCH, True, *[0.0] * 5, most, 0, 0, -1))
+    made.hear(keys.status("square", 1), status(4, most, most))  # of another robot
+    made.hear(keys.status("square", 99), status(99, most, most))
+    assert made.claimants(EPOCH) == [2, 3]
+    made.hear(keys.status("square", 3), status(3))  # it has started again, and knows nothing
+    assert made.claimants(EPOCH) == [2]
+    made.hear(STOP, Stop(most, EPOCH, ""))
+    assert made.claimants(EPOCH) == []
+
+
+def test_a_version_that_cannot_be_changes_none() -> None:
+    made = operator()
+    made.hear(keys.status("square", 1), status(1, US + AHEAD_US_MAX + 1, US + AHEAD_US_MAX + 1))
+    made.hear(keys.status("square", 2), status(2, 0, US + 7))
+    assert made.order_stop(EPOCH, "").version == US + 8

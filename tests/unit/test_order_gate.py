@@ -12,7 +12,7 @@ from agent.identity import of_operator
 from agent.messages import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Mission, Resume, Stop
 from agent.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
 from agent.seal import Opener, Sealer
-from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 TIME_NS = NOW_NS = int(NOW_S * 1e9)
 ORDERS = {
@@ -41,7 +41,7 @@ class Scene:
             ann = credentials(by, folder / "ann", of_operator(FLEET, "ann"))
         self.refused: list[str] = []
         self.operator, self.one, self.two = (
-            OrderGate(FLEET, Opener(FLEET, ann.authority), sealer, self.refused.append)
+            OrderGate(FLEET, ROBOTS, Opener(FLEET, ["ann"], ann.authority), sealer, self.refused.append)
             for sealer in (Sealer(ann), None, None)
         )
 
@@ -83,6 +83,7 @@ def test_a_robot_gives_no_orders(scene: Scene) -> None:
     for key in (*ORDERS, keys.told(FLEET, 1)):
         assert scene.one.let_out(key, payload, NOW_NS) is None
         assert scene.two.let_in(key, payload, NOW_NS) is None
+    scene.refused = [each for each in scene.refused if not each.startswith("to say")]
     assert scene.refused[0] == f"an order on {keys.mission(FLEET)}: malformed"
     assert scene.refused[-1] == f"an order on {keys.told(FLEET, 1)}: malformed"
 
@@ -94,6 +95,9 @@ def test_an_order_that_was_changed_on_its_way(scene: Scene) -> None:
     assert scene.one.let_in(keys.told(FLEET, 2), changed, NOW_NS) is None
     assert scene.refused == [f"an order on {keys.told(FLEET, 2)}: bad signature"]
     assert scene.one.let_out(keys.told(FLEET, 1), encode(ORDERS[keys.stop(FLEET)]), NOW_NS) is None
+    assert scene.refused[1:] == [
+        f"to say an order on {keys.told(FLEET, 1)}: the operator's seal of it is no longer known here"
+    ]
 
 
 def test_what_is_said_again_is_the_same(scene: Scene) -> None:
@@ -112,7 +116,8 @@ def test_heartbeats_do_not_displace_what_is_said_again(scene: Scene) -> None:
 
 
 def test_what_is_remembered_is_bounded(scene: Scene) -> None:
-    large = [bytes([number]) * MISSION_BYTES_MAX for number in range(30)]
+    head = encode(ORDERS[keys.mission(FLEET)])[:3]
+    large = [head + bytes([number]) * (MISSION_BYTES_MAX - 3) for number in range(30)]
     for payload in large:
         pass_on(scene, keys.mission(FLEET), payload)
     for gate in (scene.one, scene.operator):
@@ -145,6 +150,29 @@ def test_what_was_overheard_long_ago_only_counts_where_versions_tell_its_age(sce
             f"an order on {key}: sealed long ago (by this computer's clock)",
             f"an order on {key}: sealed in the future (by this computer's clock)",
         ]
+
+
+@pytest.mark.parametrize("key", [keys.faults(FLEET), keys.heartbeat(FLEET), keys.ask(FLEET)])
+def test_robots_tell_missions_stops_and_leaves_alone(scene: Scene, key: str) -> None:
+    """What was overheard of the others must not push out of memory what has to be said again."""
+    stop = encode(ORDERS[keys.stop(FLEET)])
+    pass_on(scene, keys.stop(FLEET), stop)
+    sealed = scene.operator.let_out(key, encode(ORDERS[key]), NOW_NS)
+    assert sealed is not None
+    told = keys.told(FLEET, 2)
+    assert scene.one.let_in(told, sealed, NOW_NS) is None
+    assert scene.refused == [f"an order on {told}: not one that robots tell"]
+    assert list(scene.one._sealed) == [stop]
+
+
+@pytest.mark.parametrize("where", ["2/more", "2/line\nbreak", "9", "*", "02"])
+def test_only_robots_of_the_fleet_tell_each_on_one_key(scene: Scene, where: str) -> None:
+    """Each would have a budget of its own, and the log line what somebody likes."""
+    stop = keys.stop(FLEET)
+    sealed = scene.operator.let_out(stop, encode(ORDERS[stop]), NOW_NS)
+    assert sealed is not None
+    assert scene.one.let_in(keys.told(FLEET, where), sealed, NOW_NS) is None
+    assert scene.refused == ["an order where no robot of the fleet tells any"]
 
 
 def test_what_is_said_once_is_sealed_anew_each_time(scene: Scene) -> None:

@@ -53,6 +53,7 @@ def told(*lines: str, now_ns: int = 0) -> list[str]:
         ("received corrupt message of type InvalidContentType", "it does not speak TLS"),
         ("received fatal alert: UnknownCA", "it does not know the authority of our certificate"),
         ("received fatal alert: HandshakeFailure", "it broke the handshake off"),
+        ("Too many open files (os error 24)", "this process has no file handles left"),
         ("something new", "the handshake failed"),
     ],
 )
@@ -141,6 +142,12 @@ def test_a_part_of_a_flood_stands_for_all() -> None:
     assert [*refusals.lines(0)][1] == "refused: attempts in a flood of them (90 times)"
     refusals.take(b"nothing of interest\n" * 100, share=0.5)
     assert refusals.total == 100
+
+
+def test_next_to_nothing_more_is_not_told() -> None:
+    refusals = Refusals()
+    refusals.take(TLS.format("peer sent no certificates").encode(), share=0.99)
+    assert [*refusals.lines(0)] == ["refused: a connection of somebody: it has no certificate"]
 
 
 def test_what_is_kept_is_bounded() -> None:

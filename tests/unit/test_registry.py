@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy import registry
+from agent.host_sections import HostSection
+from deploy import registry, ssh
 from deploy.arguments import FLEETS
 from deploy.registry import NotRunningError, Registration, find, running
+from deploy.running import running_fleet
 
 
 @pytest.fixture(autouse=True)
@@ -93,9 +95,34 @@ def test_nothing_of_the_kind_runs(tmp_path: Path, what: str, says: str) -> None:
     assert str(refused.value).startswith(says)
 
 
+def test_a_bundled_fleet_that_runs_elsewhere_is_found_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one that `handfast drive pair --detach` has left to drive alone."""
+    assert find("pair") == FLEETS / "pair.toml"
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pair").mkdir()
+    assert find("pair") == FLEETS / "pair.toml"
+    with a_run(tmp_path, "pair", "a"):
+        assert find("pair") == tmp_path / "a" / "fleet.toml"
+
+
+def test_hosts_of_a_running_fleet_have_their_addresses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def address_of(host: HostSection) -> str:
+        return {"left": "10.0.0.7"}[host.name]
+
+    monkeypatch.setattr(ssh, "address_of", address_of)
+    path = tmp_path / "fleet.toml"
+    text = (FLEETS / "pair.toml").read_text().replace("[[robot]]", '[[robot]]\nhost = "left"')
+    path.write_text(text + "[host.left]\n")
+    assert running_fleet(str(path)).agent_endpoint(1) == "tls/10.0.0.7:7650"
+
+
 def test_nothing_runs_at_all() -> None:
-    with pytest.raises(NotRunningError, match=r'^no fleet of the name "pair" runs here; no fleet runs here$'):
-        find("pair")
+    with pytest.raises(NotRunningError, match=r'^no fleet of the name "none" runs here; no fleet runs here$'):
+        find("none")
 
 
 def test_what_a_killed_run_left_is_removed(tmp_path: Path, folder: Path) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
 from agent import keys, recorder_process
+from agent.bus import BusError
 from agent.clock import NS_PER_S
 from agent.fleet import digest, load_fleet
 from agent.formation import resolved
@@ -234,6 +236,15 @@ def test_an_overflow_is_told(tmp_path: Path) -> None:
     bench.disk.close()
 
 
+def test_a_folder_that_is_gone_is_not_waited_for(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "there")
+    shutil.rmtree(tmp_path / "there")
+    bench.hear(b"a")
+    with pytest.raises(FileNotFoundError):
+        bench.flush()
+    bench.disk.close()
+
+
 # --- the process ----------------------------------------------------------------------------------
 
 
@@ -262,3 +273,56 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         status, line = said("--fleet", fleet, "--robot", "1", "--folder", str(tmp_path / "b"))
     assert (status, "another process is recording there" in line) == (1, True)
     assert issubclass(FolderInUseError, RuntimeError)
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(errno.EACCES, 2), (errno.ENOTDIR, 2), (errno.ENOENT, 1), (errno.EMFILE, 1)]
+)
+def test_only_what_another_start_does_not_mend_is_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, status: int
+) -> None:
+    def cannot_be_made(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(recorder_process, "SegmentFolder", cannot_be_made)
+    arguments = ["--fleet", str(FLEETS / "pair.toml"), "--robot", "1", "--folder", str(tmp_path / "a")]
+    assert recorder_process.main(arguments) == status
+
+
+def test_its_threads_are_nice_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+
+    def open_bus(*_: object, **__: object) -> None:
+        done.append("bus")
+        raise BusError("not here")
+
+    monkeypatch.setattr(recorder_process.os, "nice", lambda _: done.append("nice"))
+    monkeypatch.setattr(recorder_process, "open_bus", open_bus)
+    arguments = ["--fleet", str(FLEETS / "pair.toml"), "--robot", "1", "--folder", str(tmp_path / "a")]
+    assert recorder_process.main(arguments) == 1
+    assert done == ["nice", "bus"]
+
+
+def test_orders_are_known_though_the_newest_segment_is_cut(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.hear(b"mission", TOLD)
+    bench.flush()
+    told_ns = bench.now_ns
+    bench.disk.end_segment()
+    bench.hear(b"noise", after_s=1.0)
+    bench.flush()
+    bench.disk.close()
+    newest = segment_paths(tmp_path)[-1]
+    newest.write_bytes(newest.read_bytes()[:20])
+    assert set(recorder_process.known(tmp_path, ORDER_KEYS)) == {(told_ns, TOLD, b"mission")}
+    assert recorder_process.known(tmp_path / "none", ORDER_KEYS) == []
+
+
+def test_a_minute_of_a_robot_waits_on_the_bus() -> None:
+    def sized(rate: str) -> int:
+        slow = ("control.plant_timeout_s=2", "control.wrench_timeout_s=2")
+        return recorder_process.inbox_size(load_fleet(FLEETS / "pair.toml", [f"fleet.rate_hz={rate}", *slow]))
+
+    assert sized("50") == 16_500
+    assert sized("200") == 4 * sized("50")
+    assert sized("1") == recorder_process.INBOX_MIN

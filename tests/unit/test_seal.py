@@ -21,6 +21,7 @@ from tests.unit.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))
 NOW_NS = int(NOW_S * 1e9)
+OPERATORS = ("ann", "bob", *(f"op-{number}" for number in range(seal.CERTIFICATES_MAX + 2)))
 LATER_S = NOW_S + CERTIFICATE_DAYS * 86_400
 
 
@@ -37,7 +38,7 @@ def ann(by: Authority, tmp_path: Path) -> Credentials:
 
 @pytest.fixture
 def opener(ann: Credentials) -> Opener:
-    return Opener(FLEET, ann.authority)
+    return Opener(FLEET, OPERATORS, ann.authority)
 
 
 def reason(opener: Opener, sealed: bytes, now_s: float = NOW_S) -> str:
@@ -58,7 +59,7 @@ def test_what_an_operator_sealed_opens(ann: Credentials, opener: Opener) -> None
         sealed = Sealer(ann).seal(payload, NOW_NS)
         assert len(sealed) <= SEALED_BYTES_MAX
         for _ in range(2):
-            assert opener.open(sealed, NOW_S) == Order("ann", NOW_NS, payload)
+            assert opener.open(sealed, NOW_S) == Order(NOW_NS, payload)
     assert isinstance(decode(opener.open(Sealer(ann).seal(PAYLOAD, NOW_NS), NOW_S).payload), Heartbeat)
 
 
@@ -93,16 +94,50 @@ def test_another_authority(tmp_path: Path, opener: Opener) -> None:
 
 
 def test_an_operator_of_another_fleet(by: Authority, tmp_path: Path, ann: Credentials) -> None:
-    opener = Opener("another", ann.authority)
+    opener = Opener("another", OPERATORS, ann.authority)
     assert reason(opener, Sealer(ann).seal(PAYLOAD, NOW_NS)) == "not_an_operator"
 
 
 def test_an_authority_that_was_replaced(by: Authority, ann: Credentials, tmp_path: Path) -> None:
     by.replace(NOW_S)
     new = credentials(by, tmp_path / "bob", of_operator(FLEET, "bob"))
-    opener = Opener(FLEET, new.authority)
+    opener = Opener(FLEET, OPERATORS, new.authority)
     assert reason(opener, Sealer(ann).seal(PAYLOAD, NOW_NS)) == "unknown_authority"
-    assert opener.open(Sealer(new).seal(PAYLOAD, NOW_NS), NOW_S).operator == "bob"
+    assert opener.open(Sealer(new).seal(PAYLOAD, NOW_NS), NOW_S) == Order(NOW_NS, PAYLOAD)
+
+
+def test_an_operator_who_is_none_any_more(ann: Credentials) -> None:
+    """The certificate is still good."""
+    opener = Opener(FLEET, ["bob"], ann.authority)
+    assert reason(opener, Sealer(ann).seal(PAYLOAD, NOW_NS)) == "not_an_operator"
+
+
+def test_an_order_is_written_in_one_way(ann: Credentials, opener: Opener) -> None:
+    """Or each way would be a new one, and cost a verification."""
+    sealed = Sealer(ann).seal(PAYLOAD, NOW_NS)
+    version, when, certificate, signature, payload = parts(sealed)
+    packed = msgpack.packb
+    longer = b"".join(
+        (
+            b"\xdc\x00\x05",
+            packed(version),
+            packed(when),
+            packed(certificate),
+            packed(signature),
+            packed(payload),
+        )
+    )
+    assert parts(longer) == parts(sealed)
+    assert reason(opener, longer) == "malformed"
+
+
+def test_what_was_opened_is_known(ann: Credentials, opener: Opener) -> None:
+    sealed, forged_one = Sealer(ann).seal(PAYLOAD, NOW_NS), forged(ann, PAYLOAD, b"")
+    assert not opener.knows(sealed)
+    opener.open(sealed, NOW_S)
+    assert reason(opener, forged_one) == "bad_signature"
+    assert opener.knows(sealed)
+    assert not opener.knows(forged_one)
 
 
 def test_dates_count_each_time(ann: Credentials, opener: Opener) -> None:
@@ -174,7 +209,7 @@ def test_what_is_remembered_is_bounded(by: Authority, tmp_path: Path, opener: Op
         name = f"op-{number}"
         his = credentials(by, tmp_path / name, of_operator(FLEET, name))
         for payload in (b"a", b"b"):
-            assert opener.open(Sealer(his).seal(payload, NOW_NS), NOW_S) == Order(name, NOW_NS, payload)
+            assert opener.open(Sealer(his).seal(payload, NOW_NS), NOW_S) == Order(NOW_NS, payload)
     assert len(opener._certificates) == seal.CERTIFICATES_MAX
     assert len(opener._orders) == seal.ORDERS_MAX
 

@@ -107,6 +107,47 @@ def test_a_segment_that_somebody_removed_is_not_missed(tmp_path: Path) -> None:
         assert on_disk(tmp_path) <= 1_000_000
 
 
+def test_a_segment_that_goes_while_the_folder_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SegmentFolder(tmp_path, 16_000_000, 0) as folder:
+        folder.append(b"one", first)
+        folder.end_segment()
+        folder.append(b"two", first)
+    oldest = segment_paths(tmp_path)[0]
+    numbered = segment_folder._numbered
+
+    def then_it_goes(path: Path) -> list[tuple[int, Path]]:
+        found = numbered(path)
+        oldest.unlink(missing_ok=True)
+        return found
+
+    monkeypatch.setattr(segment_folder, "_numbered", then_it_goes)
+    with SegmentFolder(tmp_path, 16_000_000, 0) as folder:
+        assert folder.total_bytes == on_disk(tmp_path)
+
+
+def test_a_descriptor_is_closed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that a failed close freed may be somebody else's by now."""
+    close, closed = os.close, []
+
+    def fails_after(file: int) -> None:
+        closed.append(file)
+        close(file)
+        raise OSError(errno.EIO, "Input/output error")
+
+    folder = SegmentFolder(tmp_path, 16_000_000, 0)
+    folder.append(b"one", first)
+    with monkeypatch.context() as broken:
+        broken.setattr(segment_folder.os, "close", fails_after)
+        folder.end_segment()
+        folder.end_segment()
+    assert len(closed) == 1
+    folder.append(b"two", first)
+    folder.close()
+    assert contents(tmp_path) == [b"first of 1one", b"first of 2two"]
+
+
 def test_the_reserve_of_the_disk_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with SegmentFolder(tmp_path, 16_000_000, 5_000_000) as folder:
         disk_with(monkeypatch, 6_000_000)

@@ -38,6 +38,23 @@ def test_what_it_is_told_goes_to_the_socket(told: socket.socket):
     assert all_of(told) == ["READY=1", "STATUS=running", "STOPPING=1"]
 
 
+def test_a_status_is_one_notification(told: socket.socket):
+    """Whoever gave the reason for a stop tells systemd nothing."""
+    with Service({"NOTIFY_SOCKET": told.getsockname()}) as service:
+        service.says("stopped: here\nWATCHDOG=trigger")
+    assert all_of(told) == ["STATUS=stopped: here\\nWATCHDOG=trigger"]
+
+
+def test_who_waits_has_begun_and_may_be_silent_for_longer(told: socket.socket):
+    environment = {"NOTIFY_SOCKET": told.getsockname(), "WATCHDOG_USEC": "1500000"}
+    with Service(environment) as service:
+        service.waits("waiting for a router")
+        assert all_of(told) == ["WATCHDOG_USEC=60000000", "READY=1", "STATUS=waiting for a router"]
+        service.ready()
+        service.ready()
+    assert all_of(told) == ["WATCHDOG_USEC=1500000", "READY=1", "READY=1"]
+
+
 def test_an_abstract_socket_is_found():
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(f"\0handfast-test-{os.getpid()}")

@@ -36,7 +36,15 @@ def test_what_it_gives_is_given():
         ("ssh: connect to host a port 22: Connection refused", "no ssh server answers"),
         ("ssh: connect to host a port 22: No route to host", "cannot be reached"),
         ("ssh: Could not resolve hostname rover9: Name or service not known", "give its address"),
-        ("robot@10.0.0.1: Permission denied (publickey).", "ssh-copy-id rover1"),
+        ("robot@10.0.0.1: Permission denied (publickey).", "(ssh-copy-id -o HostName=10.0.0.1 rover1)"),
+        ("Warning: Identity file /k not accessible: No such file or directory.\n"
+         "robot@10.0.0.1: Permission denied (publickey).", "the key file does not exist"),
+        ("@@@\n@   WARNING: UNPROTECTED PRIVATE KEY FILE!   @\nbad permissions\n"
+         "robot@10.0.0.1: Permission denied (publickey).", "others may read the key"),
+        ("Warning: Identity file /k not accessible: No such file or directory.\n"
+         "ssh: connect to host a port 22: Connection timed out", "it does not answer"),
+        ("@ WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED! @\nHost key for [10.0.0.7]:2222 has changed "
+         "and you have requested strict checking.", "(ssh-keygen -R '[10.0.0.7]:2222')"),
         ("Host key verification failed.", "--accept-new-host-keys"),
         ("No ED25519 host key is known for 10.0.0.1 and you have requested strict checking.\n"
          "Host key verification failed.", "not known yet"),
@@ -52,6 +60,22 @@ def test_failures_are_told_in_one_line_with_what_to_do(said: str, meaning: str):
     told = ssh.reason(HostSection("rover1", "10.0.0.1"), said)
     assert meaning in told
     assert "\n" not in told
+
+
+def test_what_is_to_be_typed_reaches_the_host():
+    host = HostSection("rover1", "[fd00::1]", None, "robot", 2222, "/my keys/k")
+    assert ssh.by_hand(host) == "ssh -o HostName=fd00::1 -p 2222 -i '/my keys/k' robot@rover1"
+    assert ssh.by_hand(HostSection("rover1")) == "ssh rover1", "as its configuration says"
+    assert "ssh-keygen -R '[fd00::1]:2222')" in ssh.reason(host, "REMOTE HOST IDENTIFICATION HAS CHANGED")
+
+
+def test_only_ssh_is_read_as_ssh():
+    host = HostSection("rover1")
+    assert "let you in" in ssh.ended(host, 255, "Permission denied")
+    assert ssh.ended(host, 1, "a\nPermission denied") == (
+        "the program there ended (status 1): Permission denied"
+    )
+    assert ssh.ended(host, -9, "anything") == ssh.LOST
 
 
 def test_a_terminal_is_safe_from_what_a_host_says():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,9 @@ from hypothesis import strategies as st
 from agent.clock import NS_PER_S
 from agent.fleet import parse_fleet
 from agent.hand import Pose
-from plant.backend import Command
+from deploy.arguments import FLEETS
+from plant.__main__ import main as plant
+from plant.backend import Check, Command, PlantBackend, Reading
 from plant.standing import Standing, StandingBody, StandingError
 from plant.unicycle import from_fleet
 from tests.unit.fleet_texts import SMALL
@@ -69,5 +73,51 @@ def test_a_record_that_was_cut_or_damaged_leaves_the_one_before(
 
 
 def test_a_folder_is_refused_in_one_line(tmp_path: Path):
-    with pytest.raises(StandingError, match=r"cannot use the pose file .*: Is a directory"):
+    with pytest.raises(StandingError, match=r"cannot use the pose file .*: Is a directory") as caught:
         Standing(tmp_path)
+    assert not caught.value.passes
+
+
+def full(*_: object) -> int:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_is_told_at_the_start_and_kills_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    Standing(tmp_path / "pose").write(Pose(1.0, 2.0, 3.0, 0.0, 0.0))
+    assert (tmp_path / "pose").stat().st_blocks > 0, "not a hole that a write would have to fill"
+    monkeypatch.setattr(os, "pwrite", full)
+    with pytest.raises(StandingError, match="No space left on device") as caught:
+        Standing(tmp_path / "new")
+    assert caught.value.passes
+
+
+def test_a_full_disk_may_have_room_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(os, "pwrite", full)
+    arguments = ["--fleet", str(FLEETS / "pair.toml"), "--robot", "1"]
+    assert plant([*arguments, "--pose-file", str(tmp_path / "pose")]) == 1
+    assert "cannot use the pose file" in capsys.readouterr().err
+    assert plant([*arguments, "--pose-file", str(tmp_path)]) == 2
+
+
+def test_what_is_asked_of_the_body_reaches_it(tmp_path: Path):
+    class Body(PlantBackend):
+        told = 0
+
+        def step(self, now_ns: int, command: Command | None) -> Reading:
+            raise NotImplementedError
+
+        def close(self) -> None: ...
+
+        def go_ahead(self) -> None:
+            self.told += 1
+
+        def checks(self, now_ns: int) -> Sequence[Check]:
+            return (Check("battery", "good", f"at {now_ns}"),)
+
+    body = Body()
+    standing = StandingBody(body, Standing(tmp_path / "pose"))
+    standing.go_ahead()
+    assert body.told == 1
+    assert standing.checks(7) == (Check("battery", "good", "at 7"),)

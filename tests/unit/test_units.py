@@ -4,44 +4,26 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
+from agent.credentials import Files
 from agent.fleet import Fleet, parse_fleet
+from agent.identity import of_robot
 from deploy import units
 from deploy.units import Places, arguments, roles, unit, unit_name
+from tests.unit.test_fleet_hosts import FLEET
 
 PLACES = Places(
     "/r/versions/1", "/r/fleets/two/fleet.toml", None, "/r/fleets/two/recordings", "/r/fleets/two/state"
 )
-FLEET = """
-[fleet]
-name = "two"
-[formation]
-edges = [[1, 2]]
-distance_m = 1.0
-safe_distance_m = 0.22
-[control]
-[trajectory]
-%s
-[datum]
-latitude_deg = 1
-longitude_deg = 1
-[[robot]]
-id = 1
-x_m = 0
-y_m = 0
-[[robot]]
-id = 2
-x_m = 1
-y_m = 0
-plant = "mavlink"
-mavlink = { connection = "udpin:0.0.0.0:14550" }
-"""
+DATUM = "[datum]\nlatitude_deg = 1\nlongitude_deg = 1\n"
+BRIDGE = 'plant = "mavlink"\nmavlink = { connection = "udpin:0.0.0.0:14550" }'
 
 
 def fleet(more: str = "") -> Fleet:
-    return parse_fleet(FLEET % more, source="here")
+    return parse_fleet(FLEET % (DATUM + more, "", BRIDGE), source="here")
 
 
 def settings(text: str) -> dict[str, str]:
@@ -68,6 +50,14 @@ def test_what_runs_can_be_read_from_the_file_again():
     assert json.loads(found[1]) == arguments(fleet(), 1, "agent", PLACES)
 
 
+def test_a_unit_says_which_certificate_its_processes_read():
+    secured = Places("/v", "/f", "/r/keys", "/r", "/s")
+    wanted = Files(Path("/r/keys"), of_robot("two", 1)).certificate
+    for role in roles(fleet()):
+        assert f"# reads: {json.dumps([str(wanted)])}\n" in unit(fleet(), 1, role, secured)
+        assert "# reads: []\n" in unit(fleet(), 1, role, PLACES)
+
+
 def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
     said = settings(unit(fleet(), 1, "agent", PLACES))
     assert said["Type"] == "notify"
@@ -76,6 +66,7 @@ def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
     assert said["StartLimitIntervalSec"] == "0"
     assert said["WatchdogSignal"] == "SIGKILL"
     assert float(said["WatchdogSec"]) == units.WATCHDOG_S["agent"]
+    assert int(said["LimitNOFILE"]) > 4096, "anybody can open connections to it"
     assert {"MemoryMax", "TasksMax", "TimeoutStopSec", "SyslogIdentifier"} <= said.keys()
 
 

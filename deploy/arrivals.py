@@ -1,0 +1,74 @@
+"""Who of a fleet is on the bus, since when, and in what state, as `handfast up` hears it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Final
+
+from agent.fleet import Fleet
+from agent.keys import ROLES
+from agent.supervision import DRIVING, State
+from deploy.live_faults import Receiver
+from deploy.operator_session import OperatorSession
+from deploy.readiness import is_ready
+
+_DRIVING: Final = frozenset(state.value for state in DRIVING)
+_SETTLED: Final = _DRIVING | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}
+
+
+class Arrivals(OperatorSession):
+    """Who is there, and since when. One thread collects; others may look."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        super().__init__(fleet)
+        self._came: dict[Receiver, float] = {}
+
+    def look(self) -> None:
+        """Takes what came."""
+        self.collect()
+        now = time.monotonic()
+        for receiver in self.alive:
+            self._came.setdefault(receiver, now)
+
+    def gone(self, receiver: Receiver) -> None:
+        self._came.pop(receiver, None)
+        self.statuses.pop(receiver[0], None)
+
+    def is_here(self, robot: int, since: Mapping[str, float]) -> bool:
+        """Whether its agent, heard from, and its plant are there; of roles in `since` only who came later."""
+        came = {role: self._came.get((robot, role)) for role in ROLES}
+        return robot in self.statuses and all(
+            moment is not None and moment >= since.get(role, moment) for role, moment in came.items()
+        )
+
+    @property
+    def complete(self) -> bool:
+        """Whether all robots are heard, and what was ordered of them."""
+        return all(robot in self.statuses for robot in self.fleet.ids) and not self.operator.behind
+
+    def drives(self, robot: int) -> bool:
+        status = self.statuses.get(robot)
+        return status is not None and status.state in _DRIVING
+
+    @property
+    def driving(self) -> bool:
+        """Whether any robot drives."""
+        return any(map(self.drives, self.fleet.ids))
+
+    def settled(self, robot: int) -> bool:
+        """Whether it is ready to drive, drives, or has driven."""
+        status = self.statuses.get(robot)
+        return status is not None and (is_ready(status.state) or status.state in _SETTLED)
+
+    @property
+    def drives_by_another_file(self) -> bool:
+        """Whether robots drive a mission for another fleet file than this one."""
+        return self.driving and self.operator.mission is None and self.operator.foreign is not None
+
+    def says(self, robot: int) -> str:
+        """State of a robot's agent, and why."""
+        status = self.statuses.get(robot)
+        if status is None:
+            return "silent"
+        return f"{status.state}: {status.reason}" if status.reason else status.state

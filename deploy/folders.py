@@ -1,0 +1,23 @@
+"""Folders that commands make: caches, and what ``--out`` names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from deploy.arguments import InputError
+
+
+def cache_folder(kind: str) -> Path:
+    """Where this user keeps what need not be fetched again."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "handfast" / kind
+
+
+def refuse_full(out: Path) -> None:
+    """Refuses what is there and no empty folder; raises `InputError`."""
+    try:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(f"{out} is not an empty folder: name another one with --out, or remove it")
+    except OSError as error:
+        raise InputError(f"cannot look into {out}: {(error.strerror or str(error)).lower()}") from None

@@ -1,0 +1,222 @@
+"""A fleet as who drives it follows it: what was ordered, what its robots say, which processes are there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from agent import keys
+from agent.bus import Bus
+from agent.clock import NS_PER_S, RealClock
+from agent.fleet import Fleet
+from agent.formation import resolve
+from agent.hand import Pose
+from agent.messages import Ask, Heartbeat, Message, PlantState, Status
+from agent.supervision import State
+from deploy.author import author
+from deploy.fleet_processes import FleetProcesses
+from deploy.live import Watch, fleet_time_s
+from deploy.operating import Operator, Order
+from deploy.process_faults import Process
+from deploy.readiness import in_words, is_ready, waits
+from deploy.recorder import RecordingError
+from deploy.session import valid
+from deploy.vehicle_checks import VehicleChecks
+from deploy.wording import robots
+
+AGAIN_PERIOD_NS: Final = NS_PER_S // 2
+"""How often something is said again that a process has not heard."""
+RECORDER_INBOX: Final = 65_536
+
+Record = Callable[[int, str, bytes], Message | None]
+"""Takes what came: time of reception (ns), key, payload; gives the message, None when it is none."""
+
+
+class Followed:
+    """`fleet` (resolved, as its robots read it) on a bus that is connected to all its processes.
+
+    Args:
+        record: keeps what comes.
+
+    Attributes:
+        author: who gives orders here.
+        epoch_ns: of this drive's mission, None before it is given.
+        present: the processes that are there.
+        states: the latest state of each plant that is up.
+    """
+
+    def __init__(self, fleet: Fleet, bus: Bus, processes: FleetProcesses, record: Record) -> None:
+        self.fleet: Final = fleet
+        self.processes: Final = processes
+        self._bus, self._record = bus, record
+        self.clock: Final = RealClock()
+        geometry = resolve(fleet)
+        self.watch: Final = Watch(fleet, geometry)
+        self.operator: Final = Operator(fleet, geometry)
+        self.checks: Final = VehicleChecks(fleet)
+        self.author: Final = author()
+        self.epoch_ns: int | None = None
+        self.present: set[Process] = set()
+        self.states: dict[int, PlantState] = {}
+        self._truths: dict[int, PlantState] = {}
+        """Where each simulated body really was last, for those that measure with noise."""
+        self._refused: dict[int, int] = {}
+        """How many missions for other fleet files each agent had refused before this one was given."""
+        self._again_due_ns = self._ask_due_ns = 0
+        name = fleet.fleet.name
+        for key in self.operator.keys.values():
+            bus.declare(key)
+        bus.subscribe(keys.everything(name), RECORDER_INBOX)
+        self._presence = bus.watch(keys.alive(name, "*", "*"))
+
+    # ------------------------------------------------------------------ what comes
+
+    def collect(self) -> None:
+        """Takes what came.
+
+        Raises:
+            RecordingError: it cannot be recorded; what comes from now on is taken all the same.
+        """
+        now_ns = self.clock.now_ns()
+        for key, payload in self._bus.drain():
+            message = self.record(now_ns, key, payload)
+            if message is not None:
+                self.watch.feed(key, message)
+                self.operator.hear(key, message)
+                self.checks.feed(now_ns, key, message)
+                self._locate(key, message)
+
+    def record(self, now_ns: int, key: str, payload: bytes) -> Message | None:
+        """Keeps one message; raises as `collect`."""
+        try:
+            return self._record(now_ns, key, payload)
+        except RecordingError:
+            self._record = _unrecorded
+            raise
+
+    def _locate(self, key: str, message: Message) -> None:
+        if type(message) is PlantState:
+            name, robot = self.fleet.fleet.name, message.robot
+            if key == keys.plant_state(name, robot):
+                self.states[robot] = message
+            elif key == keys.plant_truth(name, robot):
+                self._truths[robot] = message
+
+    def look(self) -> list[str]:
+        """What is to be said of processes that came or went."""
+        for key, here in self._presence.update():
+            process = keys.robot_of_alive(key)
+            if process is not None:
+                (self.present.add if here else self.present.discard)(process)
+                if not here and not self.processes.ours:
+                    self._forget(*process)
+        return self.processes.look(self.present, self.time_s)
+
+    def _forget(self, robot: int, role: str) -> None:
+        """What a process said last does not hold any more: it is gone."""
+        if role == "agent":
+            self.watch.forget(robot)
+        else:
+            self.states.pop(robot, None)
+            self._truths.pop(robot, None)
+
+    @property
+    def time_s(self) -> float | None:
+        """Fleet time, None before the epoch is set."""
+        return fleet_time_s(self.clock.now_ns(), self.epoch_ns)
+
+    def pose(self, robot: int) -> Pose | None:
+        """Where a robot's body was seen last."""
+        seen = self._truths.get(robot) or self.states.get(robot)
+        return None if seen is None else Pose._make(seen[3:8])
+
+    # ------------------------------------------------------------------ what is said
+
+    def say(self, message: Order | Heartbeat | Ask) -> None:
+        self._bus.publish(*self.operator.outgoing(message))
+
+    def begin(self, epoch_ns: int, duration_ns: int) -> None:
+        """Gives the drive's mission."""
+        now_ns = self.clock.now_ns()
+        self.epoch_ns = epoch_ns
+        self._refused = {robot: _refusals(status) for robot, status in self.watch.statuses.items()}
+        self._again_due_ns, self._ask_due_ns = now_ns + AGAIN_PERIOD_NS, now_ns
+        self.say(self.operator.begin(now_ns, epoch_ns, duration_ns))
+
+    def ask(self) -> None:
+        """Asks now and then for what was ordered and not heard: other operators' messages need not come
+        here, agents tell them."""
+        now_ns = self.clock.now_ns()
+        if self.operator.behind and now_ns >= self._ask_due_ns:
+            self._ask_due_ns = now_ns + AGAIN_PERIOD_NS
+            self.say(Ask(now_ns, self.author))
+
+    def say_again(self) -> None:
+        """Says now and then, until all have it, what somebody lacks: a process that starts again needs it
+        too."""
+        now_ns = self.clock.now_ns()
+        if now_ns >= self._again_due_ns:
+            self._again_due_ns = now_ns + AGAIN_PERIOD_NS
+            for message in self.operator.wanted(self.watch.statuses, self.states, self.processes.up):
+                self.say(message)
+
+    # ------------------------------------------------------------------ who lacks what
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether all wait for a mission, and what was ordered before is known."""
+        states = self.watch.states().values()
+        if self.processes.ours:
+            return all(map(is_ready, states))
+        # Those that drove before stand: a new mission, and leave to drive, make them ready.
+        return all(is_ready(state) or state == State.STOPPED.value for state in states) and (
+            self.operator.foreign is not None or not self.operator.claimants(self.clock.now_ns())
+        )
+
+    def waits(self, missing: Sequence[str]) -> str:
+        """What keeps the fleet from starting, in words; `missing` are processes that are not there."""
+        if missing:
+            return ", ".join(missing)
+        found = waits(self.fleet.ids, self.watch.statuses, self.states)
+        claimants = self.operator.claimants(self.clock.now_ns())
+        if claimants and not found:
+            says = "says" if len(claimants) == 1 else "say"
+            return f"{robots(claimants)} {says} that something was ordered, and nobody tells it"
+        return in_words(found) if found else in_words(self.checks.waits())
+
+    @property
+    def ignorant(self) -> list[int]:
+        """Robots of whose agent or plant it is not known that it has the mission."""
+        version, statuses = self.operator.mission_version, self.watch.statuses
+        return [
+            robot
+            for robot in self.fleet.ids
+            if robot not in statuses
+            or statuses[robot].mission_version < version
+            or not self.operator.counts(self.states.get(robot))
+        ]
+
+    @property
+    def slow(self) -> list[int]:
+        """Robots whose agents have not said that they know the last stop or leave."""
+        version = self.operator.order_version
+        return [robot for robot, each in self.watch.statuses.items() if each.order_version < version]
+
+    @property
+    def strangers(self) -> list[int]:
+        """Robots whose agents have refused the mission because they read another fleet file."""
+        version = self.operator.mission_version
+        return [
+            robot
+            for robot, status in self.watch.statuses.items()
+            if status.mission_version < version and _refusals(status) > self._refused.get(robot, 0)
+        ]
+
+
+def _unrecorded(_now_ns: int, _key: str, payload: bytes) -> Message | None:
+    return valid(payload)
+
+
+def _refusals(status: Status) -> int:
+    """How many missions an agent has refused because they are for another fleet file."""
+    return dict(status.counters).get("rejected.digest", 0)

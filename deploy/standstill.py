@@ -1,0 +1,76 @@
+"""The end of a drive: every robot is brought to a standstill."""
+
+from __future__ import annotations
+
+import signal
+import time
+from typing import Final
+
+from agent import keys
+from deploy.followed import Followed
+from deploy.interrupt import Interrupt
+from deploy.live import View
+from deploy.readiness import stands
+from deploy.recorder import RecordingError
+from deploy.stopping import has_heard
+
+LOOK_S: Final = 0.02
+STOP_AGAIN_S: Final = 0.25
+"""A status comes five times a second: who has not told of a stop by then may not have heard it."""
+STOP_TIMEOUT_S: Final = 2.0
+INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
+VEHICLES_STOP_TIMEOUT_S: Final = 4.0
+"""A rover takes seconds to rest: its bridge stays for that, also after Ctrl-C; a second Ctrl-C ends it."""
+
+
+class Standstill:
+    """Stops every robot of a fleet.
+
+    After `wait`, `deaf` are the robots that were not heard to stop, and `lost` is what kept what was heard
+    from being recorded, None when nothing did.
+    """
+
+    def __init__(self, followed: Followed, interrupt: Interrupt) -> None:
+        self._followed, self._interrupt = followed, interrupt
+        self._hurried = interrupt.count > 0
+        self.deaf: list[int] = []
+        self.lost: RecordingError | None = None
+
+    def wait(self, view: View, reason: str) -> None:
+        """Says the stop, again and again, until all stand, or gives up after a while."""
+        followed, processes = self._followed, self._followed.processes
+        processes.resume_all()
+        stop = followed.operator.order_stop(followed.clock.now_ns(), reason)
+        followed.say(stop)
+        if self._hurried:
+            view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
+        begun = time.monotonic()
+        again, deadline = begun + STOP_AGAIN_S, begun + self._timeout_s
+        fleet, statuses = followed.fleet, followed.watch.statuses
+        waiting = [robot for robot in fleet.ids if all(processes.up(robot, role) for role in keys.ROLES)]
+        while (now := time.monotonic()) < deadline and self._interrupt.count < 2:
+            self._collect()
+            rest = all(stands(statuses.get(robot), followed.states.get(robot)) for robot in waiting)
+            # Those that end now will not drive again; others must have latched the stop.
+            if rest and (processes.ours or all(has_heard(statuses.get(robot), stop) for robot in waiting)):
+                break
+            if now >= again:
+                again = now + STOP_AGAIN_S
+                if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
+                    followed.say(stop)
+            time.sleep(LOOK_S)
+        self._collect()
+        self.deaf = [robot for robot in fleet.ids if not has_heard(statuses.get(robot), stop)]
+
+    @property
+    def _timeout_s(self) -> float:
+        if self._followed.checks.robots:
+            return VEHICLES_STOP_TIMEOUT_S
+        return INTERRUPT_STOP_TIMEOUT_S if self._hurried and self._followed.processes.ours else STOP_TIMEOUT_S
+
+    def _collect(self) -> None:
+        """Takes what came: whether robots stand matters more than that it is recorded."""
+        try:
+            self._followed.collect()
+        except RecordingError as error:
+            self.lost = error

@@ -1,0 +1,220 @@
+"""Recordings that are brought from hosts: what is believed of what a host says, and what stays here."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+import tomli_w
+
+from agent.fleet import to_dict
+from deploy import fetch_command, fetching
+from deploy.arguments import InputError, no_changes
+from deploy.fetching import SHARE_MAX, Fetching
+from deploy.host_connection import HostError
+from deploy.hosts_view import Row
+from tests.unit.test_fleet_hosts import HOSTS, fleet
+
+FLEET = fleet(HOSTS)
+ROBOT = 1
+HOST = FLEET.hosts[0]
+
+
+def name(number: int, mark: str = "aaaaaaaa") -> str:
+    return f"{number:08d}-{mark}.segment"
+
+
+class There:
+    """A host with a robot's recording; what it answers may be anything."""
+
+    host = HOST
+
+    def __init__(self, **files: bytes) -> None:
+        self.files = dict(files)
+        self.listing: Callable[[], Any] = lambda: {n: [len(data), 1e9] for n, data in self.files.items()}
+        self.before_get: Callable[[str], None] = lambda _: None
+        self.sent = 0
+
+    def ask(self, what: str, *, folder: str, pattern: str) -> Any:
+        assert (what, folder, pattern) == ("listing", "fleets/two/recordings/robot-1", "*.segment")
+        return self.listing()
+
+    def exchange(self, what: str, _: None, *, path: str, offset: int, most: int) -> tuple[None, bytes]:
+        assert what == "get"
+        file = path.rpartition("/")[2]
+        self.before_get(file)
+        if file not in self.files:
+            raise HostError(f"no such file or directory {file}")
+        data = self.files[file][offset : offset + most]
+        self.sent += len(data)
+        return None, data
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "handfast/recordings/two/robot-1"
+
+
+def bring(there: There, since_s: float | None = None) -> tuple[Fetching, Row]:
+    work, row = Fetching(FLEET, since_s), Row(HOST.name, (ROBOT,))
+    work(there, row)  # type: ignore[arg-type]
+    return work, row
+
+
+def kept(cache: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in cache.iterdir()}
+
+
+def test_what_is_here_already_is_not_sent_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fetching, "PART_BYTES", 4)
+    there = There(**{name(1): b"one and more", name(2): b"two"})
+    work, row = bring(there)
+    assert work.folders == {ROBOT: cache}
+    assert kept(cache) == there.files
+    there.files[name(2)] += b", grown"
+    before = there.sent
+    _, row = bring(there)
+    assert kept(cache) == there.files
+    assert there.sent - before == len(b", grown")
+    assert row.step == "fetched 0.0 MB"
+
+
+def test_only_what_is_new_enough_is_brought(cache: Path) -> None:
+    there = There(**{name(1): b"old", name(2): b"new"})
+    there.listing = lambda: {name(1): [3, 100.0], name(2): [3, 200.0]}
+    bring(there, 150.0)
+    assert kept(cache) == {name(2): b"new"}
+
+
+@pytest.mark.parametrize(
+    "bad",
+    ["/tmp/evil.segment", "../00000001-aaaaaaaa.segment", ".bashrc", "x/00000001-aaaaaaaa.segment", "",
+     "00000001-aaaaaaaa.segment\n", "\u0661" * 8 + "-aaaaaaaa.segment"],
+)  # fmt: skip
+def test_a_host_does_not_choose_where_files_are_written(cache: Path, bad: str) -> None:
+    there = There(**{name(1): b"one", bad.rpartition("/")[2]: b"evil"})
+    there.listing = lambda: {name(1): [3, 1e9], bad: [4, 1e9]}
+    bring(there)
+    assert list(kept(cache)) == [name(1)]
+    assert [path.name for path in cache.parent.iterdir()] == ["robot-1"]
+
+
+@pytest.mark.parametrize(
+    ("listing", "why"),
+    [
+        ([], "does not say what robot 1 recorded"),
+        (None, "does not say what robot 1 recorded"),
+        ({name(1): [-1, 1.0]}, "says nonsense of 00000001"),
+        ({name(1): [1.5, 1.0]}, "says nonsense"),
+        ({name(1): [10**400, 1.0]}, "says nonsense"),
+        ({name(1): 7}, "says nonsense"),
+        ({name(1): [1, "now"]}, "says nonsense"),
+        ({name(1): [SHARE_MAX * 256_000_001, 1.0]}, r"recorded 2560 MB, and recording.max_mb is 256"),
+    ],
+)
+def test_a_host_that_says_nonsense_is_refused(cache: Path, listing: Any, why: str) -> None:
+    there = There()
+    there.listing = lambda: listing
+    with pytest.raises(HostError, match=why):
+        bring(there)
+    assert kept(cache) == {}
+
+
+def test_a_part_is_not_longer_than_was_asked_for(cache: Path) -> None:
+    there = There(**{name(1): b"one"})
+    there.exchange = lambda *_, **__: (None, bytes(1000))  # type: ignore[method-assign]
+    with pytest.raises(HostError, match="gave 1000 bytes"):
+        bring(there)
+
+
+def test_what_makes_room_while_it_is_brought_is_skipped(cache: Path) -> None:
+    there = There(**{name(1): b"one", name(2): b"two"})
+    there.before_get = lambda file: there.files.pop(file, None) and None if file == name(1) else None
+    work, _ = bring(there)
+    assert kept(cache)[name(2)] == b"two"
+    assert ROBOT in work.folders
+
+
+def test_what_is_there_and_cannot_be_read_is_said(cache: Path) -> None:
+    there = There(**{name(1): b"one"})
+    there.listing = lambda: {name(1): [3, 1.0], name(2): [3, 1.0]}
+    with pytest.raises(HostError, match="no such file"):
+        bring(there)
+
+
+def test_only_what_was_pruned_there_is_removed_here(cache: Path) -> None:
+    there = There(**{name(4): b"four", name(5): b"five", name(6): b"six"})
+    bring(there)
+    del there.files[name(4)]
+    bring(there)
+    assert sorted(kept(cache)) == [name(5), name(6)]
+    card, there.files = there.files, {}
+    bring(there)
+    assert kept(cache) == card, "an empty listing is a new SD card: these are the only copies"
+    there.files = {name(1, "bbbbbbbb"): b"new"}
+    bring(there)
+    assert sorted(kept(cache)) == [name(1, "bbbbbbbb"), name(5), name(6)]
+
+
+def test_a_host_that_is_off_leaves_what_was_fetched_before(cache: Path) -> None:
+    assert Fetching(FLEET, None).fall_back(ROBOT) is None
+    bring(There(**{name(1): b"one"}))
+    work = Fetching(FLEET, None)
+    warning = work.fall_back(ROBOT)
+    assert warning is not None
+    assert warning.startswith("what robot 1 recorded is as fetched at 20")
+    assert work.folders == {ROBOT: cache}
+
+
+# --- the command -----------------------------------------------------------------------------------
+
+
+def options(file: Path, **given: Any) -> argparse.Namespace:
+    nothing = {"hosts": [], "out": None, "since": None, "until": None, "all": False, "report": False}
+    return argparse.Namespace(**{**no_changes(), **nothing, "fleet": str(file), **given})
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = tmp_path / "two.toml"
+    path.write_text(tomli_w.dumps(to_dict(FLEET)))
+    monkeypatch.setattr("deploy.host_jobs.HostJobs.__enter__", lambda _: pytest.fail("hosts are asked"))
+    return path
+
+
+def test_bad_input_is_said_before_any_host_is_asked(file: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--until 1 h must be later than --since 10 min"):
+        fetch_command._fetch(options(file, since="10 min", until="1 h"))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    with pytest.raises(InputError, match="full is not an empty folder"):
+        fetch_command._fetch(options(file, out=str(tmp_path / "full")))
+
+
+def test_ctrl_c_ends_the_merging(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def merging(*_: object, **__: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("it goes on")
+
+    class Jobs:
+        rows: ClassVar[dict[str, Row]] = {}
+
+        def __init__(self, _fleet: object, _hosts: object, work: Fetching) -> None:
+            work.folders[ROBOT] = Path()
+
+        def __enter__(self) -> Jobs:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def wait(self, *_: object) -> None: ...
+
+    monkeypatch.setattr("deploy.host_jobs.HostJobs", Jobs)
+    monkeypatch.setattr("deploy.merging.merge", merging)
+    with pytest.raises(KeyboardInterrupt):
+        fetch_command._fetch(options(file))

@@ -1,0 +1,49 @@
+"""An operator who cannot take part in a secured fleet: what is wrong, and what would help."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agent.fleet import Fleet
+from agent.identity import of_operator
+from deploy.arguments import InputError
+from deploy.operator_bus import KEYS, OPERATOR, operator_bus
+from tests.unit.order_fleets import square
+from tests.unit.trusted import authority, credentials
+
+ADVICE = "; `handfast keys` makes one"
+
+
+@pytest.fixture
+def fleet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fleet:
+    """A secured one, whose operator's keys are in `keys` of the test's folder."""
+    monkeypatch.setenv(KEYS, str(tmp_path / "keys"))
+    monkeypatch.delenv(OPERATOR, raising=False)
+    made = square()
+    return replace(made, network=replace(made.network, security="tls"))
+
+
+def refusal(fleet: Fleet) -> str:
+    with pytest.raises(InputError) as caught:
+        operator_bus(fleet)
+    return str(caught.value)
+
+
+def test_keys_are_advised_where_there_are_none(fleet: Fleet) -> None:
+    assert refusal(fleet).endswith(ADVICE)
+
+
+def test_keys_that_others_may_read_are_not_to_be_made_again(fleet: Fleet, tmp_path: Path) -> None:
+    now_s = time.time()
+    with authority(tmp_path / "authority", now_s, fleet.fleet.name) as by:
+        own = credentials(by, tmp_path / "keys", of_operator(fleet.fleet.name, "main"), now_s=now_s)
+    own.files.key.chmod(0o644)
+    text = refusal(fleet)
+    assert "chmod 600" in text
+    assert ADVICE not in text
+    own.files.certificate.unlink()
+    assert refusal(fleet).endswith(ADVICE)

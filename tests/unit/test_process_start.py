@@ -1,0 +1,111 @@
+"""How a robot's process begins: what it tells while it waits, and what it ends with when it cannot begin."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent import process
+from agent.__main__ import start
+from agent.bus import BusError
+from agent.credentials import CredentialsError, NotYetValidError
+from tests.unit.test_service import all_of
+
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]
+fleet = { name = "two" }
+formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
+network = { security = "mtls" }
+"""
+
+
+class Asked:
+    """Stands for `Shutdown`: nobody asks."""
+
+    def __init__(self, *, with_parent: bool) -> None:
+        self.asked, self.looked = False, 0
+
+    def look_for_parent(self) -> None:
+        self.looked += 1
+
+
+@pytest.fixture
+def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Any]], int]:
+    """Runs an agent whose bus is made by what is given; the exit status."""
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET)
+    monkeypatch.setattr(process, "Shutdown", Asked)
+
+    def run(bus_for: Callable[..., Any]) -> int:
+        monkeypatch.setattr(process, "bus_for", bus_for)
+        arguments = ["--fleet", str(file), "--robot", "1", "--keys", str(tmp_path)]
+        return process.main(arguments, "python -m agent", "agent", start)
+
+    return run
+
+
+@pytest.fixture
+def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(tmp_path / "notify"))
+        monkeypatch.setenv("NOTIFY_SOCKET", listening.getsockname())
+        monkeypatch.setenv("WATCHDOG_USEC", "1500000")
+        monkeypatch.delenv("WATCHDOG_PID", raising=False)
+        yield listening
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (NotYetValidError("the certificate of robot 1 is not valid yet"), process.FAILED),
+        (CredentialsError("the certificate of robot 1 has expired"), process.BAD_INPUT),
+        (BusError("cannot listen"), process.FAILED),
+    ],
+)
+def test_what_time_mends_is_tried_again(
+    begin: Callable[[Callable[..., Any]], int],
+    capsys: pytest.CaptureFixture[str],
+    error: Exception,
+    status: int,
+) -> None:
+    """A robot boots before its clock is set: systemd gives up on what is bad input for good."""
+
+    def bus_for(*_: object, **__: object) -> None:
+        raise error
+
+    assert begin(bus_for) == status
+    assert capsys.readouterr().err == f"robot 1 agent: {error}\n"
+
+
+def test_who_waits_for_a_router_lives(
+    begin: Callable[[Callable[..., Any]], int], told: socket.socket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A start that takes longer than systemd gives it would be killed, again and again."""
+
+    def bus_for(*_: object, go_on_waiting: Callable[[], bool], **__: object) -> None:
+        assert all_of(told) == []
+        assert all(go_on_waiting() for _ in range(3))
+        raise BusError("no router answers")
+
+    assert begin(bus_for) == process.FAILED
+    assert all_of(told) == [
+        "WATCHDOG_USEC=60000000",
+        "READY=1",
+        "STATUS=waiting for a router",
+        "WATCHDOG=1",
+    ]
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "robot 1 agent: no router answers yet: waiting for one",
+        "robot 1 agent: no router answers",
+    ]
+
+
+def test_a_log_holds_nothing_that_moves_a_cursor(capsys: pytest.CaptureFixture[str]) -> None:
+    process.logger(3, "agent")("stopped: \x1b[2Jhere\r\nand there")
+    assert capsys.readouterr().err == f"robot 3 agent: stopped: \\x1b[2Jhere\\r{os.linesep}and there\n"

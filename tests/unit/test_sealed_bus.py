@@ -1,0 +1,67 @@
+"""The bus of a secured fleet while no router answers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent import sealed_bus
+from agent.bus import Bus, BusError
+from agent.identity import of_robot
+from agent.refusals import Refusals
+from agent.sealed_bus import SealedBus
+from tests.process.guarded import guarded_fleet
+from tests.unit.trusted import FLEET, authority, credentials
+
+LINE = (
+    b"DEBUG ThreadId(02) zenoh::net::runtime::orchestrator: Unable to connect to configured router "
+    b"tls/10.0.0.9:7447! invalid peer certificate: not valid for name\n"
+)
+
+
+class Log:
+    """Stands for `ZenohLog`: somebody refuses us all the while."""
+
+    def __init__(self) -> None:
+        self.refusals = Refusals()
+        self.closed = False
+
+    def lines(self, now_ns: int) -> Iterator[str]:
+        self.refusals.take(LINE)
+        return self.refusals.lines(now_ns)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_why_no_router_answers_is_said_while_it_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    asked: list[list[str]] = []
+
+    def no_router(_bus: Bus, *, go_on_waiting: Callable[[], bool], **_: Any) -> None:
+        while go_on_waiting():
+            pass
+        raise BusError("no router answers")
+
+    def go_on() -> bool:
+        asked.append(list(said))
+        return len(asked) < 3
+
+    now_s = time.time()
+    with authority(tmp_path / "authority", now_s) as by:
+        credentials(by, tmp_path / "one", of_robot(FLEET, 1), now_s=now_s)
+    monkeypatch.setattr(sealed_bus, "ZenohLog", Log)
+    monkeypatch.setattr(sealed_bus, "init_log", lambda _: None)
+    monkeypatch.setattr(Bus, "__init__", no_router)
+    with pytest.raises(BusError, match="no router answers"):
+        SealedBus(guarded_fleet(), tmp_path / "one", of_robot(FLEET, 1), said.append, go_on_waiting=go_on)
+    assert asked[0] == [
+        "refused: the connection to tls/10.0.0.9:7447: its certificate is for other addresses"
+    ]
+    assert len(asked) == 3

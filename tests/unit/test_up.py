@@ -1,0 +1,382 @@
+"""`handfast up`, with hosts and robots that only seem to be there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent import keys
+from agent.codec import encode
+from agent.fleet import Fleet
+from agent.host_sections import HostSection
+from agent.messages import Status
+from deploy import up
+from deploy.arrivals import Arrivals
+from deploy.bundle import Bundle
+from deploy.host_connection import Clock, HostError
+from deploy.hosts import hosts_of
+from deploy.hosts_view import DONE, FAILED, Row
+from deploy.interrupt import Interrupt
+from deploy.units import roles, unit_name
+from deploy.up import BringUp
+from deploy.up_command import _say
+from tests.unit.test_export_deployment import ROOT, WHEELS, fleet
+
+PATIENCE_S = 20.0
+
+
+class World:
+    """The bus of a fleet, and its hosts: rover1 has robots 1, 3 and 5, rover2 has 2, 4 and 6.
+
+    Attributes:
+        states: of agents that are there.
+        says: what systemd shows of agents, where that is something else.
+        stale: robots that do not run as they should.
+        after: what becomes of a robot that starts again: the state of its agent, or an error.
+        broken: (robot, role) of units that fail.
+        log: what hosts were asked that changes anything.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.fleet = fleet
+        self.name = fleet.fleet.name
+        self.states: dict[int, str] = {}
+        self.says: dict[int, str] = {}
+        self.stale: set[int] = set()
+        self.unwanted: list[str] = []
+        self.after: dict[int, str | HostError] = {}
+        self.broken: set[tuple[int, str]] = set()
+        self.log: list[tuple[str, Any]] = []
+        self.first = threading.Event()
+        self.first.set()
+        self._changes: deque[tuple[str, bool]] = deque()
+
+    def come(self, robot: int, state: str) -> None:
+        self.states[robot] = state
+        self._changes.extend((keys.alive(self.name, robot, role), True) for role in keys.ROLES)
+
+    def go(self, robot: int) -> None:
+        self.states.pop(robot, None)
+        self._changes.extend((keys.alive(self.name, robot, role), False) for role in keys.ROLES)
+
+    def everybody(self, state: str) -> None:
+        for robot in self.fleet.ids:
+            self.come(robot, state)
+
+    @property
+    def restarted(self) -> list[list[int]]:
+        return [robots for what, robots in self.log if what == "restart"]
+
+    # ------------------------------------------------------------------ as a bus
+
+    def watch(self, _key: str) -> World:
+        return self
+
+    def update(self) -> list[tuple[str, bool]]:
+        return [self._changes.popleft() for _ in range(len(self._changes))]
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        for robot, state in list(self.states.items()):
+            said = Status(robot, 1, 1, state, "", "", 0, 0, (), (), (), ())
+            yield keys.status(self.name, robot), encode(said)
+
+    def declare(self, _key: str) -> None: ...
+
+    def subscribe(self, _key: str, _size: int) -> None: ...
+
+    def publish(self, _key: str, _payload: bytes) -> None: ...
+
+    def close(self) -> None: ...
+
+    # ------------------------------------------------------------------ as hosts
+
+    def host(self, host: HostSection, *, accept_new: bool) -> There:
+        return There(self, host)
+
+
+class There:
+    """One host of the world, as `deploy.host_connection.HostConnection` shows it."""
+
+    def __init__(self, world: World, host: HostSection) -> None:
+        self.world, self.host = world, host
+        about = {"python": [3, 11, 2], "machine": "aarch64", "system": "Linux", "libc": ["glibc", "2.36"]}
+        fine = dict.fromkeys(("writable", "systemd", "lingers", "journal"), True)
+        self.about = {**about, **fine, "root": ROOT, "user": "pi"}
+
+    def __enter__(self) -> There:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def abort(self) -> None: ...
+
+    def clock(self) -> Clock:
+        return Clock(0.0, 0.001)
+
+    def exchange(self, what: str, blob: bytes, **_: Any) -> tuple[None, bytes]:
+        return None, b""
+
+    def ask(self, what: str, **asked: Any) -> Any:
+        return getattr(self, f"_{what}")(**asked)
+
+    def robots(self, names: Sequence[str]) -> list[int]:
+        return sorted({int(name.split("-")[3]) for name in names})
+
+    def _installed(self, version: str) -> bool:
+        return True
+
+    def _missing(self, paths: object) -> list[str]:
+        return []
+
+    def _status(self, fleet: str) -> Any:
+        said = self.world.states | self.world.says
+        return {
+            "units": {
+                unit_name(fleet, robot, "agent"): {"ActiveState": "active", "StatusText": state}
+                for robot, state in said.items()
+            }
+        }
+
+    def _compare(self, fleet: str, wanted: dict[str, str]) -> Any:
+        if self.host.name != "rover1":
+            assert self.world.first.wait(PATIENCE_S)
+        stale = [name for name in wanted if int(name.split("-")[3]) in self.world.stale]
+        return {"stale": stale, "unwritten": stale, "unwanted": self.world.unwanted}
+
+    def _units(self, wanted: dict[str, str]) -> None:
+        self.world.log.append(("units", self.robots(list(wanted))))
+
+    def _remove(self, names: list[str]) -> None:
+        self.world.log.append(("remove", names))
+
+    def _restart(self, names: list[str]) -> None:
+        world = self.world
+        world.log.append(("restart", self.robots(names)))
+        world.first.set()
+        for robot in self.robots(names):
+            world.go(robot)
+            after = world.after.get(robot, "running")
+            if isinstance(after, HostError):
+                raise after
+            if after == "stopped":  # so was the whole fleet, meanwhile
+                world.states = dict.fromkeys(world.states, "stopped")
+            if not any((robot, role) in world.broken for role in keys.ROLES):
+                world.come(robot, after)
+
+    def _states(self, names: list[str]) -> dict[str, str]:
+        broken = {unit_name(self.world.name, *process) for process in self.world.broken}
+        return {name: "failed (exit-code)" if name in broken else "active" for name in names}
+
+    def _last_lines(self, name: str, count: int) -> list[str]:
+        return ["it is broken"]
+
+    def _tidy(self, keep: list[str]) -> None:
+        self.world.log.append(("tidy", self.host.name))
+
+
+class View:
+    """Keeps what it was shown."""
+
+    def __init__(self) -> None:
+        self.steps: list[str] = []
+
+    def show(self, rows: Sequence[Row]) -> None:
+        self.steps += [row.step for row in rows]
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    there = World(fleet({"rover1": {"address": "10.0.0.1"}, "rover2": {}}, network={"security": "off"}))
+    monkeypatch.setattr("deploy.session.operator_bus", lambda _: there)
+    monkeypatch.setattr("deploy.host_jobs.HostConnection", there.host)
+    monkeypatch.setattr("deploy.host_setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
+    monkeypatch.setattr("deploy.up.program_archive", lambda: b"program")
+    for module in ("up", "host_jobs"):
+        monkeypatch.setattr(f"deploy.{module}.LOOK_S", 0.005)
+    monkeypatch.setattr(up, "UNITS_PERIOD_S", 0.02)
+    monkeypatch.setattr(up, "LISTEN_S", 0.2)
+    monkeypatch.setattr(up, "IDLE_S", 0.05)
+    monkeypatch.setattr(up, "SETTLE_S", 0.1)
+    return there
+
+
+@pytest.fixture(autouse=True)
+def ssh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An ssh that knows where rover2 is."""
+    (tmp_path / "ssh").write_text("#!/bin/sh\necho hostname 10.0.0.2\n")
+    (tmp_path / "ssh").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+
+
+def bring(world: World, view: View | None = None) -> BringUp:
+    work = BringUp(world.fleet, hosts_of(world.fleet, "here"), None, accept_new=False)
+    work.run(view or View(), Interrupt())  # type: ignore[arg-type]
+    return work
+
+
+def ends(work: BringUp) -> dict[str, tuple[str, str]]:
+    return {name: (row.state, row.step) for name, row in work.rows.items()}
+
+
+def test_with_nothing_to_do_it_ends_as_soon_as_all_are_heard(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(up, "LISTEN_S", 1000.0)
+    world.everybody("ready")
+    work = bring(world)
+    assert ends(work) == dict.fromkeys(("rover1", "rover2"), (DONE, "up, nothing to do"))
+    assert sorted(world.log) == [("tidy", "rover1"), ("tidy", "rover2")]
+    assert _say(work, Interrupt()) == 0
+
+
+def test_while_none_drives_robots_of_a_host_start_together(world: World) -> None:
+    world.everybody("ready")
+    world.stale, world.unwanted = {1, 3}, ["handfast-delta-robot-9-agent.service"]
+    world.after = {1: "ready", 3: "ready"}
+    work = bring(world)
+    assert ends(work)["rover1"] == (DONE, "up, robots 1 and 3 started")
+    at_rover1 = [entry for entry in world.log if entry[0] in ("units", "restart")]
+    assert at_rover1 == [("units", [1, 3]), ("restart", [1, 3])]
+    assert ("remove", tuple(world.unwanted)) in world.log
+
+
+def test_while_they_drive_each_is_written_and_started_in_its_turn(world: World) -> None:
+    world.everybody("running")
+    world.stale = {1, 3, 5}
+    work = bring(world)
+    assert ends(work)["rover1"] == (DONE, "up, robots 1, 3 and 5 started")
+    changes = [entry for entry in world.log if entry[0] != "tidy"]
+    assert changes == [(what, [robot]) for robot in (1, 3, 5) for what in ("units", "restart")]
+
+
+def test_one_that_does_not_come_back_halts_it_and_the_rest_stay_as_they_are(
+    world: World, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world.everybody("running")
+    world.stale, world.broken = {1, 2, 3, 5}, {(1, "agent")}
+    world.first.clear()
+    work = bring(world)
+    assert world.log == [("units", [1]), ("restart", [1])], "nothing of the others changes"
+    halted = "robot 1 did not come back"
+    assert ends(work) == {
+        "rover1": (
+            FAILED,
+            f"robot 1's agent is failed (exit-code): it is broken; robots 3 and 5 left as before: {halted}",
+        ),
+        "rover2": (FAILED, f"robot 2 left as before: {halted}"),
+    }
+    assert _say(work, Interrupt()) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("robot 1 on rover1: NOT UP: robot 1's agent is failed")
+    assert said[1] == "robot 3 on rover1: running (left as before)"
+    assert "robot 4 on rover2: running" in said
+
+
+def test_a_host_that_dies_in_its_turn_halts_it(world: World) -> None:
+    world.everybody("running")
+    world.stale = {1, 2}
+    world.after[1] = HostError("the connection to it was lost")
+    world.first.clear()
+    work = bring(world)
+    assert world.restarted == [[1]]
+    assert ends(work) == {
+        "rover1": (FAILED, "the connection to it was lost"),
+        "rover2": (FAILED, "robot 2 left as before: robot 1 did not come back"),
+    }
+
+
+def test_a_stop_during_an_upgrade_does_not_halt_it(world: World) -> None:
+    world.everybody("running")
+    world.stale = {1, 3}
+    world.after = {1: "stopped", 3: "stopped"}
+    begun = time.monotonic()
+    work = bring(world)
+    assert time.monotonic() - begun < up.PRESENT_TIMEOUT_S / 2
+    assert ends(work)["rover1"] == (DONE, "up, robots 1 and 3 started")
+
+
+def test_a_robot_that_drives_but_is_not_heard_is_not_touched(world: World) -> None:
+    world.says = {3: "degraded: slower"}
+    world.stale = {1, 3, 5}
+    world.unwanted = ["handfast-delta-robot-9-agent.service"]
+    work = bring(world)
+    for name in ("rover1", "rover2"):
+        state, step = ends(work)[name]
+        assert (state, step) == (
+            FAILED,
+            "left as it was: robot 3 drives, but is not heard here: `handfast stop` first, or open the ports",
+        )
+    assert world.log == []
+
+
+def test_without_having_listened_nothing_is_touched(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    world.everybody("ready")
+    world.stale = {1}
+    monkeypatch.setattr(threading.Event, "wait", lambda *_: False)
+    work = bring(world)
+    assert ends(work)["rover1"][1].startswith("left as it was: this machine is too busy to hear")
+    assert world.log == []
+
+
+def test_robots_of_a_host_are_waited_for_together(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(up, "PRESENT_TIMEOUT_S", 0.3)
+    view = View()
+    work = bring(world, view)
+    assert "waiting for robots 1, 3 and 5 on the bus" in view.steps
+    assert ends(work)["rover1"] == (
+        FAILED,
+        "robots 1, 3 and 5: running there, but not heard here: is the port open (tcp/10.0.0.1:7600 and so "
+        "on)?",
+    )
+
+
+def test_what_is_wrong_beside_robots_that_are_up_is_a_warning(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise HostError("the connection to it was lost")
+
+    monkeypatch.setattr(There, "_tidy", fails)
+    world.everybody("ready")
+    world.stale, world.broken, world.after = {1}, {(1, "recorder")}, {1: "ready"}
+    assert "recorder" in roles(world.fleet)
+    work = bring(world)
+    assert ends(work)["rover1"] == (DONE, "up, robot 1 started")
+    lost = "versions that nothing needs may still be there: the connection to it was lost"
+    assert set(work.warnings) == {
+        "rover1: robot 1's recorder is failed (exit-code): it is broken",
+        f"rover1: {lost}",
+        f"rover2: {lost}",
+    }
+
+
+def test_a_robot_that_is_gone_at_the_end_is_not_up(
+    world: World, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(There, "_tidy", lambda there, keep: there.world.go(1))
+    world.everybody("ready")
+    work = bring(world)
+    gone = "robot 1 came and went again: `handfast logs` says why"
+    assert ends(work) == {"rover1": (FAILED, gone), "rover2": (DONE, "up, nothing to do")}
+    assert _say(work, Interrupt()) == 1
+    assert f"robot 1 on rover1: NOT UP: {gone}" in capsys.readouterr().out
+
+
+def test_who_goes_and_comes_between_two_looks_has_come_later(world: World) -> None:
+    with Arrivals(world.fleet) as arrivals:
+        world.come(1, "running")
+        arrivals.look()
+        since = {"agent": time.monotonic()}
+        assert arrivals.is_here(1, {})
+        assert not arrivals.is_here(1, since)
+        world.go(1)
+        world.come(1, "ready")
+        arrivals.look()
+        assert arrivals.is_here(1, since)
+        assert arrivals.says(1) == "ready"
