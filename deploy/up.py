@@ -52,7 +52,6 @@ class BringUp:
         rows: by host, what became of it.
         left: robots that should have started again and did not, as one before them did not come back.
         warnings: what the operator should know.
-        versions: by host, what is installed there.
     """
 
     def __init__(
@@ -63,7 +62,6 @@ class BringUp:
         self.rows: Final = self._jobs.rows
         self.left: set[int] = set()
         self.warnings: list[str] = []
-        self.versions: dict[str, str] = {}
         self._text = robots_text(fleet)
         self._program = program_archive()
         self._turn = threading.Lock()
@@ -137,7 +135,6 @@ class BringUp:
         prepared = prepare(
             connection, self._fleet, self._text, self._program, say, self._keys, before_changes
         )
-        self.versions[row.host] = prepared.version
         self.warnings += [f"{row.host}: {warning}" for warning in prepared.warnings]
         what = self._start(row, connection, prepared)
         row.step = "looking for what is left"
