@@ -216,5 +216,9 @@ def test_ctrl_c_ends_the_merging(file: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr("deploy.host_jobs.HostJobs", Jobs)
     monkeypatch.setattr("deploy.merging.merge", merging)
-    with pytest.raises(KeyboardInterrupt):
-        fetch_command._fetch(options(file))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` leaves it ignored
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            fetch_command._fetch(options(file))
+    finally:
+        signal.signal(signal.SIGINT, before)
