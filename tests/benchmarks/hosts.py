@@ -124,11 +124,12 @@ def _fleet(found: _Found, hosts: Hosts, folder: Path, cache: Path, plan: _Plan) 
         return FleetOnHosts(hosts, folder / name, delta(list(hosts), **named), cache)
 
     fleet = fleet_of("delta")
+    here = _driven_here(fleet, plan.drive_s)
     fleet.handfast("keys")
     found.add("up from nothing", _took_s(fleet, "up"), "s", UP_S)
     found.add("up, nothing to do", _took_s(fleet, "up"), "s", AGAIN_S)
     found.add("status", _took_s(fleet, "status"), "s")
-    _drive_compared(found, fleet, plan.drive_s)
+    _drive_compared(found, fleet, here, plan.drive_s)
     _faults(found, fleet, plan)
     bare = fleet_of(host_cost.OPEN, network={"security": "off", "base_port": OPEN_PORT})
     bare.handfast("up", timeout=UP_TIMEOUT_S)
@@ -148,13 +149,11 @@ def _took_s(fleet: FleetOnHosts, command: str) -> float:
     return time.monotonic() - begun
 
 
-def _drive_compared(found: _Found, fleet: FleetOnHosts, seconds: float) -> None:
-    """Driven across hosts, and by `handfast run` here: how far apart."""
-    there, here = fleet.folder / "there", fleet.folder / "here"
-    told = ("--duration", f"{seconds:g}s", "--no-report", "--quiet")
-    fleet.handfast("drive", *told, "--out", str(there), status=None)
+def _driven_here(fleet: FleetOnHosts, seconds: float) -> Recording:
+    """Driven by `handfast run` on this machine, while nothing is up yet: it would share the cores with it."""
+    out = fleet.folder / "here"
     done = subprocess.run(
-        handfast("run", str(fleet.file), *told, "--out", str(here)),
+        handfast("run", str(fleet.file), *_told(seconds), "--out", str(out)),
         env=environment(),
         capture_output=True,
         text=True,
@@ -162,14 +161,25 @@ def _drive_compared(found: _Found, fleet: FleetOnHosts, seconds: float) -> None:
     )
     if done.returncode not in (0, 1):  # 1 is a verdict, which a busy machine may earn
         raise BenchmarkError(f"the local run failed: {done.stderr}")
+    return Recording.from_folder(out)
+
+
+def _told(seconds: float) -> tuple[str, ...]:
+    return "--duration", f"{seconds:g}s", "--no-report", "--quiet"
+
+
+def _drive_compared(found: _Found, fleet: FleetOnHosts, here: Recording, seconds: float) -> None:
+    """Driven across hosts, and `here`: how far apart."""
+    out = fleet.folder / "there"
+    fleet.handfast("drive", *_told(seconds), "--out", str(out), status=None)
+    there = Recording.from_folder(out)
     # Not to the very end: there it depends on when the stop arrived.
     grid = np.arange(0.0, seconds - 0.1, 0.05)
-    one, other = (Recording.from_folder(each) for each in (there, here))
-    if min(one.data_end_s, other.data_end_s) < grid[-1]:
-        raise BenchmarkError(f"a drive ended early: {one.data_end_s:.1f} and {other.data_end_s:.1f} s")
-    apart = np.linalg.norm(one.hand_positions(grid) - other.hand_positions(grid), axis=-1)
+    if min(there.data_end_s, here.data_end_s) < grid[-1]:
+        raise BenchmarkError(f"a drive ended early: {there.data_end_s:.1f} and {here.data_end_s:.1f} s")
+    apart = np.linalg.norm(there.hand_positions(grid) - here.hand_positions(grid), axis=-1)
     k, robot = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    note = f"robot {one.ids[int(robot)]} at {grid[k]:.1f} s"
+    note = f"robot {there.ids[int(robot)]} at {grid[k]:.1f} s"
     found.add("hand points, across hosts and here, furthest", float(np.max(apart)), "m", APART_M, note)
 
 
