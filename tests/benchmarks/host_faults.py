@@ -70,10 +70,10 @@ def agents(fleet: FleetOnHosts, robot: int) -> set[int]:
     return {pid for pid, words in found.items() if f"--robot {robot} " in f"{words} "}
 
 
-def cut_off(fleet: FleetOnHosts, host: int) -> int:
-    """Cuts a host off for `CUT_S`; gives the moment (ns) of its return."""
+def cut_off(fleet: FleetOnHosts, host: int, more_s: float) -> int:
+    """Cuts a host off for `CUT_S` and `more_s`; gives the moment (ns) of its return."""
     fleet.hosts[host].cut()
-    time.sleep(CUT_S)
+    time.sleep(CUT_S + more_s)
     at_ns = time.time_ns()
     fleet.hosts[host].restore()
     _rest(at_ns)

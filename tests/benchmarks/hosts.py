@@ -190,7 +190,8 @@ def _faults(found: _Found, fleet: FleetOnHosts, plan: _Plan) -> None:
     drive_alone(fleet, SETTLE_S + faults * (each_s + 1.0) + 30.0)
     killed = [strike(fleet, robot, signal.SIGKILL) for robot in plan.struck]
     frozen = [strike(fleet, robot, signal.SIGSTOP) for robot in plan.struck]
-    returns_ns = [cut_off(fleet, number % found.hosts) for number in range(plan.cuts)]
+    # Attempts to connect come at regular times: hosts return at other moments between two of them.
+    returns_ns = [cut_off(fleet, number % found.hosts, 0.1 * number) for number in range(plan.cuts)]
     fleet.handfast("stop")
     recording, fetch_s = fetched(fleet, fleet.folder / "faults")
 
