@@ -181,11 +181,9 @@ class HostConnection:
     def _write(self, data: bytes) -> None:
         stdin = self._process.stdin
         assert stdin is not None
-        try:
+        with suppress(OSError):  # it has ended: what it said before, or that, is what `_next` finds
             stdin.write(data)
             stdin.flush()
-        except OSError:
-            raise self._lost() from None
 
     def _next(self, timeout_s: float) -> tuple[dict[str, Any], bytes]:
         try:
@@ -232,7 +230,8 @@ class HostConnection:
 def _answer(stream: IO[bytes]) -> tuple[dict[str, Any], bytes] | None:
     """The next answer, None when there is none that is whole. Raises what a line that is none may raise."""
     head = json.loads(stream.readline(LINE_BYTES_MAX) or "null")
-    size = int(head.get("blob") or 0) if isinstance(head, dict) else -1
+    is_answer = isinstance(head, dict) and ("ok" in head or "error" in head)
+    size = int(head.get("blob") or 0) if is_answer else -1
     if not 0 <= size <= DATA_BYTES_MAX:
         return None
     data = stream.read(size)

@@ -113,6 +113,19 @@ def test_no_python_that_will_do(here: Path):
         connect(HostSection("rover1", "10.0.0.1", python="/nowhere/python"))
 
 
+def test_what_was_said_before_the_end_is_the_reason(here: Path, monkeypatch: pytest.MonkeyPatch):
+    """The program there may be gone before all of ours is written."""
+    say(
+        here.parent / "tools",
+        f"#!/bin/sh\nexec <&-; echo '{host_connection.NO_PYTHON}: python3 is Python 3.9.2;'",
+    )
+    program = here / "program"
+    program.write_bytes(b"#" * 1_000_000)  # more than a pipe takes
+    monkeypatch.setattr(host_connection, "PROGRAM", program)
+    with pytest.raises(HostError, match=r"there is no Python of 3\.11 or later"):
+        connect()
+
+
 def test_what_ssh_says_is_the_reason(here: Path):
     say(here.parent / "tools", "#!/bin/sh\necho 'x: Permission denied (publickey).' >&2; exit 255\n")
     with pytest.raises(HostError, match="it does not let you in"):

@@ -199,12 +199,15 @@ def test_down_stops_and_removes_all_and_says_what_is_left(home: Path, host: Host
 def test_a_process_that_outlived_its_unit_is_found(home: Path, host: HostConnection) -> None:
     folder = home / ".local/share/handfast/fleets/two"
     folder.mkdir(parents=True)
-    words = [sys.executable, "-m", "timeit", "-n", "1", "import time; time.sleep(60)"]
-    null = subprocess.DEVNULL
-    child = subprocess.Popen([*words, str(folder / "x")], stdout=null, stderr=null)
-    others = subprocess.Popen(
-        [*words, "/home/other/.local/share/handfast/fleets/two/x"], stdout=null, stderr=null
+    words = [sys.executable, "-c", "import time; print(flush=True); time.sleep(60)", "-m"]
+    child, others = (
+        subprocess.Popen([*words, path], stdout=subprocess.PIPE)
+        for path in (str(folder / "x"), "/home/other/.local/share/handfast/fleets/two/x")
     )
+    for each in (child, others):
+        assert each.stdout is not None
+        with each.stdout:
+            each.stdout.readline()  # it runs: see `sleeper`
     try:
         left = host.ask("down", fleet="two")["left"]
         assert left == [f"process {child.pid}"]
