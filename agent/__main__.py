@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from agent.clock import Clock
+from agent.common.clock import Clock
 from agent.core import Agent
 from agent.fleet import Fleet
 from agent.formation import resolved

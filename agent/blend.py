@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.course import blend_shape
 from agent.fleet import Fleet
 from agent.plan import Plan

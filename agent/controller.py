@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from agent import barrier, hand, law
 from agent.avoidance import barrier_rate
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.course import Course, Edge
 from agent.detour import Blocker, Detour
 from agent.fleet import Fleet

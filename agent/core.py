@@ -11,8 +11,8 @@ from math import exp, hypot, isfinite
 from typing import Final
 
 from agent import hand, keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode, newer
+from agent.common.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet import Fleet, digest
 from agent.formation import resolve

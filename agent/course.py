@@ -20,8 +20,8 @@ from dataclasses import replace
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.clock import NS_PER_S
 from agent.codec import newer
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.fleet_sections import Pair
 from agent.formation import Geometry

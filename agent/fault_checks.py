@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from agent.common.schema import Reader, show
 from agent.fault_settings import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
@@ -14,7 +15,6 @@ from agent.fault_settings import (
     SENSOR_FIELDS,
     Effect,
 )
-from agent.schema import Reader, show
 
 
 def check_faults(faults: Mapping[str, Any], ids: Sequence[int], reader: Reader) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
+from agent.common.schema import about, setting, show
 from agent.fault_places import LinkSet, Partition
 from agent.impairments import (
     Corrupt,
@@ -30,7 +31,6 @@ from agent.impairments import (
     parse_ramp,
 )
 from agent.replay import decode_fates
-from agent.schema import about, setting, show
 
 T = TypeVar("T", bound=Impairment)
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, NamedTuple
 
-from agent.clock import NS_PER_S, LocalTime
+from agent.common.clock import NS_PER_S, LocalTime
 from agent.fault_settings import (
     ACTION_FIELDS,
     CLOCK_FIELDS,

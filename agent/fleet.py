@@ -19,6 +19,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
 
+from agent.common.schema import Problem, Reader, about, build, plain, printable, show
 from agent.fault_settings import FaultsSection
 from agent.fleet_checks import check_fleet
 from agent.fleet_sections import (
@@ -38,7 +39,6 @@ from agent.order_file import read_orders
 from agent.order_sections import ORDER_FIELDS, OrderSection
 from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
 from agent.scenario import ScenarioError, parse_scenario
-from agent.schema import Problem, Reader, about, build, plain, printable, show
 from agent.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20

@@ -1,7 +1,7 @@
 """What is wrong with a fleet file whose fields are valid each, but do not go together (PURE).
 
-The checks see what `agent.schema.Reader.read` returned: valid values only, None for an element with a problem
-of its own.
+The checks see what `agent.common.schema.Reader.read` returned: valid values only, None for an element with a
+problem of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from agent.common.schema import Reader, show
 from agent.fault_checks import check_faults
 from agent.fleet_sections import SHARED_LINKS, SIMULATOR
 from agent.host_checks import check_hosts
@@ -18,7 +19,6 @@ from agent.host_sections import PORT_MAX
 from agent.messages import NEIGHBOURS_MAX
 from agent.order_checks import check_orders
 from agent.safety_checks import check_safety
-from agent.schema import Reader, show
 from agent.trajectory_checks import check_trajectory
 
 

@@ -32,8 +32,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.common.schema import Problem
 from agent.fleet import Fleet, FleetError
-from agent.schema import Problem
 from agent.trajectory import make_trajectory
 
 Floats = NDArray[np.float64]

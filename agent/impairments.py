@@ -18,9 +18,7 @@ from typing import Any, Final, Self, TypeAlias, TypeVar
 
 from agent import distributions
 from agent.chains import Chain, correlated, happens
-from agent.draws import normal, uniform
-from agent.loss import Loss
-from agent.quantities import (
+from agent.common.quantities import (
     bits_per_second,
     correlation,
     named,
@@ -33,6 +31,8 @@ from agent.quantities import (
     whole,
     within,
 )
+from agent.common.random_streams import normal, uniform
+from agent.loss import Loss
 from agent.range_channel import Range
 
 __all__ = [

@@ -16,8 +16,9 @@ from collections.abc import Mapping, Sequence
 from math import dist
 from typing import Final, NamedTuple
 
-from agent import draws, replay
-from agent.clock import NS_PER_S, LocalTime
+from agent import replay
+from agent.common import random_streams
+from agent.common.clock import NS_PER_S, LocalTime
 from agent.faults import NONE, FaultPlan, LinkEffects, LinkRules
 from agent.impairments import Delay, from_trace
 from agent.messages import (
@@ -69,7 +70,7 @@ class _Link:
         self.waiting = 0
         self.held: list[tuple[int, int, Arrival, Decision]] = []
         self._streams = {
-            purpose: draws.stream(plan.seed, "link", source, destination, TOPICS[topic], purpose)
+            purpose: random_streams.stream(plan.seed, "link", source, destination, TOPICS[topic], purpose)
             for purpose in _PURPOSES
         }
         self._free_ns = 0

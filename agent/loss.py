@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from agent.chains import Chain, chain, correlated, happens, two_states
-from agent.draws import uniform
-from agent.quantities import correlation, named, ratio, shown, split, take_kind, text, whole
+from agent.common.quantities import correlation, named, ratio, shown, split, take_kind, text, whole
+from agent.common.random_streams import uniform
 
 _KINDS = ("random", "gemodel", "state", "every")
 _FORMS = {

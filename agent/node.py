@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
-from agent import draws, keys
+from agent import keys
+from agent.common import random_streams
 from agent.faults import FaultPlan
 
 Outgoing = tuple[str, bytes]
@@ -154,7 +155,7 @@ class Ticks:
         self._period_ns, self._phase_ns = node.period_ns, node.phase_ns
         robot, role = keys.robot_of_alive(node.alive_key) or (0, "")
         self._robot = robot
-        self._stream = draws.stream(self._plan.seed, "tick", robot, role)
+        self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
         self._changes = -1
         self._jittery = False
         self.plan(now_ns)
@@ -189,4 +190,4 @@ class Ticks:
         plan = self._plan
         most_ns = plan.tick_jitter_ns(self._robot, self._deadline_ns)
         since_ns = self._deadline_ns - self._phase_ns - (plan.epoch_ns or 0)
-        return int(most_ns * draws.uniform(self._stream, since_ns // self._period_ns))
+        return int(most_ns * random_streams.uniform(self._stream, since_ns // self._period_ns))

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from agent.common.schema import Reader, entries, example, show
 from agent.order_sections import ORDER_FIELDS, OrderSection
-from agent.schema import Reader, entries, example, show
 from agent.trajectory_checks import check_trajectory
 
 

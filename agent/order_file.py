@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from agent.common.schema import Reader, about, build
 from agent.order_checks import check_orders
 from agent.order_sections import OrderSection
 from agent.scenario import ScenarioError
-from agent.schema import Reader, about, build
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import VERSION
+from agent.common.clock import NS_PER_S
 from agent.message_checks import TYPE_OF
 from agent.messages import Mission, Resume, Stop
 from agent.seal import Forged, Opener, Sealer

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from agent.common.schema import about, setting
 from agent.fleet_sections import TrajectorySection
 from agent.safety_sections import Pair
-from agent.schema import about, setting
 
 _FAR_M: Final = 1e6
 

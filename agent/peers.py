@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from agent.clock import NS_PER_S
 from agent.clock_offset import ClockOffset
+from agent.common.clock import NS_PER_S
 from agent.messages import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
 from agent.prediction import Prediction, as_it_came, coasting, following
 from agent.trajectory import Sample

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from math import hypot
 from typing import Any, Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
+from agent.common.schema import Reader, about, build, show
 from agent.fleet import Fleet
 from agent.fleet_sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
 from agent.formation import Geometry
 from agent.messages import NEIGHBOURS_MAX, Mission
-from agent.schema import Reader, about, build, show
 from agent.trajectory import Sample, Trajectory, make_trajectory
 from agent.trajectory_checks import check_trajectory
 
@@ -66,7 +66,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Root:
-    """What `agent.schema.Reader` reads a mission's trajectory as."""
+    """What `agent.common.schema.Reader` reads a mission's trajectory as."""
 
     trajectory: TrajectorySection = field(default_factory=TrajectorySection, metadata=about("Trajectory."))
 

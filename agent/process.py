@@ -14,13 +14,13 @@ from typing import Any, Final, NamedTuple
 
 from agent import keys
 from agent.bus import Bus, BusError
-from agent.clock import NS_PER_S, Clock, RealClock
+from agent.common.clock import NS_PER_S, Clock, RealClock
+from agent.common.schema import printable
 from agent.credentials import CredentialsError, NotYetValidError
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, FleetError, load_fleet
 from agent.identity import of_robot
 from agent.node import Node, Ticks
-from agent.schema import printable
 from agent.sealed_bus import bus_for
 from agent.service import Service
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from math import erfc, log10, sqrt
 from typing import Any, Final, Self
 
-from agent.draws import uniform
-from agent.quantities import (
+from agent.common.quantities import (
     decibels,
     metres,
     metres_per_second,
@@ -20,6 +19,7 @@ from agent.quantities import (
     whole,
     within,
 )
+from agent.common.random_streams import uniform
 
 _RETRIES_MAX: Final = 15
 _OPTIONS: Final = {

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.links import Arrival, Links, Sample

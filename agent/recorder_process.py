@@ -18,7 +18,7 @@ from typing import Final
 
 from agent import keys
 from agent.bus import Bus, BusError
-from agent.clock import NS_PER_S, RealClock
+from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet, FleetError, digest, load_fleet, read_text
 from agent.process import (
     BAD_INPUT,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet import Fleet
 from agent.hand import Hand

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.segment_folder import SegmentFolder
 from agent.segments import (
     KNOWN,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from agent.common.schema import Reader, show
 from agent.safety_sections import CORNERS_MAX, Pair
-from agent.schema import Reader, show
 
 _CIRCLE = ("centre_m", "radius_m")
 _EITHER = (

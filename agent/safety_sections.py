@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from agent.schema import about, setting
+from agent.common.schema import about, setting
 
 Pair = tuple[float, float]
 

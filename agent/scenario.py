@@ -6,9 +6,9 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from agent.common.schema import Problem, Reader, about, build, show
 from agent.fault_checks import check_faults
 from agent.fault_settings import FaultsSection
-from agent.schema import Problem, Reader, about, build, show
 
 
 @dataclass(frozen=True, slots=True)

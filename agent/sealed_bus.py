@@ -14,7 +14,7 @@ from typing import Any
 
 from agent.access import Security
 from agent.bus import LINK_TIMEOUT_S, Bus, init_log
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.credentials import Credentials, load
 from agent.fleet import Fleet
 from agent.identity import MAIN, Identity

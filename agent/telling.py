@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Final
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode, tag
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.gossip import AGAIN_NS, Gossip, Mark
 from agent.latch import Latch

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from agent.common.schema import Reader, entries, show
 from agent.fleet_sections import TRAJECTORY_FIELDS, TrajectorySection
-from agent.schema import Reader, entries, show
 
 
 def check_trajectory(

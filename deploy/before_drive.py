@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
+from agent.common.schema import printable
 from agent.fleet import digest
 from agent.messages import Stop
-from agent.schema import printable
 from deploy.operating import Known
 
 OVER: Final = "the run is over"

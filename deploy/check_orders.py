@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import Geometry, components
 from agent.orders import OrderError

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import FleetError
 from agent.version import handfast_version
 from deploy import (

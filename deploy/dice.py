@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
-from agent.draws import stream, uniform
+from agent.common.random_streams import stream, uniform
 
 T = TypeVar("T")
 

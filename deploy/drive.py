@@ -10,8 +10,8 @@ from typing import Final
 
 from agent import keys
 from agent.bus import Bus
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.messages import Event, Heartbeat, Stop

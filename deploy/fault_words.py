@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from math import floor, inf
 from typing import Any
 
+from agent.common.quantities import UNITS, text
+from agent.common.schema import entries, plain
 from agent.fault_settings import (
     LINK_FIELDS,
     PROCESS_FIELDS,
@@ -15,8 +17,6 @@ from agent.fault_settings import (
     Impairments,
     Rule,
 )
-from agent.quantities import UNITS, text
-from agent.schema import entries, plain
 from deploy.wording import robots
 
 _WHERE_AND_WHEN = ("name", "link", "robot", "topic", "partition", "at", "for", "every", "until")

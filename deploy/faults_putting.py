@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isinf
 from typing import Final, Protocol, TextIO
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fault_settings import Rule
 from agent.fleet import Fleet
 from agent.messages import EVERY_AUTHOR, Faults

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin
 
+from agent.common.quantities import UNITS
+from agent.common.schema import Entry, entries, example, show
 from agent.fleet import Fleet
 from agent.fleet_sections import LAWS, TRAJECTORY_FIELDS
-from agent.quantities import UNITS
-from agent.schema import Entry, entries, example, show
 
 PAGE: Final = Path(__file__).parent.parent / "docs" / "fleet-file.md"
 _TEMPLATE: Final = Path(__file__).parent / "template.toml"

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, NamedTuple
 
+from agent.common.schema import printable
 from agent.host_sections import HostSection
-from agent.schema import printable
 from deploy import host_program, ssh
 
 PROGRAM: Final = Path(host_program.__file__)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from agent.common.schema import Problem
 from agent.fleet import Fleet, FleetError, to_dict
 from agent.host_sections import HostSection
-from agent.schema import Problem
 from deploy import ssh
 from deploy.arguments import InputError
 from deploy.placing import is_simulated

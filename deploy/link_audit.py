@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.links import TRACE_PERIOD_NS, Links
 from agent.messages import HELD, OVERFLOW, TOPICS, Faults, Wrench

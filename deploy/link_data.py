@@ -21,7 +21,8 @@ EXACT: Final[Clock] = (0, 0.0)
 
 
 def true_ns(stamps_ns: Ints, clock: Clock, epoch_ns: int) -> Ints:
-    """True times (n,) of stamps by a clock that was made wrong: the inverse of `agent.clock.LocalTime`."""
+    """True times (n,) of stamps by a clock that was made wrong: the inverse of
+    `agent.common.clock.LocalTime`."""
     if clock == EXACT:
         return stamps_ns
     skew_ns, drift = clock

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.course import Course
 from agent.faults import FaultPlan
 from agent.fleet import Fleet

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fault_settings import Rule
 from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import Fleet

@@ -15,9 +15,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
+from agent.common.schema import printable
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
-from agent.schema import printable
 from deploy import ssh, units
 from deploy.arguments import (
     InputError,

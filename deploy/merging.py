@@ -16,8 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.clock import NS_PER_S
 from agent.codec import newer
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import TIME_NS_MAX, Mission, Resume, Stop

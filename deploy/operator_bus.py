@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from agent.bus import Bus
+from agent.common.schema import printable
 from agent.credentials import CredentialsError, MissingError
 from agent.fleet import Fleet
 from agent.identity import MAIN, IdentityError, of_operator
-from agent.schema import printable
 from agent.sealed_bus import bus_for
 from deploy.arguments import InputError
 from deploy.authority import keys_folder

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from agent.common.schema import Problem, Reader, entries
 from agent.fleet_sections import TRAJECTORY_FIELDS
 from agent.order_file import read_orders
 from agent.order_sections import OrderSection, ShapeSection
 from agent.scenario import ScenarioError
-from agent.schema import Problem, Reader, entries
 from deploy.arguments import InputError
 
 if TYPE_CHECKING:

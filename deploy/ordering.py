@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from agent.clock import NS_PER_S
 from agent.codec import newer
+from agent.common.clock import NS_PER_S
 from agent.messages import Mission, Status
 
 

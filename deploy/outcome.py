@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from agent.common.schema import printable
 from agent.fleet import Fleet
-from agent.schema import printable
 from deploy.arguments import InputError
 from deploy.running import DONE, FAILED, INTERRUPTED
 

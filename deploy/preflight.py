@@ -16,8 +16,8 @@ from rich.text import Text
 
 from agent import keys
 from agent.bus import Bus
-from agent.clock import RealClock
 from agent.codec import decode
+from agent.common.clock import RealClock
 from agent.fleet import Fleet, to_dict
 from agent.message_checks import Malformed
 from deploy.interrupt import Interrupt

@@ -17,9 +17,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+from agent.common.schema import show
 from agent.fleet import load_fleet
 from agent.private_folder import private_folder
-from agent.schema import show
 from deploy.arguments import bundled, fleet_path
 from deploy.wording import NAMES_SHOWN
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode
+from agent.common.clock import NS_PER_S
 from agent.message_checks import Malformed
 from agent.messages import Mission, Resume, Stop
 from agent.robot_recorder import order_keys

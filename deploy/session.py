@@ -8,8 +8,8 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 from agent import keys
-from agent.clock import RealClock
 from agent.codec import decode
+from agent.common.clock import RealClock
 from agent.fleet import Fleet
 from agent.message_checks import Malformed
 from agent.messages import Message

@@ -77,7 +77,7 @@ def _signing(options: argparse.Namespace) -> int:
 
 def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
-    from agent.clock import RealClock
+    from agent.common.clock import RealClock
     from bridges.mavlink.signing import SigningError
     from bridges.mavlink.signing_setup import Outcome, SigningSetup, give_keys, open_setup
 

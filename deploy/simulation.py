@@ -4,8 +4,8 @@ What `agent.process.loop` does in real time happens here in the order of the tic
 rules do to processes, clocks and ticks. A message is there `LATENCY_NS` after it was published, about what a
 loopback link takes; the same fleet file and seed give the same bytes.
 
-Times are true time, the operator's. A robot's clock may be wrong on purpose (`agent.clock.LocalTime`): its
-nodes are told what it shows.
+Times are true time, the operator's. A robot's clock may be wrong on purpose
+(`agent.common.clock.LocalTime`): its nodes are told what it shows.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from math import ceil
 from typing import Final
 
 from agent import keys
-from agent.clock import NS_PER_S, LocalTime
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import LISTEN_ROUNDS, Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from agent.common.schema import printable
 from agent.fleet import Fleet
 from agent.messages import Status
-from agent.schema import printable
 from deploy import units
 from deploy.host_connection import Clock, HostError
 from deploy.live import STYLES

@@ -13,11 +13,11 @@ from itertools import product
 from math import isfinite, prod, sqrt
 from typing import Any, Final
 
-from agent import draws
+from agent.common import random_streams
+from agent.common.quantities import UNITS, quantity
+from agent.common.schema import Problem, entries, printable, show
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.formation import resolved
-from agent.quantities import UNITS, quantity
-from agent.schema import Problem, entries, printable, show
 from deploy.random_starts import random_fleet
 
 RUNS_MAX: Final = 1_000_000
@@ -203,7 +203,9 @@ class Plan:
 
     def run_seed(self, run: int) -> int:
         """`fleet.seed` of a run: of a repeat the same in every cell, so that start and noise are the same."""
-        return draws.bits(draws.stream("sweep", self.seed), run % self.repeat) >> _SEED_SHIFT
+        return (
+            random_streams.bits(random_streams.stream("sweep", self.seed), run % self.repeat) >> _SEED_SHIFT
+        )
 
     def fleet(self, run: int) -> Fleet:
         """What a run drives, resolved.

@@ -10,7 +10,7 @@ from collections.abc import Container
 from typing import Final, NamedTuple
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.messages import LEVELS, Checks, Message
 from deploy.wording import robots

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 
-from agent.clock import Clock
+from agent.common.clock import Clock
 from agent.fleet import Fleet
 from agent.messages import FLOAT_MAX
 from agent.process import FAILED, Log, StartError

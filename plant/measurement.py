@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, hypot, pi, sin
 from typing import Final
 
-from agent import draws
+from agent.common import random_streams
 from agent.fault_settings import SENSOR_FIELDS
 from agent.faults import FaultPlan, SensorFaults
 from agent.fleet_sections import Robot
@@ -36,11 +36,12 @@ class Measurement:
             body.yaw_rate_noise_radps,
         )  # fmt: skip
         self._streams = [
-            draws.stream(seed, "plant", body.id, quantity)
+            random_streams.stream(seed, "plant", body.id, quantity)
             for quantity in ("x", "y", "heading", "speed", "yaw rate")
         ]
         self._dropout, self._jump, self._direction = (
-            draws.stream(seed, "plant", body.id, purpose) for purpose in ("dropout", "jump", "direction")
+            random_streams.stream(seed, "plant", body.id, purpose)
+            for purpose in ("dropout", "jump", "direction")
         )
         self._ruled = False
 
@@ -66,11 +67,11 @@ class Measurement:
         if self.exact:
             return pose
         faults = (self._plan.sensor(self._robot, time_ns) if self._ruled else None) or _NONE
-        if faults.dropout and draws.uniform(self._dropout, sequence) < faults.dropout:
+        if faults.dropout and random_streams.uniform(self._dropout, sequence) < faults.dropout:
             return None
         bias_x, bias_y = faults.position_bias_m
-        if faults.jump_m and draws.uniform(self._jump, sequence) < faults.jump_probability:
-            angle = 2.0 * pi * draws.uniform(self._direction, sequence)
+        if faults.jump_m and random_streams.uniform(self._jump, sequence) < faults.jump_probability:
+            angle = 2.0 * pi * random_streams.uniform(self._direction, sequence)
             bias_x, bias_y = bias_x + faults.jump_m * cos(angle), bias_y + faults.jump_m * sin(angle)
         biases = bias_x, bias_y, faults.heading_bias_rad, faults.speed_bias_mps, faults.yaw_rate_bias_radps
         noises = (
@@ -82,6 +83,6 @@ class Measurement:
             pose, biases, self._noise, noises, self._streams, strict=True
         ):
             deviation = hypot(own, added)
-            error = deviation * draws.normal(stream, sequence) if deviation else 0.0
+            error = deviation * random_streams.normal(stream, sequence) if deviation else 0.0
             told.append(value + bias + error)
         return Pose._make(told)

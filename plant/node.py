@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest
 from agent.hand import Pose
 from agent.latch import Latch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from agent.clock import Clock
+from agent.common.clock import Clock
 from agent.fleet import Fleet
 from agent.process import Log, Start
 from agent.process import main as process_main

@@ -9,7 +9,7 @@ from dataclasses import replace
 from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.fleet_sections import Robot
 from agent.hand import Pose

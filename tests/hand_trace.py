@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import hand, keys
-from agent.clock import NS_PER_S
 from agent.codec import decode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.messages import PlantState

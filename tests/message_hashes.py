@@ -2,10 +2,10 @@
 
     python tests/message_hashes.py [--only NAME] [--texts]
 
-prints a line for each drive: hash, number of messages, name. Run from the root of two checkouts, each with its
-own `.venv` (or `PYTHONPATH=.`), the outputs are compared with `diff`. Keys, payloads and times of arrival are
-hashed as they are put on the bus. Texts for people (reasons and notes) are messages too; `--texts` leaves them out,
-for a change that means to reword them.
+prints a line for each drive: hash, number of messages, name. Run from the root of two checkouts, each with
+its own `.venv` (or `PYTHONPATH=.`), the outputs are compared with `diff`. Keys, payloads and times of
+arrival are hashed as they are put on the bus. Texts for people (reasons and notes) are messages too;
+`--texts` leaves them out, for a change that means to reword them.
 """
 
 from __future__ import annotations
@@ -119,8 +119,12 @@ def lines(names: list[str], texts: bool) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", action="append", metavar="NAME", help="this drive, repeatedly (default: all)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", action="append", metavar="NAME", help="this drive, repeatedly (default: all)"
+    )
     parser.add_argument("--texts", dest="texts", action="store_false", help="leave out texts for people")
     options = parser.parse_args()
     for line in lines(options.only or drives(), options.texts):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from agent.clock import Clock
+from agent.common.clock import Clock
 from agent.fleet import Fleet
 from agent.fleet_sections import SIMULATOR
 from agent.process import Log, StartError

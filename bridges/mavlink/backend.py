@@ -6,7 +6,7 @@ import re
 from math import radians
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.fleet_sections import MavlinkSection
 from agent.hand import Pose

@@ -10,7 +10,7 @@ import socket
 import termios
 from typing import Any, Final, Protocol
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink.connection import Connection, Unusable
 
 READ_BYTES: Final = 8192

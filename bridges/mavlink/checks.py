@@ -11,7 +11,7 @@ from functools import lru_cache
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet_sections import MavlinkSection
 from agent.hand import Pose
 from bridges.mavlink import ardurover, audit

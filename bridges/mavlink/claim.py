@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.process import Log
 from bridges.mavlink import ardurover
 from bridges.mavlink.authority import Holder

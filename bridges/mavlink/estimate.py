@@ -15,7 +15,7 @@ from collections import deque
 from math import cos, degrees, hypot, isfinite, sin
 from typing import Final, NamedTuple
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.hand import Pose
 from bridges.mavlink.frames import wrapped
 from bridges.mavlink.rover_dynamics import DEFAULTS, Limits, RoverDynamics

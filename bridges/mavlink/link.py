@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover, frames, link_reports
 from bridges.mavlink.link_commands import Outcome
 from bridges.mavlink.link_receiver import Receiver

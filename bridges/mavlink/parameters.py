@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 
 AUDITED: Final = (

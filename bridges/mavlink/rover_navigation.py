@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import cos, sin, tau
 from typing import Final
 
-from agent.draws import stream, uniform
+from agent.common.random_streams import stream, uniform
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic, geodetic_to_local, local_to_geodetic, wrapped
 from bridges.mavlink.rover_dynamics import RoverDynamics

@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.clock import NS_PER_S
-from agent.draws import stream, uniform
+from agent.common.clock import NS_PER_S
+from agent.common.random_streams import stream, uniform
 from bridges.mavlink import ardurover
 from bridges.mavlink.rover_telemetry import BUILDERS, DEFAULT_STREAMS, Message
 from bridges.mavlink.signing import timestamp_at

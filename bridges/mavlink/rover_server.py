@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.clock import NS_PER_S, Clock, RealClock
+from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.process import PARENT_PERIOD_NS, Shutdown
 from bridges.mavlink import ardurover
 from bridges.mavlink.rover_settings import DEFAULT_HOME, Settings, SettingsError, parse_home, parse_parameter

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.clock import NS_PER_S
-from agent.draws import stream, uniform
+from agent.common.clock import NS_PER_S
+from agent.common.random_streams import stream, uniform
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.rover_protocol import Protocol

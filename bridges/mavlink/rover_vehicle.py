@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import cos, radians, sin
 from typing import Final
 
-from agent.draws import stream, uniform
+from agent.common.random_streams import stream, uniform
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic, local_to_geodetic
 from bridges.mavlink.rover_dynamics import Limits, RoverDynamics

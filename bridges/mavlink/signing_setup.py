@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from agent.clock import NS_PER_S, Clock
+from agent.common.clock import NS_PER_S, Clock
 from agent.fleet import Fleet
 from agent.fleet_sections import MavlinkSection
 from bridges.mavlink.link import Link

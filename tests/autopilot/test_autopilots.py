@@ -23,8 +23,8 @@ import numpy as np
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import digest
 from agent.formation import resolve

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.peers import UNSURE_NS
 from agent.supervision import State
 from deploy.recording import Recording

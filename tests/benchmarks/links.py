@@ -12,8 +12,8 @@ from statistics import median
 from typing import Any, Final
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, load_fleet

@@ -22,8 +22,8 @@ from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
 from agent import hand
-from agent.clock import NS_PER_S
 from agent.codec import decode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolve, resolved
 from agent.hand import Pose

@@ -18,8 +18,8 @@ import tomli_w
 
 from agent import keys
 from agent.bus import Bus
-from agent.clock import NS_PER_S, RealClock
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet, digest, to_dict
 from agent.message_checks import Malformed
 from agent.messages import Mission, PlantState, Status

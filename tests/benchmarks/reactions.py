@@ -16,8 +16,8 @@ from statistics import median
 from typing import Any, Final
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.messages import Ask, PlantState, Status, Stop, Wrench
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError

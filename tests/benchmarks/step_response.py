@@ -15,7 +15,7 @@ from math import hypot, inf, sqrt
 from typing import Final, NamedTuple
 
 from agent import hand
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.hand import Pose
 from bridges.mavlink.estimate import Estimate
 from bridges.mavlink.rover_dynamics import RoverDynamics

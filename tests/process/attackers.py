@@ -23,8 +23,8 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from agent import keys
 from agent.access import tls_settings
 from agent.bus import PAYLOAD_BYTES_MAX, settings_of
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.credentials import Credentials, Files, load
 from agent.fleet import Fleet, digest
 from agent.messages import (

@@ -17,8 +17,8 @@ import tomli_w
 
 from agent import keys
 from agent.bus import Bus, Presence
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest, load_fleet, to_dict
 from agent.formation import resolved
 from agent.message_checks import Malformed

@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.messages import Stop
 from deploy.before_drive import OVER
 from deploy.drive_command import ROBOTS_FILE

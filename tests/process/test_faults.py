@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.messages import LOST
 from agent.node import FIRST_ROUND
 from deploy.link_data import Link, LinkTable

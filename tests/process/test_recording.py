@@ -13,8 +13,8 @@ from types import TracebackType
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.message_checks import Malformed
 from agent.segment_folder import segment_paths

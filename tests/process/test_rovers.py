@@ -9,7 +9,7 @@ import signal
 import time
 from pathlib import Path
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.latch import AWAITED
 from agent.messages import HandState, PlantState, Status, Wrench
 from bridges.mavlink import ardurover

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.messages import HandState, Heartbeat, Resume, Status, Stop
 from deploy.before_drive import OVER
 from deploy.operator_bus import KEYS

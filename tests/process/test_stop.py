@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.messages import Ask, PlantState, Status, Stop, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import no_trouble_in_logs

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from agent.bus import LEASE_MS
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.messages import PlantState, Status
 from tests.process.fleet_harness import Robots, robots
 from tests.process.harness import measured, no_trouble_in_logs

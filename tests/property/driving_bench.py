@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import cos, dist, hypot, inf, sin
 from typing import NamedTuple
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve

@@ -10,9 +10,9 @@ import tomli_w
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from agent.common.schema import Entry, entries
 from agent.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
 from agent.fleet_sections import MavlinkSection
-from agent.schema import Entry, entries
 
 
 def keys_in(model: type) -> set[str]:

@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent import chains, distributions, draws
+from agent import chains, distributions
+from agent.common import random_streams
+from agent.common.quantities import UNITS, quantity, text
 from agent.impairments import (
     Corrupt,
     Delay,
@@ -22,7 +24,6 @@ from agent.impairments import (
     interpolate,
     parse_ramp,
 )
-from agent.quantities import UNITS, quantity, text
 
 CLASSES: tuple[Any, ...] = (Delay, Loss, Duplicate, Corrupt, Reorder, Rate, Slot, Range)
 
@@ -162,7 +163,7 @@ def test_draws_know_no_others(impairment: Any, others: list[Any], stream: int, s
     beside = []
     for n in sequences:
         for k, other in enumerate(others):
-            fate(other, stream if shared else draws.stream(stream, k), n)
+            fate(other, stream if shared else random_streams.stream(stream, k), n)
         beside.append(fate(impairment, stream, n))
     assert beside == alone
 

@@ -8,8 +8,8 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.links import Links

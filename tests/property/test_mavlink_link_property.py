@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.link import Link, LinkSettings
 

@@ -7,8 +7,8 @@ from math import hypot
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import Message, Mission, Status, Wrench

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S, LocalTime
 from agent.codec import decode
+from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet

@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from agent import keys, law
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, load_fleet
 from agent.formation import edge_lengths, resolve, resolved, start_hands

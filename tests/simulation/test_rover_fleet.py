@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import parse_fleet
 from agent.formation import resolved

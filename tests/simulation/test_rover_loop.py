@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from agent import hand
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolve, resolved
 from deploy.simulation import Simulation

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.supervision import at_rest
 from bridges.mavlink import ardurover, frames
 from bridges.mavlink.backend import UNTOLD

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any, NamedTuple
 
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose

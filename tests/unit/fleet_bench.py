@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from agent import hand, keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.messages import Message, Mission

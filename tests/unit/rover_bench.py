@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.rover_simulator import Rover, Settings

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink.boot_clock import BootClock
 
 MS = 1_000_000

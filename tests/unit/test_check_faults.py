@@ -9,7 +9,7 @@ import pytest
 
 import deploy
 from agent.codec import encode
-from agent.draws import stream
+from agent.common.random_streams import stream
 from agent.fleet import Fleet, load_fleet, parse_fleet
 from agent.formation import resolved
 from agent.impairments import Loss

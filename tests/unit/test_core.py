@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import VERSION, decode, encode
+from agent.common.clock import NS_PER_S
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration

@@ -8,7 +8,7 @@ from math import hypot, sqrt
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.course import Edge
 from agent.hand import hand_acceleration
 from agent.messages import Beacon, HandState, Mission, Stop, Wrench

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest
 from agent.hand import Pose, hand

@@ -8,7 +8,7 @@ from math import hypot
 import pytest
 
 from agent import law
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.hand import Pose
 from agent.messages import Beacon, Heartbeat, Resume, Stop, Wrench

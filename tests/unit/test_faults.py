@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.faults import AUTHORS_MAX, FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.messages import EVERY_AUTHOR, Faults, HandState, LinkTrace

@@ -10,8 +10,8 @@ from math import inf
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.fault_settings import Rule
 from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import load_fleet

@@ -7,7 +7,7 @@ from math import cos, pi, sin
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from agent.messages import Ask, Mission, PlantState, Resume, Stop, Wrench

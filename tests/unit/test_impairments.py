@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from agent import chains, draws
+from agent import chains
+from agent.common import random_streams
 from agent.impairments import (
     Corrupt,
     Delay,
@@ -25,7 +26,7 @@ from agent.impairments import (
     parse_ramp,
 )
 
-STREAM = draws.stream(7, "link", 1, 2, "hand", "something")
+STREAM = random_streams.stream(7, "link", 1, 2, "hand", "something")
 FIRST = 2**20
 KNOWN_S = {  # the first three delays of STREAM
     "80ms 20ms": [0.08808196026379346, 0.06818349216757362, 0.08014888782278838],
@@ -175,7 +176,7 @@ def test_delays_are_the_same_on_every_machine_and_in_every_process():
         assert [delay.sample(STREAM, FIRST + n) for n in range(3)] == pytest.approx(numbers, rel=1e-12), text
     code = (
         "from agent.impairments import *; from agent import draws\n"
-        "s = draws.stream(7, 'link', 1, 2, 'hand', 'something')\n"
+        "s = random_streams.stream(7, 'link', 1, 2, 'hand', 'something')\n"
         "print([Delay.parse('normal 80ms 20ms 25%').sample(s, 2**20 + 999), "
         "[n for n in range(2**20, 2**20 + 99) if Loss.parse('gemodel 10% 30%').lost(s, n)]])"
     )

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent import chains, draws
+from agent import chains
+from agent.common import random_streams
 from agent.distributions import SHAPES, score
 from agent.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
 
@@ -22,7 +23,7 @@ FIRST = 2**20  # sequence numbers that a run has
 P_MIN = 1e-3
 ERRORS = 4.0
 SEQUENCES = range(FIRST, FIRST + COUNT)
-STREAM = draws.stream(7, "link", 1, 2, "hand", "something")
+STREAM = random_streams.stream(7, "link", 1, 2, "hand", "something")
 
 
 def delays(text: str, stream: int = STREAM) -> np.ndarray:
@@ -291,7 +292,7 @@ def test_chains_do_not_break_where_their_bookkeeping_does():
     flags = losses(f"gemodel {p} {r}")
     state = flags[0]
     for k, n in enumerate(SEQUENCES[1:], 1):
-        state = draws.uniform(STREAM, 4 * n) < (1 - r if state else p)
+        state = random_streams.uniform(STREAM, 4 * n) < (1 - r if state else p)
         assert flags[k] == state, n
 
 
@@ -309,13 +310,13 @@ def test_each_state_follows_from_the_one_before_though_found_alone():
         states.append(found.state(STREAM, n))
     for n, before, after in zip(SEQUENCES[1:3000], states, states[1:], strict=False):
         ends = np.cumsum([probability for _, probability in rows[before]])
-        assert after == rows[before][int(np.argmax(draws.uniform(STREAM, 4 * n) < ends))][0], n
+        assert after == rows[before][int(np.argmax(random_streams.uniform(STREAM, 4 * n) < ends))][0], n
     assert set(states) == {0, 1, 2, 3}
 
 
 def test_chains_that_do_not_forget_are_stationary_all_the_same():
     loss = Loss.parse("gemodel 0.001% 0.003%")
-    lost = sum(loss.lost(draws.stream("slow", k), FIRST + 100) for k in range(300))
+    lost = sum(loss.lost(random_streams.stream("slow", k), FIRST + 100) for k in range(300))
     assert abs(lost - 75) < ERRORS * sqrt(300 * 0.25 * 0.75)
 
 
@@ -324,10 +325,10 @@ def test_chains_that_do_not_forget_are_stationary_all_the_same():
 
 def test_links_and_purposes_are_independent():
     others = [
-        draws.stream(7, "link", 2, 1, "hand", "something"),
-        draws.stream(7, "link", 1, 2, "state", "something"),
-        draws.stream(7, "link", 1, 2, "hand", "other"),
-        draws.stream(8, "link", 1, 2, "hand", "something"),
+        random_streams.stream(7, "link", 2, 1, "hand", "something"),
+        random_streams.stream(7, "link", 1, 2, "state", "something"),
+        random_streams.stream(7, "link", 1, 2, "hand", "other"),
+        random_streams.stream(8, "link", 1, 2, "hand", "something"),
     ]
     delayed, lost = delays("normal 1s 100ms 50%"), losses("30% 25%")
     for other in others:

@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import pytest
 
-from agent import draws, replay
-from agent.clock import NS_PER_S
+from agent import replay
 from agent.codec import decode, encode
+from agent.common import random_streams
+from agent.common.clock import NS_PER_S
 from agent.faults import NONE, FaultPlan
 from agent.fleet import Fleet, FleetError, parse_fleet
 from agent.links import Links
@@ -173,8 +174,8 @@ def test_a_ramp_grows_over_its_time() -> None:
 def test_what_is_lost_is_a_function_of_the_seed_the_link_and_the_number() -> None:
     found = fates(links("", "faults.loss=30%"), range(2000))
     lost = {number for number, copies in found.items() if copies[0][0] & LOST}
-    stream = draws.stream(11, "link", 1, 2, "hand", "loss")
-    assert lost == {number for number in range(2000) if draws.uniform(stream, 4 * number) < 0.3}
+    stream = random_streams.stream(11, "link", 1, 2, "hand", "loss")
+    assert lost == {number for number in range(2000) if random_streams.uniform(stream, 4 * number) < 0.3}
 
 
 def test_every_third_is_lost() -> None:

@@ -7,7 +7,7 @@ import io
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.formation import resolve
 from agent.messages import Faults, HandState, Mission, Status, Stop

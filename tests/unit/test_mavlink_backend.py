@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink.backend import BRAKE_NS_MAX, session
 from bridges.mavlink.frames import datum_of
 from bridges.mavlink.simulated import LATENCY_NS, SimulatedRoverPlant

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet_sections import MavlinkSection
 from bridges.mavlink import ardurover, checks, frames
 from bridges.mavlink.checks import Found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import JUDGED_NS
 from bridges.mavlink.checks import REPORTED_NS

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.link import Link, LinkSettings

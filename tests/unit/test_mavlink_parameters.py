@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 from bridges.mavlink.parameters import AUDITED, Parameters
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.link import Link, LinkSettings

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import channels, exclusive
 from bridges.mavlink import transport as transport_module
 from bridges.mavlink.channels import PEER_NS, Tcp, UdpIn, UdpOut

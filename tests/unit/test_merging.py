@@ -11,8 +11,8 @@ import pytest
 import tomli_w
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, FleetError, digest, to_dict
 from agent.formation import resolved
 from agent.messages import Mission, PlantState, Resume, Stop

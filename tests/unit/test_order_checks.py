@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from agent.common.schema import entries
 from agent.fleet import FleetError, parse_fleet
 from agent.fleet_sections import TrajectorySection
 from agent.order_sections import ORDER_FIELDS, OrderSection
-from agent.schema import entries
 from tests.unit.order_fleets import SQUARE, square
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S, RealClock
 from agent.codec import encode
+from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet, digest, load_fleet
 from agent.formation import resolved
 from agent.messages import Mission

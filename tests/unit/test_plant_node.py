@@ -8,8 +8,8 @@ from typing import NamedTuple
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
 from agent.messages import (

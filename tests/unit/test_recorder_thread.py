@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from agent import recorder_process, recorder_thread
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.recorder_thread import RecorderThread
 from agent.robot_recorder import RobotRecorder
 from agent.segments import MESSAGES, OVERFLOW

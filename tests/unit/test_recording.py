@@ -18,8 +18,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from agent import keys
-from agent.clock import LocalTime
 from agent.codec import encode
+from agent.common.clock import LocalTime
 from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet, FleetError, to_dict
 from agent.messages import (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.hand import hand_acceleration
 from agent.messages import HandState, Status, Stop, Wrench
 from agent.peers import TRUST_GAINED_S, TRUST_LOST_S

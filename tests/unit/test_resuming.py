@@ -7,7 +7,7 @@ from argparse import Namespace
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import load_fleet
 from agent.latch import AWAITED
 from agent.messages import PlantState, Resume, Status

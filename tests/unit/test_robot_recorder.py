@@ -11,7 +11,7 @@ import pytest
 
 from agent import keys, recorder_process
 from agent.bus import BusError
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import digest, load_fleet
 from agent.formation import resolved
 from agent.robot_recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders

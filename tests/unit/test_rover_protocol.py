@@ -7,7 +7,7 @@ from math import nan, pi
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.rover_settings import Settings, SettingsError, parse_home, parse_parameter

@@ -8,8 +8,8 @@ from statistics import mean
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.clock import NS_PER_S
-from agent.draws import bits, stream
+from agent.common.clock import NS_PER_S
+from agent.common.random_streams import bits, stream
 from bridges.mavlink import ardurover
 from bridges.mavlink.rover_settings import Settings
 from bridges.mavlink.rover_simulator import Rover

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from bridges.mavlink.rover_server import serve
 from bridges.mavlink.rover_settings import SettingsError
 from bridges.mavlink.rover_simulator import Rover, Settings

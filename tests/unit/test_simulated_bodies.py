@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.clock import NS_PER_S
 from agent.codec import decode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.messages import Checks, Message, PlantState

@@ -9,8 +9,8 @@ from itertools import pairwise
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
 from agent.codec import decode, encode
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import resolved
 from agent.message_checks import Malformed

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.clock import NS_PER_S
 from agent.codec import encode
+from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.messages import Faults, Mission

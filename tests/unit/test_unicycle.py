@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.fleet_sections import Robot
 from agent.hand import Pose

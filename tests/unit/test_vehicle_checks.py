@@ -7,7 +7,7 @@ import io
 import pytest
 
 from agent import keys
-from agent.clock import NS_PER_S
+from agent.common.clock import NS_PER_S
 from agent.fleet import load_fleet
 from agent.messages import Checks, PlantState, Status
 from deploy.arguments import FLEETS

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent import clock
-from agent.clock import NS_PER_S, LocalTime, RealClock
+from agent.common import clock
+from agent.common.clock import NS_PER_S, LocalTime, RealClock
 
 EPOCH = 1_700_000_000 * NS_PER_S
 MS = 1_000_000

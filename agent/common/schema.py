@@ -22,7 +22,7 @@ from operator import or_
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from agent.quantities import UNITS, Unit, quantity
+from agent.common.quantities import UNITS, Unit, quantity
 
 T = TypeVar("T")
 

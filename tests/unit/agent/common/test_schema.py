@@ -1,4 +1,4 @@
-"""agent.schema: what a raw table reads as, and every message that it can give."""
+"""agent.common.schema: what a raw table reads as, and every message that it can give."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ from typing import Any, Literal
 
 import pytest
 
-from agent.schema import Problem, Reader, Setting, about, build, entries, plain, printable, setting, show
+from agent.common.schema import (
+    Problem,
+    Reader,
+    Setting,
+    about,
+    build,
+    entries,
+    plain,
+    printable,
+    setting,
+    show,
+)
 
 
 @dataclass(frozen=True, slots=True)

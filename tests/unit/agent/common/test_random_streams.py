@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent import draws
+from agent.common import random_streams
 
 COUNT = 100_000
 # Every draw is fixed: these tests cannot fail by bad luck, and p-values were looked at once.
@@ -18,13 +18,13 @@ UNIFORM_KNOWN = float.fromhex("0x1.1d1d1e4035cf2p-1")  # the first draw of robot
 
 
 def uniforms(*key: int | str, count: int = COUNT) -> np.ndarray:
-    stream = draws.stream(*key)
-    return np.array([draws.uniform(stream, k) for k in range(count)])
+    stream = random_streams.stream(*key)
+    return np.array([random_streams.uniform(stream, k) for k in range(count)])
 
 
 def normals(*key: int | str, count: int = COUNT) -> np.ndarray:
-    stream = draws.stream(*key)
-    return np.array([draws.normal(stream, k) for k in range(count)])
+    stream = random_streams.stream(*key)
+    return np.array([random_streams.normal(stream, k) for k in range(count)])
 
 
 @pytest.mark.parametrize("key", [(0,), (1, "plant", 3, "x"), (2**63 - 1, "loss")])
@@ -39,9 +39,9 @@ def test_uniform_draws_are_uniform(key: tuple[int | str, ...]):
 
 def test_largest_and_smallest_uniform_are_in_range(monkeypatch: pytest.MonkeyPatch):
     for extreme, expected in ((0, 0.0), (2**64 - 1, 1.0 - 2.0**-53)):
-        monkeypatch.setattr(draws, "bits", lambda stream, counter, extreme=extreme: extreme)
-        assert draws.uniform(0, 0) == expected
-        assert np.isfinite(draws.normal(0, 0))
+        monkeypatch.setattr(random_streams, "bits", lambda stream, counter, extreme=extreme: extreme)
+        assert random_streams.uniform(0, 0) == expected
+        assert np.isfinite(random_streams.normal(0, 0))
 
 
 @pytest.mark.parametrize("key", [(0,), (1, "plant", 3, "x"), (7, "plant", 12, "yaw rate")])
@@ -86,14 +86,16 @@ def test_streams_are_independent(one: tuple[int | str, ...], other: tuple[int | 
 
 
 def test_same_counter_of_many_streams_is_uniform():
-    sample = np.array([draws.uniform(draws.stream(3, "plant", robot, "x"), 0) for robot in range(20_000)])
+    sample = np.array(
+        [random_streams.uniform(random_streams.stream(3, "plant", robot, "x"), 0) for robot in range(20_000)]
+    )
     assert stats.kstest(sample, "uniform").pvalue > P_MIN
     assert abs(np.corrcoef(sample[:-1], sample[1:])[0, 1]) < 4.5 / sqrt(len(sample))
 
 
 def test_bits_are_fair_each():
-    stream = draws.stream("bits")
-    words = np.array([draws.bits(stream, k) for k in range(20_000)], dtype=np.uint64)
+    stream = random_streams.stream("bits")
+    words = np.array([random_streams.bits(stream, k) for k in range(20_000)], dtype=np.uint64)
     for bit in range(64):
         ones = int(((words >> np.uint64(bit)) & np.uint64(1)).sum())
         assert abs(ones - 10_000) < 4.5 * 0.5 * sqrt(20_000), bit
@@ -101,7 +103,7 @@ def test_bits_are_fair_each():
 
 def test_bits_are_splitmix64():
     """Its published first outputs for the seed 1234567 (Rosetta Code, `java.util.SplittableRandom`)."""
-    assert [draws.bits(1234567, k) for k in range(5)] == [
+    assert [random_streams.bits(1234567, k) for k in range(5)] == [
         6457827717110365317,
         3203168211198807973,
         9817491932198370423,
@@ -111,18 +113,18 @@ def test_bits_are_splitmix64():
 
 
 def test_draws_are_pure_and_know_no_order():
-    stream = draws.stream(4, "x")
-    forward = [draws.normal(stream, k) for k in range(50)]
-    draws.uniform(draws.stream("other"), 3)
-    backward = [draws.normal(stream, k) for k in reversed(range(50))]
+    stream = random_streams.stream(4, "x")
+    forward = [random_streams.normal(stream, k) for k in range(50)]
+    random_streams.uniform(random_streams.stream("other"), 3)
+    backward = [random_streams.normal(stream, k) for k in reversed(range(50))]
     assert forward == backward[::-1]
-    assert draws.stream(4, "x") == stream
+    assert random_streams.stream(4, "x") == stream
 
 
 def test_streams_are_the_same_in_every_run_and_on_every_machine():
-    assert draws.stream(0, "plant", 1, "x") == draws.stream(0, "plant", 1, "x")
-    assert draws.uniform(draws.stream(0, "plant", 1, "x"), 0) == UNIFORM_KNOWN
-    assert draws.stream(0) != draws.stream("0")
+    assert random_streams.stream(0, "plant", 1, "x") == random_streams.stream(0, "plant", 1, "x")
+    assert random_streams.uniform(random_streams.stream(0, "plant", 1, "x"), 0) == UNIFORM_KNOWN
+    assert random_streams.stream(0) != random_streams.stream("0")
 
 
 def test_keys_that_read_alike_are_different_streams():
@@ -135,13 +137,13 @@ def test_keys_that_read_alike_are_different_streams():
         ("12", "3"),
         ("123",),
     ]
-    assert len({draws.stream(*key) for key in keys}) == len(keys)
+    assert len({random_streams.stream(*key) for key in keys}) == len(keys)
 
 
 def test_module_keeps_no_state():
     assert not [
         name
-        for name, value in vars(draws).items()
+        for name, value in vars(random_streams).items()
         if not name.startswith("__") and isinstance(value, (list, dict, set))
     ]
-    assert "global " not in inspect.getsource(draws)
+    assert "global " not in inspect.getsource(random_streams)
