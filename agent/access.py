@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from agent import keys
 from agent.identity import MAIN, Identity, of_operator, of_robot, of_router
+from agent.messages import key_expressions
 
 _OUT: Final = "out"
 _LISTEN: Final = "listen"
@@ -83,7 +83,7 @@ def access_settings(
         _rule(
             _LISTEN,
             ("declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"),
-            [keys.everything(fleet)],
+            [key_expressions.everything(fleet)],
         ),
     ]
     subjects: list[dict[str, Any]] = []
@@ -104,15 +104,15 @@ def access_settings(
         policies.append({"rules": allowed, "subjects": [group]})
 
     for robot in robots:
-        own = keys.status(fleet, robot).rpartition("/")[0]
+        own = key_expressions.status(fleet, robot).rpartition("/")[0]
         allow(
             f"robot {robot}",
             [of_robot(fleet, robot)],
-            [keys.everything(own)],
-            [keys.alive(fleet, robot, role) for role in keys.ROLES],
+            [key_expressions.everything(own)],
+            [key_expressions.alive(fleet, robot, role) for role in key_expressions.ROLES],
         )
     allow("operators", [of_operator(fleet, name) for name in operators], _orders(fleet), [])
-    all_of_it = [keys.everything(fleet)]
+    all_of_it = [key_expressions.everything(fleet)]
     allow("routers", [of_router(fleet, name) for name in routers], all_of_it, all_of_it)
     return {
         "enabled": True,  # left out, there is no access control, and no warning
@@ -127,9 +127,15 @@ def _orders(fleet: str) -> list[str]:
     return [
         key(fleet)
         for key in (
-            keys.mission, keys.stop, keys.resume, keys.faults, keys.heartbeat, keys.ask, keys.events,
+            key_expressions.mission,
+            key_expressions.stop,
+            key_expressions.resume,
+            key_expressions.faults,
+            key_expressions.heartbeat,
+            key_expressions.ask,
+            key_expressions.events,
         )
-    ]  # fmt: skip
+    ]
 
 
 def _rule(name: str, messages: Sequence[str], where: Sequence[str], flow: str = "ingress") -> dict[str, Any]:

@@ -17,8 +17,8 @@ from typing import Any, Final, Literal
 import zenoh
 
 from agent.access import Security
-from agent.keys import robot_of_alive
 from agent.linger import Lingering
+from agent.messages.key_expressions import robot_of_alive
 from agent.node import INBOX_SIZE
 
 Mode = Literal["peer", "client", "router"]

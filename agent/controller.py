@@ -18,7 +18,7 @@ from agent.course import Course, Edge
 from agent.detour import Blocker, Detour
 from agent.fleet import Fleet
 from agent.formation import Geometry
-from agent.messages import NEIGHBOURS_MAX, PlantState
+from agent.messages.types import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns
 from agent.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
 from agent.plan import Plan

@@ -10,15 +10,15 @@ from collections import Counter
 from math import exp, hypot, isfinite
 from typing import Final
 
-from agent import hand, keys
-from agent.codec import decode, encode, newer
+from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.latch import AWAITED, Latch
-from agent.message_checks import Malformed
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode, newer
+from agent.messages.types import (
     FLOAT_MAX,
     NO_FORCES,
     TOPICS,
@@ -35,6 +35,7 @@ from agent.messages import (
     Wrench,
     clipped,
 )
+from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX
 from agent.plan import PlanError, plan_of
@@ -116,33 +117,33 @@ class Agent:
         self._doubt = 0.0
         self._degree = 0
 
-        self._key_hand = keys.hand(name, robot)
-        self._key_beacon = keys.beacon(name, robot)
-        self._key_wrench = keys.wrench(name, robot)
-        self._key_status = keys.status(name, robot)
-        self._key_plant = keys.plant_state(name, robot)
-        self._key_heartbeat = keys.heartbeat(name)
-        self._key_ask = keys.ask(name)
+        self._key_hand = key_expressions.hand(name, robot)
+        self._key_beacon = key_expressions.beacon(name, robot)
+        self._key_wrench = key_expressions.wrench(name, robot)
+        self._key_status = key_expressions.status(name, robot)
+        self._key_plant = key_expressions.plant_state(name, robot)
+        self._key_heartbeat = key_expressions.heartbeat(name)
+        self._key_ask = key_expressions.ask(name)
         others = [other for other in fleet.ids if other != robot]
-        self._hands = {keys.hand(name, other): other for other in others}
-        self._beacons = {keys.beacon(name, other): other for other in others}
+        self._hands = {key_expressions.hand(name, other): other for other in others}
+        self._beacons = {key_expressions.beacon(name, other): other for other in others}
         self._hand_of = {other: key for key, other in self._hands.items()}
-        self.alive_key: Final = keys.alive(name, robot, "agent")
-        self.watched: Final = keys.alive(name, "*", "agent")
+        self.alive_key: Final = key_expressions.alive(name, robot, "agent")
+        self.watched: Final = key_expressions.alive(name, "*", "agent")
         sources = {"hand": others, "beacon": others, "state": (robot,)}
         self._reception = Reception(fleet, robot, "agent", sources)
         self.plan: Final = self._reception.plan
         self._always = (
             # A stop is taken before a mission: who catches up must not drive first. What robots tell comes
             # on one key, and so in the order in which it is said: there too the stop first.
-            keys.stop(name),
-            keys.resume(name),
+            key_expressions.stop(name),
+            key_expressions.resume(name),
             self._telling.subscription,
             self._key_plant,
-            keys.mission(name),
+            key_expressions.mission(name),
             self._key_heartbeat,
             self._key_ask,
-            keys.beacon(name, "*"),
+            key_expressions.beacon(name, "*"),
             *self._reception.subscriptions,
         )
         self.subscriptions: tuple[str, ...] = self._always
@@ -197,7 +198,7 @@ class Agent:
 
     def present(self, key: str, here: bool) -> None:
         """See `agent.node.Node`: another agent's process came or went."""
-        found = keys.robot_of_alive(key)
+        found = key_expressions.robot_of_alive(key)
         if found is not None and found[0] != self.robot:
             self._peers.present(found[0], here)
 

@@ -20,13 +20,13 @@ from dataclasses import replace
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.codec import newer
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.fleet_sections import Pair
 from agent.formation import Geometry
 from agent.law import DISTANCE_MIN
-from agent.messages import TIME_NS_MAX, Mission
+from agent.messages.codec import newer
+from agent.messages.types import TIME_NS_MAX, Mission
 from agent.plan import Plan, plan_of
 from agent.trajectory import Sample
 
@@ -110,8 +110,8 @@ class Course:
     def take(self, plan: Plan) -> None:
         """Takes a plan over at its time, instead of all that was to be taken over then or later.
 
-        One that is not newer than the latest (`agent.codec.newer`) changes nothing. A plan of another
-        epoch is a new drive, of which the former ones are no part.
+        One that is not newer than the latest (`agent.messages.codec.newer`) changes nothing. A plan of
+        another epoch is a new drive, of which the former ones are no part.
         """
         latest, epoch_ns = self.plan, plan.mission.epoch_ns
         if latest is not None and not newer(plan.mission, latest.mission):

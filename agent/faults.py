@@ -27,7 +27,7 @@ from agent.fault_settings import (
 )
 from agent.fleet import Fleet
 from agent.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
-from agent.messages import EVERY_AUTHOR, Faults
+from agent.messages.types import EVERY_AUTHOR, Faults
 from agent.replay import UNTOUCHED
 from agent.scenario import ScenarioError, parse_scenario
 

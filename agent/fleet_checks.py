@@ -16,7 +16,7 @@ from agent.fault_checks import check_faults
 from agent.fleet_sections import SHARED_LINKS, SIMULATOR
 from agent.host_checks import check_hosts
 from agent.host_sections import PORT_MAX
-from agent.messages import NEIGHBOURS_MAX
+from agent.messages.types import NEIGHBOURS_MAX
 from agent.order_checks import check_orders
 from agent.safety_checks import check_safety
 from agent.trajectory_checks import check_trajectory

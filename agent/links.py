@@ -21,7 +21,7 @@ from agent.common import random_streams
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.faults import NONE, FaultPlan, LinkEffects, LinkRules
 from agent.impairments import Delay, from_trace
-from agent.messages import (
+from agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
     HELD,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
-from agent import keys
 from agent.common import random_streams
 from agent.faults import FaultPlan
+from agent.messages import key_expressions
 
 Outgoing = tuple[str, bytes]
 """A message to publish: its key and its bytes."""
@@ -153,7 +153,7 @@ class Ticks:
     def __init__(self, node: Node, now_ns: int) -> None:
         self._plan: Final = node.plan
         self._period_ns, self._phase_ns = node.period_ns, node.phase_ns
-        robot, role = keys.robot_of_alive(node.alive_key) or (0, "")
+        robot, role = key_expressions.robot_of_alive(node.alive_key) or (0, "")
         self._robot = robot
         self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
         self._changes = -1

@@ -9,11 +9,11 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from agent import keys
-from agent.codec import VERSION
 from agent.common.clock import NS_PER_S
-from agent.message_checks import TYPE_OF
-from agent.messages import Mission, Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import VERSION
+from agent.messages.types import Mission, Resume, Stop
+from agent.messages.validation import TYPE_OF
 from agent.seal import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
@@ -30,7 +30,7 @@ that were verified of late are known, and cost nothing. What operators say thems
 _LASTING: Final = tuple(
     bytes([0x90 | 2 + len(kind._fields), VERSION, TYPE_OF[kind]]) for kind in (Mission, Stop, Resume)
 )
-"""How those orders begin that are said again by whoever knows them (`agent.codec`)."""
+"""How those orders begin that are said again by whoever knows them (`agent.messages.codec`)."""
 
 
 class OrderGate:
@@ -54,10 +54,17 @@ class OrderGate:
     ) -> None:
         self._orders: Final = frozenset(
             key(fleet)
-            for key in (keys.mission, keys.stop, keys.resume, keys.faults, keys.heartbeat, keys.ask)
+            for key in (
+                key_expressions.mission,
+                key_expressions.stop,
+                key_expressions.resume,
+                key_expressions.faults,
+                key_expressions.heartbeat,
+                key_expressions.ask,
+            )
         )
-        self._told: Final = frozenset(keys.told(fleet, robot) for robot in robots)
-        self._like_told: Final = tuple(keys.told(fleet, "*").split("*"))
+        self._told: Final = frozenset(key_expressions.told(fleet, robot) for robot in robots)
+        self._like_told: Final = tuple(key_expressions.told(fleet, "*").split("*"))
         self._opener, self._sealer, self._refused = opener, sealer, refused
         self._sealed: OrderedDict[bytes, bytes] = OrderedDict()
         self._size = 0

@@ -16,14 +16,14 @@ from typing import Final
 import numpy as np
 
 from agent.blend import blend_ns_for
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.common.schema import show
 from agent.fleet import Fleet, digest
 from agent.fleet_sections import Pair, TrajectorySection
 from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near, worst_edge
-from agent.message_checks import Malformed
-from agent.messages import Mission, clipped
+from agent.messages.codec import decode, encode
+from agent.messages.types import Mission, clipped
+from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
 from agent.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
 from agent.plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan

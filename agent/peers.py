@@ -14,7 +14,7 @@ from typing import Final
 
 from agent.clock_offset import ClockOffset
 from agent.common.clock import NS_PER_S
-from agent.messages import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
+from agent.messages.types import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
 from agent.prediction import Prediction, as_it_came, coasting, following
 from agent.trajectory import Sample
 

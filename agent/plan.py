@@ -17,7 +17,7 @@ from agent.common.schema import Reader, about, build, show
 from agent.fleet import Fleet
 from agent.fleet_sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
 from agent.formation import Geometry
-from agent.messages import NEIGHBOURS_MAX, Mission
+from agent.messages.types import NEIGHBOURS_MAX, Mission
 from agent.trajectory import Sample, Trajectory, make_trajectory
 from agent.trajectory_checks import check_trajectory
 

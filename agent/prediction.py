@@ -11,7 +11,7 @@ from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final, NamedTuple
 
 from agent.law import saturation
-from agent.messages import HandState
+from agent.messages.types import HandState
 from agent.trajectory import Sample
 
 BRAKING_TIME_S: Final = 0.2

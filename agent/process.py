@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent import keys
 from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.common.schema import printable
@@ -20,6 +19,7 @@ from agent.credentials import CredentialsError, NotYetValidError
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, FleetError, load_fleet
 from agent.identity import of_robot
+from agent.messages import key_expressions
 from agent.node import Node, Ticks
 from agent.sealed_bus import bus_for
 from agent.service import Service
@@ -206,7 +206,7 @@ def _run(
             log,
             listen=listen,
             connect=connect,
-            near=keys.near(fleet.fleet.name, options.robot),
+            near=key_expressions.near(fleet.fleet.name, options.robot),
             go_on_waiting=waiting,
         ) as bus:
             serve(node, bus, clock, shutdown, log, service)

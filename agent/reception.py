@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.links import Arrival, Links, Sample
-from agent.messages import Faults
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Faults
 from agent.node import Outgoing
 from agent.peers import FUTURE_NS_MAX
 
@@ -27,7 +27,7 @@ class Reception:
     """The incoming links of the agent or the plant of robot `robot`.
 
     Args:
-        sources: by topic (`agent.messages.TOPICS`), the robots whose messages come here.
+        sources: by topic (`agent.messages.types.TOPICS`), the robots whose messages come here.
 
     Attributes:
         subscriptions, publications: keys that the node needs for it.
@@ -40,9 +40,13 @@ class Reception:
         name = fleet.fleet.name
         self.plan: Final = FaultPlan(fleet)
         self._links = Links(self.plan, robot, sources)
-        self.key_faults: Final = keys.faults(name)
-        self._key_trace = keys.links(name, robot) if role == "agent" else keys.plant_links(name, robot)
-        self._key_held = keys.faults_held(name, robot, role)
+        self.key_faults: Final = key_expressions.faults(name)
+        self._key_trace = (
+            key_expressions.links(name, robot)
+            if role == "agent"
+            else key_expressions.plant_links(name, robot)
+        )
+        self._key_held = key_expressions.faults_held(name, robot, role)
         self.subscriptions: Final = (self.key_faults,)
         self.publications: Final = (self._key_trace, self._key_held)
         self._said: dict[str, Faults] = {}
@@ -81,7 +85,7 @@ class Reception:
         """True when a message that has come is to be delivered at once; else it is lost, or comes later.
 
         Args:
-            topic: index into `agent.messages.TOPICS`.
+            topic: index into `agent.messages.types.TOPICS`.
             own_position: (x, y), m, W, for a range channel.
 
         A message from the future is delivered, to be refused: waiting for its time, it would keep the

@@ -16,10 +16,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent import keys
 from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet, FleetError, digest, load_fleet, read_text
+from agent.messages import key_expressions
 from agent.process import (
     BAD_INPUT,
     FAILED,
@@ -183,7 +183,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 _bus(fleet, robot, options.keys, log) as bus,
             ):
                 inbox = inbox_size(fleet)
-                bus.subscribe(keys.everything(fleet.fleet.name), inbox)
+                bus.subscribe(key_expressions.everything(fleet.fleet.name), inbox)
                 log(f"recording into {path}, at most {fleet.recording.max_mb} MB")
                 orders = order_keys(told.fleet, robot)
                 recorder = RobotRecorder(folder, told, orders, known(path, orders), log)

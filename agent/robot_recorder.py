@@ -10,8 +10,8 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from agent import keys
 from agent.common.clock import NS_PER_S
+from agent.messages import key_expressions
 from agent.segment_folder import SegmentFolder
 from agent.segments import (
     KNOWN,
@@ -37,7 +37,14 @@ AGAIN: Final = f"tried again every {RETRY_NS // NS_PER_S} s"
 
 def order_keys(fleet: str, robot: int) -> frozenset[str]:
     """Keys on which a recorder may hear orders."""
-    return frozenset({keys.mission(fleet), keys.stop(fleet), keys.resume(fleet), keys.told(fleet, robot)})
+    return frozenset(
+        {
+            key_expressions.mission(fleet),
+            key_expressions.stop(fleet),
+            key_expressions.resume(fleet),
+            key_expressions.told(fleet, robot),
+        }
+    )
 
 
 def known_orders(path: Path, orders: Container[str]) -> Iterator[Received]:

@@ -2,8 +2,8 @@
 
 A sealed order is one MessagePack array ``[1, time, certificate, signature, payload]``: when it was sealed
 (wall time, ns), the operator's certificate (DER), an ECDSA signature (P-256, SHA-256, DER) over `DOMAIN`, the
-time (8 bytes, the highest first) and the payload, and the order as `agent.codec` made it. Whether an order is
-older than another is the receiver's to find out, by the version in the payload.
+time (8 bytes, the highest first) and the payload, and the order as `agent.messages.codec` made it. Whether
+an order is older than another is the receiver's to find out, by the version in the payload.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import msgpack
 
 from agent.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
 from agent.credentials import Credentials
-from agent.messages import MISSION_BYTES_MAX, TIME_NS_MAX
+from agent.messages.types import MISSION_BYTES_MAX, TIME_NS_MAX
 
 if TYPE_CHECKING:
     from cryptography import x509

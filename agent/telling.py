@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent import keys
-from agent.codec import encode, tag
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.gossip import AGAIN_NS, Gossip, Mark
 from agent.latch import Latch
-from agent.messages import Beacon, Mission, PlantState, Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import encode, tag
+from agent.messages.types import Beacon, Mission, PlantState, Resume, Stop
 from agent.node import Numbers, Outgoing
 
 UNMOVED_NS: Final = NS_PER_S // 2
@@ -31,13 +31,13 @@ class Telling:
 
     def __init__(self, fleet: Fleet, robot: int, latch: Latch) -> None:
         name = fleet.fleet.name
-        self.key: Final = keys.told(name, robot)
-        self.subscription: Final = keys.told(name, "*")
-        told = {keys.told(name, other) for other in fleet.ids if other != robot}
+        self.key: Final = key_expressions.told(name, robot)
+        self.subscription: Final = key_expressions.told(name, "*")
+        told = {key_expressions.told(name, other) for other in fleet.ids if other != robot}
         self._sources: Final[dict[type[Mission | Stop | Resume], set[str]]] = {
-            Mission: {keys.mission(name), *told},
-            Stop: {keys.stop(name), *told},
-            Resume: {keys.resume(name), *told},
+            Mission: {key_expressions.mission(name), *told},
+            Stop: {key_expressions.stop(name), *told},
+            Resume: {key_expressions.resume(name), *told},
         }
         self._latch = latch
         self._mission: Mission | None = None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from agent.fleet import Fleet
-from agent.keys import ROLES
+from agent.messages.key_expressions import ROLES
 from agent.supervision import DRIVING, State
 from deploy.live_faults import Receiver
 from deploy.operator_session import OperatorSession

@@ -7,7 +7,7 @@ from typing import Final
 
 from agent.fleet import Fleet
 from agent.hand import Pose
-from agent.keys import ROLES
+from agent.messages.key_expressions import ROLES
 from deploy.before_drive import refusal
 from deploy.interrupt import Interrupt
 from deploy.operator_session import OperatorSession

@@ -6,7 +6,7 @@ import getpass
 import os
 import socket
 
-from agent.messages import AUTHOR_MAX
+from agent.messages.types import AUTHOR_MAX
 
 
 def author() -> str:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import formation
-from agent.codec import encode
 from agent.core import HEARD_ROUNDS
 from agent.fault_settings import ACTION_FIELDS, Effect, Rule
 from agent.faults import FaultPlan, LinkEffects
 from agent.fleet import Fleet
 from agent.impairments import Delay, Loss
-from agent.messages import HandState
+from agent.messages.codec import encode
+from agent.messages.types import HandState
 from agent.node import FIRST_ROUND
 from agent.peers import FUTURE_NS_MAX
 from deploy.fault_times import windows

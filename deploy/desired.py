@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.codec import newer
 from agent.course import Course
 from agent.formation import Geometry
-from agent.messages import Mission
+from agent.messages.codec import newer
+from agent.messages.types import Mission
 from agent.plan import PlanError, plan_of
 from agent.trajectory import make_trajectory
 from deploy.link_data import Floats

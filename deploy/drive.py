@@ -8,13 +8,13 @@ from functools import partial
 from operator import itemgetter
 from typing import Final
 
-from agent import keys
 from agent.bus import Bus
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
-from agent.messages import Event, Heartbeat, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Event, Heartbeat, Stop
 from agent.node import next_tick_ns
 from agent.order_sections import OrderSection
 from agent.orders import OrderError
@@ -328,6 +328,6 @@ class Drive:
             followed.states.pop(robot, None)
         event = Event(robot, self._events, now_ns, role, action.what, action.rule)
         self._events += 1
-        followed.record(now_ns, keys.events(self._fleet.fleet.name), encode(event))
+        followed.record(now_ns, key_expressions.events(self._fleet.fleet.name), encode(event))
         name = self._processes.names[robot, role]
         self._view.say(f"{followed.time_s:.1f} s: rule {action.rule!r} {WORDS[action.what]} {name}")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.formation import resolve
-from agent.messages import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
+from agent.messages.types import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
 from deploy.analysis import analyse
 from deploy.link_data import LinkTable
 from deploy.metrics import MESSAGES

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from agent.fault_settings import Rule
 from agent.faults import FaultPlan, named
-from agent.messages import EVERY_AUTHOR, Faults
+from agent.messages.types import EVERY_AUTHOR, Faults
 from agent.scenario import ScenarioError, parse_scenario
 from deploy.fault_words import lasts
 from deploy.recording import Recording

@@ -9,7 +9,7 @@ from typing import Final, Protocol, TextIO
 from agent.common.clock import NS_PER_S
 from agent.fault_settings import Rule
 from agent.fleet import Fleet
-from agent.messages import EVERY_AUTHOR, Faults
+from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.fault_words import end_of, words
 from deploy.live_faults import Held, Receiver
 from deploy.wording import some

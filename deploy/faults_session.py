@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet
-from agent.messages import Faults, Message, PlantState
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Faults, Message, PlantState
 from agent.node import FIRST_ROUND
 from deploy.author import author
 from deploy.live_faults import Held, Receiver
@@ -34,11 +34,11 @@ class FaultsSession(Session):
         self.held = Held(fleet)
         self.epoch_ns: int | None = None
         self._version = 0
-        self._key = keys.faults(name)
+        self._key = key_expressions.faults(name)
         self.bus.declare(self._key)
-        for role in keys.ROLES:
-            self.bus.subscribe(keys.faults_held(name, "*", role), INBOX)
-        self.bus.subscribe(keys.plant_state(name, "*"))
+        for role in key_expressions.ROLES:
+            self.bus.subscribe(key_expressions.faults_held(name, "*", role), INBOX)
+        self.bus.subscribe(key_expressions.plant_state(name, "*"))
 
     def version(self) -> int:
         """The next version of this operator's messages: grows from message to message, and from author to

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent import keys
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.hand import Pose
-from agent.messages import Ask, Heartbeat, Message, PlantState, Status
+from agent.messages import key_expressions
+from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
 from agent.supervision import State
 from deploy.author import author
 from deploy.fleet_processes import FleetProcesses
@@ -66,8 +66,8 @@ class Followed:
         name = fleet.fleet.name
         for key in self.operator.keys.values():
             bus.declare(key)
-        bus.subscribe(keys.everything(name), RECORDER_INBOX)
-        self._presence = bus.watch(keys.alive(name, "*", "*"))
+        bus.subscribe(key_expressions.everything(name), RECORDER_INBOX)
+        self._presence = bus.watch(key_expressions.alive(name, "*", "*"))
 
     # ------------------------------------------------------------------ what comes
 
@@ -97,15 +97,15 @@ class Followed:
     def _locate(self, key: str, message: Message) -> None:
         if type(message) is PlantState:
             name, robot = self.fleet.fleet.name, message.robot
-            if key == keys.plant_state(name, robot):
+            if key == key_expressions.plant_state(name, robot):
                 self.states[robot] = message
-            elif key == keys.plant_truth(name, robot):
+            elif key == key_expressions.plant_truth(name, robot):
                 self._truths[robot] = message
 
     def look(self) -> list[str]:
         """What is to be said of processes that came or went."""
         for key, here in self._presence.update():
-            process = keys.robot_of_alive(key)
+            process = key_expressions.robot_of_alive(key)
             if process is not None:
                 (self.present.add if here else self.present.discard)(process)
                 if not here and not self.processes.ours:

@@ -16,7 +16,7 @@ from typing import Any, Final
 from agent.course import Course
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import Mission, PlantState
+from agent.messages.types import Mission, PlantState
 from agent.plan import PlanError, plan_of
 
 PERIOD_NS: Final = 100_000_000

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final, TextIO
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet
-from agent.messages import Heartbeat
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Heartbeat
 from deploy.author import author
 from deploy.faults_putting import Line
 from deploy.interrupt import Interrupt
@@ -28,7 +28,7 @@ class HeartbeatSession(Session):
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
         self._author = author()
-        self._key = keys.heartbeat(fleet.fleet.name)
+        self._key = key_expressions.heartbeat(fleet.fleet.name)
         self.bus.declare(self._key)
 
     def beat(self, interrupt: Interrupt, stream: TextIO) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent import keys
-from agent.codec import decode
 from agent.fleet import Fleet
+from agent.messages import key_expressions
+from agent.messages.codec import decode
 from deploy.pool import Abandoned, GoOn
 from deploy.recording import Recording, RunData
 from deploy.simulation import Simulation
@@ -19,15 +19,20 @@ def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:
     name = fleet.fleet.name
     data = RunData(fleet, mode="simulate")
     # Hand states, beacons and what agents did to them are most of the messages, and nobody is judged by them.
-    wanted = {keys.mission(name), keys.stop(name), keys.resume(name), keys.events(name)}
+    wanted = {
+        key_expressions.mission(name),
+        key_expressions.stop(name),
+        key_expressions.resume(name),
+        key_expressions.events(name),
+    }
     for robot in fleet.ids:
         wanted |= {
-            keys.plant_state(name, robot),
-            keys.plant_truth(name, robot),
-            keys.plant_links(name, robot),
-            keys.wrench(name, robot),
-            keys.status(name, robot),
-            keys.told(name, robot),
+            key_expressions.plant_state(name, robot),
+            key_expressions.plant_truth(name, robot),
+            key_expressions.plant_links(name, robot),
+            key_expressions.wrench(name, robot),
+            key_expressions.status(name, robot),
+            key_expressions.told(name, robot),
         }
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:

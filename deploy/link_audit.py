@@ -24,7 +24,7 @@ import numpy as np
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.links import TRACE_PERIOD_NS, Links
-from agent.messages import HELD, OVERFLOW, TOPICS, Faults, Wrench
+from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from deploy.analysis import Analysis
 from deploy.fault_words import gives_link_effects
 from deploy.link_data import Link, LinkTable

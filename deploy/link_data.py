@@ -1,4 +1,5 @@
-"""What links did to messages on purpose, as columns: every decision of a run (`agent.messages.LinkTrace`)."""
+"""What links did to messages on purpose, as columns: every decision of a run
+(`agent.messages.types.LinkTrace`)."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.messages import DUPLICATED, LOST, TOPICS, LinkTrace
+from agent.messages.types import DUPLICATED, LOST, TOPICS, LinkTrace
 from deploy.columns import Store
 
 Floats = NDArray[np.float64]
@@ -47,7 +48,8 @@ class LinkTable:
     """n decisions, by link and stamp; of a message that came twice the second copy follows the first.
 
     destination, source, topic (index into `TOPICS`), sequence, stamp_ns, what (bits of
-    `agent.messages`), delay_us (-1 where lost): (n,) integers. t: (n,) s, true fleet time of the stamps.
+    `agent.messages.types`), delay_us (-1 where lost): (n,) integers. t: (n,) s, true fleet time of the
+    stamps.
     """
 
     destination: Ints

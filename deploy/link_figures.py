@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.messages import LOST
+from agent.messages.types import LOST
 from deploy.drawing import GREY, PALETTE, RED, new_figure, note
 from deploy.fault_strip import time_axes
 from deploy.link_data import Floats

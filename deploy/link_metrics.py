@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.fault_settings import ACTION_FIELDS, Rule
 from agent.faults import FaultPlan, link_effects
-from agent.messages import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
+from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis import Analysis
 from deploy.fault_times import LiveSet, live_sets, windows
 from deploy.fault_words import acts_on_links, described, effects_text, gives_link_effects, when, words

@@ -12,13 +12,13 @@ from rich.console import Group
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.course import Course
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.formation import Geometry
-from agent.messages import Faults, HandState, Message, Mission, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
 from agent.supervision import State
 from deploy.fault_words import defaults, held, lasts, words
 from deploy.live_faults import Held, shown
@@ -102,9 +102,9 @@ class Watch:
     def feed(self, key: str, message: Message) -> None:
         """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
         name = self._fleet.fleet.name
-        if type(message) is HandState and key == keys.hand(name, message.robot):
+        if type(message) is HandState and key == key_expressions.hand(name, message.robot):
             _keep_newest(self.hands, message)
-        elif type(message) is Status and key == keys.status(name, message.robot):
+        elif type(message) is Status and key == key_expressions.status(name, message.robot):
             if _keep_newest(self.statuses, message):
                 self._news.state(message.robot, message.state, message.reason)
         elif type(message) is Faults:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.fault_settings import Rule
 from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import Fleet
-from agent.messages import Faults, Message
+from agent.messages import key_expressions
+from agent.messages.types import Faults, Message
 from agent.scenario import ScenarioError, parse_scenario
 from deploy.fault_words import held, words
 
@@ -21,7 +21,7 @@ Receiver = tuple[int, str]
 
 def receivers(fleet: Fleet) -> list[Receiver]:
     """Every agent and plant."""
-    return [(robot, role) for robot in fleet.ids for role in keys.ROLES]
+    return [(robot, role) for robot in fleet.ids for role in key_expressions.ROLES]
 
 
 class LiveSet(NamedTuple):
@@ -41,13 +41,13 @@ class LiveSet(NamedTuple):
 
 
 class Held:
-    """Takes the echoes of one fleet's agents and plants (`agent.keys.faults_held`)."""
+    """Takes the echoes of one fleet's agents and plants (`agent.messages.key_expressions.faults_held`)."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._ids = fleet.ids
         name = fleet.fleet.name
         self._receivers = {
-            keys.faults_held(name, robot, role): (robot, role) for robot, role in receivers(fleet)
+            key_expressions.faults_held(name, robot, role): (robot, role) for robot, role in receivers(fleet)
         }
         self._latest: dict[tuple[Receiver, str], Faults] = {}
         self._latest_max = len(self._receivers) * (AUTHORS_MAX + ENDED_MAX)

@@ -9,7 +9,7 @@ from typing import Any, Final, get_args, get_origin
 from agent.common.schema import Entry, Reader, entries, plain
 from agent.fault_settings import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
 from agent.faults import named
-from agent.messages import RULES_MAX
+from agent.messages.types import RULES_MAX
 from agent.scenario import ScenarioError, parse_scenario
 from deploy.arguments import InputError
 from deploy.fault_words import defaults

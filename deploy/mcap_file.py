@@ -20,7 +20,7 @@ from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
 from agent.fleet import Fleet, load_fleet, parse_fleet
-from agent.messages import Message
+from agent.messages.types import Message
 from deploy.foxglove import SCHEMA_PREFIX
 from deploy.message_json import CLASSES, reader, schema_name
 from deploy.recorder import FLEET_ATTACHMENT, OUTCOME_METADATA, RUN_METADATA, RecordingError

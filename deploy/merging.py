@@ -16,11 +16,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.codec import newer
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
-from agent.messages import TIME_NS_MAX, Mission, Resume, Stop
+from agent.messages.codec import newer
+from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from agent.segments import Received
 from deploy.recorder import RecordingError
 from deploy.robot_recording import (

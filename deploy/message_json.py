@@ -14,7 +14,7 @@ from json.encoder import encode_basestring_ascii as _quoted
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, get_type_hints
 
-from agent.messages import (
+from agent.messages.types import (
     TOPICS,
     Ask,
     Beacon,

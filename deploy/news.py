@@ -7,7 +7,7 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
-from agent.messages import Mission, Resume, Stop
+from agent.messages.types import Mission, Resume, Stop
 from agent.supervision import DRIVING, State
 from deploy.wording import robots
 

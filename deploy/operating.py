@@ -9,11 +9,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
-from agent import keys
-from agent.codec import encode, newer
 from agent.fleet import Fleet, digest
 from agent.formation import Geometry
-from agent.messages import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop, clipped
+from agent.messages import key_expressions
+from agent.messages.codec import encode, newer
+from agent.messages.types import (
+    Ask,
+    Beacon,
+    Heartbeat,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+    clipped,
+)
 from agent.node import Numbers, Outgoing
 from agent.order_sections import OrderSection
 from agent.orders import OrderError, first_mission, ordered
@@ -58,13 +69,13 @@ class Known:
         self.foreign: Mission | None = None
         name = fleet.fleet.name
         self.keys: Final[Mapping[type[Message], str]] = {
-            Mission: keys.mission(name),
-            Stop: keys.stop(name),
-            Resume: keys.resume(name),
-            Heartbeat: keys.heartbeat(name),
-            Ask: keys.ask(name),
+            Mission: key_expressions.mission(name),
+            Stop: key_expressions.stop(name),
+            Resume: key_expressions.resume(name),
+            Heartbeat: key_expressions.heartbeat(name),
+            Ask: key_expressions.ask(name),
         }
-        self.told: Final = frozenset(keys.told(name, robot) for robot in fleet.ids)
+        self.told: Final = frozenset(key_expressions.told(name, robot) for robot in fleet.ids)
 
     def hear(self, key: str, message: Message) -> bool:
         """Takes a message that came on `key`; True for an order that is newer than those before."""
@@ -118,9 +129,9 @@ class Operator(Known):
 
     def hear(self, key: str, message: Message) -> bool:
         name = self.fleet.fleet.name
-        if type(message) is Status and key == keys.status(name, message.robot):
+        if type(message) is Status and key == key_expressions.status(name, message.robot):
             self._claim(message.robot, message.mission_version, message.order_version)
-        elif type(message) is Beacon and key == keys.beacon(name, message.robot):
+        elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
             order_version = max(message.stop_version, message.resume_version)
             self._claim(message.robot, message.mission_version, order_version)
         return super().hear(key, message)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from agent import keys
 from agent.fleet import Fleet
 from agent.formation import resolve, resolved
-from agent.messages import Ask, Heartbeat, Message, Status
+from agent.messages import key_expressions
+from agent.messages.types import Ask, Heartbeat, Message, Status
 from deploy.author import author
 from deploy.operating import Operator, Order
 from deploy.session import Session
@@ -38,13 +38,13 @@ class OperatorSession(Session):
         self.author: Final = author()
         for key in self.operator.keys.values():
             self.bus.declare(key)
-        orders = (keys.mission(name), keys.stop(name), keys.resume(name))
-        for key in (keys.status(name, "*"), keys.told(name, "*"), *orders):
+        orders = (key_expressions.mission(name), key_expressions.stop(name), key_expressions.resume(name))
+        for key in (key_expressions.status(name, "*"), key_expressions.told(name, "*"), *orders):
             self.bus.subscribe(key, INBOX)
 
     def feed(self, key: str, message: Message) -> None:
         self.operator.hear(key, message)
-        if type(message) is Status and key == keys.status(self.fleet.fleet.name, message.robot):
+        if type(message) is Status and key == key_expressions.status(self.fleet.fleet.name, message.robot):
             self.statuses[message.robot] = message
 
     @property

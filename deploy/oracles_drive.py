@@ -13,8 +13,8 @@ from agent.boundaries import fence_of, obstacles_of
 from agent.fault_settings import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
-from agent.keys import ROLES
 from agent.law import DISTANCE_MIN
+from agent.messages.key_expressions import ROLES
 from agent.supervision import DRIVING, State
 from deploy.analysis import Analysis, norm
 from deploy.balance import last_caught_s

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.fault_settings import Impairments, Rule
 from agent.fleet import Fleet
-from agent.messages import TOPICS
+from agent.messages.types import TOPICS
 from agent.supervision import DRIVING, REST_SPEED
 from deploy.analysis import Analysis
 from deploy.link_data import Floats

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from agent.codec import newer
 from agent.common.clock import NS_PER_S
-from agent.messages import Mission, Status
+from agent.messages.codec import newer
+from agent.messages.types import Mission, Status
 
 
 def words(mission: Mission) -> str:

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from agent import keys
 from agent.bus import Bus
-from agent.codec import decode
 from agent.common.clock import RealClock
 from agent.fleet import Fleet, to_dict
-from agent.message_checks import Malformed
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.validation import Malformed
 from deploy.interrupt import Interrupt
 from deploy.placing import Vehicle
 from deploy.processes import VEHICLE, Processes
@@ -83,7 +83,7 @@ class Preflight:
     def _look(self, processes: Processes) -> None:
         robots, name = self._checks.robots, self._fleet.fleet.name
         with Bus(listen=[], connect=[self._fleet.plant_endpoint(robot) for robot in robots]) as bus:
-            bus.subscribe(keys.checks(name, "*"), 32 * len(robots))
+            bus.subscribe(key_expressions.checks(name, "*"), 32 * len(robots))
             begun = time.monotonic()
             while not self._interrupt.count:
                 waited_s = time.monotonic() - begun

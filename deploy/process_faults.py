@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final, Literal, NamedTuple
 
 from agent.fault_settings import ACTION_FIELDS, Rule
-from agent.keys import ROLES
+from agent.messages.key_expressions import ROLES
 
 What = Literal["kill", "start", "stop", "continue"]
 Process = tuple[int, str]

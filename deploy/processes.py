@@ -9,7 +9,7 @@ from typing import Final
 
 from agent.fleet import Fleet
 from agent.hand import Pose
-from agent.keys import ROLES
+from agent.messages.key_expressions import ROLES
 from deploy.children import Child, end_all
 from deploy.placing import Vehicle
 from deploy.process_faults import Action, Process

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from agent.messages import PlantState, Status
+from agent.messages.types import PlantState, Status
 from agent.supervision import State, at_rest
 from deploy.wording import robots
 

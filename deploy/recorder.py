@@ -19,10 +19,10 @@ from typing import IO, Final, Self
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
-from agent.codec import decode
 from agent.fleet import Fleet, law_name, to_dict
-from agent.message_checks import Malformed
-from agent.messages import Message, Mission, PlantState
+from agent.messages.codec import decode
+from agent.messages.types import Message, Mission, PlantState
+from agent.messages.validation import Malformed
 from agent.version import handfast_version
 from deploy.foxglove import SCHEMAS, Scene
 from deploy.message_json import schema, schema_name, to_json
@@ -75,7 +75,7 @@ class Recorder:
         self.recorded = 0
         """Messages written, those that do not decode included."""
         self.rejected: Counter[str] = Counter()
-        """Payloads that do not decode, by reason (`agent.message_checks.REASONS`), and ``channels`` for
+        """Payloads that do not decode, by reason (`agent.messages.validation.REASONS`), and ``channels`` for
         those that were not kept because they came on too many different keys."""
         self._failed = False
         self._closed = False

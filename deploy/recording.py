@@ -16,11 +16,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent import keys
-from agent.codec import newer
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import newer
+from agent.messages.types import (
     TOPICS,
     Ask,
     Beacon,
@@ -292,30 +292,36 @@ class RunData:
         prefix = fleet.fleet.name
         for robot in self._plant:
             self._sinks |= {
-                keys.plant_state(prefix, robot): self._plant[robot],
-                keys.plant_truth(prefix, robot): self._truth[robot],
-                keys.hand(prefix, robot): self._hand[robot],
-                keys.wrench(prefix, robot): self._wrench[robot],
-                keys.status(prefix, robot): self._status[robot],
+                key_expressions.plant_state(prefix, robot): self._plant[robot],
+                key_expressions.plant_truth(prefix, robot): self._truth[robot],
+                key_expressions.hand(prefix, robot): self._hand[robot],
+                key_expressions.wrench(prefix, robot): self._wrench[robot],
+                key_expressions.status(prefix, robot): self._status[robot],
             }
-        told = {keys.told(prefix, robot) for robot in self._plant}
-        self._missions_from = {keys.mission(prefix), *told}
-        self._stops_from = {keys.stop(prefix), *told}
-        self._resumes_from = {keys.resume(prefix), *told}
-        self._events_key = keys.events(prefix)
-        self._told: dict[str, type[Message]] = {keys.heartbeat(prefix): Heartbeat, keys.ask(prefix): Ask}
+        told = {key_expressions.told(prefix, robot) for robot in self._plant}
+        self._missions_from = {key_expressions.mission(prefix), *told}
+        self._stops_from = {key_expressions.stop(prefix), *told}
+        self._resumes_from = {key_expressions.resume(prefix), *told}
+        self._events_key = key_expressions.events(prefix)
+        self._told: dict[str, type[Message]] = {
+            key_expressions.heartbeat(prefix): Heartbeat,
+            key_expressions.ask(prefix): Ask,
+        }
         for robot in self._plant:
-            self._told |= {keys.checks(prefix, robot): Checks, keys.beacon(prefix, robot): Beacon}
+            self._told |= {
+                key_expressions.checks(prefix, robot): Checks,
+                key_expressions.beacon(prefix, robot): Beacon,
+            }
         """What is recorded for those who read it there, and nothing is made of."""
         self._traced = {
             key: robot
             for robot in self._plant
-            for key in (keys.links(prefix, robot), keys.plant_links(prefix, robot))
+            for key in (key_expressions.links(prefix, robot), key_expressions.plant_links(prefix, robot))
         }
-        self._faults_from: dict[str, tuple[int, str]] = {keys.faults(prefix): (0, "")} | {
-            keys.faults_held(prefix, robot, role): (robot, role)
+        self._faults_from: dict[str, tuple[int, str]] = {key_expressions.faults(prefix): (0, "")} | {
+            key_expressions.faults_held(prefix, robot, role): (robot, role)
             for robot in self._plant
-            for role in keys.ROLES
+            for role in key_expressions.ROLES
         }
 
     def feed(self, received_ns: int, key: str, message: Message) -> None:

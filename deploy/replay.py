@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import tomli_w
 
-from agent.messages import CORRUPTED, LOST
+from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
 from agent.replay import DELAY_US_MAX, FATES_MAX, UNTOUCHED, encode_fates
 from agent.replay import LOST as FATE_LOST

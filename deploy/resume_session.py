@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent import keys
 from agent.fleet import Fleet
-from agent.messages import Message
+from agent.messages import key_expressions
+from agent.messages.types import Message
 from deploy.operator_session import INBOX, OperatorSession
 from deploy.resuming import Resuming
 from deploy.session import connected
@@ -25,7 +25,7 @@ class ResumeSession(OperatorSession):
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
         self._resuming: Resuming | None = None
-        self.bus.subscribe(keys.plant_state(fleet.fleet.name, "*"), INBOX)
+        self.bus.subscribe(key_expressions.plant_state(fleet.fleet.name, "*"), INBOX)
 
     def feed(self, key: str, message: Message) -> None:
         super().feed(key, message)

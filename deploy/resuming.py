@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent import keys
 from agent.fleet import Fleet
 from agent.latch import AWAITED
-from agent.messages import Message, PlantState, Resume, Status
+from agent.messages import key_expressions
+from agent.messages.types import Message, PlantState, Resume, Status
 from agent.supervision import DRIVING, MISSION_OVER, State
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
@@ -33,9 +33,9 @@ class Resuming:
     def feed(self, key: str, message: Message) -> None:
         """Takes a message that came on `key` after the leave was sent."""
         name = self._fleet.fleet.name
-        if type(message) is Status and key == keys.status(name, message.robot):
+        if type(message) is Status and key == key_expressions.status(name, message.robot):
             self._statuses[message.robot] = message
-        elif type(message) is PlantState and key == keys.plant_state(name, message.robot):
+        elif type(message) is PlantState and key == key_expressions.plant_state(name, message.robot):
             self._plants[message.robot] = message
 
     def runs(self, robot: int) -> bool:

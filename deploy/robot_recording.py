@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent import keys
-from agent.codec import decode
 from agent.common.clock import NS_PER_S
-from agent.message_checks import Malformed
-from agent.messages import Mission, Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import Mission, Resume, Stop
+from agent.messages.validation import Malformed
 from agent.robot_recorder import order_keys
 from agent.segment_folder import segment_paths
 from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Received, Segment
@@ -199,7 +199,7 @@ def by_time(
 
 
 def _messages(segment: SegmentFile, since_ns: int, until_ns: int, damage: Damage) -> Iterator[Received]:
-    own = keys.of_robot(segment.about.fleet, segment.about.robot)
+    own = key_expressions.of_robot(segment.about.fleet, segment.about.robot)
     orders = order_keys(segment.about.fleet, segment.about.robot)
     foreign = 0
     try:

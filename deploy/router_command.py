@@ -48,8 +48,8 @@ def add_parser(commands: Any) -> None:
 
 def _router(options: argparse.Namespace) -> int:
     from agent.bus import Router, init_log, settings_of
-    from agent.keys import alive, robot_of_alive
     from agent.linger import Lingering
+    from agent.messages.key_expressions import alive, robot_of_alive
     from agent.refusals import FILTER
     from agent.service import Service
     from agent.zenoh_log import ZenohLog

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.messages import HandState, Message, Status
+from agent.messages.types import HandState, Message, Status
 from deploy.columns import Store
 from deploy.link_data import Clock, Floats, Ints, true_ns
 
@@ -95,7 +95,8 @@ class StatusTable:
     ages_us: Ints
     age_counts: Ints
     neighbours: Ints = field(default_factory=lambda: np.zeros((0, NEIGHBOUR_COLUMNS), dtype=np.int64))
-    """(rows, 6): the entries of `agent.messages.Status.neighbours`, of all statuses one after the other."""
+    """(rows, 6): the entries of `agent.messages.types.Status.neighbours`, of all statuses one after the
+    other."""
     neighbour_counts: Ints = field(default_factory=lambda: NO_INTS)
     """(n,): how many of these rows each status has."""
 

@@ -10,7 +10,7 @@ import tomli_w
 
 from agent.fleet import Fleet, to_dict
 from agent.formation import resolve
-from agent.messages import Message
+from agent.messages.types import Message
 from deploy import metrics
 from deploy.recorder import Recorder
 from deploy.recording import RunData

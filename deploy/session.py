@@ -7,12 +7,12 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final, TypeVar
 
-from agent import keys
-from agent.codec import decode
 from agent.common.clock import RealClock
 from agent.fleet import Fleet
-from agent.message_checks import Malformed
-from agent.messages import Message
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import Message
+from agent.messages.validation import Malformed
 from deploy.interrupt import Interrupt
 from deploy.live_faults import Receiver, receivers
 from deploy.operator_bus import operator_bus
@@ -49,7 +49,7 @@ class Session:
         self.clock: Final = RealClock()
         self.alive: set[Receiver] = set()
         self.bus: Final = operator_bus(fleet)
-        self._presence = self.bus.watch(keys.alive(fleet.fleet.name, "*", "*"))
+        self._presence = self.bus.watch(key_expressions.alive(fleet.fleet.name, "*", "*"))
 
     def __enter__(self: S) -> S:
         return self
@@ -75,7 +75,7 @@ class Session:
         """Takes what came."""
         known = set(self.receivers)
         for key, here in self._presence.update():
-            receiver = keys.robot_of_alive(key)
+            receiver = key_expressions.robot_of_alive(key)
             if receiver in known:
                 if here:
                     self.alive.add(receiver)

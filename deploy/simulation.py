@@ -18,15 +18,15 @@ from functools import partial
 from math import ceil
 from typing import Final
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import LISTEN_ROUNDS, Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.message_checks import Malformed
-from agent.messages import Event, Heartbeat, Mission, Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop
+from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.order_sections import OrderSection
 from agent.orders import OrderError
@@ -314,7 +314,7 @@ class Simulation:
         event = Event(action.robot, self._events, self.now_ns, action.role, action.what, action.rule)
         self._events += 1
         if self._sink is not None:
-            self._sink(self.now_ns, keys.events(self.fleet.fleet.name), encode(event))
+            self._sink(self.now_ns, key_expressions.events(self.fleet.fleet.name), encode(event))
 
     def _again(self, robot: int, role: str) -> Node:
         """A new node in the place of one that is gone."""

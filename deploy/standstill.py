@@ -6,7 +6,7 @@ import signal
 import time
 from typing import Final
 
-from agent import keys
+from agent.messages import key_expressions
 from deploy.followed import Followed
 from deploy.interrupt import Interrupt
 from deploy.live import View
@@ -47,7 +47,9 @@ class Standstill:
         begun = time.monotonic()
         again, deadline = begun + STOP_AGAIN_S, begun + self._timeout_s
         fleet, statuses = followed.fleet, followed.watch.statuses
-        waiting = [robot for robot in fleet.ids if all(processes.up(robot, role) for role in keys.ROLES)]
+        waiting = [
+            robot for robot in fleet.ids if all(processes.up(robot, role) for role in key_expressions.ROLES)
+        ]
         while (now := time.monotonic()) < deadline and self._interrupt.count < 2:
             self._collect()
             rest = all(stands(statuses.get(robot), followed.states.get(robot)) for robot in waiting)

@@ -15,7 +15,7 @@ from deploy.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
-    from agent.messages import Status
+    from agent.messages.types import Status
 
 LISTEN_S: Final = 2.0
 HOSTS_TIMEOUT_S: Final = 60.0

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from agent.common.schema import printable
 from agent.fleet import Fleet
-from agent.messages import Status
+from agent.messages.types import Status
 from deploy import units
 from deploy.host_connection import Clock, HostError
 from deploy.live import STYLES

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet
-from agent.messages import Message
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Message
 from deploy.session import Session
 from deploy.stopping import Stopping
 
@@ -27,13 +27,13 @@ class StopSession(Session):
     def __init__(self, fleet: Fleet, reason: str) -> None:
         super().__init__(fleet)
         name = fleet.fleet.name
-        self._key = keys.stop(name)
+        self._key = key_expressions.stop(name)
         self.bus.declare(self._key)
         self._stopping = Stopping(fleet, self.now_ns(), reason)
         self._sent_to, self._sent = 0, self._stopping.message
         # Before all else: what is connected already must not wait for the rest.
         self._send()
-        for key in (keys.status(name, "*"), keys.plant_state(name, "*")):
+        for key in (key_expressions.status(name, "*"), key_expressions.plant_state(name, "*")):
             self.bus.subscribe(key, INBOX)
 
     def feed(self, key: str, message: Message) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent import keys
 from agent.fleet import Fleet
-from agent.messages import Message, PlantState, Status, Stop, clipped
+from agent.messages import key_expressions
+from agent.messages.types import Message, PlantState, Status, Stop, clipped
 from agent.supervision import State
 from deploy.order_versions import AHEAD_US_MAX
 
@@ -45,9 +45,9 @@ class Stopping:
 
     def feed(self, now_ns: int, key: str, message: Message) -> None:
         """Takes a message that came on `key` after the stop was sent first."""
-        if type(message) is Status and key == keys.status(self._name, message.robot):
+        if type(message) is Status and key == key_expressions.status(self._name, message.robot):
             self._hear_agent(now_ns, message)
-        elif type(message) is PlantState and key == keys.plant_state(self._name, message.robot):
+        elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
             self._plants.add(message.robot)
             if message.driving:
                 self._plants_ns.pop(message.robot, None)

@@ -14,7 +14,7 @@ from typing import Final
 
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
-from agent.keys import ROLES
+from agent.messages.key_expressions import ROLES
 from agent.supervision import DRIVING
 from deploy import units
 from deploy.arrivals import Arrivals

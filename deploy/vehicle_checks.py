@@ -1,6 +1,6 @@
 """What plants say of their bodies before a drive, gathered and judged (PURE).
 
-A bridge to a vehicle says `agent.messages.Checks` again and again. A blocking line of which it found
+A bridge to a vehicle says `agent.messages.types.Checks` again and again. A blocking line of which it found
 "waiting..." may still become good by itself; any other that stays is a reason not to drive.
 """
 
@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Final, NamedTuple
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
-from agent.messages import LEVELS, Checks, Message
+from agent.messages import key_expressions
+from agent.messages.types import LEVELS, Checks, Message
 from deploy.wording import robots
 from plant.backend import WAITING
 
@@ -60,7 +60,7 @@ class VehicleChecks:
             return
         robot = message.robot
         before = self._newest.get(robot)
-        if key != keys.checks(self._name, robot) or (before and message.time_ns < before.time_ns):
+        if key != key_expressions.checks(self._name, robot) or (before and message.time_ns < before.time_ns):
             return
         self._newest[robot] = message
         waits = any(line.waits for line in self.lines(robot))

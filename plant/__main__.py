@@ -15,7 +15,7 @@ from pathlib import Path
 
 from agent.common.clock import Clock
 from agent.fleet import Fleet
-from agent.messages import FLOAT_MAX
+from agent.messages.types import FLOAT_MAX
 from agent.process import FAILED, Log, StartError
 from plant.backend import PlantBackend
 from plant.server import main as serve

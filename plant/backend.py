@@ -38,9 +38,9 @@ WAITING: Final = "waiting for "
 
 
 class Check(NamedTuple):
-    """One thing to know of a body before it drives: a line of `agent.messages.Checks`.
+    """One thing to know of a body before it drives: a line of `agent.messages.types.Checks`.
 
-    `level` is one of `agent.messages.LEVELS`; `advice` says what to do, "" when there is nothing to do.
+    `level` is one of `agent.messages.types.LEVELS`; `advice` says what to do, "" when there is nothing to do.
     """
 
     name: str

@@ -9,14 +9,13 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest
 from agent.hand import Pose
 from agent.latch import Latch
-from agent.message_checks import Malformed
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import (
     BYTES_MAX,
     CHECK_TEXT_MIN,
     CHECKS_MAX,
@@ -32,6 +31,7 @@ from agent.messages import (
     Wrench,
     clipped,
 )
+from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX
 from agent.reception import Reception
@@ -57,16 +57,16 @@ class PlantNode:
         self.phase_ns: Final = 0
         self._backend = backend
         self._timeout_ns = round(fleet.control.wrench_timeout_s * NS_PER_S)
-        self._key_state = keys.plant_state(name, robot)
-        self._key_truth = keys.plant_truth(name, robot)
-        self._key_wrench = keys.wrench(name, robot)
-        self.alive_key: Final = keys.alive(name, robot, "plant")
+        self._key_state = key_expressions.plant_state(name, robot)
+        self._key_truth = key_expressions.plant_truth(name, robot)
+        self._key_wrench = key_expressions.wrench(name, robot)
+        self.alive_key: Final = key_expressions.alive(name, robot, "plant")
         # Its agent passes on what operators order; that of another robot has no say here.
-        self._key_told = keys.told(name, robot)
-        self._missions_from = keys.mission(name), self._key_told
-        self._stops_from = keys.stop(name), self._key_told
-        self._resumes_from = keys.resume(name), self._key_told
-        self._key_checks = keys.checks(name, robot)
+        self._key_told = key_expressions.told(name, robot)
+        self._missions_from = key_expressions.mission(name), self._key_told
+        self._stops_from = key_expressions.stop(name), self._key_told
+        self._resumes_from = key_expressions.resume(name), self._key_told
+        self._key_checks = key_expressions.checks(name, robot)
         self._digest = digest(fleet)
         self._mission_version = self._epoch_ns = -1
         self._latch = Latch(robot, backend.go_ahead)
@@ -77,11 +77,11 @@ class PlantNode:
         self.plan: Final = self._reception.plan
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self.subscriptions: Final = (
-            keys.stop(name),
-            keys.resume(name),
+            key_expressions.stop(name),
+            key_expressions.resume(name),
             self._key_told,
             self._key_wrench,
-            keys.mission(name),
+            key_expressions.mission(name),
             *self._reception.subscriptions,
         )
         self.watched: Final = ""

@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import hand, keys
-from agent.codec import decode
+from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import PlantState
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import PlantState
 from agent.trajectory import make_trajectory
 from deploy.simulation import Simulation
 from deploy.stability import SETTLED
@@ -71,7 +72,8 @@ class HandTrace:
         """What was kept, from the epoch on for `duration_s`, at the plants' common times."""
         name = self._fleet.fleet.name
         columns = [
-            self.rows.get(keys.plant_truth(name, robot)) or self.rows[keys.plant_state(name, robot)]
+            self.rows.get(key_expressions.plant_truth(name, robot))
+            or self.rows[key_expressions.plant_state(name, robot)]
             for robot in resolve(self._fleet).ids
         ]
         end_ns = epoch_ns + round(duration_s * NS_PER_S)

@@ -22,13 +22,13 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import digest
 from agent.formation import resolve
-from agent.messages import Mission, PlantState
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Mission, PlantState
 from agent.node import Node
 from agent.supervision import State
 from bridges.mavlink import ardurover
@@ -378,7 +378,7 @@ def test_all_of_them_hold_a_formation_for_a_minute(field: Field) -> None:
         now_ns = tick()
     epoch_ns = now_ns + NS_PER_S // 2
     mission = Mission(1, now_ns, epoch_ns, round(DRIVE_S * NS_PER_S), digest(fleet))
-    say(now_ns, keys.mission(fleet.fleet.name), encode(mission))
+    say(now_ns, key_expressions.mission(fleet.fleet.name), encode(mission))
     wanted = dict(zip(map(tuple, edges), resolve(fleet).distances, strict=True))
     worst: list[tuple[float, float]] = []
     while now_ns < epoch_ns + DRIVE_S * NS_PER_S:

@@ -16,14 +16,14 @@ from typing import Final, NamedTuple
 
 import zenoh
 
-from agent import keys
 from agent.bus import RUNTIME, settings_of
-from agent.codec import decode
 from agent.credentials import load
 from agent.fleet import load_fleet
 from agent.identity import MAIN, of_operator
-from agent.message_checks import Malformed
-from agent.messages import HandState
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import HandState
+from agent.messages.validation import Malformed
 from agent.sealed_bus import secured
 from deploy.authority import keys_folder
 
@@ -54,7 +54,9 @@ def listen(fleet_file: str, seconds: float) -> Heard:
     following = 0
     # Not by a `Bus`, whose inboxes are looked into once a tick: this one wakes with every message.
     with zenoh.open(config) as session:
-        heard = session.declare_subscriber(keys.hand(name, "*"), zenoh.handlers.FifoChannel(WAITING))
+        heard = session.declare_subscriber(
+            key_expressions.hand(name, "*"), zenoh.handlers.FifoChannel(WAITING)
+        )
         begun = time.monotonic()
         for sample in heard:
             now_ns, since = time.time_ns(), time.monotonic() - begun

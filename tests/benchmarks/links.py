@@ -11,15 +11,15 @@ from collections.abc import Callable
 from statistics import median
 from typing import Any, Final
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.links import Links
-from agent.messages import TOPICS, HandState
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import TOPICS, HandState
 from deploy.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 
@@ -61,7 +61,7 @@ def idle_cost(rounds: int) -> tuple[list[float], list[float]]:
     agents = [Agent(base, ROBOT) for _ in range(2)]
     bare: Any = agents[1]
     sender = base.neighbours(ROBOT)[0]
-    key = keys.hand(base.fleet.name, sender)
+    key = key_expressions.hand(base.fleet.name, sender)
     spent: tuple[list[float], list[float]] = [], []
     begin_ns = NS_PER_S
     for turn in range(rounds):

@@ -22,11 +22,11 @@ from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
 from agent import hand
-from agent.codec import decode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolve, resolved
 from agent.hand import Pose
+from agent.messages.codec import decode
 from deploy.analysis import Analysis, analyse
 from deploy.arguments import fleet_path
 from deploy.drawing import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write

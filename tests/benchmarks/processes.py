@@ -16,13 +16,13 @@ from typing import Final, Self
 
 import tomli_w
 
-from agent import keys
 from agent.bus import Bus
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet, digest, to_dict
-from agent.message_checks import Malformed
-from agent.messages import Mission, PlantState, Status
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Mission, PlantState, Status
+from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
 from agent.supervision import State
 from deploy.children import ONE_THREAD
@@ -170,9 +170,9 @@ class Observer:
         name = fleet.fleet.name
         ends = [each(robot) for robot in fleet.ids for each in (fleet.agent_endpoint, fleet.plant_endpoint)]
         self._bus = Bus(listen=[], connect=ends)
-        self._bus.declare(keys.mission(name))
-        self._bus.subscribe(keys.everything(name), 65_536)
-        self._presence = self._bus.watch(keys.alive(name, "*", "*"))
+        self._bus.declare(key_expressions.mission(name))
+        self._bus.subscribe(key_expressions.everything(name), 65_536)
+        self._presence = self._bus.watch(key_expressions.alive(name, "*", "*"))
 
     def __enter__(self) -> Self:
         return self
@@ -193,7 +193,9 @@ class Observer:
 
     def wait_alive(self) -> None:
         expected = {
-            keys.alive(self._fleet.fleet.name, robot, role) for robot in self._fleet.ids for role in ROLES
+            key_expressions.alive(self._fleet.fleet.name, robot, role)
+            for robot in self._fleet.ids
+            for role in ROLES
         }
 
         def alive() -> bool:
@@ -212,7 +214,7 @@ class Observer:
         now_ns = self._clock.now_ns()
         epoch_ns = next_tick_ns(now_ns + NS_PER_S // 2, self._fleet.period_ns, 0)
         mission = Mission(1, now_ns, epoch_ns, round(DRIVE_S * NS_PER_S), digest(self._fleet))
-        self._bus.publish(keys.mission(self._fleet.fleet.name), encode(mission))
+        self._bus.publish(key_expressions.mission(self._fleet.fleet.name), encode(mission))
         self._until(lambda: all_are(State.RUNNING), "running")
 
     def watch(self, seconds: float) -> Traffic:

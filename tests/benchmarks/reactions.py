@@ -15,10 +15,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
-from agent.messages import Ask, PlantState, Status, Stop, Wrench
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Ask, PlantState, Status, Stop, Wrench
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError
 from tests.process.fleet_harness import Robots, robots
@@ -61,7 +61,7 @@ def stopped(fleet: Robots) -> tuple[float, float]:
     if status:
         raise BenchmarkError(f"handfast stop failed: {out}")
     # What an operator sends goes to the robots only: they tell when it was.
-    fleet.bus.publish(keys.ask(fleet.name), encode(Ask(time.time_ns(), "benchmark")))
+    fleet.bus.publish(key_expressions.ask(fleet.name), encode(Ask(time.time_ns(), "benchmark")))
     sent: Stop = fleet.wait(lambda: [m for m in fleet.orders(Stop) if m.time_ns > begun_ns], "the stop")[-1]
     came_ns = [
         first(fleet, Wrench, robot, lambda m: m.brake and m.time_ns >= begun_ns) for robot in fleet.members

@@ -20,14 +20,14 @@ import zenoh
 from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from agent import keys
 from agent.access import tls_settings
 from agent.bus import PAYLOAD_BYTES_MAX, settings_of
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
 from agent.credentials import Credentials, Files, load
 from agent.fleet import Fleet, digest
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import (
     BYTES_MAX,
     NO_FORCES,
     Ask,
@@ -153,17 +153,19 @@ def as_robot(fleet: str, robot: int, now_ns: int) -> dict[str, bytes]:
     then_ns, number = now_ns + AHEAD_NS, 1 << 40
     place = (FAR, -FAR, FAR, FAR)
     said: dict[str, Message] = {
-        keys.hand(fleet, robot): HandState(
+        key_expressions.hand(fleet, robot): HandState(
             robot, number, then_ns, True, 2, *place, *NO_FORCES, 0.0, ((1, FAR), (3, FAR)), ()
         ),
-        keys.beacon(fleet, robot): Beacon(robot, number, then_ns, True, *place, 0.0, 0, 0, number, -1),
-        keys.status(fleet, robot): Status(
+        key_expressions.beacon(fleet, robot): Beacon(
+            robot, number, then_ns, True, *place, 0.0, 0, 0, number, -1
+        ),
+        key_expressions.status(fleet, robot): Status(
             robot, number, then_ns, "fault", "", "attack", 0, number, (), (), (), ()
         ),
-        keys.plant_state(fleet, robot): PlantState(
+        key_expressions.plant_state(fleet, robot): PlantState(
             robot, number, then_ns, *place, FAR, FAR, FAR, True, False, False, "attack"
         ),
-        keys.wrench(fleet, robot): Wrench(robot, number, then_ns, FAR, FAR, False),
+        key_expressions.wrench(fleet, robot): Wrench(robot, number, then_ns, FAR, FAR, False),
     }
     return {key: encode(message) for key, message in said.items()}
 
@@ -176,12 +178,12 @@ def orders(fleet: Fleet, now_ns: int, at_ns: int) -> dict[str, bytes]:
     """
     name, version = fleet.fleet.name, now_ns // 1_000 + 3_600_000_000
     said: dict[str, Message] = {
-        keys.stop(name): Stop(version, at_ns, "attack"),
-        keys.mission(name): Mission(version, at_ns, now_ns, 1, digest(fleet), note="attack"),
-        keys.resume(name): Resume(version + 1, at_ns, ()),
-        keys.faults(name): Faults(version, at_ns, "attack", at_ns, 600 * NS_PER_S, CUT),
-        keys.heartbeat(name): Heartbeat(at_ns, "attack"),
-        keys.ask(name): Ask(at_ns, "attack"),
+        key_expressions.stop(name): Stop(version, at_ns, "attack"),
+        key_expressions.mission(name): Mission(version, at_ns, now_ns, 1, digest(fleet), note="attack"),
+        key_expressions.resume(name): Resume(version + 1, at_ns, ()),
+        key_expressions.faults(name): Faults(version, at_ns, "attack", at_ns, 600 * NS_PER_S, CUT),
+        key_expressions.heartbeat(name): Heartbeat(at_ns, "attack"),
+        key_expressions.ask(name): Ask(at_ns, "attack"),
     }
     return {key: encode(message) for key, message in said.items()}
 
@@ -193,7 +195,7 @@ def _whole(array: bytes) -> bytes:
 
 def malformed(fleet: str, now_ns: int) -> list[bytes]:
     """Nonsense, some of it nearly right."""
-    whole = as_robot(fleet, TAKEN, now_ns)[keys.hand(fleet, TAKEN)]
+    whole = as_robot(fleet, TAKEN, now_ns)[key_expressions.hand(fleet, TAKEN)]
     fields = msgpack.unpackb(whole[:-CHECKSUM_BYTES])
     return [
         b"\0",
@@ -218,9 +220,15 @@ def own_keys(fleet: str) -> list[str]:
     return [
         key(fleet, TAKEN)
         for key in (
-            keys.hand, keys.beacon, keys.status, keys.plant_state, keys.wrench, keys.links, keys.checks,
+            key_expressions.hand,
+            key_expressions.beacon,
+            key_expressions.status,
+            key_expressions.plant_state,
+            key_expressions.wrench,
+            key_expressions.links,
+            key_expressions.checks,
         )
-    ]  # fmt: skip
+    ]
 
 
 def say_as_others(say: Say, fleet: Fleet, at: Keys, given: dict[str, bytes]) -> None:
@@ -230,7 +238,7 @@ def say_as_others(say: Say, fleet: Fleet, at: Keys, given: dict[str, bytes]) -> 
         for key, payload in as_robot(name, robot, now_ns).items():
             say(key, payload)
             say(key.replace(f"robot/{robot}", "robot/*"), payload)
-    say(f"{name}/**", as_robot(name, 1, now_ns)[keys.hand(name, 1)])
+    say(f"{name}/**", as_robot(name, 1, now_ns)[key_expressions.hand(name, 1)])
     robot_2, operator = at.robot(TAKEN), at.operator()
     for key, payload in orders(fleet, now_ns, now_ns).items():
         say(key, payload)
@@ -244,7 +252,11 @@ def overheard(fleet: Fleet, at: Keys) -> dict[str, bytes]:
     """Genuine orders of a minute ago that are said once and not again, byte by byte."""
     then_ns = time.time_ns() - LONG_AGO_NS
     main = at.operator()
-    once = (keys.faults(fleet.fleet.name), keys.heartbeat(fleet.fleet.name), keys.ask(fleet.fleet.name))
+    once = (
+        key_expressions.faults(fleet.fleet.name),
+        key_expressions.heartbeat(fleet.fleet.name),
+        key_expressions.ask(fleet.fleet.name),
+    )
     return {
         key: sealed(at.files(main), payload, then_ns)
         for key, payload in orders(fleet, then_ns, then_ns).items()
@@ -280,4 +292,4 @@ def say_on_own_keys(
     first = turn % len(kinds)
     for some in zip_longest(*kinds[first:], *kinds[:first]):
         for payload in filter(None, some):
-            say(keys.told(name, TAKEN), payload)
+            say(key_expressions.told(name, TAKEN), payload)

@@ -15,14 +15,14 @@ from typing import Any, Final, TypeVar
 
 import tomli_w
 
-from agent import keys
 from agent.bus import Bus, Presence
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest, load_fleet, to_dict
 from agent.formation import resolved
-from agent.message_checks import Malformed
-from agent.messages import Message, Mission, PlantState, Status, Wrench
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Message, Mission, PlantState, Status, Wrench
+from agent.messages.validation import Malformed
 from deploy.arguments import FLEETS
 from deploy.ports import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, last_lines, wait_for
@@ -91,10 +91,10 @@ class Robots:
             for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot))
         ]
         self.bus = Bus(listen=[], connect=endpoints)
-        for key in (keys.mission(self.name), keys.ask(self.name)):
+        for key in (key_expressions.mission(self.name), key_expressions.ask(self.name)):
             self.bus.declare(key)
-        self.bus.subscribe(keys.everything(self.name), 65_536)
-        self.presence: Presence = self.bus.watch(keys.alive(self.name, "*", "*"))
+        self.bus.subscribe(key_expressions.everything(self.name), 65_536)
+        self.presence: Presence = self.bus.watch(key_expressions.alive(self.name, "*", "*"))
         return self
 
     def __exit__(
@@ -132,7 +132,7 @@ class Robots:
 
     def start_all(self) -> None:
         for robot in self.fleet.ids:
-            for role in keys.ROLES:
+            for role in key_expressions.ROLES:
                 self.start(robot, role)
 
     def signal(self, robot: int, role: str, number: int) -> int:
@@ -188,15 +188,15 @@ class Robots:
         return wait_for(collect_and_look, what, timeout_s, self.told)
 
     def status(self, robot: int) -> Status | None:
-        found = self.latest.get(keys.status(self.name, robot))
+        found = self.latest.get(key_expressions.status(self.name, robot))
         return found if isinstance(found, Status) else None
 
     def plant(self, robot: int) -> PlantState | None:
-        found = self.latest.get(keys.plant_state(self.name, robot))
+        found = self.latest.get(key_expressions.plant_state(self.name, robot))
         return found if isinstance(found, PlantState) else None
 
     def wrench(self, robot: int) -> Wrench | None:
-        found = self.latest.get(keys.wrench(self.name, robot))
+        found = self.latest.get(key_expressions.wrench(self.name, robot))
         return found if isinstance(found, Wrench) else None
 
     def counters(self, robot: int) -> dict[str, int]:
@@ -212,7 +212,7 @@ class Robots:
         }  # fmt: skip
 
     def alive(self, robot: int, role: str) -> bool:
-        return keys.alive(self.name, robot, role) in self.presence.alive
+        return key_expressions.alive(self.name, robot, role) in self.presence.alive
 
     def wait_until_alive(self, robot: int, role: str, timeout_s: float = PATIENCE_S) -> None:
         self.wait(lambda: self.alive(robot, role), f"robot {robot}'s {role} alive", timeout_s)
@@ -268,7 +268,7 @@ class Robots:
             nonlocal due_s
             if time.monotonic() >= due_s:  # a link that is only just there may lose the first
                 due_s = time.monotonic() + MISSION_PERIOD_S
-                self.bus.publish(keys.mission(self.name), encode(mission))
+                self.bus.publish(key_expressions.mission(self.name), encode(mission))
             return self.are_all("running")
 
         self.wait(say_and_look, "every robot running")

@@ -17,11 +17,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agent import keys
 from agent.bus import Bus, Presence, Router, init_log
 from agent.credentials import load
 from agent.fleet import Fleet
 from agent.identity import Identity, parse
+from agent.messages import key_expressions
 from agent.refusals import FILTER
 from agent.sealed_bus import SealedBus, secured
 from agent.zenoh_log import ZenohLog
@@ -53,19 +53,19 @@ def main() -> None:
             init_log(FILTER)
             settings = secured(fleet, load(folder, identity, time.time()))
             with Router(options["listen"], [], settings) as router:
-                serve(None, router.watch(keys.everything(FLEET)), log, identity)
+                serve(None, router.watch(key_expressions.everything(FLEET)), log, identity)
         return
     ends = {"listen": options["listen"], "connect": options["connect"], "routers": options["routers"]}
     with SealedBus(fleet, folder, identity, refused, **ends) as bus:
-        bus.subscribe(keys.everything(FLEET), 1024)
-        serve(bus, bus.watch(keys.everything(FLEET)), None, identity)
+        bus.subscribe(key_expressions.everything(FLEET), 1024)
+        serve(bus, bus.watch(key_expressions.everything(FLEET)), None, identity)
 
 
 def serve(bus: Bus | None, present: Presence, log: ZenohLog | None, identity: Identity) -> None:
     own = None
     if bus is not None and identity.robot is not None:
-        own = keys.hand(FLEET, identity.robot)
-        bus.announce(keys.alive(FLEET, identity.robot, "agent"))
+        own = key_expressions.hand(FLEET, identity.robot)
+        bus.announce(key_expressions.alive(FLEET, identity.robot, "agent"))
         bus.declare(own)
     latest: dict[str, float] = {}
     gaps: dict[str, float] = {}

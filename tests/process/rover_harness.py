@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
-from agent.messages import Checks, Resume
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Checks, Resume
 from bridges.mavlink.transport import open_transport
 from deploy.arguments import FLEETS
 from deploy.placing import Vehicle, place, vehicle
@@ -114,13 +114,13 @@ class Rovers(Robots):
 
     def resume(self, *robots: int) -> None:
         now_ns = time.time_ns()
-        key = keys.resume(self.name)
+        key = key_expressions.resume(self.name)
         self.bus.declare(key)
         self.bus.publish(key, encode(Resume(now_ns // 1_000_000, now_ns, robots)))
 
     def checks(self, robot: int) -> dict[str, tuple[str, str]]:
         """Level and found, by the name of the line."""
-        found = self.latest.get(keys.checks(self.name, robot))
+        found = self.latest.get(key_expressions.checks(self.name, robot))
         return (
             {name: (level, text) for name, level, text, _ in found.lines} if isinstance(found, Checks) else {}
         )

@@ -12,13 +12,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent import keys
 from agent.access import Security
 from agent.bus import Bus
 from agent.credentials import Files, load
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.identity import MAIN, Identity, of_operator, of_robot
+from agent.messages import key_expressions
 from agent.sealed_bus import gate_of
 from deploy.authority import Authority
 from tests.process.fleet_harness import Robots, placed
@@ -135,10 +135,10 @@ class SecuredRobots(Robots):
             **{(robot, "plant"): fleet.plant_endpoint(robot) for robot in fleet.ids},
         }
         self.bus = self.ear = Ear(fleet, self.keys, list(self.endpoints.values()))
-        for key in (keys.mission, keys.stop, keys.resume):
+        for key in (key_expressions.mission, key_expressions.stop, key_expressions.resume):
             self.bus.declare(key(self.name))
-        self.bus.subscribe(keys.everything(self.name), 65_536)
-        self.presence = self.bus.watch(keys.alive(self.name, "*", "*"))
+        self.bus.subscribe(key_expressions.everything(self.name), 65_536)
+        self.presence = self.bus.watch(key_expressions.alive(self.name, "*", "*"))
         return self
 
     def __exit__(

@@ -25,12 +25,11 @@ import pytest
 import tomli_w
 import zenoh
 
-from agent import keys
 from agent.bus import Bus, BusError, Router
-from agent.codec import VERSION, decode, encode
 from agent.fleet import Fleet, load_fleet, to_dict
-from agent.message_checks import Malformed
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import VERSION, decode, encode
+from agent.messages.types import (
     Ask,
     Beacon,
     Checks,
@@ -43,6 +42,7 @@ from agent.messages import (
     Stop,
     Wrench,
 )
+from agent.messages.validation import Malformed
 from tests.process.fleet_harness import Robots, make_fleet, placed, robots
 from tests.process.harness import (
     ADDRESS,
@@ -81,7 +81,7 @@ def agent_fails(folder: Path, fleet: Fleet, robot: int, role: str = "agent", sta
     return done.stderr
 
 
-@pytest.mark.parametrize("role", keys.ROLES)
+@pytest.mark.parametrize("role", key_expressions.ROLES)
 def test_port_in_use(tmp_path: Path, role: str) -> None:
     with placed(make_fleet()) as fleet, socket.socket() as taken:
         endpoint = fleet.agent_endpoint(1) if role == "agent" else fleet.plant_endpoint(1)
@@ -119,7 +119,7 @@ def test_address_of_another_machine(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("role", keys.ROLES)
+@pytest.mark.parametrize("role", key_expressions.ROLES)
 def test_robot_that_the_fleet_lacks(tmp_path: Path, role: str) -> None:
     with placed(make_fleet()) as fleet:
         says = agent_fails(tmp_path, fleet, 7, role, status=2)
@@ -154,7 +154,7 @@ def test_neighbour_whose_clock_is_a_little_ahead(tmp_path: Path) -> None:
     with placed(make_fleet()) as fleet, Robots(fleet, tmp_path / "r") as all_robots:
         all_robots.start(1, "plant")
         all_robots.start(1, "agent")
-        key = keys.hand(all_robots.name, 2)
+        key = key_expressions.hand(all_robots.name, 2)
         all_robots.bus.declare(key)
         all_robots.wait_until_alive(1, "agent")
         sequence = count()
@@ -201,23 +201,37 @@ class Hostile:
         self._pause_s = pause_s
         name, ids = fleet.fleet.name, [*fleet.ids]
         of_robot = (
-            keys.hand, keys.beacon, keys.told, keys.status, keys.plant_state, keys.plant_truth, keys.wrench,
-            keys.checks,
-        )  # fmt: skip
+            key_expressions.hand,
+            key_expressions.beacon,
+            key_expressions.told,
+            key_expressions.status,
+            key_expressions.plant_state,
+            key_expressions.plant_truth,
+            key_expressions.wrench,
+            key_expressions.checks,
+        )
         self._keys = [
             *(of(name, robot) for of in of_robot for robot in ids),
-            keys.mission(name),
-            keys.stop(name),
-            keys.resume(name),
-            keys.heartbeat(name),
-            keys.ask(name),
+            key_expressions.mission(name),
+            key_expressions.stop(name),
+            key_expressions.resume(name),
+            key_expressions.heartbeat(name),
+            key_expressions.ask(name),
             f"{name}/faults",
-            keys.hand(name, 9999),
-            keys.status(name, 9999),
+            key_expressions.hand(name, 9999),
+            key_expressions.status(name, 9999),
             f"{name}/{secrets.token_hex(4)}/made/up",
         ]
         self._wild = [
-            *(of(name, "*") for of in (keys.hand, keys.beacon, keys.wrench, keys.plant_state)),
+            *(
+                of(name, "*")
+                for of in (
+                    key_expressions.hand,
+                    key_expressions.beacon,
+                    key_expressions.wrench,
+                    key_expressions.plant_state,
+                )
+            ),
             f"{name}/**",
         ]
         self._ids = ids
@@ -436,17 +450,25 @@ def test_old_messages_do_not_move_a_robot_that_starts_again(tmp_path: Path) -> N
         name, bus = all_robots.name, all_robots.bus
         old = {key: encode(all_robots.latest[key]) for key in all_robots.latest if "/robot/1/" in key}
         assert not all_robots.wrench(1).brake  # type: ignore[union-attr]
-        for role in keys.ROLES:
+        for role in key_expressions.ROLES:
             all_robots.signal(1, role, signal.SIGKILL)
             all_robots.processes[1, role].wait()
         all_robots.wait(lambda: all_robots.states()[2] == "holding", "robot 2 holds")
-        for key in (keys.hand(name, 1), keys.wrench(name, 1), keys.plant_state(name, 1)):
+        for key in (
+            key_expressions.hand(name, 1),
+            key_expressions.wrench(name, 1),
+            key_expressions.plant_state(name, 1),
+        ):
             bus.declare(key)
         all_robots.start(1, "plant")
         from_ns = time.time_ns()
 
         def replay() -> bool:
-            for key in (keys.hand(name, 1), keys.wrench(name, 1), keys.plant_state(name, 1)):
+            for key in (
+                key_expressions.hand(name, 1),
+                key_expressions.wrench(name, 1),
+                key_expressions.plant_state(name, 1),
+            ):
                 bus.publish(key, old[key])
             return sum(1 for _ in all_robots.since(from_ns, PlantState, 1)) >= 25
 

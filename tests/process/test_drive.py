@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
-from agent.messages import Stop
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Stop
 from deploy.before_drive import OVER
 from deploy.drive_command import ROBOTS_FILE
 from deploy.recording import Recording
@@ -149,7 +149,7 @@ def test_robots_left_to_themselves_drive_to_the_end(tmp_path: Path) -> None:
         )
         fleet.wait_until_all("running")
         # Nobody is there to tell what starts again; its own agent tells the plant.
-        for role in keys.ROLES:
+        for role in key_expressions.ROLES:
             fleet.signal(3, role, signal.SIGKILL)
             fleet.processes[3, role].wait()
             fleet.start(3, role)
@@ -171,7 +171,7 @@ def test_a_fleet_that_another_drive_has_taken_is_left_alone(tmp_path: Path) -> N
         period_ns = fleet.fleet.period_ns
         epoch_ns = (time.time_ns() + NS_PER_S) // period_ns * period_ns
         mission = fleet.mission_of(epoch_ns, 30.0)
-        fleet.bus.publish(keys.mission(fleet.name), encode(mission))
+        fleet.bus.publish(key_expressions.mission(fleet.name), encode(mission))
         assert end(fleet, command) == 1, command.told()
         assert "Another operator has begun another drive, and the robots drive that." in command.out
         fleet.wait_until_all("running")

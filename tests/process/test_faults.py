@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.common.clock import NS_PER_S
-from agent.messages import LOST
+from agent.messages.types import LOST
 from agent.node import FIRST_ROUND
 from deploy.link_data import Link, LinkTable
 from deploy.recording import Recording

@@ -9,9 +9,9 @@ import signal
 import time
 from pathlib import Path
 
-from agent import keys
-from agent.codec import encode
-from agent.messages import Ask, Mission, Status
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Ask, Mission, Status
 from deploy.recording import Recording
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
@@ -44,7 +44,7 @@ def agreed(fleet: Robots) -> Mission:
         nonlocal due_s
         if time.monotonic() >= due_s:
             due_s = time.monotonic() + ASK_S
-            fleet.bus.publish(keys.ask(fleet.name), encode(Ask(time.time_ns(), "a test")))
+            fleet.bus.publish(key_expressions.ask(fleet.name), encode(Ask(time.time_ns(), "a test")))
         return [mission for mission in fleet.orders(Mission) if mission.version == version]
 
     missions = fleet.wait(said, "a robot says it again")

@@ -12,11 +12,11 @@ from types import TracebackType
 
 import pytest
 
-from agent import keys
-from agent.codec import decode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
-from agent.message_checks import Malformed
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.validation import Malformed
 from agent.segment_folder import segment_paths
 from agent.segments import MESSAGES, Received, Segment
 from deploy.merging import merge
@@ -76,7 +76,7 @@ class Recorded(Robots):
 
     def wait_until_recorded(self, robot: int, from_ns: int = 0) -> None:
         """Until the disk has something of both of a robot's processes that came after `from_ns`."""
-        wanted = {keys.status(self.name, robot), keys.plant_state(self.name, robot)}
+        wanted = {key_expressions.status(self.name, robot), key_expressions.plant_state(self.name, robot)}
 
         def look() -> bool:
             return wanted <= {key for at_ns, key, _ in self.recorded(robot) if at_ns > from_ns}

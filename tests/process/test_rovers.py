@@ -11,7 +11,7 @@ from pathlib import Path
 
 from agent.common.clock import NS_PER_S
 from agent.latch import AWAITED
-from agent.messages import HandState, PlantState, Status, Wrench
+from agent.messages.types import HandState, PlantState, Status, Wrench
 from bridges.mavlink import ardurover
 from tests.ground_station import Operator
 from tests.process.harness import measured, no_trouble_in_logs

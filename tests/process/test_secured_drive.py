@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 import pytest
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
-from agent.messages import HandState, Heartbeat, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
 from deploy.before_drive import OVER
 from deploy.operator_bus import KEYS
 from deploy.recording import Recording
@@ -52,9 +52,9 @@ def fleet(
         now_ns, name = time.time_ns(), all_robots.name
         version = now_ns // 1_000
         for stop in (Stop(version, now_ns, LONG_BEFORE), Stop(version + 1, now_ns, BEFORE)):
-            all_robots.bus.publish(keys.stop(name), encode(stop))
+            all_robots.bus.publish(key_expressions.stop(name), encode(stop))
         all_robots.wait_until_all("stopped")
-        all_robots.bus.publish(keys.resume(name), encode(Resume(version + 2, now_ns, ())))
+        all_robots.bus.publish(key_expressions.resume(name), encode(Resume(version + 2, now_ns, ())))
         all_robots.wait_until_all("ready")
         yield all_robots
         assert not all_robots.died(), all_robots.told()
@@ -109,7 +109,7 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
     agents = tuple((robot, "agent") for robot in HONEST)
     both = (*agents, *((robot, "plant") for robot in HONEST))
     endpoints = [fleet.endpoints[process] for process in both]
-    told, hand = keys.told(name, TAKEN), keys.hand(name, TAKEN)
+    told, hand = key_expressions.told(name, TAKEN), key_expressions.hand(name, TAKEN)
 
     with drive(fleet, DRIVE_S) as command, ExitStack() as stack:
         command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running", 60.0)
@@ -124,7 +124,7 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
                 def say_all(session: attackers.zenoh.Session = session) -> None:
                     slowly()
                     attackers.say_as_others(session.put, fleet.fleet, at, fleet.ear.given)
-                    session.liveliness().declare_token(keys.alive(name, 1, "agent")).undeclare()
+                    session.liveliness().declare_token(key_expressions.alive(name, 1, "agent")).undeclare()
 
                 until_told(fleet, both, say_all, f"a connection of somebody: {why}")
                 assert not list(session.info.peers_zid()), who
@@ -132,11 +132,13 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
         # Who has: a robot's, on a computer of the attacker's and over the links of its own agent.
         settings = at.security(at.robot(TAKEN)).settings()
         robot_2 = stack.enter_context(attackers.attacks(endpoints, settings))
-        attackers.heard(robot_2, keys.wrench(name, 1), keys.beacon(name, TAKEN), told)
+        attackers.heard(robot_2, key_expressions.wrench(name, 1), key_expressions.beacon(name, TAKEN), told)
         settings = at.security(at.operator(EAR)).settings()
         anna = stack.enter_context(attackers.attacks(endpoints, settings))
-        attackers.heard(anna, keys.faults(name), keys.heartbeat(name))
-        tokens = [keys.alive(name, robot, role) for robot in HONEST for role in keys.ROLES]
+        attackers.heard(anna, key_expressions.faults(name), key_expressions.heartbeat(name))
+        tokens = [
+            key_expressions.alive(name, robot, role) for robot in HONEST for role in key_expressions.ROLES
+        ]
         rounds = said = 0
 
         def count(say: attackers.Say) -> attackers.Say:
@@ -169,13 +171,16 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
         until_told(
             *(fleet, both, attack),
             f"a message of {robots_2} that it may not send, or that is too large",
-            f"an order on {keys.faults(name)}: sealed long ago",
+            f"an order on {key_expressions.faults(name)}: sealed long ago",
         )
         forged = [
             f"an order on {told}: {why}"
             for why in ("malformed", "oversized", "not an operator", "unknown authority", "bad signature")
         ]
-        long_ago = [f"an order on {key(name)}: sealed long ago" for key in (keys.heartbeat, keys.ask)]
+        long_ago = [
+            f"an order on {key(name)}: sealed long ago"
+            for key in (key_expressions.heartbeat, key_expressions.ask)
+        ]
         until_told(fleet, agents, attack, *forged, *long_ago, f"a message of {annas} that it may not send")
         told_operator = [f"handfast: refused: {text}" for text in (f"a message of {robots_2}", *forged)]
         in_rounds(
@@ -227,7 +232,7 @@ def drove_as_if_alone(fleet: SecuredRobots, folder: Path, other: Path) -> None:
 def test_old_heartbeats_keep_nobody_driving(fleet: SecuredRobots) -> None:
     """Who has overheard an operator cannot stand in for it once it is gone."""
     at, name = fleet.keys, fleet.name
-    key = keys.heartbeat(name)
+    key = key_expressions.heartbeat(name)
     endpoints = [fleet.endpoints[robot, "agent"] for robot in fleet.fleet.ids]
     with (
         drive(fleet, 60.0) as command,
@@ -235,7 +240,7 @@ def test_old_heartbeats_keep_nobody_driving(fleet: SecuredRobots) -> None:
         attackers.attacks(endpoints, at.security(at.robot(TAKEN)).settings()) as robot_2,
     ):
         attackers.heard(anna, key)
-        attackers.heard(robot_2, keys.beacon(name, TAKEN))
+        attackers.heard(robot_2, key_expressions.beacon(name, TAKEN))
         beats = attackers.overheard(fleet.fleet, at)[key]
         command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running", 60.0)
         command.process.kill()

@@ -19,13 +19,13 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent import keys
 from agent.access import Security, tls_settings
 from agent.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
-from agent.codec import encode
 from agent.credentials import Files, load
 from agent.identity import Identity, of_operator, of_robot, of_router
-from agent.messages import Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Resume, Stop
 from agent.seal import Sealer
 from deploy.authority import Authority
 from deploy.ports import Reservation
@@ -118,7 +118,9 @@ class Guarded:
         self.process.stdin.close()
 
     def hears(self, robot: int) -> None:
-        self.wait(lambda what: what.get("heard") == keys.hand(FLEET, robot), f"it hears robot {robot}")
+        self.wait(
+            lambda what: what.get("heard") == key_expressions.hand(FLEET, robot), f"it hears robot {robot}"
+        )
 
     def refuses(self, text: str) -> str:
         """The line of its log that holds `text`."""
@@ -174,7 +176,10 @@ class Fleet:
         for robot in (self.three, self.one):
             robot.end()
         self.by.close()
-        gaps = [self.one.gaps[keys.hand(FLEET, 3)], self.three.gaps[keys.hand(FLEET, 1)]]
+        gaps = [
+            self.one.gaps[key_expressions.hand(FLEET, 3)],
+            self.three.gaps[key_expressions.hand(FLEET, 1)],
+        ]
         assert measured("longest gap of the honest, s", max(gaps)) < GAP_S
 
     def kill(self) -> None:
@@ -224,9 +229,14 @@ def heard(session: zenoh.Session, *where: str) -> None:
 
 def say_everything(session: zenoh.Session) -> zenoh.LivelinessToken:
     """All that a stranger could want to say; the liveliness token that it declares."""
-    for key in (keys.hand(FLEET, 2), keys.hand(FLEET, 1), keys.stop(FLEET), f"{FLEET}/**"):
+    for key in (
+        key_expressions.hand(FLEET, 2),
+        key_expressions.hand(FLEET, 1),
+        key_expressions.stop(FLEET),
+        f"{FLEET}/**",
+    ):
         session.put(key, ATTACK)
-    return session.liveliness().declare_token(keys.alive(FLEET, 2, "agent"))
+    return session.liveliness().declare_token(key_expressions.alive(FLEET, 2, "agent"))
 
 
 # ---------------------------------------------------------------------- who is not let in
@@ -265,7 +275,7 @@ def test_strangers_are_not_let_in(fleet: Fleet, kind: str, why: str) -> None:
         token.undeclare()
     fleet.end()
     assert fleet.one.got == []
-    assert keys.alive(FLEET, 2, "agent") not in fleet.one.alive
+    assert key_expressions.alive(FLEET, 2, "agent") not in fleet.one.alive
 
 
 def test_who_listens_at_an_address_that_is_not_his(fleet: Fleet) -> None:
@@ -296,29 +306,44 @@ def test_connections_that_say_nothing_keep_nobody_out(fleet: Fleet) -> None:
 
 def test_a_robot_says_only_what_is_its_own(fleet: Fleet) -> None:
     robot_2 = security(fleet.folder / "robot-2", of_robot(FLEET, 2))
-    own = keys.beacon(FLEET, 2)
+    own = key_expressions.beacon(FLEET, 2)
     with attacks(fleet.endpoint(), robot_2, id=SHORT_ID) as session:
         heard(session, own)
-        tokens = [session.liveliness().declare_token(keys.alive(FLEET, 2, "agent"))]
-        fleet.one.wait(lambda what: what.get("alive") == keys.alive(FLEET, 2, "agent"), "robot 2 is there")
+        tokens = [session.liveliness().declare_token(key_expressions.alive(FLEET, 2, "agent"))]
+        fleet.one.wait(
+            lambda what: what.get("alive") == key_expressions.alive(FLEET, 2, "agent"), "robot 2 is there"
+        )
         for key in (
-            keys.hand(FLEET, 1), keys.hand(FLEET, 3), keys.told(FLEET, 1), keys.wrench(FLEET, 1),
-            keys.hand(FLEET, "*"), f"{FLEET}/robot/**", f"{FLEET}/*", f"{FLEET}/**", "**",
-            keys.mission(FLEET), keys.stop(FLEET), keys.resume(FLEET), keys.faults(FLEET),
-            keys.heartbeat(FLEET), keys.ask(FLEET), keys.events(FLEET), f"{FLEET}/alive/robot/1/agent",
-        ):  # fmt: skip
+            key_expressions.hand(FLEET, 1),
+            key_expressions.hand(FLEET, 3),
+            key_expressions.told(FLEET, 1),
+            key_expressions.wrench(FLEET, 1),
+            key_expressions.hand(FLEET, "*"),
+            f"{FLEET}/robot/**",
+            f"{FLEET}/*",
+            f"{FLEET}/**",
+            "**",
+            key_expressions.mission(FLEET),
+            key_expressions.stop(FLEET),
+            key_expressions.resume(FLEET),
+            key_expressions.faults(FLEET),
+            key_expressions.heartbeat(FLEET),
+            key_expressions.ask(FLEET),
+            key_expressions.events(FLEET),
+            f"{FLEET}/alive/robot/1/agent",
+        ):
             session.put(key, ATTACK)
-        session.put(keys.hand(FLEET, 2), bytes(PAYLOAD_BYTES_MAX + 1))
-        session.delete(keys.hand(FLEET, 2))
+        session.put(key_expressions.hand(FLEET, 2), bytes(PAYLOAD_BYTES_MAX + 1))
+        session.delete(key_expressions.hand(FLEET, 2))
         for robot in (1, 3, "*"):
-            tokens.append(session.liveliness().declare_token(keys.alive(FLEET, robot, "plant")))
+            tokens.append(session.liveliness().declare_token(key_expressions.alive(FLEET, robot, "plant")))
         session.put(own, ATTACK)  # comes after all of them, and is let through
         fleet.one.wait(lambda what: what.get("got") == own, "what robot 2 may say")
         line = fleet.one.refuses("a message")
         assert line.startswith(f"a message of {FLEET}.robot.2 that it may not send, or that is too large")
     fleet.end()
     assert fleet.one.got == [own]
-    assert fleet.one.alive == {keys.alive(FLEET, robot, "agent") for robot in (1, 2, 3)}
+    assert fleet.one.alive == {key_expressions.alive(FLEET, robot, "agent") for robot in (1, 2, 3)}
 
 
 def test_an_operator_gives_orders_and_is_no_robot(fleet: Fleet) -> None:
@@ -326,26 +351,26 @@ def test_an_operator_gives_orders_and_is_no_robot(fleet: Fleet) -> None:
     stop = encode(Stop(1, time.time_ns(), "for a test"))
     sealed = Sealer(load(folder, of_operator(FLEET), time.time())).seal(stop, time.time_ns())
     with attacks(fleet.endpoint(), security(folder, of_operator(FLEET))) as session:
-        heard(session, keys.hand(FLEET, 2))
-        session.put(keys.hand(FLEET, 1), ATTACK)
-        session.put(keys.stop(FLEET), ATTACK)
-        session.put(keys.stop(FLEET), sealed.replace(b"for a test", b"for a tets"))
-        session.put(keys.stop(FLEET), sealed)
+        heard(session, key_expressions.hand(FLEET, 2))
+        session.put(key_expressions.hand(FLEET, 1), ATTACK)
+        session.put(key_expressions.stop(FLEET), ATTACK)
+        session.put(key_expressions.stop(FLEET), sealed.replace(b"for a test", b"for a tets"))
+        session.put(key_expressions.stop(FLEET), sealed)
         fleet.one.refuses(f"a message of {FLEET}.operator.main")
-        fleet.one.refuses(f"an order on {keys.stop(FLEET)}: malformed")
-        fleet.one.refuses(f"an order on {keys.stop(FLEET)}: bad signature")
+        fleet.one.refuses(f"an order on {key_expressions.stop(FLEET)}: malformed")
+        fleet.one.refuses(f"an order on {key_expressions.stop(FLEET)}: bad signature")
         fleet.one.wait(lambda what: what.get("payload") == stop.hex(), "the order")
     fleet.end()
-    assert fleet.one.got == [keys.stop(FLEET)]
+    assert fleet.one.got == [key_expressions.stop(FLEET)]
 
 
 def test_a_robot_tells_again_what_an_operator_said_and_nothing_else(fleet: Fleet) -> None:
     folder = fleet.make(of_operator(FLEET))
     stop = encode(Stop(1, time.time_ns(), "for a test"))
     sealed = Sealer(load(folder, of_operator(FLEET), time.time())).seal(stop, time.time_ns())
-    told = keys.told(FLEET, 2)
+    told = key_expressions.told(FLEET, 2)
     with attacks(fleet.endpoint(), security(fleet.folder / "robot-2", of_robot(FLEET, 2))) as session:
-        heard(session, keys.hand(FLEET, 2))
+        heard(session, key_expressions.hand(FLEET, 2))
         session.put(told, stop)
         session.put(told, sealed.replace(b"for a test", b"for a tets"))
         session.put(told, sealed)
@@ -361,11 +386,11 @@ def test_who_is_none_of_the_fleet_is_told_nothing(fleet: Fleet) -> None:
     eve = of_operator(FLEET, "eve")  # not one of network.operators
     folder = fleet.make(eve)
     with attacks(fleet.endpoint(), security(folder, eve)) as session:
-        publisher = session.declare_publisher(keys.hand(FLEET, 2))
-        with session.declare_subscriber(keys.hand(FLEET, 1), zenoh.handlers.RingChannel(8)) as ear:
+        publisher = session.declare_publisher(key_expressions.hand(FLEET, 2))
+        with session.declare_subscriber(key_expressions.hand(FLEET, 1), zenoh.handlers.RingChannel(8)) as ear:
             fleet.one.refuses(f"a message of {eve.common_name}")
             with attacks(fleet.endpoint(), security(fleet.folder / "robot-2", of_robot(FLEET, 2))) as two:
-                heard(two, keys.beacon(FLEET, 2))  # by then she would have been told as well
+                heard(two, key_expressions.beacon(FLEET, 2))  # by then she would have been told as well
             assert not publisher.matching_status.matching
             assert ear.try_recv() is None
     fleet.end()
@@ -375,10 +400,10 @@ def test_a_flood_of_what_is_refused(fleet: Fleet) -> None:
     """Neither the honest nor the log suffer."""
     robot_2 = security(fleet.folder / "robot-2", of_robot(FLEET, 2))
     with attacks(fleet.endpoint(), robot_2) as session:
-        heard(session, keys.hand(FLEET, 2))
+        heard(session, key_expressions.hand(FLEET, 2))
         until_s, sent = time.monotonic() + 2.0, 0
         while time.monotonic() < until_s:
-            session.put(keys.stop(FLEET), ATTACK, congestion_control=zenoh.CongestionControl.BLOCK)
+            session.put(key_expressions.stop(FLEET), ATTACK, congestion_control=zenoh.CongestionControl.BLOCK)
             sent += 1
         fleet.one.refuses("a message")
     measured("refused a second", sent / 2.0)
@@ -409,19 +434,21 @@ def test_a_router_looks_at_everybody(tmp_path: Path, port: int) -> None:
                 endpoint, security(folders[of_operator(FLEET)], of_operator(FLEET)), "client"
             ) as operator,
         ):
-            heard(two, keys.beacon(FLEET, 2))
-            heard(operator, keys.resume(FLEET))
-            token = two.liveliness().declare_token(keys.alive(FLEET, 2, "agent"))
-            forged = two.liveliness().declare_token(keys.alive(FLEET, 1, "plant"))
-            for key in (keys.hand(FLEET, 1), keys.hand(FLEET, "*")):
+            heard(two, key_expressions.beacon(FLEET, 2))
+            heard(operator, key_expressions.resume(FLEET))
+            token = two.liveliness().declare_token(key_expressions.alive(FLEET, 2, "agent"))
+            forged = two.liveliness().declare_token(key_expressions.alive(FLEET, 1, "plant"))
+            for key in (key_expressions.hand(FLEET, 1), key_expressions.hand(FLEET, "*")):
                 two.put(key, ATTACK)
-            two.put(keys.stop(FLEET), sealed)  # genuine, but not where a robot may say it
-            two.put(keys.beacon(FLEET, 2), ATTACK)
-            operator.put(keys.resume(FLEET), sealed)
-            for key in (keys.beacon(FLEET, 2), keys.resume(FLEET)):
+            two.put(key_expressions.stop(FLEET), sealed)  # genuine, but not where a robot may say it
+            two.put(key_expressions.beacon(FLEET, 2), ATTACK)
+            operator.put(key_expressions.resume(FLEET), sealed)
+            for key in (key_expressions.beacon(FLEET, 2), key_expressions.resume(FLEET)):
                 one.wait(lambda what, key=key: what.get("got") == key, key)  # type: ignore[misc]
-            one.wait(lambda what: what.get("alive") == keys.alive(FLEET, 2, "agent"), "robot 2 is there")
+            one.wait(
+                lambda what: what.get("alive") == key_expressions.alive(FLEET, 2, "agent"), "robot 2 is there"
+            )
             router.refuses(f"a message of {FLEET}.robot.2")
             assert token is not forged
-        assert sorted(one.got) == sorted([keys.beacon(FLEET, 2), keys.resume(FLEET)])
-        assert one.alive == {keys.alive(FLEET, robot, "agent") for robot in (1, 2)}
+        assert sorted(one.got) == sorted([key_expressions.beacon(FLEET, 2), key_expressions.resume(FLEET)])
+        assert one.alive == {key_expressions.alive(FLEET, robot, "agent") for robot in (1, 2)}

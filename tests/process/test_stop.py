@@ -6,10 +6,10 @@ import signal
 import time
 from pathlib import Path
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
-from agent.messages import Ask, PlantState, Status, Stop, Wrench
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Ask, PlantState, Status, Stop, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import no_trouble_in_logs
 from tests.process.small_fleets import triangle
@@ -49,7 +49,7 @@ def nobody_drives(fleet: Robots, from_ns: int) -> None:
 
 def known_stop(fleet: Robots) -> Stop:
     """The stop as the fleet knows it: an operator's own messages go to its robots only."""
-    fleet.bus.publish(keys.ask(fleet.name), encode(Ask(time.time_ns(), "a test")))
+    fleet.bus.publish(key_expressions.ask(fleet.name), encode(Ask(time.time_ns(), "a test")))
     stops = fleet.wait(lambda: fleet.orders(Stop), "a robot says the stop again")
     assert len(set(stops)) == 1
     found = stops[0]
@@ -70,11 +70,11 @@ def test_stop_holds_until_resume_whatever_comes_between(tmp_path: Path) -> None:
         assert known_stop(fleet).reason == REASON
 
         # Both processes of a robot are started again: they hear of the stop, from no operator.
-        for role in keys.ROLES:
+        for role in key_expressions.ROLES:
             fleet.signal(2, role, signal.SIGKILL)
             fleet.processes[2, role].wait()
         started_ns = time.time_ns()
-        for role in keys.ROLES:
+        for role in key_expressions.ROLES:
             fleet.start(2, role)
         _, told = fleet.first(
             started_ns, Status, 2, lambda m: m.state == "stopped", "the new agent is stopped"
@@ -88,7 +88,7 @@ def test_stop_holds_until_resume_whatever_comes_between(tmp_path: Path) -> None:
         assert mission is not None
         epoch_ns = (time.time_ns() + NS_PER_S // 2) // fleet.fleet.period_ns * fleet.fleet.period_ns
         later = mission._replace(version=epoch_ns // 1_000, time_ns=time.time_ns(), epoch_ns=epoch_ns)
-        fleet.bus.publish(keys.mission(fleet.name), encode(later))
+        fleet.bus.publish(key_expressions.mission(fleet.name), encode(later))
         fleet.wait(lambda: fleet.versions() == {later.version}, "every agent knows the new mission")
         fleet.wait(lambda: time.time_ns() > epoch_ns + NS_PER_S // 2, "its epoch has come")
         nobody_drives(fleet, stopped_ns)

@@ -14,7 +14,7 @@ import pytest
 
 from agent.bus import LEASE_MS
 from agent.common.clock import NS_PER_S
-from agent.messages import PlantState, Status
+from agent.messages.types import PlantState, Status
 from tests.process.fleet_harness import Robots, robots
 from tests.process.harness import measured, no_trouble_in_logs
 

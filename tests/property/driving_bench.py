@@ -11,7 +11,7 @@ from agent.controller import Controller
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve
 from agent.hand import Pose, advance, hand
-from agent.messages import HandState, Mission, PlantState
+from agent.messages.types import HandState, Mission, PlantState
 from agent.plan import plan_of
 
 Point = tuple[float, float]

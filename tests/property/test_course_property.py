@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from agent.blend import blend_ns_for
 from agent.course import Course
 from agent.formation import resolve
-from agent.messages import Mission
+from agent.messages.types import Mission
 from agent.plan import Plan, mission_parts, plan_of, trajectory_parts
 from agent.trajectory import TrajectorySection
 from tests.unit.order_fleets import EPOCH, S, first_plan, square

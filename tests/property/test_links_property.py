@@ -8,13 +8,13 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.links import Links
-from agent.message_checks import Malformed
-from agent.messages import HELD, LOST, TOPICS, Faults, HandState
+from agent.messages.codec import decode, encode
+from agent.messages.types import HELD, LOST, TOPICS, Faults, HandState
+from agent.messages.validation import Malformed
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]

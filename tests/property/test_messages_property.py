@@ -12,9 +12,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agent.codec import VERSION, decode, encode, newer
-from agent.message_checks import REASONS, Malformed
-from agent.messages import (
+from agent.messages.codec import VERSION, decode, encode, newer
+from agent.messages.types import (
     AUTHOR_MAX,
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -43,6 +42,7 @@ from agent.messages import (
     Stop,
     Wrench,
 )
+from agent.messages.validation import REASONS, Malformed
 from tests.wire import opened, sealed
 
 ROBOT = st.integers(1, 9999)
@@ -340,7 +340,8 @@ HEADS = {
 def test_nesting_of_any_depth(depth: int, opening: str, head: bytes):
     """Closed as it should be, so that MessagePack itself has nothing against it.
 
-    Hypothesis raises the recursion limit while it runs; tests/unit/test_messages.py has the usual one.
+    Hypothesis raises the recursion limit while it runs; tests/unit/agent/messages/test_types.py has the
+    usual one.
     """
     nested = head + OPENINGS[opening] * depth + b"\xc0" * (1 + HEADS[head])
     assert survives(nested) is None

@@ -6,12 +6,12 @@ from math import hypot
 
 import pytest
 
-from agent import keys
-from agent.codec import decode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
-from agent.messages import Message, Mission, Status, Wrench
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import Message, Mission, Status, Wrench
 from agent.supervision import State
 from deploy.simulation import Simulation
 
@@ -70,7 +70,7 @@ class Run:
 
     def drives(self, robot: int, since_s: float, until_s: float) -> bool:
         """Whether any wrench of it meanwhile lets it drive."""
-        key, epoch_ns = keys.wrench("square", robot), self.simulation.epoch_ns
+        key, epoch_ns = key_expressions.wrench("square", robot), self.simulation.epoch_ns
         return any(
             not message.brake
             for time_ns, on, message in self.log

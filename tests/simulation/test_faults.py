@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent import keys
-from agent.codec import decode
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import Agent
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve, resolved
-from agent.messages import Event, Mission, PlantState, Status
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import Event, Mission, PlantState, Status
 from agent.node import INBOX_SIZE
 from agent.supervision import DRIVING, State
 from deploy.simulation import Simulation
@@ -61,7 +61,7 @@ class Run:
         return self.simulation.plants[robot - 1]
 
     def states(self, robot: int, *, truth: bool = False) -> list[PlantState]:
-        wanted = (keys.plant_truth if truth else keys.plant_state)("delta", robot)
+        wanted = (key_expressions.plant_truth if truth else key_expressions.plant_state)("delta", robot)
         messages = [decode(payload) for _, key, payload in self.log if key == wanted]
         return [message for message in messages if isinstance(message, PlantState)]
 
@@ -69,7 +69,7 @@ class Run:
         """(fleet time, robot, role, what, rule)"""
         found = []
         for time_ns, key, payload in self.log:
-            if key == keys.events("delta"):
+            if key == key_expressions.events("delta"):
                 event = decode(payload)
                 assert isinstance(event, Event)
                 assert event.time_ns == time_ns
@@ -97,8 +97,8 @@ class Run:
         hands = []
         for robot in self.fleet.ids:
             clock = LocalTime(*plan.clock(robot), epoch_ns)
-            rows = self._kept.rows.get(keys.plant_truth("delta", robot))
-            rows = rows or self._kept.rows[keys.plant_state("delta", robot)]
+            rows = self._kept.rows.get(key_expressions.plant_truth("delta", robot))
+            rows = rows or self._kept.rows[key_expressions.plant_state("delta", robot)]
             stamps = [(clock.true_ns(stamp) - epoch_ns) / NS_PER_S for stamp in rows]
             hands.append([np.interp(times, stamps, axis) for axis in np.array(list(rows.values())).T])
         return np.array(hands)
@@ -135,7 +135,7 @@ def test_all_kinds_of_faults_at_once_give_the_same_bytes_again():
 # ---------------------------------------------------------------------- the start
 
 
-def missions(run: Run, key: str = keys.mission("delta")) -> list[int]:
+def missions(run: Run, key: str = key_expressions.mission("delta")) -> list[int]:
     """When the mission was said on `key`, ms of fleet time: by the operator unless given."""
     return [round((time_ns - run.simulation.epoch_ns) / 1e6) for time_ns, k, _ in run.log if k == key]
 
@@ -228,7 +228,7 @@ def test_a_robot_starts_by_its_own_clock():
         robot: next(
             time_ns - run.simulation.epoch_ns
             for time_ns, key, payload in run.log
-            if key == keys.plant_state("delta", robot) and decode(payload)[10]
+            if key == key_expressions.plant_state("delta", robot) and decode(payload)[10]
         )
         for robot in (1, 3)
     }
@@ -250,7 +250,7 @@ def test_a_clock_that_drifts_parts_from_the_epoch_on():
     epoch_ns = run.simulation.epoch_ns
     ahead_us = {}
     for time_ns, key, payload in run.log:
-        if key == keys.plant_state("delta", 3):
+        if key == key_expressions.plant_state("delta", 3):
             true_ns = time_ns - 100_000
             ahead_us[(true_ns - epoch_ns) / NS_PER_S] = (decode(payload)[2] - true_ns) / 1e3
     times, ahead = np.array(sorted(ahead_us.items())).T
@@ -275,12 +275,16 @@ def test_five_ms_of_jitter_change_nothing_that_matters():
 
 
 def hand_stamps(run: Run) -> list[int]:
-    return [decode(payload)[2] for _, key, payload in run.log if key == keys.hand("delta", 1)]
+    return [decode(payload)[2] for _, key, payload in run.log if key == key_expressions.hand("delta", 1)]
 
 
 def test_numbers_count_rounds_although_ticks_are_late():
     run = Run("tick_jitter = 0.015").until(2.0)
-    for key in (keys.hand("delta", 1), keys.wrench("delta", 1), keys.plant_state("delta", 1)):
+    for key in (
+        key_expressions.hand("delta", 1),
+        key_expressions.wrench("delta", 1),
+        key_expressions.plant_state("delta", 1),
+    ):
         numbers = [decode(payload)[1] for _, k, payload in run.log if k == key]
         steps = np.diff(numbers)
         assert (np.delete(steps, np.argmax(steps)) == 1).all()  # one leap, when the mission comes
@@ -331,7 +335,7 @@ def test_an_agent_that_starts_again_drives_again():
     told = [
         time_ms
         for robot in (1, 2, 4, 5, 6)
-        for time_ms in missions(run, keys.told("delta", robot))
+        for time_ms in missions(run, key_expressions.told("delta", robot))
         if time_ms > 0
     ]
     assert 5000 < min(told) < 5300
@@ -381,17 +385,21 @@ def test_a_robot_that_is_killed_for_good_is_driven_on_without_and_nobody_hits_it
 def test_a_paused_agent_skips_its_ticks_and_goes_on_with_the_newest():
     run = Run("robot = 3\nat = 5.003\nfor = 2\npause = 'agent'", duration_s=25.0).until(7.002)
     agent = run.agent(3)
-    ticks = len([1 for _, key, _ in run.log if key == keys.wrench("delta", 3)])
+    ticks = len([1 for _, key, _ in run.log if key == key_expressions.wrench("delta", 3)])
     assert run.plant(3).condition == ("braking", "no fresh wrench for 2.01 s")
     run.until(7.004)
-    assert len([1 for _, key, _ in run.log if key == keys.wrench("delta", 3)]) == ticks + 1
-    wrench = next(decode(payload) for _, key, payload in reversed(run.log) if key == keys.wrench("delta", 3))
+    assert len([1 for _, key, _ in run.log if key == key_expressions.wrench("delta", 3)]) == ticks + 1
+    wrench = next(
+        decode(payload) for _, key, payload in reversed(run.log) if key == key_expressions.wrench("delta", 3)
+    )
     # It woke between two deadlines: its tick is the last of those that it slept through.
     assert wrench[2] == run.simulation.epoch_ns + round(6.99 * NS_PER_S)
     run.until(25.0)
     assert run.agent(3) is agent
     run.expect_safe(0.01)
-    status = next(decode(payload) for _, key, payload in reversed(run.log) if key == keys.status("delta", 3))
+    status = next(
+        decode(payload) for _, key, payload in reversed(run.log) if key == key_expressions.status("delta", 3)
+    )
     assert isinstance(status, Status)
     counters = dict(status.counters)
     assert counters["overruns"] == 99
@@ -418,7 +426,7 @@ def test_what_is_paused_to_the_end_is_let_go_on_to_stop():
 
 def test_the_mission_is_said_again_as_it_was():
     run = Run("robot = 2\nat = 1\nrestart = 'agent'").until(2.0)
-    said = [decode(payload) for _, key, payload in run.log if key == keys.mission("delta")]
+    said = [decode(payload) for _, key, payload in run.log if key == key_expressions.mission("delta")]
     assert all(isinstance(message, Mission) for message in said)
     assert len(said) > 1
     assert {message._replace(time_ns=0) for message in said} == {said[0]._replace(time_ns=0)}

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agent import keys, law
-from agent.codec import encode
+from agent import law
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, load_fleet
 from agent.formation import edge_lengths, resolve, resolved, start_hands
-from agent.messages import Mission
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Mission
 from agent.node import Node, Outgoing
 from agent.supervision import State
 from agent.trajectory import make_trajectory
@@ -371,7 +372,7 @@ def test_new_mission_while_driving_leaves_the_formation_together():
     simulation.start(60 * NS_PER_S)
     simulation.run_until(at(simulation, 15.0))
     mission = Mission(2, simulation.now_ns, at(simulation, 18.0), 60 * NS_PER_S, digest(fleet))
-    simulation.publish(keys.mission("delta"), encode(mission))
+    simulation.publish(key_expressions.mission("delta"), encode(mission))
     simulation.run_until(at(simulation, 30.0))
     assert {agent.state for agent in simulation.agents} == {State.RUNNING}
     trace = kept.trace(simulation.epoch_ns, 30.0)

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import parse_fleet
 from agent.formation import resolved
-from agent.messages import Checks, HandState, PlantState, Resume, Status, Wrench
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Wrench
 from agent.supervision import State
 from bridges.mavlink import frames
 from bridges.mavlink.frames import datum_of
@@ -101,7 +101,7 @@ class Run:
 
     def resume(self, *robots: int) -> None:
         message = Resume(self.now_ns // 1_000_000, self.now_ns, robots)
-        self.simulation.publish(keys.resume(self.name), encode(message))
+        self.simulation.publish(key_expressions.resume(self.name), encode(message))
 
     def distance(self, one: int, other: int) -> float:
         """Of two hand points in truth, m."""

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any, NamedTuple
 
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
-from agent.messages import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
+from agent.messages.codec import decode, encode
+from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.node import Numbers
 from agent.supervision import State
 

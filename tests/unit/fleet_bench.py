@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from agent import hand, keys
-from agent.codec import decode, encode
+from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
-from agent.messages import Message, Mission
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Message, Mission
 from agent.node import Node
 from agent.supervision import State
 from plant.node import PlantNode
@@ -117,11 +118,15 @@ class FleetBench:
         """Operators' messages of one class that robots have said again, each with who did."""
         name, told = self.fleet.fleet.name, []
         for robot in self.fleet.ids:
-            told += [(robot, each) for each in self.sayings(keys.told(name, robot)) if type(each) is kind]
+            told += [
+                (robot, each)
+                for each in self.sayings(key_expressions.told(name, robot))
+                if type(each) is kind
+            ]
         return told
 
     def wrenches(self, robot: int) -> list[Message]:
-        return self.sayings(keys.wrench(self.fleet.fleet.name, robot))
+        return self.sayings(key_expressions.wrench(self.fleet.fleet.name, robot))
 
 
 def _listens(node: Node, key: str) -> bool:

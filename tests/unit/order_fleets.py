@@ -6,7 +6,7 @@ from typing import Any
 
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve
-from agent.messages import Mission
+from agent.messages.types import Mission
 from agent.order_sections import OrderSection
 from agent.orders import first_mission, ordered
 from agent.plan import Plan, plan_of

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import tomli_w
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.fleet import Fleet, parse_fleet, to_dict
 from agent.formation import resolved
-from agent.messages import Faults, Message
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Faults, Message
 from deploy.recorder import Recorder
 from deploy.recording import Recording, RunData
 from deploy.simulation import Simulation
@@ -67,7 +67,7 @@ def driven(fleet: Fleet, live: Callable[[int], Iterable[tuple[float, Faults]]] =
         waiting = list(live(simulation.epoch_ns)) if waiting is None else waiting
         for at, message in [each for each in waiting if each[0] <= time_s]:
             waiting.remove((at, message))
-            simulation.publish(keys.faults(fleet.fleet.name), encode(message))
+            simulation.publish(key_expressions.faults(fleet.fleet.name), encode(message))
         return True
 
     simulation.run(progress)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from math import cos, exp, pi, sin, sqrt
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet
 from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.messages import HandState, Message, Mission, PlantState, Status, Wrench
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import HandState, Message, Mission, PlantState, Status, Wrench
 
 EPOCH_NS = 1_763_600_000_000_000_000
 Path = Callable[[float], tuple[float, float, float]]
@@ -60,7 +60,11 @@ def messages(
     prefix, rate = fleet.fleet.name, fleet.fleet.rate_hz
     duration_ns = round(fleet.fleet.duration_s * 1e9)
     start_ns = EPOCH_NS - 500_000_000
-    yield start_ns, keys.mission(prefix), Mission(1, start_ns, EPOCH_NS, duration_ns, "0123456789abcdef")
+    yield (
+        start_ns,
+        key_expressions.mission(prefix),
+        Mission(1, start_ns, EPOCH_NS, duration_ns, "0123456789abcdef"),
+    )
     per_status = max(1, round(0.2 * rate))
     for k in range(-per_status, round(fleet.fleet.duration_s * rate) + per_status):
         t = k / rate
@@ -74,9 +78,9 @@ def messages(
                 i, sequence, time_ns, x, y, heading, 0.1, 0.01 * i, 2.0, 0.1, True, True, True, ""
             )
             if truth:
-                yield received, keys.plant_truth(prefix, i), pose
+                yield received, key_expressions.plant_truth(prefix, i), pose
                 pose = pose._replace(x=x + 0.5, y=y - 0.5)
-            yield received, keys.plant_state(prefix, i), pose
+            yield received, key_expressions.plant_state(prefix, i), pose
             neighbours = tuple(sorted({*sum((e for e in fleet.formation.edges if i in e), ())} - {i}))
             hand_x, hand_y = x + offset * cos(heading), y + offset * sin(heading)
             force = exp(-max(t, 0.0) / 4)
@@ -84,9 +88,9 @@ def messages(
             heard = tuple((j, 500 + 100 * j) for j in neighbours)
             forces = (0.3 * force, 0.0, 0.0, (0.2 + 0.1 * i) * force, 0.0, 0.0, 0.0)
             hand = (len(neighbours), hand_x, hand_y, 0.1, 0.0, *forces, multipliers, heard)
-            yield received, keys.hand(prefix, i), HandState(i, sequence, time_ns, True, *hand)
+            yield received, key_expressions.hand(prefix, i), HandState(i, sequence, time_ns, True, *hand)
             wrench = Wrench(i, sequence, time_ns, 10 * force * cos(i + t), force * sin(i + t), False)
-            yield received, keys.wrench(prefix, i), wrench
+            yield received, key_expressions.wrench(prefix, i), wrench
             if sequence % per_status == 0 and k >= 0:
                 ages = tuple(1000 * (1 + j % 3) for j in neighbours)
                 ticks = tuple(tick_us + n + i for n in range(per_status))
@@ -106,7 +110,7 @@ def messages(
                     ages * per_status,
                     counters,
                 )
-                yield received, keys.status(prefix, i), Status(i, sequence, time_ns, *status)
+                yield received, key_expressions.status(prefix, i), Status(i, sequence, time_ns, *status)
 
 
 def standing(x: float, y: float, heading: float = 0.0) -> Path:

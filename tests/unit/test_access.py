@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent import keys
 from agent.access import access_settings
 from agent.identity import IdentityError, of_operator, of_robot
+from agent.messages import key_expressions
 from tests.unit.trusted import security
 
 FLEET = "delta"
@@ -43,11 +43,27 @@ def may(settings: dict[str, Any], name: str, message: str, key: str) -> bool:
     )
 
 
-ORDERS = (keys.mission, keys.stop, keys.resume, keys.faults, keys.heartbeat, keys.ask, keys.events)
+ORDERS = (
+    key_expressions.mission,
+    key_expressions.stop,
+    key_expressions.resume,
+    key_expressions.faults,
+    key_expressions.heartbeat,
+    key_expressions.ask,
+    key_expressions.events,
+)
 OWN = (
-    keys.hand, keys.status, keys.beacon, keys.told, keys.plant_state, keys.plant_truth, keys.wrench,
-    keys.checks, keys.links, keys.plant_links,
-)  # fmt: skip
+    key_expressions.hand,
+    key_expressions.status,
+    key_expressions.beacon,
+    key_expressions.told,
+    key_expressions.plant_state,
+    key_expressions.plant_truth,
+    key_expressions.wrench,
+    key_expressions.checks,
+    key_expressions.links,
+    key_expressions.plant_links,
+)
 
 
 def test_all_is_denied_but_what_is_listed() -> None:
@@ -69,19 +85,21 @@ def test_a_robot_has_its_own_keys() -> None:
         for other in (1, 2, 12):
             for key in OWN:
                 assert may(settings, name, "put", key(FLEET, other)) == (robot == other)
-            for role in keys.ROLES:
-                assert may(settings, name, "put", keys.faults_held(FLEET, other, role)) == (robot == other)
-                token = keys.alive(FLEET, other, role)
+            for role in key_expressions.ROLES:
+                assert may(settings, name, "put", key_expressions.faults_held(FLEET, other, role)) == (
+                    robot == other
+                )
+                token = key_expressions.alive(FLEET, other, role)
                 assert may(settings, name, "liveliness_token", token) == (robot == other)
         for order in ORDERS:
             assert not may(settings, name, "put", order(FLEET))
         for wild in (f"{FLEET}/**", f"{FLEET}/robot/*/hand", f"{FLEET}/*", "**"):
             assert not may(settings, name, "put", wild)
         for role in ("*", "other", "agent/other"):
-            assert not may(settings, name, "liveliness_token", keys.alive(FLEET, robot, role))
-        assert not may(settings, name, "liveliness_token", keys.alive(FLEET, "*", "agent"))
+            assert not may(settings, name, "liveliness_token", key_expressions.alive(FLEET, robot, role))
+        assert not may(settings, name, "liveliness_token", key_expressions.alive(FLEET, "*", "agent"))
         for message in ("delete", "query", "reply", "declare_queryable"):
-            assert not may(settings, name, message, keys.hand(FLEET, robot))
+            assert not may(settings, name, message, key_expressions.hand(FLEET, robot))
 
 
 def test_operators_give_orders() -> None:
@@ -90,27 +108,31 @@ def test_operators_give_orders() -> None:
         name = of_operator(FLEET, operator).common_name
         assert all(may(settings, name, "put", order(FLEET)) for order in ORDERS)
         assert not any(may(settings, name, "put", key(FLEET, 1)) for key in OWN)
-        assert not may(settings, name, "liveliness_token", keys.alive(FLEET, 1, "agent"))
-    assert not may(settings, of_operator(FLEET, "eve").common_name, "put", keys.stop(FLEET))
+        assert not may(settings, name, "liveliness_token", key_expressions.alive(FLEET, 1, "agent"))
+    assert not may(settings, of_operator(FLEET, "eve").common_name, "put", key_expressions.stop(FLEET))
 
 
 def test_all_of_the_fleet_may_listen() -> None:
     settings = access_settings(FLEET, (1,))
     for name in ("robot.1", "operator.main", "router.main"):
         for message in ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"):
-            for key in (keys.everything(FLEET), keys.hand(FLEET, "*"), keys.alive(FLEET, "*", "*")):
+            for key in (
+                key_expressions.everything(FLEET),
+                key_expressions.hand(FLEET, "*"),
+                key_expressions.alive(FLEET, "*", "*"),
+            ):
                 assert may(settings, f"{FLEET}.{name}", message, key)
-    assert not may(settings, f"{FLEET}.robot.2", "declare_subscriber", keys.everything(FLEET))
-    assert not may(settings, f"{FLEET}.robot.1", "declare_subscriber", keys.everything("other"))
+    assert not may(settings, f"{FLEET}.robot.2", "declare_subscriber", key_expressions.everything(FLEET))
+    assert not may(settings, f"{FLEET}.robot.1", "declare_subscriber", key_expressions.everything("other"))
 
 
 def test_a_router_passes_on_what_is_the_fleets() -> None:
     settings = access_settings(FLEET, (1,), routers=("hall",))
     name = f"{FLEET}.router.hall"
-    assert may(settings, name, "put", keys.hand(FLEET, 1))
-    assert may(settings, name, "put", keys.stop(FLEET))
-    assert may(settings, name, "liveliness_token", keys.alive(FLEET, 1, "agent"))
-    assert not may(settings, name, "put", keys.hand("other", 1))
+    assert may(settings, name, "put", key_expressions.hand(FLEET, 1))
+    assert may(settings, name, "put", key_expressions.stop(FLEET))
+    assert may(settings, name, "liveliness_token", key_expressions.alive(FLEET, 1, "agent"))
+    assert not may(settings, name, "put", key_expressions.hand("other", 1))
 
 
 def test_names_that_no_certificate_can_have() -> None:

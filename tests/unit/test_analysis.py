@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent import keys
 from agent.course import Course
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import Event, Message, Mission, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
 from agent.plan import plan_of
 from deploy.analysis import Analysis, analyse
 from deploy.metrics import compute
@@ -73,7 +73,7 @@ def run(
             message = message._replace(x=x - 0.1, y=y)
         data.feed(received, key, message)
     for mission in missions:
-        data.feed(mission.time_ns + 1, keys.mission(fleet.fleet.name), mission)
+        data.feed(mission.time_ns + 1, key_expressions.mission(fleet.fleet.name), mission)
     for each in extra:
         data.feed(*each)
     return data.recording()
@@ -167,14 +167,14 @@ def test_a_new_epoch_before_the_drive_is_no_change() -> None:
 def test_missions_and_stops_that_are_said_again_are_kept_once() -> None:
     said: list[Sent] = []
     for t in (1.5, 120.0):  # agents say them to each other, with the stamps that they came with
-        said.append((ns(t), keys.mission(NAME), JOIN))
-        said.append((ns(t), keys.stop(NAME), Stop(4, ns(1.2), "now")))
+        said.append((ns(t), key_expressions.mission(NAME), JOIN))
+        said.append((ns(t), key_expressions.stop(NAME), Stop(4, ns(1.2), "now")))
     recording = run(FLEET, [FIRST, JOIN], extra=said)
     assert [mission.version for mission in recording.missions] == [1, 2]
     assert [each.time_ns for each in recording.stops] == [ns(1.2)]
     assert recording.foreign == 0
     ahead = JOIN._replace(version=5, time_ns=ns(3600.0))  # nobody's clock
-    recording = run(FLEET, [FIRST, JOIN], extra=[(ns(1.5), keys.mission(NAME), ahead)])
+    recording = run(FLEET, [FIRST, JOIN], extra=[(ns(1.5), key_expressions.mission(NAME), ahead)])
     assert ([mission.version for mission in recording.missions], recording.foreign) == ([1, 2], 1)
 
 
@@ -182,7 +182,7 @@ def test_missions_and_stops_that_are_said_again_are_kept_once() -> None:
 
 
 def event(t: float, what: str, role: str = "agent") -> Sent:
-    return ns(t), keys.events(NAME), Event(2, round(t * 1e3), ns(t), role, what, "rule")
+    return ns(t), key_expressions.events(NAME), Event(2, round(t * 1e3), ns(t), role, what, "rule")
 
 
 def test_edges_of_robots_that_cannot_follow_do_not_count() -> None:
@@ -193,8 +193,8 @@ def test_edges_of_robots_that_cannot_follow_do_not_count() -> None:
         return message
 
     stops: list[Sent] = [
-        (ns(7.0), keys.stop(NAME), Stop(1, ns(7.0), "now")),
-        (ns(7.5), keys.resume(NAME), Resume(2, ns(7.5), ())),
+        (ns(7.0), key_expressions.stop(NAME), Stop(1, ns(7.0), "now")),
+        (ns(7.5), key_expressions.resume(NAME), Resume(2, ns(7.5), ())),
     ]
     recording = run(FLEET, [FIRST], extra=[event(5.0, "kill"), event(6.0, "start"), *stops])
     data = RunData(FLEET)
@@ -216,7 +216,7 @@ def test_a_body_stands_while_its_plant_is_paused_where_it_is_found_afterwards() 
         paths = [standing(0, 0), lambda t: (1.0 if t < 3.0 else 2.0, 0.0, 0.0), standing(5, 5)]
         for received, key, message in messages(FLEET, paths):
             t = (message.time_ns - EPOCH_NS) / 1e9
-            if key != keys.plant_state(NAME, 2) or not 2.0 < t < 4.0:
+            if key != key_expressions.plant_state(NAME, 2) or not 2.0 < t < 4.0:
                 data.feed(received, key, message)
         for each in events:
             data.feed(*each)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from agent.keys import ROLES
+from agent.messages.key_expressions import ROLES
 from deploy.attached import NAMED_MAX, Attached
 from deploy.process_faults import Action
 from tests.unit.order_fleets import square

@@ -6,16 +6,16 @@ import time
 
 import pytest
 
-from agent import keys
 from agent.fleet import digest
 from agent.formation import resolve
-from agent.messages import Mission, Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.types import Mission, Resume, Stop
 from deploy.before_drive import OVER, clock, refusal, stop_in_force
 from deploy.operating import Known
 from tests.unit.order_fleets import EPOCH, S, square
 
 FLEET = square()
-TOLD = keys.told("square", 1)
+TOLD = key_expressions.told("square", 1)
 MISSION = Mission(1, EPOCH - S, EPOCH, 60 * S, digest(FLEET))
 DURING, AFTER = EPOCH + 10 * S, EPOCH + 60 * S
 
@@ -92,7 +92,7 @@ def test_robots_that_read_another_file_are_not_driven_by_this_one() -> None:
     )
     assert digest(FLEET) in text
     made = Known(FLEET, resolve(FLEET))
-    made.hear(keys.mission("square"), other)  # by an operator, whom no robot believes
+    made.hear(key_expressions.mission("square"), other)  # by an operator, whom no robot believes
     assert refusal(made, AFTER, resume=True) == ""
 
 

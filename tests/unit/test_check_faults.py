@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 import deploy
-from agent.codec import encode
 from agent.common.random_streams import stream
 from agent.fleet import Fleet, load_fleet, parse_fleet
 from agent.formation import resolved
 from agent.impairments import Loss
-from agent.messages import HandState
+from agent.messages.codec import encode
+from agent.messages.types import HandState
 from deploy.check import Finding, check
 from deploy.check_faults import silences
 from deploy.description import describe

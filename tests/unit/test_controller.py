@@ -11,7 +11,7 @@ from agent.controller import Controller
 from agent.fleet import load_fleet, parse_fleet
 from agent.formation import resolve
 from agent.hand import Pose, advance, hand, wrench
-from agent.messages import NEIGHBOURS_MAX, HandState, PlantState
+from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
 from deploy.arguments import fleet_path
 
 S = 1_000_000_000

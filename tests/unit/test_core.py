@@ -10,13 +10,13 @@ import msgpack
 import numpy as np
 import pytest
 
-from agent import keys
-from agent.codec import VERSION, decode, encode
 from agent.common.clock import NS_PER_S
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import VERSION, decode, encode
+from agent.messages.types import (
     TEXT_MAX,
     Ask,
     Beacon,
@@ -72,7 +72,7 @@ def test_keys_are_those_of_its_neighbours_and_its_own_plant():
         HAND, WRENCH, STATUS, BEACON, TOLD, "two/robot/1/links", "two/robot/1/faults",
     }  # fmt: skip
     assert agent.watched == "two/alive/robot/*/agent"
-    assert agent.alive_key == keys.alive("two", 1, "agent")
+    assert agent.alive_key == key_expressions.alive("two", 1, "agent")
     assert (agent.period_ns, agent.phase_ns) == (PERIOD, PERIOD // 2)
 
 

@@ -7,11 +7,11 @@ from math import hypot, sqrt
 
 import pytest
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.course import Edge
 from agent.hand import hand_acceleration
-from agent.messages import Beacon, HandState, Mission, Stop, Wrench
+from agent.messages import key_expressions
+from agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
 from agent.supervision import DRIVING, State
 from tests.unit.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
 
@@ -270,7 +270,7 @@ def test_an_agent_that_starts_again_takes_its_place_again(bench: FleetBench):
 
 def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: FleetBench):
     """A second late: from then on it follows the same blend as the others."""
-    lost = {MISSION, *(keys.told("few", robot) for robot in (1, 3, 4))}
+    lost = {MISSION, *(key_expressions.told("few", robot) for robot in (1, 3, 4))}
     bench.cut = lambda key, node: key in lost and node is bench.agents[2]
     wide = tuple((robot, 1.5 * x, 1.5 * y) for robot, x, y in PLACES)
     mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))

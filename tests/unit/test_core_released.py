@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest
 from agent.hand import Pose, hand
-from agent.messages import Mission, Resume, Stop
+from agent.messages.codec import encode
+from agent.messages.types import Mission, Resume, Stop
 from agent.supervision import State
 from plant.backend import Command, PlantBackend, Reading
 from plant.node import PlantNode

@@ -11,7 +11,7 @@ from agent import law
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.hand import Pose
-from agent.messages import Beacon, Heartbeat, Resume, Stop, Wrench
+from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
 from agent.supervision import State
 from plant.node import PlantNode
 from tests.unit.agent_bench import (

@@ -11,12 +11,12 @@ from typing import Any, cast
 
 import pytest
 
-from agent import keys
 from agent.bus import Bus
-from agent.codec import decode, encode
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.formation import resolve
-from agent.messages import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
 from deploy.attached import Attached
 from deploy.before_drive import BROKEN_OFF, OVER, refusal
@@ -38,7 +38,7 @@ trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
 """,
     source="two",
 )
-TOLD = keys.told("two", 1)
+TOLD = key_expressions.told("two", 1)
 STOP = Stop(5, 100 * S, "a person")
 LATER = 1 << 52
 """A version that is greater than any of this century."""
@@ -77,7 +77,11 @@ class Robots:
     def subscribe(self, key: str, size: int) -> None: ...
 
     def watch(self, key: str) -> Robots:
-        self._changes = [(keys.alive("two", robot, role), True) for robot in (1, 2) for role in keys.ROLES]
+        self._changes = [
+            (key_expressions.alive("two", robot, role), True)
+            for robot in (1, 2)
+            for role in key_expressions.ROLES
+        ]
         return self
 
     def update(self) -> list[tuple[str, bool]]:
@@ -120,7 +124,7 @@ class Robots:
             orders = self._orders if robot not in self.deaf else 0
             counters = (("rejected.digest", 3 + (self._given is not None and robot in self.refuses)),)
             yield (
-                keys.status("two", robot),
+                key_expressions.status("two", robot),
                 encode(
                     Status(
                         *(robot, 1, now_ns, self.state, "", ""),
@@ -135,12 +139,12 @@ class Robots:
             since_ns = 0 if known is None else (now_ns - known.epoch_ns) // FLEET.period_ns
             number = 7 if known is None else FIRST_ROUND + since_ns
             yield (
-                keys.plant_state("two", robot),
+                key_expressions.plant_state("two", robot),
                 encode(PlantState(robot, number, now_ns, *[0.0] * 7, True, True, True, "")),
             )
             if robot in self.gone and self._given is not None:
                 self._left.add(robot)
-                self._changes.append((keys.alive("two", robot, "plant"), False))
+                self._changes.append((key_expressions.alive("two", robot, "plant"), False))
 
     def of(self, kind: type[Any]) -> list[Any]:
         return [message for message, _ in self.said if type(message) is kind]
@@ -282,7 +286,7 @@ def test_robots_that_refuse_the_mission_end_the_drive_before_its_epoch() -> None
 def test_a_drive_that_another_has_taken_over_stops_nobody() -> None:
     robots = Robots("ready")
     theirs = over()._replace(version=LATER, epoch_ns=time.time_ns() + 9 * S)
-    robots.on_mission = lambda: [(keys.mission("two"), theirs)]
+    robots.on_mission = lambda: [(key_expressions.mission("two"), theirs)]
     drive, _ = driven(robots)
     assert drive.reasons == ["Another operator has begun another drive, and the robots drive that."]
     assert robots.of(Stop) == []

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from agent.codec import encode
+from agent.messages.codec import encode
 from deploy.export import ExportError, export, tabulate
 from deploy.recorder import Recorder, RecordingError
 from deploy.recording import Recording

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.faults import AUTHORS_MAX, FaultPlan
 from agent.fleet import Fleet, parse_fleet
-from agent.messages import EVERY_AUTHOR, Faults, HandState, LinkTrace
+from agent.messages.codec import decode, encode
+from agent.messages.types import EVERY_AUTHOR, Faults, HandState, LinkTrace
 from agent.reception import Reception
 
 FLEET = """

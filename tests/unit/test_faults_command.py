@@ -9,13 +9,13 @@ from math import inf
 
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.fault_settings import Rule
 from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet import load_fleet
-from agent.messages import Faults
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Faults
 from agent.reception import Reception
 from agent.scenario import parse_scenario
 from deploy.arguments import FLEETS
@@ -429,7 +429,9 @@ def test_rules_that_are_over_are_not_shown(world: World) -> None:
 
 def test_what_is_kept_of_ended_authors_is_bounded() -> None:
     held = Held(FLEET)
-    keys_of = {receiver: keys.faults_held(FLEET.fleet.name, *receiver) for receiver in receivers(FLEET)}
+    keys_of = {
+        receiver: key_expressions.faults_held(FLEET.fleet.name, *receiver) for receiver in receivers(FLEET)
+    }
     living = Faults(1, 1, "ana@lab:1", 0, 0, text_of([rule('loss = "30%"')]))
     authors = 2 * (AUTHORS_MAX + ENDED_MAX)
     for number in range(authors):

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from agent import keys
-from agent.codec import encode
 from agent.identity import of_operator
-from agent.messages import Stop
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Stop
 from agent.order_gate import NEW_MAX, NEW_PERIOD_NS, OrderGate
 from agent.seal import Opener, Order, Sealer
 from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 NOW_NS = int(NOW_S * 1e9)
-TOLD = keys.told(FLEET, 2)
+TOLD = key_expressions.told(FLEET, 2)
 
 
 class Counting(Opener):
@@ -83,7 +83,7 @@ def test_what_is_known_is_let_in_as_often_as_it_is_told(scene: Scene) -> None:
 
 def test_others_are_let_in(scene: Scene) -> None:
     scene.flood(TOLD, NOW_NS)
-    for key in (keys.told(FLEET, 1), keys.stop(FLEET)):
+    for key in (key_expressions.told(FLEET, 1), key_expressions.stop(FLEET)):
         assert scene.gate.let_in(key, scene.genuine, NOW_NS) == scene.order
 
 
@@ -98,5 +98,5 @@ def test_the_robot_itself_is_let_in_again_soon(scene: Scene) -> None:
 
 
 def test_what_comes_from_operators_is_always_looked_at(scene: Scene) -> None:
-    scene.flood(keys.stop(FLEET), NOW_NS)
-    assert scene.gate.let_in(keys.stop(FLEET), scene.genuine, NOW_NS) == scene.order
+    scene.flood(key_expressions.stop(FLEET), NOW_NS)
+    assert scene.gate.let_in(key_expressions.stop(FLEET), scene.genuine, NOW_NS) == scene.order

@@ -6,11 +6,11 @@ from math import cos, pi, sin
 
 import pytest
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, parse_fleet
 from agent.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
-from agent.messages import Ask, Mission, PlantState, Resume, Stop, Wrench
+from agent.messages import key_expressions
+from agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench
 from agent.node import FIRST_ROUND
 from agent.supervision import DRIVING, State
 from plant.node import PlantNode
@@ -180,7 +180,7 @@ def test_a_plant_that_missed_the_leave_is_told_it_by_its_agent():
     bench.drive()
     bench.say(STOP, Stop(1, bench.now, ""))
     bench.run(0.5)
-    bench.cut = lambda _key, node: node is bench.plants[2] and _key != keys.wrench("few", 2)
+    bench.cut = lambda _key, node: node is bench.plants[2] and _key != key_expressions.wrench("few", 2)
     bench.say(RESUME, Resume(2, bench.now, ()), [node for node in bench.nodes if node is not bench.plants[2]])
     bench.run(0.3)
     bench.cut = lambda _key, _node: False
@@ -251,7 +251,7 @@ def test_a_robot_that_is_told_of_a_mission_hears_of_the_stop_first():
     bench.say(MISSION, bench.mission(version=9))
     bench.run(0.5)
     for robot in bench.fleet.ids:
-        told = bench.sayings(keys.told("few", robot))
+        told = bench.sayings(key_expressions.told("few", robot))
         missions = [k for k, each in enumerate(told) if type(each) is Mission]
         assert missions or robot not in (1, 2, 3)
         assert all(type(told[k - 1]) is Stop for k in missions)
@@ -268,7 +268,7 @@ def test_a_plant_that_starts_again_is_told_the_mission_by_its_agent():
     bench.plants[2] = PlantNode(bench.fleet, 2, bench.bodies[2])
     bench.said.clear()
     bench.run(0.2)
-    (state, *_) = bench.sayings(keys.plant_state("few", 2))[-1:]
+    (state, *_) = bench.sayings(key_expressions.plant_state("few", 2))[-1:]
     assert type(state) is PlantState
     assert state.sequence >= FIRST_ROUND
     assert bench.plants[2].condition == ("braking", "stop: here")

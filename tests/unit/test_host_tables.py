@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from agent.messages import Status
+from agent.messages.types import Status
 from deploy.host_connection import Clock, HostError
 from deploy.hosts_view import Lines, Row
 from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row

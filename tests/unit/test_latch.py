@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.latch import Latch
-from agent.messages import Resume, Stop
+from agent.messages.types import Resume, Stop
 
 ROBOT = 1
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from agent import keys
 from agent.fleet import parse_fleet
 from agent.formation import resolve, resolved
-from agent.messages import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message
+from agent.messages import key_expressions
+from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message
 from deploy.analysis import analyse
 from deploy.fault_times import live_sets, spans
 from deploy.link_audit import AuditResult
@@ -62,7 +62,9 @@ def changed(sent: list[Sent], change: Callable[[LinkTrace], LinkTrace]) -> list[
 
 def is_told(key: str, message: Message) -> bool:
     return (
-        key == keys.links("trio", 1) and isinstance(message, LinkTrace) and bool(_of_hands(message).entries)
+        key == key_expressions.links("trio", 1)
+        and isinstance(message, LinkTrace)
+        and bool(_of_hands(message).entries)
     )
 
 

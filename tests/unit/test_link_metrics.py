@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from agent import keys
 from agent.formation import resolve
-from agent.messages import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
+from agent.messages import key_expressions
+from agent.messages.types import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
 from deploy import link_metrics
 from deploy.analysis import analyse
 from deploy.link_metrics import ages, clock_offsets, clock_warnings
@@ -45,13 +45,13 @@ def idle_rules(recording: Recording) -> list[str]:
 
 
 def trace(robot: int, *entries: tuple[int, int, int, int, int, int]) -> Sent:
-    return at(1.9), keys.links(NAME, robot), LinkTrace(robot, 0, at(1.9), entries)
+    return at(1.9), key_expressions.links(NAME, robot), LinkTrace(robot, 0, at(1.9), entries)
 
 
 def status(robot: int, t: float, *neighbours: tuple[int, ...], ages_us: tuple[int, ...] = ()) -> Sent:
     rows: Any = neighbours
     message = Status(robot, 0, at(t), "running", "epoch", "", 1, 0, rows, (), ages_us, ())
-    return at(t), keys.status(NAME, robot), message
+    return at(t), key_expressions.status(NAME, robot), message
 
 
 # --- what was done ----------------------------------------------------------------------------
@@ -125,7 +125,7 @@ def test_messages_of_the_drive_are_counted_between_two_statuses() -> None:
 
 def test_of_own_plants_only_what_was_sent_is_known() -> None:
     recording = fed(
-        (at(1.9), keys.plant_links(NAME, 1), LinkTrace(1, 0, at(1.9), ((1, 2, 1, at(0.5), 0, 0),)))
+        (at(1.9), key_expressions.plant_links(NAME, 1), LinkTrace(1, 0, at(1.9), ((1, 2, 1, at(0.5), 0, 0),)))
     )
     (link,) = describe_links(recording)["links"]
     assert (link["link"], link["topic"]) == ("1->1", "wrench")

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from agent.fault_settings import Rule
-from agent.messages import Event
+from agent.messages.types import Event
 from deploy import fault_strip, link_figures
 from deploy.columns import Store
 from deploy.drawing import write

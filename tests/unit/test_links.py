@@ -7,14 +7,13 @@ from itertools import pairwise
 import pytest
 
 from agent import replay
-from agent.codec import decode, encode
 from agent.common import random_streams
 from agent.common.clock import NS_PER_S
 from agent.faults import NONE, FaultPlan
 from agent.fleet import Fleet, FleetError, parse_fleet
 from agent.links import Links
-from agent.message_checks import Malformed
-from agent.messages import (
+from agent.messages.codec import decode, encode
+from agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
     HELD,
@@ -28,6 +27,7 @@ from agent.messages import (
     LinkTrace,
     Wrench,
 )
+from agent.messages.validation import Malformed
 from agent.node import FIRST_ROUND
 from agent.replay import encode_fates
 

@@ -6,11 +6,11 @@ import io
 
 import pytest
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.formation import resolve
-from agent.messages import Faults, HandState, Mission, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.types import Faults, HandState, Mission, Status, Stop
 from deploy.arguments import FLEETS
 from deploy.live import Lines, Watch, faults_line, summary
 
@@ -24,7 +24,7 @@ def fleet(more: str = "") -> Fleet:
 def watch(more: str = "") -> Watch:
     made = fleet(more)
     watched = Watch(made, resolve(made))
-    watched.feed(keys.mission("pair"), Mission(1, EPOCH_NS, EPOCH_NS, 60 * NS_PER_S, digest(made)))
+    watched.feed(key_expressions.mission("pair"), Mission(1, EPOCH_NS, EPOCH_NS, 60 * NS_PER_S, digest(made)))
     return watched
 
 
@@ -59,7 +59,7 @@ def test_defaults_of_every_link_always_hold() -> None:
 
 def test_live_faults_are_named_with_their_author() -> None:
     watched = watch()
-    watched.feed(keys.faults_held("pair", 2, "agent"), live(3.0, LOSS, 2 * NS_PER_S))
+    watched.feed(key_expressions.faults_held("pair", 2, "agent"), live(3.0, LOSS, 2 * NS_PER_S))
     assert watched.picture(2.9).faults == []
     picture = watched.picture(4.0)
     assert faults_line(picture) == "faults: live loss 30% on 1->2 (ana@lab:3211)"
@@ -69,16 +69,16 @@ def test_live_faults_are_named_with_their_author() -> None:
 def test_live_faults_are_gone_when_the_receivers_say_so() -> None:
     watched = watch()
     for robot in (1, 2):
-        watched.feed(keys.faults_held("pair", robot, "agent"), live(3.0, LOSS))
-    watched.feed(keys.faults_held("pair", 1, "agent"), live(4.0, ""))
+        watched.feed(key_expressions.faults_held("pair", robot, "agent"), live(3.0, LOSS))
+    watched.feed(key_expressions.faults_held("pair", 1, "agent"), live(4.0, ""))
     assert len(watched.picture(5.0).faults) == 1
-    watched.feed(keys.faults_held("pair", 2, "agent"), live(4.0, ""))
+    watched.feed(key_expressions.faults_held("pair", 2, "agent"), live(4.0, ""))
     assert watched.picture(5.0).faults == []
 
 
 def test_what_an_operator_only_asks_for_is_not_shown() -> None:
     watched = watch()
-    watched.feed(keys.faults("pair"), live(3.0, LOSS))
+    watched.feed(key_expressions.faults("pair"), live(3.0, LOSS))
     assert watched.picture(4.0).faults == []
 
 
@@ -97,8 +97,8 @@ def test_many_faults_are_counted() -> None:
 )
 def test_a_clock_that_is_off_is_marked(offset_us: int, error_us: int, says: bool) -> None:
     watched = watch()
-    watched.feed(keys.status("pair", 1), status(1, offset_us, error_us))
-    watched.feed(keys.status("pair", 2), status(2, -offset_us, error_us))
+    watched.feed(key_expressions.status("pair", 1), status(1, offset_us, error_us))
+    watched.feed(key_expressions.status("pair", 2), status(2, -offset_us, error_us))
     picture = watched.picture(1.0)
     assert (picture.robots[1].clock is not None) == says
     text = f", clock of robot 2 {offset_us // 1000} ms ahead of robot 1's"
@@ -114,7 +114,7 @@ def test_plain_lines_end_with_the_faults() -> None:
 
 def told(watched: Watch, robot: int, state: str, reason: str, after_ns: int) -> None:
     status = Status(robot, 1, EPOCH_NS + after_ns, state, "", reason, 1, 0, (), (), (), ())
-    watched.feed(keys.status("pair", robot), status)
+    watched.feed(key_expressions.status("pair", robot), status)
 
 
 def test_a_released_robot_is_shown_with_its_reason() -> None:
@@ -182,7 +182,7 @@ def test_an_agent_that_is_gone_says_nothing_until_it_is_back() -> None:
     told(watched, 2, "running", "", 1)
     watched.forget(2)
     for robot in (1, 2):
-        watched.feed(keys.hand("pair", robot), hand(robot, float(robot), 0.0))
+        watched.feed(key_expressions.hand("pair", robot), hand(robot, float(robot), 0.0))
     assert watched.picture(1.0).worst is not None
     watched.forget(1)  # of which no status was heard yet
     assert watched.picture(1.0).worst is None
@@ -196,9 +196,9 @@ def test_orders_of_anybody_are_news_once() -> None:
     watched = watch()
     stop = Stop(7, EPOCH_NS, "a person")
     for _ in range(2):
-        watched.feed(keys.stop("pair"), stop)
+        watched.feed(key_expressions.stop("pair"), stop)
     assert watched.news(2.0) == ["2.0 s: every robot is told to stop: a person"]
-    watched.feed(keys.stop("pair"), stop._replace(version=6))
+    watched.feed(key_expressions.stop("pair"), stop._replace(version=6))
     assert watched.news(3.0) == []
 
 
@@ -213,7 +213,7 @@ def test_the_picture_is_of_the_edges_in_force() -> None:
     wanted = float(resolve(made).distances[0])
     assert watched.picture(None).worst is None, "nothing is heard yet"
     for robot, x in ((1, 0.0), (2, wanted + 0.25)):
-        watched.feed(keys.hand("pair", robot), hand(robot, x, 0.0))
+        watched.feed(key_expressions.hand("pair", robot), hand(robot, x, 0.0))
     worst = watched.picture(None).worst
     assert worst is not None
     assert worst == (pytest.approx(0.25), 1, 2)
@@ -231,13 +231,13 @@ def test_the_picture_is_of_the_edges_in_force() -> None:
         ((1, 0.0, 0.0), (2, wanted + 0.25, 0.0)),
         ((1, 2, wanted + 0.25),),
     )
-    watched.feed(keys.mission("pair"), longer)
+    watched.feed(key_expressions.mission("pair"), longer)
     errors = [picture.worst[0] for at in (4.0, 6.0, 8.0) if (picture := watched.picture(at)).worst]
     assert errors == [pytest.approx(0.25), pytest.approx(0.125), pytest.approx(0.0)]
     told(watched, 1, "running", "", 1)
     assert watched.picture(6.0).robots[1].error_m == pytest.approx(0.125)
     fading = longer._replace(version=2, from_ns=EPOCH_NS + 9 * NS_PER_S, edges=())
-    watched.feed(keys.mission("pair"), fading)
+    watched.feed(key_expressions.mission("pair"), fading)
     assert watched.picture(8.9).worst is not None
     assert watched.picture(9.2).worst is None, "it is on its way out"
 

@@ -8,10 +8,10 @@ from typing import cast
 import pytest
 
 from agent.bus import Bus
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.fleet import digest, parse_fleet
-from agent.messages import Mission, PlantState, Stop
+from agent.messages.codec import decode, encode
+from agent.messages.types import Mission, PlantState, Stop
 from agent.process import Shutdown, loop
 from agent.service import Service
 from plant.node import PlantNode

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.formation import resolve, resolved
-from agent.messages import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
 from deploy.operating import Operator
 from deploy.order_versions import AHEAD_US_MAX
 from deploy.stopping import Stopping
@@ -31,9 +31,9 @@ def beacon(version: int) -> Beacon:
 @pytest.mark.parametrize("lie", [*LIES, 2**64 - 1])
 def test_an_operator_orders_what_robots_take(lie: int) -> None:
     operator = Operator(FLEET, resolve(FLEET))
-    operator.hear(keys.status(NAME, 2), status(2, lie))
+    operator.hear(key_expressions.status(NAME, 2), status(2, lie))
     if lie < TIME_NS_MAX:
-        operator.hear(keys.beacon(NAME, 2), beacon(lie))
+        operator.hear(key_expressions.beacon(NAME, 2), beacon(lie))
     last = 0
     for order in (
         operator.order_stop(NOW_NS, "a test"),
@@ -49,17 +49,17 @@ def test_an_operator_orders_what_robots_take(lie: int) -> None:
 
 def test_what_can_be_is_outdone() -> None:
     operator = Operator(FLEET, resolve(FLEET))
-    operator.hear(keys.status(NAME, 2), status(2, NOW_US + 1_000_000))
+    operator.hear(key_expressions.status(NAME, 2), status(2, NOW_US + 1_000_000))
     assert operator.order_stop(NOW_NS, "a test").version == NOW_US + 1_000_001
     stopping = Stopping(FLEET, NOW_NS, "a test")
-    stopping.feed(NOW_NS, keys.status(NAME, 2), status(2, NOW_US + 1_000_000))
+    stopping.feed(NOW_NS, key_expressions.status(NAME, 2), status(2, NOW_US + 1_000_000))
     assert stopping.message.version == NOW_US + 1_000_001
 
 
 @pytest.mark.parametrize("lie", LIES)
 def test_a_stop_is_not_changed_for_a_lie(lie: int) -> None:
     stopping = Stopping(FLEET, NOW_NS, "a test")
-    stopping.feed(NOW_NS, keys.status(NAME, 2), status(2, lie))
+    stopping.feed(NOW_NS, key_expressions.status(NAME, 2), status(2, lie))
     assert stopping.message.version == NOW_US
-    stopping.feed(NOW_NS, keys.status(NAME, 1), status(1, NOW_US, "stopping"))
+    stopping.feed(NOW_NS, key_expressions.status(NAME, 1), status(1, NOW_US, "stopping"))
     assert not stopping.stands_by(2)

@@ -13,7 +13,7 @@ from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, parse_fleet
 from agent.hand import Pose
-from agent.messages import Faults
+from agent.messages.types import Faults
 from plant.measurement import Measurement
 
 Floats = NDArray[np.float64]

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from agent import keys
 from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.messages import Message, Mission, PlantState, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.types import Message, Mission, PlantState, Status, Stop
 from agent.order_sections import OrderSection
 from agent.safety_sections import AvoidanceSection
 from deploy.metrics import compute, write
@@ -206,7 +206,9 @@ def test_counters_of_an_agent_that_started_again_are_added() -> None:
 def with_statuses(*statuses: Status) -> list[Sent]:
     """A run of PAIR in formation, with these statuses instead of its own."""
     sent = [each for each in messages(PAIR, in_formation(PAIR)) if type(each[2]) is not Status]
-    return sent + [(status.time_ns, keys.status(NAME, status.robot), status) for status in statuses]
+    return sent + [
+        (status.time_ns, key_expressions.status(NAME, status.robot), status) for status in statuses
+    ]
 
 
 def status(robot: int, t: float, **fields: Any) -> Status:
@@ -272,7 +274,10 @@ def test_a_silent_robot_makes_the_data_incomplete() -> None:
 
 def test_a_gap_in_the_poses_is_named() -> None:
     def within(each: Sent) -> bool:
-        return each[1] == keys.plant_state(NAME, 1) and 0.4 < (each[2].time_ns - EPOCH_NS) / 1e9 < 1.19
+        return (
+            each[1] == key_expressions.plant_state(NAME, 1)
+            and 0.4 < (each[2].time_ns - EPOCH_NS) / 1e9 < 1.19
+        )
 
     found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if not within(each)))
     assert found["verdict"]["reasons"] == [
@@ -283,8 +288,8 @@ def test_a_gap_in_the_poses_is_named() -> None:
 def test_poses_that_begin_late_or_end_early_are_named() -> None:
     def kept(each: Sent) -> bool:
         t = (each[2].time_ns - EPOCH_NS) / 1e9
-        return not (each[1] == keys.plant_state(NAME, 1) and t < 0.99) and not (
-            each[1] == keys.plant_state(NAME, 2) and t > 1.01
+        return not (each[1] == key_expressions.plant_state(NAME, 1) and t < 0.99) and not (
+            each[1] == key_expressions.plant_state(NAME, 2) and t > 1.01
         )
 
     found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if kept(each)))
@@ -297,7 +302,7 @@ def test_poses_that_begin_late_or_end_early_are_named() -> None:
 def test_a_run_that_was_cut_short_says_so() -> None:
     sent = list(messages(PAIR, in_formation(PAIR)))
     at_ns = EPOCH_NS + 1_200_000_000
-    stop: Sent = (at_ns, keys.stop(NAME), Stop(1, at_ns, "enough"))
+    stop: Sent = (at_ns, key_expressions.stop(NAME), Stop(1, at_ns, "enough"))
     braked = [
         (t, key, m._replace(driving=False, speed=0.0) if type(m) is PlantState and t > at_ns else m)
         for t, key, m in sent
@@ -395,11 +400,11 @@ def test_names_of_robots_read_as_text() -> None:
 def test_poses_of_a_robot_are_not_mixed_up_with_those_of_another() -> None:
     """One message each is enough to tell."""
     sent: list[tuple[int, str, Message]] = [
-        (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 10**8, ""))
+        (EPOCH_NS, key_expressions.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 10**8, ""))
     ]
     for robot, x in ((1, -0.1), (2, 0.6)):
         state = PlantState(robot, 0, EPOCH_NS + 10**8, x, 0.0, *(0.0,) * 5, True, True, True, "")
-        sent.append((EPOCH_NS, keys.plant_state(NAME, robot), state))
+        sent.append((EPOCH_NS, key_expressions.plant_state(NAME, robot), state))
     assert judged(PAIR, sent)["min_distance_m"]["edge"] == 0.7
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.messages import Mission, Resume, Stop
+from agent.messages.types import Mission, Resume, Stop
 from deploy.news import SENTENCES_MAX, News
 from tests.unit.order_fleets import EPOCH, S, square
 

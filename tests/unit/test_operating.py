@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import pytest
 
-from agent import keys
-from agent.codec import decode
 from agent.formation import resolve
-from agent.messages import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode
+from agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
 from agent.orders import OrderError
 from deploy.operating import NO_MISSION, Known, Operator, refused
@@ -18,7 +18,11 @@ from tests.unit.order_fleets import EPOCH, S, order, square
 
 FLEET = square()
 US = EPOCH // 1_000
-MISSION, STOP, RESUME = keys.mission("square"), keys.stop("square"), keys.resume("square")
+MISSION, STOP, RESUME = (
+    key_expressions.mission("square"),
+    key_expressions.stop("square"),
+    key_expressions.resume("square"),
+)
 
 
 def operator(*, begun: bool = True) -> Operator:
@@ -69,10 +73,10 @@ def test_versions_are_those_of_the_clock_and_greater_than_any_that_was_heard_of(
     made = operator()
     assert made.order_stop(EPOCH, "").version == US
     assert made.order_stop(EPOCH, "").version == US + 1
-    made.hear(keys.status("square", 2), status(2, orders=US + 50))
+    made.hear(key_expressions.status("square", 2), status(2, orders=US + 50))
     assert made.order_resume(EPOCH, ()).version == US + 51
     beacon = Beacon(2, 1, EPOCH, True, *[0.0] * 5, US + 90, 0, US + 80, -1)
-    made.hear(keys.beacon("square", 2), beacon)
+    made.hear(key_expressions.beacon("square", 2), beacon)
     assert made.order_stop(EPOCH, "").version == US + 81
     assert made.give(order("leave", robot=4), EPOCH).version == US + 91
     made.hear(STOP, Stop(US + 500, EPOCH, "of another operator"))
@@ -107,12 +111,17 @@ def test_what_a_robot_tells_of_an_order_is_that_order_and_no_strangers_is() -> N
     stop, resume = begun.order_stop(EPOCH, "x"), begun.order_resume(EPOCH, ())
     assert begun.mission is not None
     orders = (begun.mission, stop, resume)
-    wrong = (keys.told("square", 99), keys.told("other", 1), keys.hand("square", 1), keys.ask("square"))
+    wrong = (
+        key_expressions.told("square", 99),
+        key_expressions.told("other", 1),
+        key_expressions.hand("square", 1),
+        key_expressions.ask("square"),
+    )
     assert not any(made.hear(key, order) for key in wrong for order in orders)
-    assert [made.hear(keys.told("square", 2), order) for order in orders] == [True] * 3
-    assert not any(made.hear(keys.told("square", 3), order) for order in orders)
+    assert [made.hear(key_expressions.told("square", 2), order) for order in orders] == [True] * 3
+    assert not any(made.hear(key_expressions.told("square", 3), order) for order in orders)
     assert (made.mission, made.latest) == (begun.mission, [stop, resume])
-    assert not made.hear(keys.told("square", 2), Heartbeat(EPOCH, "x"))
+    assert not made.hear(key_expressions.told("square", 2), Heartbeat(EPOCH, "x"))
 
 
 def test_an_order_that_cannot_be_changes_nothing() -> None:
@@ -141,7 +150,7 @@ def test_messages_go_out_on_their_keys() -> None:
     made = operator()
     key, payload = made.outgoing(made.order_stop(EPOCH, "x"))
     assert (key, decode(payload)) == (STOP, made.stop)
-    assert made.outgoing(Ask(EPOCH, "me"))[0] == keys.ask("square")
+    assert made.outgoing(Ask(EPOCH, "me"))[0] == key_expressions.ask("square")
     assert made.mission is not None
     assert made.outgoing(made.mission)[0] == MISSION
 
@@ -189,10 +198,10 @@ def test_who_missed_a_stop_or_leave_is_told_again() -> None:
 def test_it_is_behind_when_agents_know_of_more() -> None:
     made = operator()
     assert not made.behind
-    made.hear(keys.status("square", 1), status(1, made.mission_version + 1, 0))
+    made.hear(key_expressions.status("square", 1), status(1, made.mission_version + 1, 0))
     assert made.behind
     other = operator()
-    other.hear(keys.status("square", 1), status(1, 0, 7))
+    other.hear(key_expressions.status("square", 1), status(1, 0, 7))
     assert other.behind
     other.hear(STOP, Stop(7, EPOCH, ""))
     assert not other.behind
@@ -201,15 +210,15 @@ def test_it_is_behind_when_agents_know_of_more() -> None:
 def test_who_tells_of_more_is_known_as_far_as_it_can_be() -> None:
     made = operator()
     most = US + AHEAD_US_MAX
-    made.hear(keys.status("square", 1), status(1, most + 1, most + 1))
+    made.hear(key_expressions.status("square", 1), status(1, most + 1, most + 1))
     assert made.claimants(EPOCH) == []
     assert made.behind, "it is asked for all the same"
-    made.hear(keys.status("square", 2), status(2, 0, most))
-    made.hear(keys.beacon("square", 3), Beacon(3, 1, EPOCH, True, *[0.0] * 5, most, 0, 0, -1))
-    made.hear(keys.status("square", 1), status(4, most, most))  # of another robot
-    made.hear(keys.status("square", 99), status(99, most, most))
+    made.hear(key_expressions.status("square", 2), status(2, 0, most))
+    made.hear(key_expressions.beacon("square", 3), Beacon(3, 1, EPOCH, True, *[0.0] * 5, most, 0, 0, -1))
+    made.hear(key_expressions.status("square", 1), status(4, most, most))  # of another robot
+    made.hear(key_expressions.status("square", 99), status(99, most, most))
     assert made.claimants(EPOCH) == [2, 3]
-    made.hear(keys.status("square", 3), status(3))  # it has started again, and knows nothing
+    made.hear(key_expressions.status("square", 3), status(3))  # it has started again, and knows nothing
     assert made.claimants(EPOCH) == [2]
     made.hear(STOP, Stop(most, EPOCH, ""))
     assert made.claimants(EPOCH) == []
@@ -217,6 +226,6 @@ def test_who_tells_of_more_is_known_as_far_as_it_can_be() -> None:
 
 def test_a_version_that_cannot_be_changes_none() -> None:
     made = operator()
-    made.hear(keys.status("square", 1), status(1, US + AHEAD_US_MAX + 1, US + AHEAD_US_MAX + 1))
-    made.hear(keys.status("square", 2), status(2, 0, US + 7))
+    made.hear(key_expressions.status("square", 1), status(1, US + AHEAD_US_MAX + 1, US + AHEAD_US_MAX + 1))
+    made.hear(key_expressions.status("square", 2), status(2, 0, US + 7))
     assert made.order_stop(EPOCH, "").version == US + 8

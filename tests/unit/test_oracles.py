@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from agent import keys
 from agent.fault_places import Partition
 from agent.fault_settings import Effect, FaultsSection, Rule
 from agent.fleet import Fleet
 from agent.formation import resolve
 from agent.impairments import Delay
 from agent.loss import Loss
-from agent.messages import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
+from agent.messages import key_expressions
+from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection
 from deploy.analysis import analyse
 from deploy.oracles import ORACLES, examine, judge
@@ -72,7 +72,7 @@ def _in_place(fleet: Fleet) -> list[Way]:
 
 
 def event(t: float, robot: int, role: str, what: str) -> Sent:
-    return ns(t), keys.events(NAME), Event(robot, round(t * 1000), ns(t), role, what, "rule")
+    return ns(t), key_expressions.events(NAME), Event(robot, round(t * 1000), ns(t), role, what, "rule")
 
 
 def test_a_good_run_violates_nothing_and_most_does_not_apply() -> None:
@@ -274,11 +274,11 @@ def test_plant_dead_excuses_an_agent_that_is_gone_too() -> None:
 
 
 def stop(t: float, version: int = 1) -> Sent:
-    return ns(t), keys.stop(NAME), Stop(version, ns(t), "now")
+    return ns(t), key_expressions.stop(NAME), Stop(version, ns(t), "now")
 
 
 def resume(t: float, version: int, *robots: int) -> Sent:
-    return ns(t), keys.resume(NAME), Resume(version, ns(t), robots)
+    return ns(t), key_expressions.resume(NAME), Resume(version, ns(t), robots)
 
 
 def both(*changes: Change) -> Change:
@@ -311,7 +311,7 @@ def test_stopped() -> None:
 
 def test_stopped_waits_for_what_is_delayed_on_purpose() -> None:
     trace = LinkTrace(2, 0, ns(1.0), ((2, 2, 8, ns(1.0), 0, 500_000),))
-    delayed = (ns(1.0), keys.plant_links(NAME, 2), trace)
+    delayed = (ns(1.0), key_expressions.plant_links(NAME, 2), trace)
     late = both(braking(1, 1.1), braking(2, 1.6))
     assert found("stopped", PAIR, extra=[stop(1.0)], change=late)
     assert found("stopped", PAIR, extra=[stop(1.0), delayed], change=late) == []
@@ -456,7 +456,7 @@ def test_recovery_counts_from_the_last_change_and_leave_to_resume() -> None:
     places, edges = ((1, 0.0, 0.0), (2, 1.0, 0.0)), ((1, 2, 1.0),)
     for t, fires in ((2.0, True), (4.0, False)):
         mission = Mission(2, ns(t), EPOCH_NS, 30 * 10**9, "", ns(t), robots=places, edges=edges)
-        change = [(ns(t), keys.mission(NAME), mission)]
+        change = [(ns(t), key_expressions.mission(NAME), mission)]
         known = both(knows(1, mission_version=2), knows(2, mission_version=2))
         assert bool(found("recovery", LONG, *late, extra=change, change=known)) == fires
         orders = [stop(0.5), resume(t, 2)]

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.identity import of_operator
-from agent.messages import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Mission, Resume, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Mission, Resume, Stop
 from agent.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
 from agent.seal import Opener, Sealer
 from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 TIME_NS = NOW_NS = int(NOW_S * 1e9)
 ORDERS = {
-    keys.mission(FLEET): Mission(
+    key_expressions.mission(FLEET): Mission(
         1,
         TIME_NS,
         TIME_NS,
@@ -25,11 +25,11 @@ ORDERS = {
         trajectory=(("kind", "hold"), ("start_m", (0.0, 1.5))),
         robots=((1, 0.0, 2.5),),
     ),
-    keys.stop(FLEET): Stop(2, TIME_NS, "why"),
-    keys.resume(FLEET): Resume(3, TIME_NS, (1, 2)),
-    keys.faults(FLEET): Faults(1, TIME_NS, "ann", 0, 0, ""),
-    keys.heartbeat(FLEET): Heartbeat(TIME_NS, "ann"),
-    keys.ask(FLEET): Ask(TIME_NS, "ann"),
+    key_expressions.stop(FLEET): Stop(2, TIME_NS, "why"),
+    key_expressions.resume(FLEET): Resume(3, TIME_NS, (1, 2)),
+    key_expressions.faults(FLEET): Faults(1, TIME_NS, "ann", 0, 0, ""),
+    key_expressions.heartbeat(FLEET): Heartbeat(TIME_NS, "ann"),
+    key_expressions.ask(FLEET): Ask(TIME_NS, "ann"),
 }
 
 
@@ -58,72 +58,78 @@ def test_an_order_from_an_operator_through_a_robot_to_another(scene: Scene, key:
     assert sealed is not None
     assert sealed != payload
     assert scene.one.let_in(key, sealed, NOW_NS) == payload
-    if key in (keys.faults(FLEET), keys.heartbeat(FLEET), keys.ask(FLEET)):
+    if key in (key_expressions.faults(FLEET), key_expressions.heartbeat(FLEET), key_expressions.ask(FLEET)):
         return  # these come from operators alone
     # The robot has the message, not the bytes: what it makes of it finds its seal again.
-    told = scene.one.let_out(keys.told(FLEET, 1), encode(decode(payload)), NOW_NS)
+    told = scene.one.let_out(key_expressions.told(FLEET, 1), encode(decode(payload)), NOW_NS)
     assert told == sealed
-    assert scene.two.let_in(keys.told(FLEET, 1), told, NOW_NS) == payload
+    assert scene.two.let_in(key_expressions.told(FLEET, 1), told, NOW_NS) == payload
     assert scene.refused == []
 
 
 def test_what_is_no_order_goes_through(scene: Scene) -> None:
     for key in (
-        keys.hand(FLEET, 1),
-        keys.status(FLEET, 1),
-        keys.events(FLEET),
-        keys.faults_held(FLEET, 1, "agent"),
+        key_expressions.hand(FLEET, 1),
+        key_expressions.status(FLEET, 1),
+        key_expressions.events(FLEET),
+        key_expressions.faults_held(FLEET, 1, "agent"),
     ):
         assert scene.one.let_out(key, b"x", NOW_NS) == b"x"
         assert scene.two.let_in(key, b"x", NOW_NS) == b"x"
 
 
 def test_a_robot_gives_no_orders(scene: Scene) -> None:
-    payload = encode(ORDERS[keys.stop(FLEET)])
-    for key in (*ORDERS, keys.told(FLEET, 1)):
+    payload = encode(ORDERS[key_expressions.stop(FLEET)])
+    for key in (*ORDERS, key_expressions.told(FLEET, 1)):
         assert scene.one.let_out(key, payload, NOW_NS) is None
         assert scene.two.let_in(key, payload, NOW_NS) is None
     scene.refused = [each for each in scene.refused if not each.startswith("to say")]
-    assert scene.refused[0] == f"an order on {keys.mission(FLEET)}: malformed"
-    assert scene.refused[-1] == f"an order on {keys.told(FLEET, 1)}: malformed"
+    assert scene.refused[0] == f"an order on {key_expressions.mission(FLEET)}: malformed"
+    assert scene.refused[-1] == f"an order on {key_expressions.told(FLEET, 1)}: malformed"
 
 
 def test_an_order_that_was_changed_on_its_way(scene: Scene) -> None:
-    sealed = scene.operator.let_out(keys.stop(FLEET), encode(ORDERS[keys.stop(FLEET)]), NOW_NS)
+    sealed = scene.operator.let_out(
+        key_expressions.stop(FLEET), encode(ORDERS[key_expressions.stop(FLEET)]), NOW_NS
+    )
     assert sealed is not None
     changed = sealed.replace(b"why", b"who")
-    assert scene.one.let_in(keys.told(FLEET, 2), changed, NOW_NS) is None
-    assert scene.refused == [f"an order on {keys.told(FLEET, 2)}: bad signature"]
-    assert scene.one.let_out(keys.told(FLEET, 1), encode(ORDERS[keys.stop(FLEET)]), NOW_NS) is None
+    assert scene.one.let_in(key_expressions.told(FLEET, 2), changed, NOW_NS) is None
+    assert scene.refused == [f"an order on {key_expressions.told(FLEET, 2)}: bad signature"]
+    assert (
+        scene.one.let_out(key_expressions.told(FLEET, 1), encode(ORDERS[key_expressions.stop(FLEET)]), NOW_NS)
+        is None
+    )
     assert scene.refused[1:] == [
-        f"to say an order on {keys.told(FLEET, 1)}: the operator's seal of it is no longer known here"
+        f"to say an order on {key_expressions.told(FLEET, 1)}: the operator's seal of it is no longer "
+        f"known here"
     ]
 
 
 def test_what_is_said_again_is_the_same(scene: Scene) -> None:
-    payload = encode(ORDERS[keys.mission(FLEET)])
-    first = scene.operator.let_out(keys.mission(FLEET), payload, NOW_NS)
-    assert scene.operator.let_out(keys.mission(FLEET), payload, NOW_NS) == first
+    payload = encode(ORDERS[key_expressions.mission(FLEET)])
+    first = scene.operator.let_out(key_expressions.mission(FLEET), payload, NOW_NS)
+    assert scene.operator.let_out(key_expressions.mission(FLEET), payload, NOW_NS) == first
 
 
 def test_heartbeats_do_not_displace_what_is_said_again(scene: Scene) -> None:
-    stop = encode(ORDERS[keys.stop(FLEET)])
-    pass_on(scene, keys.stop(FLEET), stop)
+    stop = encode(ORDERS[key_expressions.stop(FLEET)])
+    pass_on(scene, key_expressions.stop(FLEET), stop)
     for number in range(200):
-        pass_on(scene, keys.heartbeat(FLEET), encode(Heartbeat(TIME_NS + number, "ann")))
-    assert scene.one.let_out(keys.told(FLEET, 1), stop, NOW_NS) is not None
+        pass_on(scene, key_expressions.heartbeat(FLEET), encode(Heartbeat(TIME_NS + number, "ann")))
+    assert scene.one.let_out(key_expressions.told(FLEET, 1), stop, NOW_NS) is not None
     assert len(scene.one._sealed) == len(scene.operator._sealed) == 1
 
 
 def test_what_is_remembered_is_bounded(scene: Scene) -> None:
-    head = encode(ORDERS[keys.mission(FLEET)])[:3]
+    head = encode(ORDERS[key_expressions.mission(FLEET)])[:3]
     large = [head + bytes([number]) * (MISSION_BYTES_MAX - 3) for number in range(30)]
     for payload in large:
-        pass_on(scene, keys.mission(FLEET), payload)
+        pass_on(scene, key_expressions.mission(FLEET), payload)
     for gate in (scene.one, scene.operator):
         kept = sum(len(payload) + len(sealed) for payload, sealed in gate._sealed.items())
         assert SEALS_BYTES_MAX // 2 < kept == gate._size <= SEALS_BYTES_MAX
-    told = keys.told(FLEET, 1)
+    told = key_expressions.told(FLEET, 1)
     assert scene.one.let_out(told, large[-1], NOW_NS) is not None
     assert scene.one.let_out(told, large[0], NOW_NS) is None
 
@@ -140,7 +146,11 @@ def test_what_was_overheard_long_ago_only_counts_where_versions_tell_its_age(sce
     payload = encode(ORDERS[key])
     sealed = scene.operator.let_out(key, payload, NOW_NS)
     assert sealed is not None
-    lasting = key in (keys.mission(FLEET), keys.stop(FLEET), keys.resume(FLEET))
+    lasting = key in (
+        key_expressions.mission(FLEET),
+        key_expressions.stop(FLEET),
+        key_expressions.resume(FLEET),
+    )
     for off_ns in (AGE_NS_MAX + 1, -AGE_NS_MAX - 1):
         taken = scene.one.let_in(key, sealed, NOW_NS + off_ns)
         assert taken == (payload if lasting else None)
@@ -152,14 +162,16 @@ def test_what_was_overheard_long_ago_only_counts_where_versions_tell_its_age(sce
         ]
 
 
-@pytest.mark.parametrize("key", [keys.faults(FLEET), keys.heartbeat(FLEET), keys.ask(FLEET)])
+@pytest.mark.parametrize(
+    "key", [key_expressions.faults(FLEET), key_expressions.heartbeat(FLEET), key_expressions.ask(FLEET)]
+)
 def test_robots_tell_missions_stops_and_leaves_alone(scene: Scene, key: str) -> None:
     """What was overheard of the others must not push out of memory what has to be said again."""
-    stop = encode(ORDERS[keys.stop(FLEET)])
-    pass_on(scene, keys.stop(FLEET), stop)
+    stop = encode(ORDERS[key_expressions.stop(FLEET)])
+    pass_on(scene, key_expressions.stop(FLEET), stop)
     sealed = scene.operator.let_out(key, encode(ORDERS[key]), NOW_NS)
     assert sealed is not None
-    told = keys.told(FLEET, 2)
+    told = key_expressions.told(FLEET, 2)
     assert scene.one.let_in(told, sealed, NOW_NS) is None
     assert scene.refused == [f"an order on {told}: not one that robots tell"]
     assert list(scene.one._sealed) == [stop]
@@ -168,16 +180,16 @@ def test_robots_tell_missions_stops_and_leaves_alone(scene: Scene, key: str) -> 
 @pytest.mark.parametrize("where", ["2/more", "2/line\nbreak", "9", "*", "02"])
 def test_only_robots_of_the_fleet_tell_each_on_one_key(scene: Scene, where: str) -> None:
     """Each would have a budget of its own, and the log line what somebody likes."""
-    stop = keys.stop(FLEET)
+    stop = key_expressions.stop(FLEET)
     sealed = scene.operator.let_out(stop, encode(ORDERS[stop]), NOW_NS)
     assert sealed is not None
-    assert scene.one.let_in(keys.told(FLEET, where), sealed, NOW_NS) is None
+    assert scene.one.let_in(key_expressions.told(FLEET, where), sealed, NOW_NS) is None
     assert scene.refused == ["an order where no robot of the fleet tells any"]
 
 
 def test_what_is_said_once_is_sealed_anew_each_time(scene: Scene) -> None:
     """Or live faults, said again to a robot that came later, would be too old."""
-    key = keys.faults(FLEET)
+    key = key_expressions.faults(FLEET)
     payload = encode(ORDERS[key])
     first = scene.operator.let_out(key, payload, NOW_NS)
     later = scene.operator.let_out(key, payload, NOW_NS + 10**10)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agent.codec import newer
-from agent.messages import Mission, Status
+from agent.messages.codec import newer
+from agent.messages.types import Mission, Status
 from deploy.ordering import Ordering, words
 from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
 

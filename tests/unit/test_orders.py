@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from agent.blend import BLEND_MAX_S, blend_ns_for
-from agent.codec import decode, encode, newer
 from agent.course import Course
 from agent.fleet import Fleet, digest
 from agent.fleet_sections import TrajectorySection
 from agent.formation import resolve
+from agent.messages.codec import decode, encode, newer
 from agent.order_sections import OrderSection, ShapeSection
 from agent.orders import LEAD_NS, OrderError, first_mission, ordered
 from agent.plan import Plan, mission_parts

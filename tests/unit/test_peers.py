@@ -8,9 +8,9 @@ from math import cos, dist, sin
 import numpy as np
 import pytest
 
-from agent.codec import decode, encode
 from agent.law import saturation
-from agent.messages import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
+from agent.messages.codec import decode, encode
+from agent.messages.types import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
 from agent.peers import (
     DOUBT_AFTER_S,
     DOUBT_MAX,

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from agent.codec import decode, encode
 from agent.formation import resolve
-from agent.messages import NEIGHBOURS_MAX, Mission
+from agent.messages.codec import decode, encode
+from agent.messages.types import NEIGHBOURS_MAX, Mission
 from agent.plan import PlanError, mission_parts, plan_of
 from tests.unit.order_fleets import EPOCH, SQUARE, S, first_plan, square
 

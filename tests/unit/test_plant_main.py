@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet import Fleet, digest, load_fleet
 from agent.formation import resolved
-from agent.messages import Mission
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Mission
 from deploy.arguments import FLEETS
 from plant import server
 from plant.__main__ import place
@@ -47,5 +47,5 @@ def test_a_plant_knows_the_mission_of_its_fleet_however_that_is_written(
     server.main([], "python -m plant", make)
     node = started[0](whole if written_out else fleet, 7, RealClock(), print).node
     mission = Mission(1, NS_PER_S, 2 * NS_PER_S, NS_PER_S, digest(whole))
-    node.receive(NS_PER_S, keys.mission(fleet.fleet.name), encode(mission))
+    node.receive(NS_PER_S, key_expressions.mission(fleet.fleet.name), encode(mission))
     assert not node.rejected

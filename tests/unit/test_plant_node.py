@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import (
     CHECK_TEXT_MIN,
     CHECKS_MAX,
     TEXT_MAX,
@@ -111,7 +111,7 @@ def test_keys_and_ticks(node: PlantNode):
     assert node.subscriptions == (STOP_KEY, RESUME_KEY, TOLD_KEY, WRENCH_KEY, MISSION_KEY, "two/faults")
     links = "two/robot/1/plant/links"
     assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
-    assert node.alive_key == keys.alive("two", 1, "plant") == "two/alive/robot/1/plant"
+    assert node.alive_key == key_expressions.alive("two", 1, "plant") == "two/alive/robot/1/plant"
     assert (node.period_ns, node.phase_ns) == (PERIOD, 0)
 
 
@@ -480,7 +480,7 @@ def test_live_faults_of_measurements_come_and_go(node: PlantNode):
     assert [key for key, _ in node.tick(T0)] == [STATE_KEY]
     rules = "[[faults.rule]]\nrobot = 1\ndropout = 1"
     live = Faults(1, T0, "ana@lab:1", T0, NS_PER_S, rules)
-    node.receive(T0, keys.faults("two"), encode(live))
+    node.receive(T0, key_expressions.faults("two"), encode(live))
     assert TRUTH_KEY in [key for key, _ in node.tick(T0 + PERIOD)]
     assert STATE_KEY not in [key for key, _ in node.tick(T0 + 2 * PERIOD)]
     node.tick(T0 + NS_PER_S)  # finds that the lease is over

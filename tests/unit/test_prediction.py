@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from agent.law import navigation_force, saturation
-from agent.messages import HandState
+from agent.messages.types import HandState
 from agent.prediction import (
     APPROACH_SHARE,
     BRAKING_TIME_S,

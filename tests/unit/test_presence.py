@@ -8,8 +8,8 @@ from typing import Any
 
 import zenoh
 
-from agent import keys
 from agent.bus import PRESENCE_SIZE, Presence
+from agent.messages import key_expressions
 
 
 class Subscriber:
@@ -29,8 +29,13 @@ class Subscriber:
 def test_tokens_that_stand_for_no_process_are_left_out() -> None:
     subscriber = Subscriber()
     presence = Presence(subscriber)
-    agent = keys.alive("f", 2, "agent")
-    for key in (agent, keys.alive("f", 2, "other"), keys.alive("f", "*", "agent"), "f/alive/robot/2/agent/x"):
+    agent = key_expressions.alive("f", 2, "agent")
+    for key in (
+        agent,
+        key_expressions.alive("f", 2, "other"),
+        key_expressions.alive("f", "*", "agent"),
+        "f/alive/robot/2/agent/x",
+    ):
         subscriber.change(key)
     assert presence.update() == [(agent, True)]
     assert presence.alive == {agent}
@@ -43,12 +48,12 @@ def test_a_flood_keeps_no_loop_and_no_memory() -> None:
     subscriber = Subscriber()
     presence = Presence(subscriber)
     for robot in range(3 * PRESENCE_SIZE):
-        subscriber.change(keys.alive("f", robot, "agent"))
+        subscriber.change(key_expressions.alive("f", robot, "agent"))
     assert len(presence.update()) == PRESENCE_SIZE
     for _ in range(3):
         presence.update()
     assert len(presence.alive) == PRESENCE_SIZE
-    one = keys.alive("f", 1, "agent")
+    one = key_expressions.alive("f", 1, "agent")
     for number in range(2 * PRESENCE_SIZE):
         subscriber.change(one, here=number % 2 == 1)
     assert len(presence.update()) == PRESENCE_SIZE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.messages import PlantState, Status
+from agent.messages.types import PlantState, Status
 from deploy.readiness import is_ready, stands, waits
 
 

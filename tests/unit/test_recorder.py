@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import parse_fleet
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import (
     CORRUPTED,
     HELD,
     TOPICS,
@@ -238,8 +238,8 @@ def test_a_recording_holds_every_message_with_its_times(tmp_path: Path) -> None:
 def test_a_recording_holds_what_bodies_said_and_who_may_drive_again(tmp_path: Path) -> None:
     prefix, checks = FLEET.fleet.name, Checks(2, 5, EPOCH_NS, (("gps", "ok", "fix", ""),))
     sent = [
-        (EPOCH_NS, keys.checks(prefix, 2), checks),
-        (EPOCH_NS + 1, keys.resume(prefix), Resume(4, EPOCH_NS, (2,))),
+        (EPOCH_NS, key_expressions.checks(prefix, 2), checks),
+        (EPOCH_NS + 1, key_expressions.resume(prefix), Resume(4, EPOCH_NS, (2,))),
     ]
     recorder = record(tmp_path / "run.mcap", ((t, key, encode(message)) for t, key, message in sent))
     assert not recorder.rejected
@@ -271,7 +271,7 @@ def test_the_file_says_what_it_is_and_holds_the_fleet_file(tmp_path: Path) -> No
 
 
 def test_garbage_is_kept_as_it_came_and_counted(tmp_path: Path) -> None:
-    key = keys.hand("made-up", 1)
+    key = key_expressions.hand("made-up", 1)
     sent = [
         (EPOCH_NS, key, b"\xff\x00garbage"),
         (EPOCH_NS + 1, key, b""),
@@ -296,7 +296,7 @@ def test_made_up_keys_do_not_grow_the_file_without_bound(tmp_path: Path) -> None
 
 def test_sequence_numbers_beyond_32_bits_are_recorded(tmp_path: Path) -> None:
     wrench = Wrench(1, 2**40 + 5, EPOCH_NS, 1.0, 2.0, False)
-    record(tmp_path / "run.mcap", [(EPOCH_NS, keys.wrench("made-up", 1), encode(wrench))])
+    record(tmp_path / "run.mcap", [(EPOCH_NS, key_expressions.wrench("made-up", 1), encode(wrench))])
     ((_, _, stored),) = read(tmp_path / "run.mcap")
     assert stored.sequence == 5
     assert json.loads(stored.data)["sequence"] == 2**40 + 5

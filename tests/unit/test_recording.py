@@ -17,12 +17,12 @@ import tomli_w
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from agent import keys
-from agent.codec import encode
 from agent.common.clock import LocalTime
 from agent.fault_settings import FaultsSection, Rule
 from agent.fleet import Fleet, FleetError, to_dict
-from agent.messages import (
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import (
     Checks,
     Event,
     Faults,
@@ -107,7 +107,7 @@ def test_counters_that_nobody_can_count_to_are_kept_in_bounds() -> None:
     status = Status(
         1, 7, EPOCH_NS, "running", "epoch", "", 1, 0, (), (), (), (("sent", 2**64 - 1), ("lost", -(2**63)))
     )
-    sent: list[Sent] = [MISSION, (EPOCH_NS, keys.status(NAME, 1), status)]
+    sent: list[Sent] = [MISSION, (EPOCH_NS, key_expressions.status(NAME, 1), status)]
     statuses = tabulate(fed(FLEET, sent))["statuses"]
     assert (int(statuses["sent"][0]), int(statuses["lost"][0])) == (2**62, -(2**62))
 
@@ -137,11 +137,11 @@ def test_every_column_holds_what_was_sent() -> None:
         (("sent", 3),),
     )
     sent: list[Sent] = [
-        (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, "")),
-        (EPOCH_NS, keys.plant_state(NAME, 1), plant),
-        (EPOCH_NS, keys.hand(NAME, 1), hand),
-        (EPOCH_NS, keys.wrench(NAME, 1), wrench),
-        (EPOCH_NS, keys.status(NAME, 1), status),
+        (EPOCH_NS, key_expressions.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, "")),
+        (EPOCH_NS, key_expressions.plant_state(NAME, 1), plant),
+        (EPOCH_NS, key_expressions.hand(NAME, 1), hand),
+        (EPOCH_NS, key_expressions.wrench(NAME, 1), wrench),
+        (EPOCH_NS, key_expressions.status(NAME, 1), status),
     ]
     robot = fed(FLEET, sent).robots[1]
 
@@ -176,7 +176,7 @@ def test_every_column_holds_what_was_sent() -> None:
 
 # --- faults -----------------------------------------------------------------------------------
 
-MISSION: Sent = (EPOCH_NS, keys.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, ""))
+MISSION: Sent = (EPOCH_NS, key_expressions.mission(NAME), Mission(1, EPOCH_NS, EPOCH_NS, 5 * 10**9, ""))
 
 
 def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
@@ -187,12 +187,12 @@ def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
     plant = LinkTrace(2, 0, t, ((2, 2, 5, t, 1, -1),))
     sent: list[Sent] = [
         MISSION,
-        (t, keys.links(NAME, 2), agent),
-        (t, keys.plant_links(NAME, 2), plant),
-        (t, keys.links(NAME, 1), agent),  # of another robot
+        (t, key_expressions.links(NAME, 2), agent),
+        (t, key_expressions.plant_links(NAME, 2), plant),
+        (t, key_expressions.links(NAME, 1), agent),  # of another robot
         (
             t,
-            keys.links(NAME, 2),
+            key_expressions.links(NAME, 2),
             agent._replace(entries=((9, 0, 8, t, 0, 40),)),
         ),  # from no robot of the fleet
     ]
@@ -216,11 +216,15 @@ def test_live_rules_and_events_are_kept() -> None:
     late = t + 3600 * 10**9
     sent: list[Sent] = [
         MISSION,
-        (t, keys.faults(NAME), rules),
-        (late, keys.faults_held(NAME, 2, "plant"), rules),  # said again for hours, with its old stamp
-        (t, keys.events(NAME), event),
-        (t, keys.stop(NAME), event),
-        (t, keys.faults_held("another", 2, "plant"), rules),
+        (t, key_expressions.faults(NAME), rules),
+        (
+            late,
+            key_expressions.faults_held(NAME, 2, "plant"),
+            rules,
+        ),  # said again for hours, with its old stamp
+        (t, key_expressions.events(NAME), event),
+        (t, key_expressions.stop(NAME), event),
+        (t, key_expressions.faults_held("another", 2, "plant"), rules),
     ]
     recording = fed(FLEET, sent)
     assert [(each.received_ns, each.robot, each.role) for each in recording.live_faults] == [
@@ -234,10 +238,17 @@ def test_checks_and_leave_to_resume_are_recorded_and_are_not_foreign(tmp_path: P
     t = EPOCH_NS + 10**9
     checks = Checks(2, 0, t, (("EKF", "blocking", "waiting for its EKF", "open sky"),))
     resume = Resume(5, t, (2,))
-    sent: list[Sent] = [MISSION, (t, keys.checks(NAME, 2), checks), (t, keys.resume(NAME), resume)]
+    sent: list[Sent] = [
+        MISSION,
+        (t, key_expressions.checks(NAME, 2), checks),
+        (t, key_expressions.resume(NAME), resume),
+    ]
     for recording in (fed(FLEET, sent), Recording.from_folder(write_run(tmp_path, FLEET, sent))):
         assert recording.foreign == 0
-    stray: list[Sent] = [(t, keys.resume(NAME), checks), (t, keys.checks(NAME, 99), checks)]
+    stray: list[Sent] = [
+        (t, key_expressions.resume(NAME), checks),
+        (t, key_expressions.checks(NAME, 99), checks),
+    ]
     assert fed(FLEET, [*sent, *stray]).foreign == 2
 
 
@@ -259,17 +270,17 @@ def test_stamps_of_a_clock_that_is_wrong_on_purpose_are_set_right(skew: float, d
         assert np.abs(mine.t - theirs.t).max() < 1e-8
     assert np.abs(found.hand_positions() - wanted.hand_positions()).max() < 1e-8
     stamps = found.robots[2].hand.stamps_ns  # but what the messages said is kept as it was
-    assert stamps.tolist() == [m.time_ns for _, key, m in sent if key == keys.hand(NAME, 2)]
+    assert stamps.tolist() == [m.time_ns for _, key, m in sent if key == key_expressions.hand(NAME, 2)]
 
 
 def test_hand_points_are_ahead_of_the_pose_and_interpolated() -> None:
     """Eq. (2): r = (x + L cos, y + L sin)."""
     fleet = make_fleet([(0, 0)], [], duration_s=0.1, rate_hz=10, hand_offset_m=0.5)
     mission = Mission(1, EPOCH_NS, EPOCH_NS, 10**8, "")
-    sent: list[Sent] = [(EPOCH_NS, keys.mission(NAME), mission)]
+    sent: list[Sent] = [(EPOCH_NS, key_expressions.mission(NAME), mission)]
     for ms, x in ((-25, 0.0), (75, 1.0), (175, 5.0)):
         state = PlantState(1, 0, EPOCH_NS + ms * 10**6, x, 2.0, pi / 6, *(0.0,) * 4, True, True, True, "")
-        sent.append((state.time_ns, keys.plant_state(NAME, 1), state))
+        sent.append((state.time_ns, key_expressions.plant_state(NAME, 1), state))
     recording = fed(fleet, sent)
     assert recording.grid.tolist() == [0.0, 0.1]
     hands = recording.hand_positions()
@@ -297,7 +308,11 @@ def test_a_robot_that_sent_nothing_has_no_place() -> None:
 def test_fleet_time_starts_at_the_epoch_of_the_newest_mission() -> None:
     def mission(version: int, epoch_s: int, duration_s: int) -> Sent:
         epoch_ns = EPOCH_NS + epoch_s * 10**9
-        return EPOCH_NS, keys.mission(NAME), Mission(version, EPOCH_NS, epoch_ns, duration_s * 10**9, "")
+        return (
+            EPOCH_NS,
+            key_expressions.mission(NAME),
+            Mission(version, EPOCH_NS, epoch_ns, duration_s * 10**9, ""),
+        )
 
     pose = PlantState(1, 0, EPOCH_NS + 30 * 10**9, *(0.0,) * 7, True, True, True, "")
     recording = fed(
@@ -306,7 +321,7 @@ def test_fleet_time_starts_at_the_epoch_of_the_newest_mission() -> None:
             mission(1, 5, 9),
             mission(3, 20, 7),
             mission(2, 8, 8),
-            (pose.time_ns, keys.plant_state(NAME, 1), pose),
+            (pose.time_ns, key_expressions.plant_state(NAME, 1), pose),
         ],
     )
     assert recording.robots[1].plant.t.tolist() == [10.0]
@@ -316,9 +331,13 @@ def test_fleet_time_starts_at_the_epoch_of_the_newest_mission() -> None:
 def test_the_drive_ends_as_planned_or_when_stopped_or_with_the_data() -> None:
     sent = list(messages(FLEET, in_formation(FLEET)))
     assert fed(FLEET, sent).end_s == 1.6
-    stop = (EPOCH_NS + 500_000_000, keys.stop(NAME), Stop(1, EPOCH_NS + 500_000_000, "enough"))
+    stop = (EPOCH_NS + 500_000_000, key_expressions.stop(NAME), Stop(1, EPOCH_NS + 500_000_000, "enough"))
     assert fed(FLEET, [*sent, stop]).end_s == 0.5
-    late = (EPOCH_NS + 1_700_000_000, keys.stop(NAME), Stop(1, EPOCH_NS + 1_700_000_000, "the end"))
+    late = (
+        EPOCH_NS + 1_700_000_000,
+        key_expressions.stop(NAME),
+        Stop(1, EPOCH_NS + 1_700_000_000, "the end"),
+    )
     assert fed(FLEET, [*sent, late]).end_s == 1.6
     assert fed(FLEET, (each for each in sent if each[0] < EPOCH_NS + 10**9)).end_s == pytest.approx(0.98)
     assert fed(FLEET, []).end_s == 0.0
@@ -329,11 +348,15 @@ def test_a_stop_lasts_until_leave_of_a_greater_version_for_that_robot() -> None:
     sent = list(messages(FLEET, in_formation(FLEET)))
 
     def stop(t: float, version: int) -> Sent:
-        return (EPOCH_NS + round(t * 1e9), keys.stop(NAME), Stop(version, EPOCH_NS + round(t * 1e9), ""))
+        return (
+            EPOCH_NS + round(t * 1e9),
+            key_expressions.stop(NAME),
+            Stop(version, EPOCH_NS + round(t * 1e9), ""),
+        )
 
     def leave(t: float, version: int, *robots: int) -> Sent:
         stamp = EPOCH_NS + round(t * 1e9)
-        return (stamp, keys.resume(NAME), Resume(version, stamp, robots))
+        return (stamp, key_expressions.resume(NAME), Resume(version, stamp, robots))
 
     def halts(*orders: Sent) -> tuple[float, dict[int, list[tuple[float, float]]]]:
         recording = fed(FLEET, [*sent, *orders])
@@ -359,13 +382,13 @@ def test_late_and_repeated_messages_are_put_in_order() -> None:
 @pytest.mark.parametrize(
     ("key", "robot", "late_s"),
     [
-        (keys.plant_state(NAME, 1), 2, 0),  # another robot's number
-        (keys.plant_state(NAME, 9), 9, 0),  # no robot of the fleet
-        (keys.hand(NAME, 1), 1, 0),  # another topic's key
+        (key_expressions.plant_state(NAME, 1), 2, 0),  # another robot's number
+        (key_expressions.plant_state(NAME, 9), 9, 0),  # no robot of the fleet
+        (key_expressions.hand(NAME, 1), 1, 0),  # another topic's key
         ("other/robot/1/plant/state", 1, 0),  # another fleet
-        (keys.mission(NAME), 1, 0),
-        (keys.plant_state(NAME, 1), 1, 3600),  # nobody's clock is an hour off
-        (keys.plant_state(NAME, 1), 1, -3600),
+        (key_expressions.mission(NAME), 1, 0),
+        (key_expressions.plant_state(NAME, 1), 1, 3600),  # nobody's clock is an hour off
+        (key_expressions.plant_state(NAME, 1), 1, -3600),
     ],
 )
 def test_valid_messages_from_nowhere_change_nothing(key: str, robot: int, late_s: int) -> None:
@@ -382,8 +405,12 @@ def test_what_bodies_say_and_who_may_drive_again_is_kept_and_changes_nothing(tmp
     sent = list(messages(FLEET, in_formation(FLEET)))
     now = EPOCH_NS + 400_000_000
     said: list[Sent] = [
-        (now, keys.checks(NAME, 2), Checks(2, 0, now, (("mode", "blocking", "MANUAL", "set GUIDED"),))),
-        (now, keys.resume(NAME), Resume(1, now, (2,))),
+        (
+            now,
+            key_expressions.checks(NAME, 2),
+            Checks(2, 0, now, (("mode", "blocking", "MANUAL", "set GUIDED"),)),
+        ),
+        (now, key_expressions.resume(NAME), Resume(1, now, (2,))),
     ]
     recording = Recording.from_folder(write_run(tmp_path / "run", FLEET, [*sent[:300], *said, *sent[300:]]))
     assert recording.foreign == 0

@@ -10,7 +10,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.hand import hand_acceleration
-from agent.messages import HandState, Status, Stop, Wrench
+from agent.messages.types import HandState, Status, Stop, Wrench
 from agent.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.reliance import SLOWEST
 from agent.supervision import State

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from agent import replay
-from agent.messages import CORRUPTED, LOST
+from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
 from agent.replay import DELAY_US_MAX, UNTOUCHED, decode_fates, encode_fates
 from deploy.link_data import Link

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 import tomli_w
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet, to_dict
 from agent.fleet_sections import TrajectorySection
 from agent.formation import resolve
-from agent.messages import Mission, Status
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Mission, Status
 from deploy import figures
 from deploy.analysis import analyse
 from deploy.metrics import compute
@@ -260,7 +260,9 @@ def test_fleets_of_any_size_are_drawn(tmp_path: Path, rows: int) -> None:
 def test_runs_with_holes_are_drawn(tmp_path: Path) -> None:
     nothing_of_2 = [each for each in good_run() if "robot/2/" not in each[1]]
     poses_only = [
-        each for each in good_run() if "plant/state" in each[1] or each[1] == keys.mission("made-up")
+        each
+        for each in good_run()
+        if "plant/state" in each[1] or each[1] == key_expressions.mission("made-up")
     ]
     for sent in (nothing_of_2, poses_only, []):
         assert set(draw(tmp_path, FLEET, sent)) == set(figures.NAMES)

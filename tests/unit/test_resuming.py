@@ -6,11 +6,11 @@ from argparse import Namespace
 
 import pytest
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.fleet import load_fleet
 from agent.latch import AWAITED
-from agent.messages import PlantState, Resume, Status
+from agent.messages import key_expressions
+from agent.messages.types import PlantState, Resume, Status
 from agent.supervision import MISSION_OVER
 from deploy.arguments import FLEETS, InputError, robots_named
 from deploy.resuming import Resuming
@@ -40,8 +40,8 @@ def say(
     orders: int = VERSION,
 ) -> None:
     plant = PlantState(robot, 1, T0, *[0.0] * 7, obeying and driving, healthy, obeying, note)
-    resuming.feed(keys.status("rovers", robot), status(robot, state, note, orders))
-    resuming.feed(keys.plant_state("rovers", robot), plant)
+    resuming.feed(key_expressions.status("rovers", robot), status(robot, state, note, orders))
+    resuming.feed(key_expressions.plant_state("rovers", robot), plant)
 
 
 def test_those_that_are_meant() -> None:
@@ -132,9 +132,9 @@ def test_other_reasons_are_told(state: str, healthy: bool, note: str, told: str)
 def test_silence_is_told() -> None:
     resuming = resuming_of(3)
     assert resuming.outcome(3) == "robot 3: nothing heard from its agent"
-    resuming.feed(keys.status("rovers", 4), status(3, "running"))
+    resuming.feed(key_expressions.status("rovers", 4), status(3, "running"))
     assert resuming.outcome(3) == "robot 3: nothing heard from its agent", "on another robot's key"
-    resuming.feed(keys.status("rovers", 3), status(3, "running"))
+    resuming.feed(key_expressions.status("rovers", 3), status(3, "running"))
     assert resuming.outcome(3) == "robot 3: nothing heard from its plant"
 
 

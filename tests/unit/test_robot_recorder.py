@@ -9,19 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from agent import keys, recorder_process
+from agent import recorder_process
 from agent.bus import BusError
 from agent.common.clock import NS_PER_S
 from agent.fleet import digest, load_fleet
 from agent.formation import resolved
+from agent.messages import key_expressions
 from agent.robot_recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders
 from agent.segment_folder import FolderInUseError, SegmentFolder, segment_paths
 from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
 from deploy.arguments import FLEETS
 
 BEGUN_NS = 1_763_600_000_000_000_000
-TOLD = keys.told("delta", 3)
-HAND = keys.hand("delta", 3)
+TOLD = key_expressions.told("delta", 3)
+HAND = key_expressions.hand("delta", 3)
 ORDER_KEYS = frozenset({TOLD})
 WHO = About("delta", "0123456789abcdef", 3, "0.1.0", "boot", 0, 0, "")
 

@@ -11,10 +11,10 @@ import pytest
 
 from agent import seal
 from agent.certificates import DER_BYTES_MAX
-from agent.codec import decode, encode
 from agent.credentials import Credentials
 from agent.identity import of_operator, of_robot, of_router
-from agent.messages import MISSION_BYTES_MAX, Heartbeat
+from agent.messages.codec import decode, encode
+from agent.messages.types import MISSION_BYTES_MAX, Heartbeat
 from agent.seal import DOMAIN, SEALED_BYTES_MAX, SIGNATURE_BYTES_MAX, VERSION, Forged, Opener, Order, Sealer
 from deploy.authority import CERTIFICATE_DAYS, Authority
 from tests.unit.trusted import FLEET, NOW_S, authority, credentials

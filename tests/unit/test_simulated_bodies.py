@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.codec import decode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet, load_fleet
 from agent.formation import resolved
-from agent.messages import Checks, Message, PlantState
+from agent.messages.codec import decode
+from agent.messages.types import Checks, Message, PlantState
 from bridges.mavlink.simulated import SimulatedRoverPlant
 from deploy.arguments import FLEETS
 from deploy.simulated_bodies import Bodies

@@ -8,13 +8,13 @@ from itertools import pairwise
 
 import pytest
 
-from agent import keys
-from agent.codec import decode, encode
 from agent.common.clock import NS_PER_S
 from agent.fleet import Fleet
 from agent.formation import resolved
-from agent.message_checks import Malformed
-from agent.messages import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from agent.messages import key_expressions
+from agent.messages.codec import decode, encode
+from agent.messages.types import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
+from agent.messages.validation import Malformed
 from agent.orders import OrderError
 from agent.supervision import State
 from deploy.operating import HEARTBEAT_PERIOD_NS
@@ -159,15 +159,15 @@ def test_an_operator_beside_it_is_followed() -> None:
         robots=((1, 0.0, 0.0), (2, 1.0, 0.0), (4, 0.0, 1.0)),
         edges=((1, 2, 1.0), (1, 4, 1.0)),
     )
-    simulation.publish(keys.mission("square"), encode(theirs))
+    simulation.publish(key_expressions.mission("square"), encode(theirs))
     simulation.run_until(simulation.epoch_ns + 6 * NS_PER_S)
     last = of(Mission, heard)[-1]
     assert isinstance(last, Mission)
     assert last.version == theirs.version + 1
     assert [row[0] for row in last.robots] == [1, 2]
     leave = Resume(theirs.version, simulation.now_ns, ())
-    simulation.publish(keys.resume("square"), encode(leave))
-    simulation.publish(keys.resume("square"), b"rubbish")
+    simulation.publish(key_expressions.resume("square"), encode(leave))
+    simulation.publish(key_expressions.resume("square"), b"rubbish")
     simulation.give(order("stop"))
     stop = of(Stop, heard)[-1]
     assert isinstance(stop, Stop)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent import keys
-from agent.messages import PlantState, Status
+from agent.messages import key_expressions
+from agent.messages.types import PlantState, Status
 from deploy.stopping import Stopping
 from tests.unit.order_fleets import EPOCH, S, square
 
@@ -21,12 +21,12 @@ def stopping(reason: str = "") -> Stopping:
 def agent(made: Stopping, robot: int, after_ms: int, state: str, orders: int | None = None) -> None:
     version = made.message.version if orders is None else orders
     status = Status(robot, 1, EPOCH, state, "", "", 1, version, (), (), (), ())
-    made.feed(EPOCH + after_ms * MS, keys.status("square", robot), status)
+    made.feed(EPOCH + after_ms * MS, key_expressions.status("square", robot), status)
 
 
 def plant(made: Stopping, robot: int, after_ms: int, *, driving: bool) -> None:
     state = PlantState(robot, 1, EPOCH, *[0.0] * 7, driving, True, True, "")
-    made.feed(EPOCH + after_ms * MS, keys.plant_state("square", robot), state)
+    made.feed(EPOCH + after_ms * MS, key_expressions.plant_state("square", robot), state)
 
 
 def brake(made: Stopping, *robots: int) -> None:
@@ -67,7 +67,11 @@ def test_states_in_which_a_stop_changes_nothing_count_once_it_was_heard(state: s
 def test_who_does_not_answer_is_named() -> None:
     made = stopping()
     assert made.outcome(3) == "robot 3: nothing heard from its agent, nothing heard from its plant"
-    made.feed(EPOCH, keys.status("square", 2), Status(3, 1, EPOCH, "stopped", "", "", 1, 9, (), (), (), ()))
+    made.feed(
+        EPOCH,
+        key_expressions.status("square", 2),
+        Status(3, 1, EPOCH, "stopped", "", "", 1, 9, (), (), (), ()),
+    )
     assert "nothing heard from its agent" in made.outcome(3), "on another robot's key"
 
 

@@ -9,7 +9,7 @@ import pytest
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolve
 from agent.hand import Hand
-from agent.messages import Beacon, HandState, Mission
+from agent.messages.types import Beacon, HandState, Mission
 from agent.peers import DOUBT_MAX, Peers
 from agent.plan import plan_of
 from agent.surroundings import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Surroundings

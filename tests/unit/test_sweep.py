@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from agent.codec import decode
 from agent.fleet import Fleet, FleetError, to_dict
 from agent.formation import resolve, start_hands
+from agent.messages.codec import decode
 from deploy import judged, metrics
 from deploy.arguments import FLEETS, fleet_text
 from deploy.pool import Abandoned, GoOn

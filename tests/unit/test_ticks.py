@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.codec import encode
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet import Fleet, digest, parse_fleet
-from agent.messages import Faults, Mission
+from agent.messages.codec import encode
+from agent.messages.types import Faults, Mission
 from agent.node import FIRST_ROUND, Node, Numbers, Ticks
 from plant.node import PlantNode
 from plant.unicycle import from_fleet

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from agent import keys
-from agent.codec import encode
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
-from agent.messages import Status
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Status
 from deploy import up
 from deploy.arrivals import Arrivals
 from deploy.bundle import Bundle
@@ -59,11 +59,15 @@ class World:
 
     def come(self, robot: int, state: str) -> None:
         self.states[robot] = state
-        self._changes.extend((keys.alive(self.name, robot, role), True) for role in keys.ROLES)
+        self._changes.extend(
+            (key_expressions.alive(self.name, robot, role), True) for role in key_expressions.ROLES
+        )
 
     def go(self, robot: int) -> None:
         self.states.pop(robot, None)
-        self._changes.extend((keys.alive(self.name, robot, role), False) for role in keys.ROLES)
+        self._changes.extend(
+            (key_expressions.alive(self.name, robot, role), False) for role in key_expressions.ROLES
+        )
 
     def everybody(self, state: str) -> None:
         for robot in self.fleet.ids:
@@ -84,7 +88,7 @@ class World:
     def drain(self) -> Iterator[tuple[str, bytes]]:
         for robot, state in list(self.states.items()):
             said = Status(robot, 1, 1, state, "", "", 0, 0, (), (), (), ())
-            yield keys.status(self.name, robot), encode(said)
+            yield key_expressions.status(self.name, robot), encode(said)
 
     def declare(self, _key: str) -> None: ...
 
@@ -166,7 +170,7 @@ class There:
                 raise after
             if after == "stopped":  # so was the whole fleet, meanwhile
                 world.states = dict.fromkeys(world.states, "stopped")
-            if not any((robot, role) in world.broken for role in keys.ROLES):
+            if not any((robot, role) in world.broken for role in key_expressions.ROLES):
                 world.come(robot, after)
 
     def _states(self, names: list[str]) -> dict[str, str]:

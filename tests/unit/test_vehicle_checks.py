@@ -6,10 +6,10 @@ import io
 
 import pytest
 
-from agent import keys
 from agent.common.clock import NS_PER_S
 from agent.fleet import load_fleet
-from agent.messages import Checks, PlantState, Status
+from agent.messages import key_expressions
+from agent.messages.types import Checks, PlantState, Status
 from deploy.arguments import FLEETS
 from deploy.preflight import Found, columns, death, passed, show, summary, to_json
 from deploy.readiness import in_words, waits
@@ -36,7 +36,7 @@ class Fleet:
     def says(self, robot: int, *lines: tuple[str, str, str, str], after_ns: int = 0) -> None:
         self.now_ns += after_ns
         message = Checks(robot, 0, self.now_ns, tuple(lines))
-        self.checks.feed(self.now_ns, keys.checks("rovers", robot), message)
+        self.checks.feed(self.now_ns, key_expressions.checks("rovers", robot), message)
 
     @property
     def complete(self) -> bool:
@@ -119,11 +119,11 @@ def test_a_vehicle_whose_bridge_died_is_not_waited_for() -> None:
 @pytest.mark.parametrize(
     ("key", "robot", "time_ns"),
     [
-        (keys.checks("rovers", 4), 3, T0 + 1),
-        (keys.checks("other", 3), 3, T0 + 1),
-        (keys.checks("rovers", 6), 6, T0 + 1),
-        (keys.checks("rovers", 99), 99, T0 + 1),
-        (keys.checks("rovers", 3), 3, T0 - 1),
+        (key_expressions.checks("rovers", 4), 3, T0 + 1),
+        (key_expressions.checks("other", 3), 3, T0 + 1),
+        (key_expressions.checks("rovers", 6), 6, T0 + 1),
+        (key_expressions.checks("rovers", 99), 99, T0 + 1),
+        (key_expressions.checks("rovers", 3), 3, T0 - 1),
     ],
 )
 def test_what_is_no_vehicles_or_old_changes_nothing(key: str, robot: int, time_ns: int) -> None:

@@ -11,9 +11,8 @@ from math import inf, nan
 import msgpack
 import pytest
 
-from agent.codec import VERSION, decode, encode, newer
-from agent.message_checks import REASONS, Malformed
-from agent.messages import (
+from agent.messages.codec import VERSION, decode, encode, newer
+from agent.messages.types import (
     AUTHOR_MAX,
     BYTES_MAX,
     CHECK_TEXT_MIN,
@@ -49,6 +48,7 @@ from agent.messages import (
     Wrench,
     clipped,
 )
+from agent.messages.validation import REASONS, Malformed
 from tests.wire import opened, sealed
 
 HAND = HandState(

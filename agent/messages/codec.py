@@ -19,18 +19,7 @@ from zlib import crc32
 
 import msgpack
 
-from agent.message_checks import (
-    CLASSES,
-    FIELD_TYPES,
-    FLOATS,
-    TYPE_OF,
-    Malformed,
-    are_pairs,
-    are_versions,
-    checked,
-    shown,
-)
-from agent.messages import (
+from agent.messages.types import (
     BYTES_MAX,
     DEGREE_MAX,
     FLOAT_MAX,
@@ -46,6 +35,17 @@ from agent.messages import (
     Mission,
     PlantState,
     Wrench,
+)
+from agent.messages.validation import (
+    CLASSES,
+    FIELD_TYPES,
+    FLOATS,
+    TYPE_OF,
+    Malformed,
+    are_pairs,
+    are_versions,
+    checked,
+    shown,
 )
 
 VERSION: Final = 6

@@ -1,4 +1,4 @@
-"""Messages on the bus: their fields and limits. `agent.codec` makes bytes of them.
+"""Messages on the bus: their fields and limits. `agent.messages.codec` makes bytes of them.
 
 Units are SI, positions and velocities in W (world ENU), times integer nanoseconds of the wall
 clock (Unix epoch).

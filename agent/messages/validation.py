@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any, Final
 
-from agent.messages import (
+from agent.messages.types import (
     AUTHOR_MAX,
     CHECKS_MAX,
     DEGREE_MAX,
