@@ -17,7 +17,7 @@ from typing import Any, Final, Generic, Literal, TypeVar, cast
 
 from agent.common.schema import about, setting, show
 from agent.fault_places import LinkSet, Partition
-from agent.impairments import (
+from agent.impairments.impairments import (
     Corrupt,
     Delay,
     Duplicate,
@@ -30,7 +30,7 @@ from agent.impairments import (
     interpolate,
     parse_ramp,
 )
-from agent.replay import decode_fates
+from agent.impairments.recorded_fates import decode_fates
 
 T = TypeVar("T", bound=Impairment)
 
@@ -297,7 +297,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Fates:
-    """Recorded fates (`agent.replay`): their text, and the numbers in it."""
+    """Recorded fates (`agent.impairments.recorded_fates`): their text, and the numbers in it."""
 
     text: str
     numbers: array[int] = field(compare=False, repr=False)

@@ -26,9 +26,9 @@ from agent.fault_settings import (
     Rule,
 )
 from agent.fleet import Fleet
-from agent.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
+from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
+from agent.impairments.recorded_fates import UNTOUCHED
 from agent.messages.types import EVERY_AUTHOR, Faults
-from agent.replay import UNTOUCHED
 from agent.scenario import ScenarioError, parse_scenario
 
 AUTHORS_MAX: Final = 16
@@ -372,7 +372,8 @@ class LinkRules:
         return known
 
     def replayed(self, sequence: int) -> tuple[int, int] | None:
-        """Recorded delays (us) of a message and of its second copy (`agent.replay`); None without."""
+        """Recorded delays (us) of a message and of its second copy (`agent.impairments.recorded_fates`);
+        None without."""
         replay = self._replay
         if replay is None or not 0 <= sequence - replay.first < len(replay.fates.numbers):
             return None

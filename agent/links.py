@@ -16,11 +16,11 @@ from collections.abc import Mapping, Sequence
 from math import dist
 from typing import Final, NamedTuple
 
-from agent import replay
 from agent.common import random_streams
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.faults import NONE, FaultPlan, LinkEffects, LinkRules
-from agent.impairments import Delay, from_trace
+from agent.impairments import recorded_fates
+from agent.impairments.impairments import Delay, from_trace
 from agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
@@ -239,14 +239,14 @@ class Links:
 
     def _replay(self, link: _Link, delays_us: tuple[int, int], arrival: Arrival) -> bool:
         """Gives a message the fate that it had in another run."""
-        if delays_us[0] == replay.UNTOUCHED:
+        if delays_us[0] == recorded_fates.UNTOUCHED:
             return True
         assert arrival.message is not None
         source, sequence, stamp_ns, *_ = arrival.message
         for delay_us, what in zip(delays_us, (0, DUPLICATED), strict=True):
-            if delay_us == replay.LOST:
+            if delay_us == recorded_fates.LOST:
                 what |= LOST
-            elif delay_us == replay.UNTOUCHED:
+            elif delay_us == recorded_fates.UNTOUCHED:
                 continue
             self._trace.append((source, link.topic, sequence, stamp_ns, what, delay_us))
             if not what & LOST:

@@ -15,7 +15,7 @@ from agent.core import HEARD_ROUNDS
 from agent.fault_settings import ACTION_FIELDS, Effect, Rule
 from agent.faults import FaultPlan, LinkEffects
 from agent.fleet import Fleet
-from agent.impairments import Delay, Loss
+from agent.impairments.impairments import Delay, Loss
 from agent.messages.codec import encode
 from agent.messages.types import HandState
 from agent.node import FIRST_ROUND

@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 import tomli_w
 
+from agent.impairments.recorded_fates import DELAY_US_MAX, FATES_MAX, UNTOUCHED, encode_fates
+from agent.impairments.recorded_fates import LOST as FATE_LOST
 from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
-from agent.replay import DELAY_US_MAX, FATES_MAX, UNTOUCHED, encode_fates
-from agent.replay import LOST as FATE_LOST
 from deploy.link_data import Ints, Link, LinkTable
 from deploy.recorder import RecordingError
 from deploy.recording import Recording

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent import chains, distributions
 from agent.common import random_streams
 from agent.common.quantities import UNITS, quantity, text
-from agent.impairments import (
+from agent.impairments import delay_distributions, markov_chains
+from agent.impairments.impairments import (
     Corrupt,
     Delay,
     Duplicate,
@@ -42,7 +42,7 @@ def four_states(draw: st.DrawFn) -> Loss:
 
 delays = st.one_of(
     st.builds(Delay, st.just("constant"), times),
-    st.builds(Delay, st.sampled_from(list(distributions.SHAPES)), times, times, correlations),
+    st.builds(Delay, st.sampled_from(list(delay_distributions.SHAPES)), times, times, correlations),
 )
 losses = st.one_of(
     st.builds(lambda *n: Loss("random", n), ratios, correlations),
@@ -85,8 +85,8 @@ def fate(impairment: Any, stream: int, sequence: int) -> object:
 
 def forget() -> None:
     """As a process that has just begun."""
-    chains._last.clear()
-    distributions.score.cache_clear()
+    markov_chains._last.clear()
+    delay_distributions.score.cache_clear()
 
 
 @given(impairments)

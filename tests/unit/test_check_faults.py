@@ -11,7 +11,7 @@ import deploy
 from agent.common.random_streams import stream
 from agent.fleet import Fleet, load_fleet, parse_fleet
 from agent.formation import resolved
-from agent.impairments import Loss
+from agent.impairments.impairments import Loss
 from agent.messages.codec import encode
 from agent.messages.types import HandState
 from deploy.check import Finding, check

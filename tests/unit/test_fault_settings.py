@@ -7,7 +7,7 @@ import tomli_w
 
 from agent.fault_places import LinkSet, Partition
 from agent.fleet import FleetError, digest, parse_fleet, to_dict
-from agent.replay import encode_fates
+from agent.impairments.recorded_fates import encode_fates
 from agent.scenario import ScenarioError, parse_scenario
 
 FLEET = """

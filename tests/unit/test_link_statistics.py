@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent import chains
 from agent.common import random_streams
-from agent.distributions import SHAPES, score
-from agent.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
+from agent.impairments import markov_chains
+from agent.impairments.delay_distributions import SHAPES, score
+from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Reorder, Slot
 
 COUNT = 100_000
 FIRST = 2**20  # sequence numbers that a run has
@@ -297,16 +297,16 @@ def test_chains_do_not_break_where_their_bookkeeping_does():
 
 
 def test_each_state_follows_from_the_one_before_though_found_alone():
-    rows: tuple[chains.Row, ...] = (
+    rows: tuple[markov_chains.Row, ...] = (
         ((2, 0.05), (3, 0.02), (0, 1.0)),
         ((2, 0.4), (1, 1.0)),
         ((2, 0.5), (1, 0.3), (0, 1.0)),
         ((0, 1.0),),
     )
-    found = chains.chain(rows, (0.25, 0.25, 0.25, 0.25))  # no share matters to a chain that forgets
+    found = markov_chains.chain(rows, (0.25, 0.25, 0.25, 0.25))  # no share matters to a chain that forgets
     states = []
     for n in SEQUENCES[:3000]:
-        chains._last.clear()
+        markov_chains._last.clear()
         states.append(found.state(STREAM, n))
     for n, before, after in zip(SEQUENCES[1:3000], states, states[1:], strict=False):
         ends = np.cumsum([probability for _, probability in rows[before]])

@@ -6,11 +6,12 @@ from itertools import pairwise
 
 import pytest
 
-from agent import replay
 from agent.common import random_streams
 from agent.common.clock import NS_PER_S
 from agent.faults import NONE, FaultPlan
 from agent.fleet import Fleet, FleetError, parse_fleet
+from agent.impairments import recorded_fates
+from agent.impairments.recorded_fates import encode_fates
 from agent.links import Links
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
@@ -29,7 +30,6 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.node import FIRST_ROUND
-from agent.replay import encode_fates
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]
@@ -418,8 +418,10 @@ def test_links_are_idle_again_when_all_is_over() -> None:
 
 
 def test_recorded_fates_come_again() -> None:
-    fates_text = encode_fates([40_000, replay.LOST, replay.UNTOUCHED, 0, 70_000])
-    second = encode_fates([replay.UNTOUCHED, replay.UNTOUCHED, replay.UNTOUCHED, 90_000])
+    fates_text = encode_fates([40_000, recorded_fates.LOST, recorded_fates.UNTOUCHED, 0, 70_000])
+    second = encode_fates(
+        [recorded_fates.UNTOUCHED, recorded_fates.UNTOUCHED, recorded_fates.UNTOUCHED, 90_000]
+    )
     to = links(
         f'[faults]\nloss = "100%"\n'
         f'[[faults.replay]]\nlink = "1->2"\nfirst = 3\nfates = "{fates_text}"\nsecond = "{second}"\n'

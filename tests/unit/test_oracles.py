@@ -12,8 +12,8 @@ from agent.fault_places import Partition
 from agent.fault_settings import Effect, FaultsSection, Rule
 from agent.fleet import Fleet
 from agent.formation import resolve
-from agent.impairments import Delay
-from agent.loss import Loss
+from agent.impairments.impairments import Delay
+from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions
 from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection

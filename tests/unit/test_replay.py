@@ -11,10 +11,10 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent import replay
+from agent.impairments import recorded_fates
+from agent.impairments.recorded_fates import DELAY_US_MAX, UNTOUCHED, decode_fates, encode_fates
 from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
-from agent.replay import DELAY_US_MAX, UNTOUCHED, decode_fates, encode_fates
 from deploy.link_data import Link
 from deploy.recorder import RecordingError
 from deploy.recording import Recording
@@ -73,7 +73,7 @@ def test_a_text_that_was_spoilt_is_refused(text: str, says: str) -> None:
 
 
 def test_a_small_text_does_not_become_a_large_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay, "FATES_MAX", 100)
+    monkeypatch.setattr(recorded_fates, "FATES_MAX", 100)
     assert len(decode_fates(packed(b"\0" * 400))) == 100
     with pytest.raises(ValueError, match="more than 100 of them"):
         decode_fates(packed(b"\0" * 404))

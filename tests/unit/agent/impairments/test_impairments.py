@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from agent import chains
 from agent.common import random_streams
-from agent.impairments import (
+from agent.impairments import markov_chains
+from agent.impairments.impairments import (
     Corrupt,
     Delay,
     Duplicate,
@@ -175,7 +175,7 @@ def test_delays_are_the_same_on_every_machine_and_in_every_process():
         delay = Delay.parse(text)
         assert [delay.sample(STREAM, FIRST + n) for n in range(3)] == pytest.approx(numbers, rel=1e-12), text
     code = (
-        "from agent.impairments import *; from agent import draws\n"
+        "from agent.impairments.impairments import *; from agent.common import random_streams\n"
         "s = random_streams.stream(7, 'link', 1, 2, 'hand', 'something')\n"
         "print([Delay.parse('normal 80ms 20ms 25%').sample(s, 2**20 + 999), "
         "[n for n in range(2**20, 2**20 + 99) if Loss.parse('gemodel 10% 30%').lost(s, n)]])"
@@ -226,7 +226,7 @@ def test_losses_that_nothing_forgets_are_pure_all_the_same():
         in_order = [loss.lost(stream, n) for n in sequences]
         alone = []
         for n in sequences:
-            chains._last.clear()
+            markov_chains._last.clear()
             alone.append(loss.lost(stream, n))
         assert alone == in_order
 
@@ -287,7 +287,7 @@ def test_path_loss_grows_with_distance_and_each_message_keeps_its_luck():
 
 
 def test_chains_read_their_rows_in_order():
-    three = chains.chain(
+    three = markov_chains.chain(
         (((1, 0.2), (2, 0.3), (0, 1.0)), ((0, 1.0),), ((2, 0.5), (1, 1.0))), (0.5, 0.25, 0.25)
     )
     assert three.edges == (0.2, 0.5)

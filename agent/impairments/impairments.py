@@ -16,8 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Self, TypeAlias, TypeVar
 
-from agent import distributions
-from agent.chains import Chain, correlated, happens
 from agent.common.quantities import (
     bits_per_second,
     correlation,
@@ -32,15 +30,17 @@ from agent.common.quantities import (
     within,
 )
 from agent.common.random_streams import normal, uniform
-from agent.loss import Loss
-from agent.range_channel import Range
+from agent.impairments import delay_distributions
+from agent.impairments.loss_models import Loss
+from agent.impairments.markov_chains import Chain, correlated, happens
+from agent.impairments.range_model import Range
 
 __all__ = [
     "Corrupt", "Delay", "Duplicate", "Impairment", "Loss", "Range", "Rate", "Reorder", "Slot", "from_trace",
     "interpolate", "parse_ramp",
 ]  # fmt: skip
 
-_DELAY_KINDS: Final = ("constant", *distributions.SHAPES, "trace")
+_DELAY_KINDS: Final = ("constant", *delay_distributions.SHAPES, "trace")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _delay = within(seconds, 0.0, 3600.0, "s")
 _bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")
@@ -51,12 +51,12 @@ class Delay:
     """How late a message comes: "200ms", "80ms 20ms 25%", "normal 80ms 20ms", "trace NAME".
 
     Mean and jitter, s, and the correlation of successive delays. With a jitter and no distribution uniform,
-    mean +- jitter; the others are those of `distributions.SHAPES`, and netem's order "80ms 20ms distribution
-    normal" is read as well. Correlation leaves the distribution as it is, and is that of delays before they
-    are cut at 0.
+    mean +- jitter; the others are those of `delay_distributions.SHAPES`, and netem's order "80ms 20ms
+    distribution normal" is read as well. Correlation leaves the distribution as it is, and is that of delays
+    before they are cut at 0.
     """
 
-    distribution: str = "constant"  # or a name of distributions.SHAPES, or trace
+    distribution: str = "constant"  # or a name of delay_distributions.SHAPES, or trace
     mean: float = 0.0
     jitter: float = 0.0
     correlation: float = 0.0
@@ -66,7 +66,7 @@ class Delay:
     def __post_init__(self) -> None:
         of_scores = 0.0
         if self.correlation > 0.0:
-            of_scores = distributions.score_correlation(self.distribution, self.correlation)
+            of_scores = delay_distributions.score_correlation(self.distribution, self.correlation)
         object.__setattr__(self, "_score_correlation", of_scores)
 
     @classmethod
@@ -75,8 +75,8 @@ class Delay:
         words = split(raw, '"200ms", "80ms 20ms" or "normal 80ms 20ms 25%"')
         kind = take_kind(words, _DELAY_KINDS)
         if len(words) >= 2 and words[-2] == "distribution":
-            if kind is not None or words[-1] not in distributions.SHAPES:
-                known = ", ".join(distributions.SHAPES)
+            if kind is not None or words[-1] not in delay_distributions.SHAPES:
+                known = ", ".join(delay_distributions.SHAPES)
                 raise ValueError(f"must name one distribution, of {known}, got {shown(raw)}")
             kind = words[-1]
             del words[-2:]
@@ -111,9 +111,9 @@ class Delay:
         """The delay of one message, s; less than 0 is cut to 0, as in netem. Not of a trace: `from_trace`."""
         if self.distribution == "constant":
             return self.mean
-        shape = distributions.SHAPES[self.distribution]
+        shape = delay_distributions.SHAPES[self.distribution]
         if self._score_correlation:
-            z = distributions.score(stream, sequence, self._score_correlation)
+            z = delay_distributions.score(stream, sequence, self._score_correlation)
         else:
             z = normal(stream, sequence)
         delay = self.mean + self.jitter * shape(z)
