@@ -16,10 +16,10 @@ from typing import Any, Final, Literal
 
 import zenoh
 
-from agent.access import Security
 from agent.linger import Lingering
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import INBOX_SIZE
+from agent.security.access_control import Security
 
 Mode = Literal["peer", "client", "router"]
 

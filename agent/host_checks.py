@@ -8,7 +8,7 @@ from typing import Any
 
 from agent.common.schema import Reader, show
 from agent.host_sections import PORT_MAX
-from agent.identity import MAIN, IdentityError, of_operator
+from agent.security.identity import MAIN, IdentityError, of_operator
 
 _ROUTER = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]{0,252}|\[[0-9A-Fa-f:.]{2,45}\]):([1-9][0-9]{0,4})")
 

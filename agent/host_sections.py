@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from agent.common.schema import about, setting
-from agent.identity import MAIN
+from agent.security.identity import MAIN
 
 PORT_MIN: Final = 1024
 PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections

@@ -15,13 +15,13 @@ from typing import Any, Final, NamedTuple
 from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.common.schema import printable
-from agent.credentials import CredentialsError, NotYetValidError
 from agent.faults import FaultPlan
 from agent.fleet import Fleet, FleetError, load_fleet
-from agent.identity import of_robot
 from agent.messages import key_expressions
 from agent.node import Node, Ticks
 from agent.sealed_bus import bus_for
+from agent.security.credentials import CredentialsError, NotYetValidError
+from agent.security.identity import of_robot
 from agent.service import Service
 
 LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10

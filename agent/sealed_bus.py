@@ -1,8 +1,9 @@
 """The bus of a secured fleet: links prove who is at their ends, and orders who gave them.
 
-What an order says is for an operator to say, whoever passes it on: it comes sealed (`agent.seal`), is opened
-here, and those behind this never see one that is not genuine. A robot that says an order again says the
-operator's own bytes. What is refused, by Zenoh or here, is told in a few lines.
+What an order says is for an operator to say, whoever passes it on: it comes sealed
+(`agent.security.sealed_order`), is opened here, and those behind this never see one that is not genuine. A
+robot that says an order again says the operator's own bytes. What is refused, by Zenoh or here, is told in a
+few lines.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.access import Security
 from agent.bus import LINK_TIMEOUT_S, Bus, init_log
 from agent.common.clock import NS_PER_S
-from agent.credentials import Credentials, load
 from agent.fleet import Fleet
-from agent.identity import MAIN, Identity
-from agent.order_gate import OrderGate
-from agent.refusals import FILTER
-from agent.seal import Opener, Sealer
+from agent.security.access_control import Security
+from agent.security.credentials import Credentials, load
+from agent.security.identity import MAIN, Identity
+from agent.security.order_gate import OrderGate
+from agent.security.refusals import FILTER
+from agent.security.sealed_order import Opener, Sealer
 from agent.zenoh_log import ZenohLog
 
 Log = Callable[[str], None]
@@ -63,7 +64,7 @@ class SealedBus(Bus):
 
     Raises:
         agent.bus.BusError: see `Bus`.
-        agent.credentials.CredentialsError: the files are not there, or not valid.
+        agent.security.credentials.CredentialsError: the files are not there, or not valid.
     """
 
     def __init__(

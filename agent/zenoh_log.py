@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Final, TextIO
 
-from agent.refusals import Refusals
+from agent.security.refusals import Refusals
 
 READ_MAX: Final = 131_072
 """Bytes that are read at once; of a flood the rest is counted by its size."""
@@ -29,7 +29,7 @@ _STDOUT: Final = 1
 class ZenohLog:
     """Takes file descriptor 1 from the process while it is open; Python's own standard output goes on.
 
-    Make it before the first session, and give Zenoh `agent.refusals.FILTER`. One in a process.
+    Make it before the first session, and give Zenoh `agent.security.refusals.FILTER`. One in a process.
 
     Who sets `WANTED` means to read Zenoh's log: it stays on standard output then. That is said, and of
     refusals only those that are added to `refusals`.

@@ -19,8 +19,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
-from agent import key_files
-from agent.certificates import (
+from agent.security import private_files
+from agent.security.certificates import (
     DAY_S,
     Certificate,
     CertificateError,
@@ -33,8 +33,8 @@ from agent.certificates import (
     pem_of,
     pem_of_key,
 )
-from agent.identity import Identity, IdentityError, addresses, is_ip, parse
-from agent.key_files import KeyFileError
+from agent.security.identity import Identity, IdentityError, addresses, is_ip, parse
+from agent.security.private_files import KeyFileError
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -105,7 +105,7 @@ class Authority:
         self.generation = 1
         self._issued: list[Issued] = []
         try:
-            key_files.private_directory(folder)
+            private_files.private_directory(folder)
             self._lock = _locked(folder, fleet)
         except KeyFileError as error:
             raise AuthorityError(str(error)) from None
@@ -196,11 +196,11 @@ class Authority:
 
     def _open(self, now_s: float) -> None:
         self._issued = self._read_index()
-        if not key_files.exists(self._file):
+        if not private_files.exists(self._file):
             self._make(1 + max((entry.generation for entry in self._issued), default=0), now_s)
             self.created = True
             return
-        data = key_files.read(self._file, private=True)
+        data = private_files.read(self._file, private=True)
         try:
             self._key = key_from_pem(data)
             self._certificate = authority_from_pem(data)
@@ -228,7 +228,7 @@ class Authority:
         key = new_key()
         certificate = _self_signed(key, f"{self.fleet}.authority.{generation}", now_s)
         try:
-            key_files.write(self._file, pem_of_key(key) + pem_of(certificate), private=True)
+            private_files.write(self._file, pem_of_key(key) + pem_of(certificate), private=True)
             self._key, self._certificate, self.generation = key, certificate, generation
             self._write_certificate()
         except KeyFileError as error:
@@ -236,8 +236,8 @@ class Authority:
 
     def _write_certificate(self) -> None:
         path, wanted = self.folder / "ca.crt", self.certificate_pem
-        if not key_files.exists(path) or key_files.read(path) != wanted:
-            key_files.write(path, wanted)
+        if not private_files.exists(path) or private_files.read(path) != wanted:
+            private_files.write(path, wanted)
 
     def _sign(
         self, identity: Identity, key: EllipticCurvePublicKey, where: Iterable[str], now_s: float
@@ -276,10 +276,10 @@ class Authority:
         )
 
     def _read_index(self) -> list[Issued]:
-        if not key_files.exists(self._index):
+        if not private_files.exists(self._index):
             return []
         try:
-            tables: Any = json.loads(key_files.read(self._index, most=INDEX_BYTES_MAX))
+            tables: Any = json.loads(private_files.read(self._index, most=INDEX_BYTES_MAX))
             if tables["version"] != _INDEX_VERSION:
                 raise ValueError
             found = [Issued(**row | {"addresses": tuple(row["addresses"])}) for row in tables["issued"]]
@@ -294,7 +294,7 @@ class Authority:
     def _write_index(self) -> None:
         table = {"version": _INDEX_VERSION, "fleet": self.fleet, "issued": [*map(asdict, self._issued)]}
         try:
-            key_files.write(self._index, json.dumps(table, indent=1).encode() + b"\n", private=True)
+            private_files.write(self._index, json.dumps(table, indent=1).encode() + b"\n", private=True)
         except KeyFileError as error:
             raise AuthorityError(str(error)) from None
 
@@ -303,7 +303,7 @@ def _locked(folder: Path, fleet: str) -> int | None:
     try:
         handle = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        raise KeyFileError(f"cannot write in {folder}: {key_files.reason(error)}") from None
+        raise KeyFileError(f"cannot write in {folder}: {private_files.reason(error)}") from None
     deadline = time.monotonic() + WAIT_S
     while True:
         try:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from agent.fleet import Fleet
-from agent.identity import of_robot
-from agent.key_files import reason
+from agent.security.identity import of_robot
+from agent.security.private_files import reason
 from deploy.arguments import InputError
 from deploy.authority import Authority
 from deploy.hosts import located
@@ -47,7 +47,8 @@ def _is_text(value: object) -> bool:
 
 
 def answer(fleet: Fleet, authority: Authority, requests: dict[int, str], now_s: float) -> str:
-    """JSON: the authority's own certificate, and for each robot what ``agent.credentials store`` takes.
+    """JSON: the authority's own certificate, and for each robot what ``agent.security.credentials store``
+    takes.
 
     A certificate holds for the address of the robot's host.
 

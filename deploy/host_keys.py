@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import Final
 
 from agent.fleet import Fleet
-from agent.identity import of_robot
+from agent.security.identity import of_robot
 from deploy.authority import Authority, AuthorityError
 from deploy.host_connection import HostConnection, HostError
 from deploy.hosts import robots_on
 
-MODULE: Final = "agent.credentials"
+MODULE: Final = "agent.security.credentials"
 
 
 class HostKeys:

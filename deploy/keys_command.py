@@ -9,12 +9,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from agent import key_files
-from agent.certificates import DAY_S
-from agent.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting
 from agent.fleet import Fleet
-from agent.identity import MAIN, Identity, IdentityError, addresses, of_operator, of_robot, of_router, parse
-from agent.key_files import KeyFileError
+from agent.security import private_files
+from agent.security.certificates import DAY_S
+from agent.security.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting
+from agent.security.identity import (
+    MAIN,
+    Identity,
+    IdentityError,
+    addresses,
+    of_operator,
+    of_robot,
+    of_router,
+    parse,
+)
+from agent.security.private_files import KeyFileError
 from deploy.arguments import InputError, fleet_arguments, load_unresolved
 from deploy.authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
 from deploy.certificate_requests import answer, read_requests
@@ -82,7 +91,7 @@ def _keys(options: argparse.Namespace) -> int:
     now_s = time.time()
     try:
         requests = read_requests(options.sign, fleet) if options.sign is not None else None
-        if (options.list or requests is not None) and not key_files.exists(folder / "authority.pem"):
+        if (options.list or requests is not None) and not private_files.exists(folder / "authority.pem"):
             raise InputError(f"{name} has no authority in {folder}: `handfast keys {options.fleet}` makes it")
         with Authority(folder, name, fleet.ids, now_s) as authority:
             if requests is not None:

@@ -10,10 +10,10 @@ from typing import Final
 
 from agent.bus import Bus
 from agent.common.schema import printable
-from agent.credentials import CredentialsError, MissingError
 from agent.fleet import Fleet
-from agent.identity import MAIN, IdentityError, of_operator
 from agent.sealed_bus import bus_for
+from agent.security.credentials import CredentialsError, MissingError
+from agent.security.identity import MAIN, IdentityError, of_operator
 from deploy.arguments import InputError
 from deploy.authority import keys_folder
 from deploy.live_faults import receivers

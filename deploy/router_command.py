@@ -15,8 +15,8 @@ from deploy.interrupt import Interrupt
 from deploy.running import DONE, INTERRUPTED, handled
 
 if TYPE_CHECKING:
-    from agent.access import Security
     from agent.fleet import Fleet
+    from agent.security.access_control import Security
 
 POLL_S: Final = 0.1
 
@@ -50,7 +50,7 @@ def _router(options: argparse.Namespace) -> int:
     from agent.bus import Router, init_log, settings_of
     from agent.linger import Lingering
     from agent.messages.key_expressions import alive, robot_of_alive
-    from agent.refusals import FILTER
+    from agent.security.refusals import FILTER
     from agent.service import Service
     from agent.zenoh_log import ZenohLog
 
@@ -105,9 +105,9 @@ def _listen(options: argparse.Namespace, fleet: Fleet) -> str:
 def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
     if not fleet.is_secured:
         return None
-    from agent.credentials import CredentialsError, MissingError, load
-    from agent.identity import IdentityError, of_router
     from agent.sealed_bus import secured
+    from agent.security.credentials import CredentialsError, MissingError, load
+    from agent.security.identity import IdentityError, of_router
     from deploy.authority import keys_folder
 
     name = fleet.fleet.name

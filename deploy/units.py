@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from agent.fleet import Fleet
-from agent.identity import of_robot
+from agent.security.identity import of_robot
 from deploy.children import ONE_THREAD
 from deploy.processes import MODULES
 

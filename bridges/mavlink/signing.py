@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from agent import key_files
-from agent.key_files import KeyFileError
+from agent.security import private_files
+from agent.security.private_files import KeyFileError
 
 KEY_BYTES: Final = 32
 EPOCH_S: Final = 1_420_070_400
@@ -43,7 +43,7 @@ def load_key(path: str | Path) -> bytes:
     """
     path = Path(path)
     try:
-        data = key_files.read(path, private=True)
+        data = private_files.read(path, private=True)
     except KeyFileError as error:
         raise SigningError(f"the signing key: {error}") from None
     if len(data) == KEY_BYTES:
@@ -72,7 +72,7 @@ def make_key(path: str | Path) -> bytes:
     except FileExistsError:
         raise SigningError(f"{path} is there already: a key is never written over") from None
     except OSError as error:
-        raise SigningError(f"cannot write the signing key {path}: {key_files.reason(error)}") from None
+        raise SigningError(f"cannot write the signing key {path}: {private_files.reason(error)}") from None
     return key
 
 
@@ -112,7 +112,7 @@ class Timestamps:
             _write(path, self._stored)
         except OSError as error:
             raise SigningError(
-                f"cannot keep the signing timestamp in {path}: {key_files.reason(error)}"
+                f"cannot keep the signing timestamp in {path}: {private_files.reason(error)}"
             ) from None
         except KeyFileError as error:
             raise SigningError(f"cannot keep the signing timestamp: {error}") from None
@@ -194,9 +194,9 @@ def timestamp_at(now_ns: int) -> int:
 
 
 def _read(path: Path) -> int:
-    if not key_files.exists(path):
+    if not private_files.exists(path):
         return 0
-    text = key_files.read(path).decode("ascii", "replace").strip()
+    text = private_files.read(path).decode("ascii", "replace").strip()
     if not re.fullmatch(r"[0-9]{1,15}", text) or int(text) > _MAX:
         raise SigningError(
             f"the signing timestamp in {path} is damaged: remove it while this machine's clock is right"
@@ -206,4 +206,4 @@ def _read(path: Path) -> int:
 
 def _write(path: Path, value: int) -> None:
     """Whole or not at all, also when the power fails."""
-    key_files.write(path, f"{value}\n".encode("ascii"), private=True)
+    private_files.write(path, f"{value}\n".encode("ascii"), private=True)

@@ -20,10 +20,8 @@ import zenoh
 from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from agent.access import tls_settings
 from agent.bus import PAYLOAD_BYTES_MAX, settings_of
 from agent.common.clock import NS_PER_S
-from agent.credentials import Credentials, Files, load
 from agent.fleet import Fleet, digest
 from agent.messages import key_expressions
 from agent.messages.codec import encode
@@ -43,7 +41,9 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.seal import DOMAIN, VERSION
+from agent.security.access_control import tls_settings
+from agent.security.credentials import Credentials, Files, load
+from agent.security.sealed_order import DOMAIN, VERSION
 from tests.process.harness import wait_for
 from tests.process.secured_fleet import TAKEN, Keys
 

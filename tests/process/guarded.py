@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from agent.bus import Bus, Presence, Router, init_log
-from agent.credentials import load
 from agent.fleet import Fleet
-from agent.identity import Identity, parse
 from agent.messages import key_expressions
-from agent.refusals import FILTER
 from agent.sealed_bus import SealedBus, secured
+from agent.security.credentials import load
+from agent.security.identity import Identity, parse
+from agent.security.refusals import FILTER
 from agent.zenoh_log import ZenohLog
 from tests.process.fleet_harness import make_fleet
 from tests.unit.trusted import FLEET

@@ -12,14 +12,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent.access import Security
 from agent.bus import Bus
-from agent.credentials import Files, load
 from agent.fleet import Fleet, parse_fleet
 from agent.formation import resolved
-from agent.identity import MAIN, Identity, of_operator, of_robot
 from agent.messages import key_expressions
 from agent.sealed_bus import gate_of
+from agent.security.access_control import Security
+from agent.security.credentials import Files, load
+from agent.security.identity import MAIN, Identity, of_operator, of_robot
 from deploy.authority import Authority
 from tests.process.fleet_harness import Robots, placed
 from tests.process.harness import ADDRESS

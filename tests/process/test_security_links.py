@@ -19,14 +19,14 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.access import Security, tls_settings
 from agent.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
-from agent.credentials import Files, load
-from agent.identity import Identity, of_operator, of_robot, of_router
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Resume, Stop
-from agent.seal import Sealer
+from agent.security.access_control import Security, tls_settings
+from agent.security.credentials import Files, load
+from agent.security.identity import Identity, of_operator, of_robot, of_router
+from agent.security.sealed_order import Sealer
 from deploy.authority import Authority
 from deploy.ports import Reservation
 from tests.process.harness import ADDRESS, environment, measured, no_trouble, wait_for

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent import seal
-from agent.identity import of_operator
-from agent.seal import Forged, Opener, Sealer
+from agent.security import sealed_order
+from agent.security.identity import of_operator
+from agent.security.sealed_order import Forged, Opener, Sealer
 from tests.unit.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOADS = (b"drive", b"\x00" * 200, bytes(range(256)))
@@ -33,7 +33,7 @@ def opened(opener: Opener, sealed: bytes) -> bytes | None:
     try:
         return opener.open(sealed, NOW_S).payload
     except Forged as error:
-        return None if error.reason in seal.REASONS else b"refused without a reason"
+        return None if error.reason in sealed_order.REASONS else b"refused without a reason"
 
 
 @given(garbage=st.binary(max_size=400))

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.credentials import load, make_request, store
 from agent.fleet import to_dict
-from agent.identity import of_robot
+from agent.security.credentials import load, make_request, store
+from agent.security.identity import of_robot
 from deploy import keys_command
 from deploy.arguments import InputError
 from deploy.authority import keys_folder

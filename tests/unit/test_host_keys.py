@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from agent import credentials_command
-from agent.credentials import load
 from agent.fleet import Fleet
 from agent.host_sections import HostSection
-from agent.identity import of_robot
+from agent.security import __main__
+from agent.security.credentials import load
+from agent.security.identity import of_robot
 from deploy.authority import Authority
 from deploy.host_keys import HostKeys
-from tests.unit.test_credentials import Standard
+from tests.unit.agent.security.test_credentials import Standard
 from tests.unit.test_export_deployment import fleet
 
 
@@ -31,10 +31,10 @@ class There:
         self.asked: list[str] = []
 
     def ask(self, what: str, *, module: str, arguments: list[str], version: str, text: str) -> Any:
-        assert (what, module, version) == ("run", "agent.credentials", "1-aa")
+        assert (what, module, version) == ("run", "agent.security.credentials", "1-aa")
         self.asked.append(arguments[0])
         self._patch.setattr("sys.stdin", Standard(text.encode()))
-        assert credentials_command.main(arguments) == 0
+        assert __main__.main(arguments) == 0
         return self._capsys.readouterr().out
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.certificates import pem_of_key
-from agent.credentials import CredentialsError, load, make_request, store
-from agent.identity import of_operator, of_robot, of_router
+from agent.security.certificates import pem_of_key
+from agent.security.credentials import CredentialsError, load, make_request, store
+from agent.security.identity import of_operator, of_robot, of_router
 from deploy import authority as module
 from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, AuthorityError, keys_folder
 from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
@@ -166,7 +166,7 @@ def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
     ],
 )
 def test_files_that_are_damaged(tmp_path: Path, file: str, damage: object, what: str) -> None:
-    from agent.certificates import new_key
+    from agent.security.certificates import new_key
 
     authority(tmp_path).close()
     path = tmp_path / file

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.credentials import RENEW_DAYS, load, make_request
 from agent.host_sections import HostSection
-from agent.identity import of_operator, of_robot, of_router
+from agent.security.credentials import RENEW_DAYS, load, make_request
+from agent.security.identity import of_operator, of_robot, of_router
 from deploy import keys_command
 from deploy.arguments import InputError
 from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.key_files import KeyFileError
+from agent.security.private_files import KeyFileError
 from bridges.mavlink import signing
 from bridges.mavlink.signing import AHEAD, EPOCH_S, STEPS_PER_S, SigningError, Timestamps, load_key, make_key
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from agent.fleet import Fleet
-from agent.identity import of_operator
+from agent.security.identity import of_operator
 from deploy.arguments import InputError
 from deploy.operator_bus import KEYS, OPERATOR, operator_bus
 from tests.unit.order_fleets import square

@@ -13,7 +13,7 @@ import pytest
 from agent import process
 from agent.__main__ import start
 from agent.bus import BusError
-from agent.credentials import CredentialsError, NotYetValidError
+from agent.security.credentials import CredentialsError, NotYetValidError
 from tests.unit.test_service import all_of
 
 FLEET = """

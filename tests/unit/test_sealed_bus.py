@@ -11,9 +11,9 @@ import pytest
 
 from agent import sealed_bus
 from agent.bus import Bus, BusError
-from agent.identity import of_robot
-from agent.refusals import Refusals
 from agent.sealed_bus import SealedBus
+from agent.security.identity import of_robot
+from agent.security.refusals import Refusals
 from tests.process.guarded import guarded_fleet
 from tests.unit.trusted import FLEET, authority, credentials
 

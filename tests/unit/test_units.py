@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.credentials import Files
 from agent.fleet import Fleet, parse_fleet
-from agent.identity import of_robot
+from agent.security.credentials import Files
+from agent.security.identity import of_robot
 from deploy import units
 from deploy.units import Places, arguments, roles, unit, unit_name
 from tests.unit.test_fleet_hosts import FLEET

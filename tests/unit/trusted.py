@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.access import Security
-from agent.credentials import Credentials, Files, make_request, store
-from agent.identity import Identity
+from agent.security.access_control import Security
+from agent.security.credentials import Credentials, Files, make_request, store
+from agent.security.identity import Identity
 from deploy.authority import Authority
 
 NOW_S = 1_790_000_000.0

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.identity import of_operator
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Mission, Resume, Stop
-from agent.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
-from agent.seal import Opener, Sealer
+from agent.security.identity import of_operator
+from agent.security.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
+from agent.security.sealed_order import Opener, Sealer
 from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 TIME_NS = NOW_NS = int(NOW_S * 1e9)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.identity import of_operator
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Stop
-from agent.order_gate import NEW_MAX, NEW_PERIOD_NS, OrderGate
-from agent.seal import Opener, Order, Sealer
+from agent.security.identity import of_operator
+from agent.security.order_gate import NEW_MAX, NEW_PERIOD_NS, OrderGate
+from agent.security.sealed_order import Opener, Order, Sealer
 from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 NOW_NS = int(NOW_S * 1e9)

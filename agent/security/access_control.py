@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from agent.identity import MAIN, Identity, of_operator, of_robot, of_router
 from agent.messages import key_expressions
+from agent.security.identity import MAIN, Identity, of_operator, of_robot, of_router
 
 _OUT: Final = "out"
 _LISTEN: Final = "listen"
@@ -27,7 +27,7 @@ class Security:
 
     Args:
         identity: its own.
-        authority, certificate, key: paths of its files; `agent.credentials.load` finds them whole.
+        authority, certificate, key: paths of its files; `agent.security.credentials.load` finds them whole.
         robots: ids of the fleet's robots.
         operators, routers: names of those that there may be.
     """
@@ -74,7 +74,7 @@ def access_settings(
     what others say: it has the same list, and has looked already. All may listen to all of the fleet.
 
     Raises:
-        agent.identity.IdentityError: a name or id that no certificate can have.
+        agent.security.identity.IdentityError: a name or id that no certificate can have.
     """
     rules: list[dict[str, Any]] = [
         # Nothing is held back from those of the fleet. All others get nothing, whoever has signed their

@@ -9,19 +9,28 @@ from typing import Any
 import msgpack
 import pytest
 
-from agent import seal
-from agent.certificates import DER_BYTES_MAX
-from agent.credentials import Credentials
-from agent.identity import of_operator, of_robot, of_router
 from agent.messages.codec import decode, encode
 from agent.messages.types import MISSION_BYTES_MAX, Heartbeat
-from agent.seal import DOMAIN, SEALED_BYTES_MAX, SIGNATURE_BYTES_MAX, VERSION, Forged, Opener, Order, Sealer
+from agent.security import sealed_order
+from agent.security.certificates import DER_BYTES_MAX
+from agent.security.credentials import Credentials
+from agent.security.identity import of_operator, of_robot, of_router
+from agent.security.sealed_order import (
+    DOMAIN,
+    SEALED_BYTES_MAX,
+    SIGNATURE_BYTES_MAX,
+    VERSION,
+    Forged,
+    Opener,
+    Order,
+    Sealer,
+)
 from deploy.authority import CERTIFICATE_DAYS, Authority
 from tests.unit.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))
 NOW_NS = int(NOW_S * 1e9)
-OPERATORS = ("ann", "bob", *(f"op-{number}" for number in range(seal.CERTIFICATES_MAX + 2)))
+OPERATORS = ("ann", "bob", *(f"op-{number}" for number in range(sealed_order.CERTIFICATES_MAX + 2)))
 LATER_S = NOW_S + CERTIFICATE_DAYS * 86_400
 
 
@@ -45,7 +54,7 @@ def reason(opener: Opener, sealed: bytes, now_s: float = NOW_S) -> str:
     """Why it does not open."""
     with pytest.raises(Forged) as raised:
         opener.open(sealed, now_s)
-    assert raised.value.reason in seal.REASONS
+    assert raised.value.reason in sealed_order.REASONS
     assert len(str(raised.value).splitlines()) == 1
     return raised.value.reason
 
@@ -205,13 +214,13 @@ def test_sizes(ann: Credentials, opener: Opener) -> None:
 
 
 def test_what_is_remembered_is_bounded(by: Authority, tmp_path: Path, opener: Opener) -> None:
-    for number in range(seal.CERTIFICATES_MAX + 2):
+    for number in range(sealed_order.CERTIFICATES_MAX + 2):
         name = f"op-{number}"
         his = credentials(by, tmp_path / name, of_operator(FLEET, name))
         for payload in (b"a", b"b"):
             assert opener.open(Sealer(his).seal(payload, NOW_NS), NOW_S) == Order(NOW_NS, payload)
-    assert len(opener._certificates) == seal.CERTIFICATES_MAX
-    assert len(opener._orders) == seal.ORDERS_MAX
+    assert len(opener._certificates) == sealed_order.CERTIFICATES_MAX
+    assert len(opener._orders) == sealed_order.ORDERS_MAX
 
 
 def test_a_refused_order_is_not_remembered(ann: Credentials, opener: Opener) -> None:

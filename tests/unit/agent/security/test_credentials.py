@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from agent import credentials_command
-from agent.certificates import CertificateError, authority_from_pem, issued, key_from_pem
-from agent.credentials import (
+from agent.security import __main__
+from agent.security.certificates import CertificateError, authority_from_pem, issued, key_from_pem
+from agent.security.credentials import (
     CredentialsError,
     Files,
     MissingError,
@@ -22,7 +22,7 @@ from agent.credentials import (
     store,
     wanting,
 )
-from agent.identity import of_operator, of_robot
+from agent.security.identity import of_operator, of_robot
 from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
 from tests.unit.trusted import FLEET, NOW_S, authority, credentials
 
@@ -238,7 +238,7 @@ def test_a_robots_certificate_signs_no_others(signed: tuple[Authority, Path], tm
 def test_a_key_of_another_kind() -> None:
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    from agent.certificates import pem_of_key
+    from agent.security.certificates import pem_of_key
 
     with pytest.raises(CertificateError, match="P-256"):
         key_from_pem(pem_of_key(ec.generate_private_key(ec.SECP384R1())))
@@ -263,7 +263,7 @@ def test_the_robots_command(
 
     def run(command: str, *arguments: str, stdin: bytes = b"") -> tuple[int, str, str]:
         monkeypatch.setattr("sys.stdin", Standard(stdin))
-        status = credentials_command.main(
+        status = __main__.main(
             [command, "--folder", str(folder), "--fleet", FLEET, "--robot", "2", *arguments]
         )
         said = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""``python -m agent.credentials``: robots' part in getting their certificates, called over ssh.
+"""``python -m agent.security.credentials``: robots' part in getting their certificates, called over ssh.
 
     request   says as JSON whether a certificate is needed, and then the request for it; a line for each robot
     store     takes the certificate and the authority's from standard input
@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.certificates import PEM_BYTES_MAX
-from agent.credentials import CredentialsError, make_request, store, wanting
-from agent.identity import Identity, IdentityError, addresses, of_robot
-from agent.key_files import reason
+from agent.security.certificates import PEM_BYTES_MAX
+from agent.security.credentials import CredentialsError, make_request, store, wanting
+from agent.security.identity import Identity, IdentityError, addresses, of_robot
+from agent.security.private_files import reason
 
 DONE, FAILED = 0, 2
 _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
@@ -27,7 +27,9 @@ _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status: 0, or 2 with one line on standard error."""
-    parser = argparse.ArgumentParser(prog="python -m agent.credentials", description="Credentials of robots.")
+    parser = argparse.ArgumentParser(
+        prog="python -m agent.security.credentials", description="Credentials of robots."
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     request = commands.add_parser("request", help="whether a certificate is needed, and the request for it")
     request.add_argument(

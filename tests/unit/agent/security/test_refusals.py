@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from agent.refusals import KINDS_MAX, LINKS_MAX, PERIOD_NS, Refusals
+from agent.security.refusals import KINDS_MAX, LINKS_MAX, PERIOD_NS, Refusals
 from agent.zenoh_log import POLL_NS, READ_MAX, SIZE_MAX, ZenohLog
 
 TLS = (

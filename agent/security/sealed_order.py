@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgpack
 
-from agent.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
-from agent.credentials import Credentials
 from agent.messages.types import MISSION_BYTES_MAX, TIME_NS_MAX
+from agent.security.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
+from agent.security.credentials import Credentials
 
 if TYPE_CHECKING:
     from cryptography import x509

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from agent import key_files
-from agent.certificates import (
+from agent.security import private_files
+from agent.security.certificates import (
     Certificate,
     CertificateError,
     authority_from_pem,
@@ -28,8 +28,8 @@ from agent.certificates import (
     pem_of_key,
     same_key,
 )
-from agent.identity import Identity
-from agent.key_files import KeyFileError
+from agent.security.identity import Identity
+from agent.security.private_files import KeyFileError
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -141,11 +141,11 @@ def make_request(folder: Path, identity: Identity) -> bytes:
     files = Files(folder, identity)
     try:
         needs_cryptography()
-        key_files.private_directory(folder)
+        private_files.private_directory(folder)
         key = _waiting(files)
         if key is None:
             key = new_key()
-            key_files.write(files.next_key, pem_of_key(key), private=True)
+            private_files.write(files.next_key, pem_of_key(key), private=True)
         return new_request(key, identity)
     except (KeyFileError, CertificateError) as error:
         raise CredentialsError(str(error)) from None
@@ -179,16 +179,16 @@ def store(folder: Path, identity: Identity, bundle: bytes, now_s: float) -> Cred
         waiting = _waiting(files)
         is_new = waiting is not None and same_key(waiting, certificate)
         if not is_new:
-            key = key_from_pem(key_files.read(files.key, private=True))
+            key = key_from_pem(private_files.read(files.key, private=True))
             if not same_key(key, certificate):
                 raise CredentialsError(f"the certificate for {identity} is not for its key {files.key}")
         # All is on the disk, which may be full, before anything takes the place of what is used.
-        key_files.write(files.next_certificate, parts[0] + b"\n")
-        key_files.write(files.next_authority, pem_of(authority))
+        private_files.write(files.next_certificate, parts[0] + b"\n")
+        private_files.write(files.next_authority, pem_of(authority))
         if is_new:
-            key_files.move(files.next_key, files.key)
-        key_files.move(files.next_certificate, files.certificate)
-        key_files.move(files.next_authority, files.authority)
+            private_files.move(files.next_key, files.key)
+        private_files.move(files.next_certificate, files.certificate)
+        private_files.move(files.next_authority, files.authority)
     except (KeyFileError, CertificateError) as error:
         raise CredentialsError(str(error)) from None
     return load(folder, identity, now_s)
@@ -200,8 +200,8 @@ def wanting(
     """Why `identity` needs a new certificate, "" when it does not.
 
     Args:
-        addresses: as `agent.identity.addresses` gives them; those that its certificate must hold for.
-        authority_pem: the fleet's authority, None when it is the one that is known already.
+        addresses: as `agent.security.identity.addresses` gives them; those that its certificate must hold
+        for. authority_pem: the fleet's authority, None when it is the one that is known already.
 
     Raises:
         CredentialsError: `authority_pem` is none, or a file is there that others can read.
@@ -214,7 +214,7 @@ def wanting(
     except CertificateError as error:
         raise CredentialsError(f"the authority's certificate: {error}") from None
     try:
-        if not all(map(key_files.exists, (files.key, files.certificate, files.authority))):
+        if not all(map(private_files.exists, (files.key, files.certificate, files.authority))):
             return "it has none yet"
     except KeyFileError as error:
         raise CredentialsError(str(error)) from None
@@ -253,7 +253,7 @@ def _load(files: Files) -> Credentials:
 
 def _parsed(files: Files, path: Path, parse: Callable[[bytes], T]) -> T:
     try:
-        return parse(key_files.read(path, private=path == files.key))
+        return parse(private_files.read(path, private=path == files.key))
     except KeyFileError as error:
         raise _advised(error, files) from None
     except CertificateError as error:
@@ -262,9 +262,9 @@ def _parsed(files: Files, path: Path, parse: Callable[[bytes], T]) -> T:
 
 def _advised(error: KeyFileError, files: Files) -> CredentialsError:
     try:
-        if all(map(key_files.exists, (files.authority, files.certificate, files.key))):
+        if all(map(private_files.exists, (files.authority, files.certificate, files.key))):
             return CredentialsError(str(error))
-        if key_files.exists(files.key):
+        if private_files.exists(files.key):
             return MissingError(str(error))
     except KeyFileError as cannot:
         return CredentialsError(str(cannot))
@@ -272,9 +272,9 @@ def _advised(error: KeyFileError, files: Files) -> CredentialsError:
 
 
 def _waiting(files: Files) -> EllipticCurvePrivateKey | None:
-    if not key_files.exists(files.next_key):
+    if not private_files.exists(files.next_key):
         return None
-    data = key_files.read(files.next_key, private=True)
+    data = private_files.read(files.next_key, private=True)
     try:
         return key_from_pem(data)
     except CertificateError:
@@ -282,6 +282,6 @@ def _waiting(files: Files) -> EllipticCurvePrivateKey | None:
 
 
 if __name__ == "__main__":
-    from agent.credentials_command import main
+    from agent.security.__main__ import main
 
     sys.exit(main())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.identity import (
+from agent.security.identity import (
     ADDRESSES_MAX,
     COMMON_NAME_MAX,
     Identity,

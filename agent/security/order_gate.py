@@ -14,7 +14,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import VERSION
 from agent.messages.types import Mission, Resume, Stop
 from agent.messages.validation import TYPE_OF
-from agent.seal import Forged, Opener, Sealer
+from agent.security.sealed_order import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
 """Of what is said once and not again (heartbeats, faults, questions) a seal is not older, nor that much
