@@ -6,7 +6,7 @@ import sys
 
 from agent.common.clock import Clock
 from agent.core import Agent
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolved
 from agent.process import Log, Start, main
 

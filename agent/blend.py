@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.common.clock import NS_PER_S
 from agent.course import blend_shape
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.plan import Plan
 
 BLEND_MIN_S: Final = 1.0

@@ -16,7 +16,7 @@ from agent.avoidance import barrier_rate
 from agent.common.clock import NS_PER_S
 from agent.course import Course, Edge
 from agent.detour import Blocker, Detour
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import Geometry
 from agent.messages.types import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns

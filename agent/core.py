@@ -13,7 +13,7 @@ from typing import Final
 from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.controller import Controller
-from agent.fleet import Fleet, digest
+from agent.fleet.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.latch import AWAITED, Latch
 from agent.messages import key_expressions
@@ -64,7 +64,7 @@ class Agent:
     """The agent of robot `robot` of `fleet`.
 
     Raises:
-        agent.fleet.FleetError: the fleet has no such robot, or its formation cannot be resolved.
+        agent.fleet.fleet.FleetError: the fleet has no such robot, or its formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, robot: int) -> None:

@@ -21,8 +21,8 @@ from math import hypot
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
-from agent.fleet_sections import Pair
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Pair
 from agent.formation import Geometry
 from agent.law import DISTANCE_MIN
 from agent.messages.codec import newer

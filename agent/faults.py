@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final, NamedTuple
 
 from agent.common.clock import NS_PER_S, LocalTime
-from agent.fault_settings import (
+from agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
     EFFECTS,
@@ -25,11 +25,11 @@ from agent.fault_settings import (
     Replay,
     Rule,
 )
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
+from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range, Rate, Reorder, Slot
 from agent.impairments.recorded_fates import UNTOUCHED
 from agent.messages.types import EVERY_AUTHOR, Faults
-from agent.scenario import ScenarioError, parse_scenario
 
 AUTHORS_MAX: Final = 16
 ENDED_MAX: Final = 64
@@ -128,7 +128,7 @@ class LiveSet(NamedTuple):
 
 
 class SensorFaults(NamedTuple):
-    """What a measurement suffers; names and units of `agent.fault_settings.Rule`, 0 for nothing."""
+    """What a measurement suffers; names and units of `agent.fleet.fault_rules.Rule`, 0 for nothing."""
 
     position_noise_m: float = 0.0
     heading_noise_rad: float = 0.0

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.common.schema import Problem
-from agent.fleet import Fleet, FleetError
+from agent.fleet.fleet import Fleet, FleetError
 from agent.trajectory import make_trajectory
 
 Floats = NDArray[np.float64]

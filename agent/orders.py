@@ -18,14 +18,14 @@ import numpy as np
 from agent.blend import blend_ns_for
 from agent.common.clock import NS_PER_S
 from agent.common.schema import show
-from agent.fleet import Fleet, digest
-from agent.fleet_sections import Pair, TrajectorySection
+from agent.fleet.fleet import Fleet, digest
+from agent.fleet.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
+from agent.fleet.sections import Pair, TrajectorySection
 from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near, worst_edge
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, clipped
 from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
-from agent.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
 from agent.plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
 from agent.trilateration import place_apart
 
@@ -61,7 +61,7 @@ def ordered(
     What is ordered before the drive begins holds from its begin.
 
     Args:
-        order: its fields for its kind are looked at (`agent.order_sections.ORDER_FIELDS`); `at` is not.
+        order: its fields for its kind are looked at (`agent.fleet.order_sections.ORDER_FIELDS`); `at` is not.
         plan: the latest.
         version: of the new mission, greater than any that is known.
 

@@ -14,12 +14,12 @@ from typing import Any, Final
 
 from agent.common.clock import NS_PER_S
 from agent.common.schema import Reader, about, build, show
-from agent.fleet import Fleet
-from agent.fleet_sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
+from agent.fleet.trajectory_checks import check_trajectory
 from agent.formation import Geometry
 from agent.messages.types import NEIGHBOURS_MAX, Mission
 from agent.trajectory import Sample, Trajectory, make_trajectory
-from agent.trajectory_checks import check_trajectory
 
 FAR_M: Final = 1e6
 """No place is further from the reference, and no edge longer, as in a fleet file."""

@@ -16,7 +16,7 @@ from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.common.schema import printable
 from agent.faults import FaultPlan
-from agent.fleet import Fleet, FleetError, load_fleet
+from agent.fleet.fleet import Fleet, FleetError, load_fleet
 from agent.messages import key_expressions
 from agent.node import Node, Ticks
 from agent.sealed_bus import bus_for

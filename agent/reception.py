@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.links import Arrival, Links, Sample
 from agent.messages import key_expressions
 from agent.messages.codec import encode

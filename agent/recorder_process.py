@@ -18,7 +18,7 @@ from typing import Final
 
 from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet import Fleet, FleetError, digest, load_fleet, read_text
+from agent.fleet.fleet import Fleet, FleetError, digest, load_fleet, read_text
 from agent.messages import key_expressions
 from agent.process import (
     BAD_INPUT,

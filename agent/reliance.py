@@ -12,7 +12,7 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.controller import Controller
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.hand import Hand
 from agent.peers import TRUST_GAINED_S, Peer
 from agent.supervision import DRIVING, State

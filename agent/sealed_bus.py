@@ -15,7 +15,7 @@ from typing import Any
 
 from agent.bus import LINK_TIMEOUT_S, Bus, init_log
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.security.access_control import Security
 from agent.security.credentials import Credentials, load
 from agent.security.identity import MAIN, Identity

@@ -13,7 +13,7 @@ from typing import Final
 from agent.avoidance import avoidance_distance, clearance, sensing_distance
 from agent.boundaries import Boundary, fence_of, obstacles_of
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.hand import Hand
 from agent.law import DISTANCE_MIN
 from agent.peers import UNSURE_NS, Peer, Peers

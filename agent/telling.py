@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.gossip import AGAIN_NS, Gossip, Mark
 from agent.latch import Latch
 from agent.messages import key_expressions

@@ -34,7 +34,7 @@ from itertools import pairwise
 from math import cos, hypot, inf, isfinite, sin, sqrt
 from typing import Final, Protocol
 
-from agent.fleet_sections import Pair, TrajectorySection
+from agent.fleet.sections import Pair, TrajectorySection
 
 Sample = tuple[float, float, float, float, float, float]
 """x, y (m), vx, vy (m/s), ax, ay (m/s^2), in W."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import dist, hypot, sqrt
 from typing import Final
 
-from agent.fleet_sections import Pair
+from agent.fleet.sections import Pair
 from agent.formation import DISTANCE_TOLERANCE
 
 _STEPS: Final = 20

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from agent.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
-from agent.fleet_sections import LAWS
+from agent.fleet.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
+from agent.fleet.sections import LAWS
 from deploy.wording import some
 
 FLEETS: Final = Path(__file__).parent / "fleets"
@@ -117,7 +117,7 @@ def load(options: argparse.Namespace) -> Fleet:
     """The fleet as the options have it, resolved: offsets, edges and distances written out.
 
     Raises:
-        InputError, agent.fleet.FleetError: it cannot be.
+        InputError, agent.fleet.fleet.FleetError: it cannot be.
     """
     from agent.formation import resolved  # here: numpy takes its time, and nothing can be said before
 
@@ -134,7 +134,7 @@ def fleet_text(path: Path, scenario: Path | None = None) -> str:
     """The text of a fleet file, with the faults of a scenario in it if one is given.
 
     Raises:
-        agent.fleet.FleetError: one of them cannot be read, or is not valid.
+        agent.fleet.fleet.FleetError: one of them cannot be read, or is not valid.
     """
     text = read_text(path, "fleet file")
     if scenario is None:

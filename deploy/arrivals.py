@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.supervision import DRIVING, State
 from deploy.live_faults import Receiver

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import law
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.prediction import approach
 from deploy.analysis import Analysis
 

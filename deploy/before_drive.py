@@ -7,7 +7,7 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.common.schema import printable
-from agent.fleet import digest
+from agent.fleet.fleet import digest
 from agent.messages.types import Stop
 from deploy.operating import Known
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
 from agent.security.private_files import reason
 from deploy.arguments import InputError

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolve, resolved
 from deploy import oracles
 from deploy.analysis import Analysis, analyse
@@ -81,7 +81,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     """Drives a scenario and judges it. A program that fails is a violation.
 
     Raises:
-        agent.fleet.FleetError: the text is not a valid fleet file.
+        agent.fleet.fleet.FleetError: the text is not a valid fleet file.
         Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
     """
     begun_s = time.perf_counter()

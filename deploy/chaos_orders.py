@@ -13,7 +13,7 @@ from typing import Any, Final
 import tomli_w
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolve, resolved
 from agent.orders import OrderError
 from agent.plan import Plan

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from agent.fleet import parse_fleet
+from agent.fleet.fleet import parse_fleet
 from agent.formation import resolved
 from deploy.chaos import Outcome, judged, scenario_text
 from deploy.chaos_draw import draw, name_of

@@ -1,6 +1,6 @@
 """What a fleet will do, and what in its file would go wrong: `handfast check`.
 
-`check` looks for what is valid field by field (`agent.fleet` sees to that) but does not fit together:
+`check` looks for what is valid field by field (`agent.fleet.fleet` sees to that) but does not fit together:
 distances that contradict places, robots that start too close, gains that the rate cannot carry. It
 computes and never drives: everything here is geometry and linear algebra, in well under a second
 for a few dozen robots. All findings come at once.
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import formation, trajectory
-from agent.fleet import Fleet
-from agent.fleet_sections import Robot
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Robot
 from agent.formation import FormationError, Geometry
 from agent.trajectory import make_trajectory
 from deploy.check_faults import check_faults

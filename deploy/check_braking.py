@@ -9,8 +9,8 @@ from typing import Final
 
 from agent import trajectory
 from agent.avoidance import AHEAD_M, barrier_rate, braking_room
-from agent.fleet import Fleet
-from agent.fleet_sections import Robot
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Robot
 from agent.formation import Geometry
 from deploy.finding import Finding
 from deploy.wording import robots

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from agent import formation
 from agent.core import HEARD_ROUNDS
-from agent.fault_settings import ACTION_FIELDS, Effect, Rule
 from agent.faults import FaultPlan, LinkEffects
-from agent.fleet import Fleet
+from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
+from agent.fleet.fleet import Fleet
 from agent.impairments.impairments import Delay, Loss
 from agent.messages.codec import encode
 from agent.messages.types import HandState

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import Geometry, components
 from agent.orders import OrderError
 from agent.plan import Plan

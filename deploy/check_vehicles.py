@@ -10,8 +10,8 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 from agent import trajectory
-from agent.fleet import Fleet
-from agent.fleet_sections import SIMULATOR, MavlinkSection, Robot
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
 from bridges.mavlink.connection import BY_ID, Connection, parse_connection
 from deploy.finding import Finding, Level
 from deploy.wording import robots

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import FleetError
+from agent.fleet.fleet import FleetError
 from agent.version import handfast_version
 from deploy import (
     chaos_command,

@@ -12,8 +12,8 @@ from agent import formation, trajectory
 from agent.avoidance import clearance, sensing_distance
 from agent.boundaries import obstacles_of
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
-from agent.fleet_sections import SIMULATOR, ControlSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import SIMULATOR, ControlSection
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
 from deploy.check_safety import parting

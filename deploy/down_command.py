@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled

@@ -11,12 +11,12 @@ from typing import Final
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
+from agent.fleet.order_sections import OrderSection
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
 from agent.node import next_tick_ns
-from agent.order_sections import OrderSection
 from agent.orders import OrderError
 from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.fleet_processes import FleetProcesses

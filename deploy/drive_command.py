@@ -9,7 +9,7 @@ from contextlib import suppress
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from deploy.arguments import InputError, fleet_path
 from deploy.outcome import finish, refuse_errors, run_folder
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
@@ -100,7 +100,7 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
     """The fleet as its robots read it, and as it is to be driven.
 
     Raises:
-        InputError, agent.fleet.FleetError: it cannot be.
+        InputError, agent.fleet.fleet.FleetError: it cannot be.
     """
     from agent.formation import resolved
 
@@ -184,7 +184,7 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
     """
     import tomli_w
 
-    from agent.fleet import to_dict
+    from agent.fleet.fleet import to_dict
     from agent.private_folder import NotPrivateError
     from deploy.registry import Registration
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet import Fleet
-from agent.host_sections import HostSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.host_sections import HostSection
 from agent.supervision import DRIVING
 from deploy import host_program, units
 from deploy.bundle import Bundle, Platform

@@ -50,7 +50,7 @@ def add_parser(commands: Any) -> None:
 def _export(options: argparse.Namespace) -> int:
     import tomli_w
 
-    from agent.fleet import to_dict
+    from agent.fleet.fleet import to_dict
     from deploy.bundle import BundleError
     from deploy.export_deployment import DeploymentError, texts
     from deploy.folders import refuse_full

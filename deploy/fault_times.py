@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, NamedTuple
 
-from agent.fault_settings import Rule
 from agent.faults import FaultPlan, named
+from agent.fleet.fault_rules import Rule
+from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.messages.types import EVERY_AUTHOR, Faults
-from agent.scenario import ScenarioError, parse_scenario
 from deploy.fault_words import lasts
 from deploy.recording import Recording
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from agent.common.quantities import UNITS, text
 from agent.common.schema import entries, plain
-from agent.fault_settings import (
+from agent.fleet.fault_rules import (
     LINK_FIELDS,
     PROCESS_FIELDS,
     SENSOR_FIELDS,

@@ -9,13 +9,13 @@ from math import isinf
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, read_text
+from agent.fleet.fleet import Fleet, read_text
 from deploy.arguments import InputError, scenario_path
 from deploy.running import DONE, FAILED, INTERRUPTED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from agent.common.schema import Entry
-    from agent.fault_settings import Rule
+    from agent.fleet.fault_rules import Rule
     from deploy.faults_session import FaultsSession
     from deploy.interrupt import Interrupt
 

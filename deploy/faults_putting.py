@@ -7,8 +7,8 @@ from math import isinf
 from typing import Final, Protocol, TextIO
 
 from agent.common.clock import NS_PER_S
-from agent.fault_settings import Rule
-from agent.fleet import Fleet
+from agent.fleet.fault_rules import Rule
+from agent.fleet.fleet import Fleet
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.fault_words import end_of, words
 from deploy.live_faults import Held, Receiver

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.segment_folder import SEGMENT_NAME, segment_paths
 from deploy.folders import cache_folder
 from deploy.host_connection import HostConnection, HostError

@@ -18,7 +18,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from agent.boundaries import fence_of, obstacles_of
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy import link_figures
 from deploy.analysis import Analysis
 from deploy.drawing import (

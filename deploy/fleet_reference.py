@@ -13,8 +13,8 @@ from typing import Any, Final, Literal, get_args, get_origin
 
 from agent.common.quantities import UNITS
 from agent.common.schema import Entry, entries, example, show
-from agent.fleet import Fleet
-from agent.fleet_sections import LAWS, TRAJECTORY_FIELDS
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
 
 PAGE: Final = Path(__file__).parent.parent / "docs" / "fleet-file.md"
 _TEMPLATE: Final = Path(__file__).parent / "template.toml"
@@ -22,7 +22,7 @@ _TEMPLATE: Final = Path(__file__).parent / "template.toml"
 _HEAD: Final = """\
 # The fleet file
 
-<!-- Made of agent/*_sections.py and agent/fault_settings.py: change it there, then
+<!-- Made of agent/*_sections.py and agent/fleet/fault_rules.py: change it there, then
      python -m deploy.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the

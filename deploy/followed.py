@@ -7,7 +7,7 @@ from typing import Final
 
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from agent.hand import Pose
 from agent.messages import key_expressions

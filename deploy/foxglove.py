@@ -14,7 +14,7 @@ from math import cos, sin
 from typing import Any, Final
 
 from agent.course import Course
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from agent.messages.types import Mission, PlantState
 from agent.plan import PlanError, plan_of

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import IO, Any, Final, NamedTuple
 
 from agent.common.schema import printable
-from agent.host_sections import HostSection
+from agent.fleet.host_sections import HostSection
 from deploy import host_program, ssh
 
 PROGRAM: Final = Path(host_program.__file__)

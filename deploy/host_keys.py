@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
 from deploy.authority import Authority, AuthorityError
 from deploy.host_connection import HostConnection, HostError

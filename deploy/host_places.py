@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy.units import Places
 
 

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
-from agent.fleet import Fleet
-from agent.host_sections import HostSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.host_sections import HostSection
 from deploy import host_places, units
 from deploy.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.host_connection import Clock, HostConnection, HostError

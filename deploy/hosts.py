@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from agent.common.schema import Problem
-from agent.fleet import Fleet, FleetError, to_dict
-from agent.host_sections import HostSection
+from agent.fleet.fleet import Fleet, FleetError, to_dict
+from agent.fleet.host_sections import HostSection
 from deploy import ssh
 from deploy.arguments import InputError
 from deploy.placing import is_simulated

@@ -15,7 +15,7 @@ from rich.table import Table
 from agent.common.clock import NS_PER_S
 from agent.course import Course
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import Geometry
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop

@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.fault_settings import Rule
 from agent.faults import AUTHORS_MAX, ENDED_MAX
-from agent.fleet import Fleet
+from agent.fleet.fault_rules import Rule
+from agent.fleet.fleet import Fleet
+from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.messages import key_expressions
 from agent.messages.types import Faults, Message
-from agent.scenario import ScenarioError, parse_scenario
 from deploy.fault_words import held, words
 
 Receiver = tuple[int, str]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy.drive import Drive
 from deploy.interrupt import Interrupt
 from deploy.live import View

@@ -16,8 +16,8 @@ from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from agent.common.schema import printable
-from agent.fleet import Fleet
-from agent.host_sections import HostSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.host_sections import HostSection
 from deploy import ssh, units
 from deploy.arguments import (
     InputError,

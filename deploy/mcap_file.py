@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-from agent.fleet import Fleet, load_fleet, parse_fleet
+from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
 from agent.messages.types import Message
 from deploy.foxglove import SCHEMA_PREFIX
 from deploy.message_json import CLASSES, reader, schema_name

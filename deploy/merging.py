@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
@@ -87,7 +87,7 @@ def merge(
 
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
-        agent.fleet.FleetError: the fleet file in the recordings is none that this version can read.
+        agent.fleet.fleet.FleetError: the fleet file in the recordings is none that this version can read.
         deploy.runfolder.FolderError: `out` is not empty or cannot be written.
         deploy.recorder.RecordingError: the recording cannot be written.
     """

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.fleet import Fleet, law_name
+from agent.fleet.fleet import Fleet, law_name
 from agent.formation import Geometry
 from agent.supervision import DRIVING, State
 from deploy import link_metrics, oracles, oracles_apart

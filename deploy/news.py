@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages.types import Mission, Resume, Stop
 from agent.supervision import DRIVING, State
 from deploy.wording import robots

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
-from agent.fleet import Fleet, digest
+from agent.fleet.fleet import Fleet, digest
+from agent.fleet.order_sections import OrderSection
 from agent.formation import Geometry
 from agent.messages import key_expressions
 from agent.messages.codec import encode, newer
@@ -26,7 +27,6 @@ from agent.messages.types import (
     clipped,
 )
 from agent.node import Numbers, Outgoing
-from agent.order_sections import OrderSection
 from agent.orders import OrderError, first_mission, ordered
 from agent.plan import Plan, PlanError, plan_of
 from agent.supervision import DRIVING

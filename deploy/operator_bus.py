@@ -10,7 +10,7 @@ from typing import Final
 
 from agent.bus import Bus
 from agent.common.schema import printable
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator

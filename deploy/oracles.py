@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy import oracles_apart, oracles_drive, oracles_reaction
 from deploy.analysis import Analysis
 from deploy.recording import Recording

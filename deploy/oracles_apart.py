@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.avoidance import clearance as clearance_of
 from agent.boundaries import fence_of, obstacles_of
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.supervision import DRIVING, State
 from deploy.analysis import Analysis, Approaches
 from deploy.clearances import distances

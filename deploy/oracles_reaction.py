@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from agent.fault_settings import Impairments, Rule
-from agent.fleet import Fleet
+from agent.fleet.fault_rules import Impairments, Rule
+from agent.fleet.fleet import Fleet
 from agent.messages.types import TOPICS
 from agent.supervision import DRIVING, REST_SPEED
 from deploy.analysis import Analysis

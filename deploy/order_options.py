@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.common.schema import Problem, Reader, entries
-from agent.fleet_sections import TRAJECTORY_FIELDS
-from agent.order_file import read_orders
-from agent.order_sections import OrderSection, ShapeSection
-from agent.scenario import ScenarioError
+from agent.fleet.order_file import read_orders
+from agent.fleet.order_sections import OrderSection, ShapeSection
+from agent.fleet.scenario import ScenarioError
+from agent.fleet.sections import TRAJECTORY_FIELDS
 from deploy.arguments import InputError
 
 if TYPE_CHECKING:

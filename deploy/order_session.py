@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from agent.fleet.order_sections import OrderSection
 from agent.messages.types import Message, Mission
-from agent.order_sections import OrderSection
 from agent.plan import Plan
 from deploy.operating import NO_MISSION
 from deploy.operator_session import OperatorSession

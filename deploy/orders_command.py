@@ -6,13 +6,13 @@ import argparse
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet import Fleet, fleet_tables, read_text
+from agent.fleet.fleet import Fleet, fleet_tables, read_text
 from deploy.arguments import InputError, fleet_path
 from deploy.order_options import OPTIONS, order_of_options, shape_tables
 from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
-    from agent.order_sections import OrderSection
+    from agent.fleet.order_sections import OrderSection
     from agent.plan import Plan
 
 EXIT: Final = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.common.schema import printable
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy.arguments import InputError
 from deploy.running import DONE, FAILED, INTERRUPTED
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from agent.fleet import Fleet
-from agent.fleet_sections import SIMULATOR, Robot
-from agent.host_sections import NetworkSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.host_sections import NetworkSection
+from agent.fleet.sections import SIMULATOR, Robot
 from deploy.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from agent.bus import Bus
 from agent.common.clock import RealClock
-from agent.fleet import Fleet, to_dict
+from agent.fleet.fleet import Fleet, to_dict
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal, NamedTuple
 
-from agent.fault_settings import ACTION_FIELDS, Rule
+from agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from agent.messages.key_expressions import ROLES
 
 What = Literal["kill", "start", "stop", "continue"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.hand import Pose
 from agent.messages.key_expressions import ROLES
 from deploy.children import Child, end_all

@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve, resolved
 from agent.trajectory import make_trajectory
 

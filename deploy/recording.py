@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import newer
 from agent.messages.types import (

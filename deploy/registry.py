@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Final
 
 from agent.common.schema import show
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from agent.private_folder import private_folder
 from deploy.arguments import bundled, fleet_path
 from deploy.wording import NAMES_SHOWN
@@ -113,7 +113,7 @@ def find(what: str) -> Path:
 
     Raises:
         NotRunningError: nothing of the kind runs here, or two runs have that name.
-        agent.fleet.FleetError: it is a fleet file that is not valid.
+        agent.fleet.fleet.FleetError: it is a fleet file that is not valid.
     """
     path, runs = Path(what), running()
     if path.is_dir():

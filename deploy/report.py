@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import Geometry, resolve
 from agent.supervision import State
 from agent.version import handfast_version

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.fleet import Fleet, to_dict
+from agent.fleet.fleet import Fleet, to_dict
 from agent.formation import resolve
 from agent.messages.types import Message
 from deploy import metrics

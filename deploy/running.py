@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable
 
-from agent.fleet import Fleet, FleetError, load_fleet
+from agent.fleet.fleet import Fleet, FleetError, load_fleet
 from deploy.arguments import InputError
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -26,7 +26,7 @@ def running_fleet(what: str) -> Fleet:
     """The fleet that is meant, as its processes read it, with the addresses of its hosts.
 
     Raises:
-        deploy.registry.NotRunningError, agent.fleet.FleetError: see `deploy.registry.find`.
+        deploy.registry.NotRunningError, agent.fleet.fleet.FleetError: see `deploy.registry.find`.
         InputError: nobody knows where a host is.
     """
     from deploy.registry import find

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 from agent.common.clock import RealClock
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet import Fleet
-from agent.fleet_sections import Robot
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Robot
 from deploy.arguments import (
     InputError,
     fleet_arguments,

@@ -21,14 +21,14 @@ from typing import Final
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import LISTEN_ROUNDS, Agent
 from agent.faults import FaultPlan
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
+from agent.fleet.order_sections import OrderSection
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
-from agent.order_sections import OrderSection
 from agent.orders import OrderError
 from agent.supervision import State
 from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
@@ -214,7 +214,7 @@ class Simulation:
         attended: whether the operator is there: its heartbeats come, where the fleet needs them.
 
     Raises:
-        agent.fleet.FleetError: the formation cannot be resolved.
+        agent.fleet.fleet.FleetError: the formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, sink: Sink | None = None) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.common.schema import printable
-from agent.host_sections import HostSection
+from agent.fleet.host_sections import HostSection
 
 CONNECT_TIMEOUT_S: Final = 6
 ALIVE_INTERVAL_S: Final = 3

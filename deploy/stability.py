@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import formation, law
-from agent.fleet import Fleet
-from agent.fleet_sections import ControlSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import ControlSection
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
 

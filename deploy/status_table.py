@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from agent.common.schema import printable
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages.types import Status
 from deploy import units
 from deploy.host_connection import Clock, HostError

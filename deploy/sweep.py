@@ -16,7 +16,7 @@ from typing import Any, Final
 from agent.common import random_streams
 from agent.common.quantities import UNITS, quantity
 from agent.common.schema import Problem, entries, printable, show
-from agent.fleet import Fleet, FleetError, digest, parse_fleet
+from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.formation import resolved
 from deploy.random_starts import random_fleet
 
@@ -150,7 +150,7 @@ class Question:
     Attributes:
         source: names the fleet file in messages.
         text: its text.
-        law, overrides: as `agent.fleet.parse_fleet` takes them.
+        law, overrides: as `agent.fleet.fleet.parse_fleet` takes them.
         axes: the varied fields; none: one cell.
         repeat: runs of each cell.
         random_starts: None; or the side of the square that hand points start in, m; or 0.0 for one that

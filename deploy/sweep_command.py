@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet import FleetError
+from agent.fleet.fleet import FleetError
 from deploy.arguments import InputError, change_arguments, fleet_path, fleet_text, overrides, scenario_path
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def _write(folder: SweepFolder, run: int) -> int:
     """Writes the fleet file of one run beside the results."""
     import tomli_w
 
-    from agent.fleet import to_dict
+    from agent.fleet.fleet import to_dict
     from deploy.sweep import SweepError
 
     plan = folder.plan

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from deploy import judged, metrics
 from deploy.pool import Abandoned

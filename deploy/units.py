@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
 from deploy.children import ONE_THREAD
 from deploy.processes import MODULES

@@ -12,8 +12,8 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from agent.fleet import Fleet
-from agent.host_sections import HostSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.host_sections import HostSection
 from agent.messages.key_expressions import ROLES
 from agent.supervision import DRIVING
 from deploy import units

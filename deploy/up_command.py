@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, handled

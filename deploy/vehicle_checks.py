@@ -10,7 +10,7 @@ from collections.abc import Container
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import LEVELS, Checks, Message
 from deploy.wording import robots

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.fault_settings import Rule
+from agent.fleet.fault_rules import Rule
 from deploy.fault_times import Span, live_sets, spans
 from deploy.link_data import Floats
 from deploy.recording import Recording

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agent import trajectory
 from agent.boundaries import Circle, Polygon
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import Geometry
 from agent.trajectory import make_trajectory
 from deploy.clearances import distances

@@ -14,7 +14,7 @@ from math import isfinite
 from pathlib import Path
 
 from agent.common.clock import Clock
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages.types import FLOAT_MAX
 from agent.process import FAILED, Log, StartError
 from plant.backend import PlantBackend

@@ -6,9 +6,9 @@ from math import cos, hypot, pi, sin
 from typing import Final
 
 from agent.common import random_streams
-from agent.fault_settings import SENSOR_FIELDS
 from agent.faults import FaultPlan, SensorFaults
-from agent.fleet_sections import Robot
+from agent.fleet.fault_rules import SENSOR_FIELDS
+from agent.fleet.sections import Robot
 from agent.hand import Pose
 
 _NONE: Final = SensorFaults()

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, digest
+from agent.fleet.fleet import Fleet, digest
 from agent.hand import Pose
 from agent.latch import Latch
 from agent.messages import key_expressions
@@ -47,7 +47,7 @@ class PlantNode:
     """Hosts `backend` as the plant of robot `robot`; an `agent.node.Node`.
 
     Raises:
-        agent.fleet.FleetError: the fleet has no such robot.
+        agent.fleet.fleet.FleetError: the fleet has no such robot.
     """
 
     def __init__(self, fleet: Fleet, robot: int, backend: PlantBackend) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from agent.common.clock import Clock
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.process import Log, Start
 from agent.process import main as process_main
 from plant.backend import PlantBackend

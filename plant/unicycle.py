@@ -10,8 +10,8 @@ from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
-from agent.fleet_sections import Robot
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Robot
 from agent.hand import Pose
 from plant.backend import Command, PlantBackend, Reading
 

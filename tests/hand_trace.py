@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from agent import hand
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode

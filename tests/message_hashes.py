@@ -64,7 +64,7 @@ def drives() -> list[str]:
 
 def fleet_of(name: str) -> Any:
     """The resolved fleet of a drive."""
-    fleet = module("agent.fleet.loading", "agent.fleet")
+    fleet = module("agent.fleet.fleet.loading", "agent.fleet.fleet")
     geometry = module("agent.formation.geometry", "agent.formation")
     if name.startswith("chaos-"):
         text = module("deploy.chaos.run", "deploy.chaos").scenario_text(

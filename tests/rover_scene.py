@@ -10,7 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.hand import Pose
 from bridges.mavlink import ardurover, frames

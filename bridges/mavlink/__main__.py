@@ -13,8 +13,8 @@ from functools import partial
 from typing import Final
 
 from agent.common.clock import Clock
-from agent.fleet import Fleet
-from agent.fleet_sections import SIMULATOR
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import SIMULATOR
 from agent.process import Log, StartError
 from bridges.mavlink.signing import SigningError, open_signing
 from bridges.mavlink.transport import open_transport

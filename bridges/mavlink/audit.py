@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import degrees
 from typing import Final
 
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.sections import MavlinkSection
 from bridges.mavlink import ardurover
 from bridges.mavlink.link import Link
 from plant.backend import WAITING, Check

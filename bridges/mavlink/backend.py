@@ -7,8 +7,8 @@ from math import radians
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import MavlinkSection
 from agent.hand import Pose
 from agent.process import Log
 from agent.supervision import at_rest

@@ -12,7 +12,7 @@ from math import hypot
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.sections import MavlinkSection
 from agent.hand import Pose
 from bridges.mavlink import ardurover, audit
 from bridges.mavlink.connection import BY_ID

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from math import isfinite, radians
 from typing import Final, Literal
 
-from agent.fleet import Fleet
-from agent.fleet_sections import Robot
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Robot
 from bridges.mavlink import ardurover
 from bridges.mavlink.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S, Clock
-from agent.fleet import Fleet
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.link import Link
 from bridges.mavlink.link_settings import LinkSettings
 from bridges.mavlink.signing import Signing, SigningError, open_signing

@@ -6,7 +6,7 @@ from collections import deque
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.hand import Pose
 from bridges.mavlink import frames
 from bridges.mavlink.backend import MavlinkPlant, session

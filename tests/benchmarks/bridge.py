@@ -31,7 +31,7 @@ from typing import Final
 import tomli_w
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, load_fleet, to_dict
+from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.formation import resolved
 from bridges.mavlink.authority import Holder
 from bridges.mavlink.simulated import SimulatedRoverPlant

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from agent import bus
 from agent.core import Agent
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.node import Node
 from deploy.arguments import fleet_path

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from deploy import judged
 from deploy.analysis import analyse

@@ -18,7 +18,7 @@ import tomli_w
 
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet import Fleet, digest, to_dict
+from agent.fleet.fleet import Fleet, digest, to_dict
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Status

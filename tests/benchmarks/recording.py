@@ -17,7 +17,7 @@ from typing import Final
 
 import tomli_w
 
-from agent.fleet import Fleet, load_fleet, to_dict
+from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.formation import resolved
 from agent.segment_folder import segment_paths
 from agent.segments import MESSAGES, Segment

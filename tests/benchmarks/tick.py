@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent import barrier, core, law
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from agent.formation import resolved
 from agent.node import Node, Outgoing
 from agent.peers import Peers

@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from agent.formation import resolved
 from deploy.arguments import fleet_path
 from deploy.simulation import Simulation

@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 
 from agent.bus import PAYLOAD_BYTES_MAX, settings_of
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, digest
+from agent.fleet.fleet import Fleet, digest
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (

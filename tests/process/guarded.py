@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.bus import Bus, Presence, Router, init_log
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.sealed_bus import SealedBus, secured
 from agent.security.credentials import load

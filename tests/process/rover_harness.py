@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode

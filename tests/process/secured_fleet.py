@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Final
 
 from agent.bus import Bus
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.sealed_bus import gate_of

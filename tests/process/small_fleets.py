@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 
 TRIANGLE = """

@@ -26,7 +26,7 @@ import tomli_w
 import zenoh
 
 from agent.bus import Bus, BusError, Router
-from agent.fleet import Fleet, load_fleet, to_dict
+from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode
 from agent.messages.types import (

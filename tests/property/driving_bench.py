@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from agent.common.clock import NS_PER_S
 from agent.controller import Controller
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolve
 from agent.hand import Pose, advance, hand
 from agent.messages.types import HandState, Mission, PlantState

@@ -11,8 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agent.common.schema import Entry, entries
-from agent.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
+from agent.fleet.sections import MavlinkSection
 
 
 def keys_in(model: type) -> set[str]:

@@ -10,8 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agent import formation
-from agent.fleet import Fleet
-from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation import assign_slots, realise, resolve, resolved
 
 SEEDS = st.integers(0, 2**32 - 1)

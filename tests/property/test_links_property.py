@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.links import Links
 from agent.messages.codec import decode, encode
 from agent.messages.types import HELD, LOST, TOPICS, Faults, HandState

@@ -8,7 +8,7 @@ from math import hypot
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent.fleet_sections import TrajectorySection
+from agent.fleet.sections import TrajectorySection
 from agent.trajectory import (
     corner_distances,
     duration,

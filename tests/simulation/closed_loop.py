@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from agent.trajectory import make_trajectory
 

@@ -7,7 +7,7 @@ from math import hypot
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from agent import law
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
-from agent.fleet import Fleet, digest, load_fleet
+from agent.fleet.fleet import Fleet, digest, load_fleet
 from agent.formation import edge_lengths, resolve, resolved, start_hands
 from agent.messages import key_expressions
 from agent.messages.codec import encode

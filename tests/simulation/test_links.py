@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from deploy.arguments import SCENARIOS, fleet_path
 from deploy.random_starts import random_fleet

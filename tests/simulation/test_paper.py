@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop

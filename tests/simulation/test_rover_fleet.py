@@ -10,7 +10,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
-from agent.fleet import parse_fleet
+from agent.fleet.fleet import parse_fleet
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

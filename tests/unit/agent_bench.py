@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
-from agent.fleet import Fleet, digest, parse_fleet
+from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
 from agent.messages.codec import decode, encode
 from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
-from agent.fleet import Fleet, digest, parse_fleet
+from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, Mission

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.order_sections import OrderSection
 from agent.formation import resolve
 from agent.messages.types import Mission
-from agent.order_sections import OrderSection
 from agent.orders import first_mission, ordered
 from agent.plan import Plan, plan_of
 

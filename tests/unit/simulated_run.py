@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tomli_w
 
-from agent.fleet import Fleet, parse_fleet, to_dict
+from agent.fleet.fleet import Fleet, parse_fleet, to_dict
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from math import cos, exp, pi, sin, sqrt
 
-from agent.fleet import Fleet
-from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import HandState, Message, Mission, PlantState, Status, Wrench

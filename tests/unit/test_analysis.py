@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.course import Course
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Event, Message, Mission, Resume, Status, Stop

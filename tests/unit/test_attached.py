@@ -9,8 +9,8 @@ import pytest
 from agent.messages.key_expressions import ROLES
 from deploy.attached import NAMED_MAX, Attached
 from deploy.process_faults import Action
+from tests.unit.agent.fleet.test_hosts import fleet as hosts_fleet
 from tests.unit.order_fleets import square
-from tests.unit.test_fleet_hosts import fleet as hosts_fleet
 
 FLEET = square()
 ALL = frozenset((robot, role) for robot in FLEET.ids for role in ROLES)

@@ -15,7 +15,7 @@ from agent.avoidance import (
     sensing_distance,
 )
 from agent.barrier import keep_apart
-from tests.unit.fleet_texts import small
+from tests.unit.agent.fleet.fleet_texts import small
 
 LINE = {1: (0.0, 0.0), 2: (1.0, 0.0), 3: (2.0, 0.0)}
 CHAIN = {(2, 1): 1.0, (2, 3): 1.0}

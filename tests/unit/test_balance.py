@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from agent import law
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolve
 from deploy.analysis import Analysis, analyse
 from deploy.balance import STILL_S, caught, last_caught_s

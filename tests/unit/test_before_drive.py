@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from agent.fleet import digest
+from agent.fleet.fleet import digest
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Stop

@@ -9,7 +9,7 @@ import pytest
 
 from agent.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
 from deploy.clearances import distances
-from tests.unit.fleet_texts import SMALL, small
+from tests.unit.agent.fleet.fleet_texts import SMALL, small
 
 BOX = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0))
 L_SHAPE = ((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet import to_dict
+from agent.fleet.fleet import to_dict
 from agent.security.credentials import load, make_request, store
 from agent.security.identity import of_robot
 from deploy import keys_command

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from agent.supervision import TRANSITIONS
 from deploy import chaos_command, pool
 from deploy.chaos import Outcome, scenario_text

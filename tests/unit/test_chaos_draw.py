@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from agent.boundaries import obstacles_of
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolved, start_hands
 from deploy.chaos import scenario_text
 from deploy.chaos_draw import QUIET_S, draw

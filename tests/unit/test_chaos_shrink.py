@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agent.fleet import parse_fleet
+from agent.fleet.fleet import parse_fleet
 from deploy import chaos_shrink
 from deploy.chaos import Outcome, scenario_text
 from deploy.chaos_draw import draw

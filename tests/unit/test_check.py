@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from agent import formation, law
-from agent.fleet import Fleet
-from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from deploy.check import Finding, check
 from deploy.description import describe
 from deploy.stability import Mode, modes, sampled_radius, settling_time, sweep_radius

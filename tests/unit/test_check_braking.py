@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.avoidance import barrier_rate
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation import resolve
 from deploy import judged
 from deploy.analysis import analyse
@@ -13,7 +13,7 @@ from deploy.arguments import FLEETS
 from deploy.check import check
 from deploy.check_braking import check_braking
 from deploy.finding import Finding
-from tests.unit.fleet_texts import small
+from tests.unit.agent.fleet.fleet_texts import small
 
 SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
 

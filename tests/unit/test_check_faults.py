@@ -9,7 +9,7 @@ import pytest
 
 import deploy
 from agent.common.random_streams import stream
-from agent.fleet import Fleet, load_fleet, parse_fleet
+from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
 from agent.formation import resolved
 from agent.impairments.impairments import Loss
 from agent.messages.codec import encode

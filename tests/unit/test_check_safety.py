@@ -9,7 +9,7 @@ import pytest
 
 from agent import formation
 from agent.boundaries import Circle, Polygon
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from deploy.check_safety import check_safety, parting, start_points
 from deploy.description import describe
 from deploy.finding import Finding

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from deploy.arguments import FLEETS
 from deploy.check import check
 from deploy.check_vehicles import check_vehicles

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from deploy.arguments import FLEETS
 from deploy.check import check
 from deploy.cli import main

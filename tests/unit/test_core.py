@@ -12,7 +12,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.core import LAST_PLACE_NS, Agent
-from agent.fleet import Fleet, FleetError, digest, parse_fleet
+from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.hand import Pose, hand, hand_acceleration
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode

@@ -10,7 +10,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
-from agent.fleet import Fleet, digest
+from agent.fleet.fleet import Fleet, digest
 from agent.hand import Pose, hand
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Resume, Stop

@@ -9,7 +9,7 @@ import pytest
 
 from agent import law
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.hand import Pose
 from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
 from agent.supervision import State

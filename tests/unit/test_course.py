@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from agent.course import LEAVE_FADE_NS, Course, Edge
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
+from agent.fleet.order_sections import ShapeSection
 from agent.formation import resolve
 from agent.messages.types import Mission
-from agent.order_sections import ShapeSection
 from agent.plan import Plan, mission_parts, plan_of
 from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
 

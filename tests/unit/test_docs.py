@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from agent.common.schema import entries
-from agent.fleet import load_fleet, parse_fleet
+from agent.fleet.fleet import load_fleet, parse_fleet
+from agent.fleet.safety_sections import AvoidanceSection, SupervisionSection
 from agent.formation import resolve, resolved
-from agent.safety_sections import AvoidanceSection, SupervisionSection
 from agent.supervision import DOES, TRANSITIONS, State
 from deploy import cli
 from deploy.arguments import FLEETS

@@ -12,7 +12,7 @@ from typing import Any, cast
 import pytest
 
 from agent.bus import Bus
-from agent.fleet import Fleet, digest, parse_fleet
+from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet import Fleet, load_fleet, parse_fleet, to_dict
+from agent.fleet.fleet import Fleet, load_fleet, parse_fleet, to_dict
+from agent.fleet.host_sections import HostSection
 from agent.formation import resolved
-from agent.host_sections import HostSection
 from deploy import export_deployment_command
 from deploy.arguments import FLEETS
 from deploy.bundle import Bundle, Platform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.common.clock import NS_PER_S
 from agent.faults import AUTHORS_MAX, FaultPlan
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import EVERY_AUTHOR, Faults, HandState, LinkTrace
 from agent.reception import Reception

@@ -11,13 +11,13 @@ from typing import Any, ClassVar
 import pytest
 import tomli_w
 
-from agent.fleet import to_dict
+from agent.fleet.fleet import to_dict
 from deploy import fetch_command, fetching
 from deploy.arguments import InputError, no_changes
 from deploy.fetching import SHARE_MAX, Fetching
 from deploy.host_connection import HostError
 from deploy.hosts_view import Row
-from tests.unit.test_fleet_hosts import HOSTS, fleet
+from tests.unit.agent.fleet.test_hosts import HOSTS, fleet
 
 FLEET = fleet(HOSTS)
 ROBOT = 1

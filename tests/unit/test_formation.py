@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from agent import formation
-from agent.fleet import Fleet
-from agent.fleet_sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation import FormationError, assign_slots, realise, resolve, resolved
 
 H = sqrt(3.0) / 2.0

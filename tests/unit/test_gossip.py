@@ -7,7 +7,7 @@ from math import cos, pi, sin
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.host_sections import HostSection
+from agent.fleet.host_sections import HostSection
 from deploy import host_connection, host_program
 from deploy.host_connection import HostConnection, HostError
 

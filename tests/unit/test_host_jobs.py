@@ -11,7 +11,7 @@ import pytest
 from deploy import host_jobs
 from deploy.host_connection import HostConnection
 from deploy.host_jobs import HostJobs
-from tests.unit.test_fleet_hosts import HOSTS, LEFT, fleet
+from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
 
 def test_a_host_that_does_not_answer_yet_is_reached_by_ctrl_c(

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from agent.fleet import Fleet
-from agent.host_sections import HostSection
+from agent.fleet.fleet import Fleet
+from agent.fleet.host_sections import HostSection
 from agent.security import __main__
 from agent.security.credentials import load
 from agent.security.identity import of_robot

@@ -12,7 +12,7 @@ from agent.messages.types import Status
 from deploy.host_connection import Clock, HostError
 from deploy.hosts_view import Lines, Row
 from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
-from tests.unit.test_fleet_hosts import fleet
+from tests.unit.agent.fleet.test_hosts import fleet
 
 FLEET = fleet()
 UNIT = {

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from agent.fault_settings import Rule
+from agent.fleet.fault_rules import Rule
 from agent.messages.types import Event
 from deploy import fault_strip, link_figures
 from deploy.columns import Store

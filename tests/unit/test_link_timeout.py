@@ -10,7 +10,7 @@ import pytest
 
 from agent import sealed_bus
 from agent.bus import LINK_TIMEOUT_S, Bus, settings_of
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.sealed_bus import bus_for
 from deploy.arguments import fleet_path
 

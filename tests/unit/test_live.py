@@ -7,7 +7,7 @@ import io
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, digest, parse_fleet
+from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Mission, Status, Stop

@@ -15,12 +15,12 @@ from typing import Any, cast
 import pytest
 import tomli_w
 
-from agent.fleet import to_dict
+from agent.fleet.fleet import to_dict
 from deploy import logs_command, ssh
 from deploy.arguments import InputError, no_changes
 from deploy.interrupt import Interrupt
 from deploy.logs_command import Line, Reader
-from tests.unit.test_fleet_hosts import fleet
+from tests.unit.agent.fleet.test_hosts import fleet
 
 
 def reader(host: str, *times_us: int) -> Reader:

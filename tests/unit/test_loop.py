@@ -9,7 +9,7 @@ import pytest
 
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S
-from agent.fleet import digest, parse_fleet
+from agent.fleet.fleet import digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.process import Shutdown, loop

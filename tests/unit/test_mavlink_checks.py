@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.sections import MavlinkSection
 from bridges.mavlink import ardurover, checks, frames
 from bridges.mavlink.checks import Found
 from plant.backend import Check

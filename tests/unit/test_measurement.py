@@ -11,7 +11,7 @@ from scipy import stats
 
 from agent.common.clock import NS_PER_S
 from agent.faults import FaultPlan
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.hand import Pose
 from agent.messages.types import Faults
 from plant.measurement import Measurement

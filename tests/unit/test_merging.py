@@ -11,7 +11,7 @@ import pytest
 import tomli_w
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, FleetError, digest, to_dict
+from agent.fleet.fleet import Fleet, FleetError, digest, to_dict
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from agent.fault_settings import FaultsSection, Rule
-from agent.fleet import Fleet
+from agent.fleet.fault_rules import FaultsSection, Rule
+from agent.fleet.fleet import Fleet
+from agent.fleet.order_sections import OrderSection
+from agent.fleet.safety_sections import AvoidanceSection
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
-from agent.order_sections import OrderSection
-from agent.safety_sections import AvoidanceSection
 from deploy.metrics import compute, write
 from deploy.recorder import RecordingError
 from deploy.recording import Recording, RunData

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from agent.fault_places import Partition
-from agent.fault_settings import Effect, FaultsSection, Rule
-from agent.fleet import Fleet
+from agent.fleet.fault_rules import Effect, FaultsSection, Rule
+from agent.fleet.fault_targets import Partition
+from agent.fleet.fleet import Fleet
+from agent.fleet.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection
 from agent.formation import resolve
 from agent.impairments.impairments import Delay
 from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions
 from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
-from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection
 from deploy.analysis import analyse
 from deploy.oracles import ORACLES, examine, judge
 from deploy.recording import Recording, RunData

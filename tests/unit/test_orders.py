@@ -10,11 +10,11 @@ import pytest
 
 from agent.blend import BLEND_MAX_S, blend_ns_for
 from agent.course import Course
-from agent.fleet import Fleet, digest
-from agent.fleet_sections import TrajectorySection
+from agent.fleet.fleet import Fleet, digest
+from agent.fleet.order_sections import OrderSection, ShapeSection
+from agent.fleet.sections import TrajectorySection
 from agent.formation import resolve
 from agent.messages.codec import decode, encode, newer
-from agent.order_sections import OrderSection, ShapeSection
 from agent.orders import LEAD_NS, OrderError, first_mission, ordered
 from agent.plan import Plan, mission_parts
 from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet import Fleet, digest, load_fleet
+from agent.fleet.fleet import Fleet, digest, load_fleet
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode

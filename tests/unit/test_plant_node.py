@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, digest, parse_fleet
+from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.hand import Pose
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.scenario import parse_scenario
+from agent.fleet.scenario import parse_scenario
 from deploy.process_faults import Action, actions
 
 IDS = (1, 2, 3)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.hand import Pose
 from deploy import processes
 from deploy.arguments import FLEETS

@@ -18,8 +18,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from agent.common.clock import LocalTime
-from agent.fault_settings import FaultsSection, Rule
-from agent.fleet import Fleet, FleetError, to_dict
+from agent.fleet.fault_rules import FaultsSection, Rule
+from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (

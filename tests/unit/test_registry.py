@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.host_sections import HostSection
+from agent.fleet.host_sections import HostSection
 from deploy import registry, ssh
 from deploy.arguments import FLEETS
 from deploy.registry import NotRunningError, Registration, find, running

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-from agent.fleet import Fleet, to_dict
-from agent.fleet_sections import TrajectorySection
+from agent.fleet.fleet import Fleet, to_dict
+from agent.fleet.sections import TrajectorySection
 from agent.formation import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import encode

@@ -7,7 +7,7 @@ from argparse import Namespace
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from agent.latch import AWAITED
 from agent.messages import key_expressions
 from agent.messages.types import PlantState, Resume, Status

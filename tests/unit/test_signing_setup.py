@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from agent.fleet_sections import MavlinkSection
+from agent.fleet.sections import MavlinkSection
 from bridges.mavlink import ardurover
 from bridges.mavlink.rover_settings import settings_of
 from bridges.mavlink.signing import Signing, Timestamps, make_key, open_signing

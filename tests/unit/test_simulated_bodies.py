@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, load_fleet
+from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState

@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet
+from agent.fleet.fleet import Fleet
 from agent.formation import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import parse_fleet
+from agent.fleet.fleet import parse_fleet
 from agent.hand import Pose
 from deploy.arguments import FLEETS
 from plant.__main__ import main as plant
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.standing import Standing, StandingBody, StandingError
 from plant.unicycle import from_fleet
-from tests.unit.fleet_texts import SMALL
+from tests.unit.agent.fleet.fleet_texts import SMALL
 
 FLEET = parse_fleet(SMALL, source="here")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet import to_dict
+from agent.fleet.fleet import to_dict
 from deploy import down_command, status_command
 from deploy.arguments import no_changes
-from tests.unit.test_fleet_hosts import HOSTS, LEFT, fleet
+from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
 
 @pytest.fixture

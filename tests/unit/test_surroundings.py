@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation import resolve
 from agent.hand import Hand
 from agent.messages.types import Beacon, HandState, Mission

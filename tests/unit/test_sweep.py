@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from agent.fleet import Fleet, FleetError, to_dict
+from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.formation import resolve, start_hands
 from agent.messages.codec import decode
 from deploy import judged, metrics

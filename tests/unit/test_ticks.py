@@ -8,7 +8,7 @@ from scipy import stats
 
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
-from agent.fleet import Fleet, digest, parse_fleet
+from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.messages.codec import encode
 from agent.messages.types import Faults, Mission
 from agent.node import FIRST_ROUND, Node, Numbers, Ticks

@@ -7,7 +7,7 @@ from math import hypot, pi, sqrt
 
 import pytest
 
-from agent.fleet_sections import TrajectorySection
+from agent.fleet.sections import TrajectorySection
 from agent.trajectory import (
     corner_distances,
     duration,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import Fleet, parse_fleet
-from agent.fleet_sections import Robot
+from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.sections import Robot
 from agent.hand import Pose
 from plant import unicycle
 from plant.backend import Command, Reading

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet import Fleet, parse_fleet
+from agent.fleet.fleet import Fleet, parse_fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
 from deploy import units
 from deploy.units import Places, arguments, roles, unit, unit_name
-from tests.unit.test_fleet_hosts import FLEET
+from tests.unit.agent.fleet.test_hosts import FLEET
 
 PLACES = Places(
     "/r/versions/1", "/r/fleets/two/fleet.toml", None, "/r/fleets/two/recordings", "/r/fleets/two/state"

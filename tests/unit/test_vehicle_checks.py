@@ -7,7 +7,7 @@ import io
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.fleet import load_fleet
+from agent.fleet.fleet import load_fleet
 from agent.messages import key_expressions
 from agent.messages.types import Checks, PlantState, Status
 from deploy.arguments import FLEETS

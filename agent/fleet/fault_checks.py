@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.common.schema import Reader, show
-from agent.fault_settings import (
+from agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,
     EFFECTS,

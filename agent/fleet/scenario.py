@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from agent.common.schema import Problem, Reader, about, build, show
-from agent.fault_checks import check_faults
-from agent.fault_settings import FaultsSection
+from agent.fleet.fault_checks import check_faults
+from agent.fleet.fault_rules import FaultsSection
 
 
 @dataclass(frozen=True, slots=True)

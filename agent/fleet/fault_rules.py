@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
 from agent.common.schema import about, setting, show
-from agent.fault_places import LinkSet, Partition
+from agent.fleet.fault_targets import LinkSet, Partition
 from agent.impairments.impairments import (
     Corrupt,
     Delay,

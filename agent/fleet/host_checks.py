@@ -1,4 +1,4 @@
-"""What is wrong with where a fleet's processes run (PURE); see `agent.fleet_checks`."""
+"""What is wrong with where a fleet's processes run (PURE); see `agent.fleet.checks`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.common.schema import Reader, show
-from agent.host_sections import PORT_MAX
+from agent.fleet.host_sections import PORT_MAX
 from agent.security.identity import MAIN, IdentityError, of_operator
 
 _ROUTER = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]{0,252}|\[[0-9A-Fa-f:.]{2,45}\]):([1-9][0-9]{0,4})")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from agent.common.schema import entries
-from agent.fleet import FleetError, parse_fleet
-from agent.fleet_sections import TrajectorySection
-from agent.order_sections import ORDER_FIELDS, OrderSection
+from agent.fleet.fleet import FleetError, parse_fleet
+from agent.fleet.order_sections import ORDER_FIELDS, OrderSection
+from agent.fleet.sections import TrajectorySection
 from tests.unit.order_fleets import SQUARE, square
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import tomli_w
 
-from agent.fault_places import LinkSet, Partition
-from agent.fleet import FleetError, digest, parse_fleet, to_dict
+from agent.fleet.fault_targets import LinkSet, Partition
+from agent.fleet.fleet import FleetError, digest, parse_fleet, to_dict
+from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.impairments.recorded_fates import encode_fates
-from agent.scenario import ScenarioError, parse_scenario
 
 FLEET = """
 robot = [

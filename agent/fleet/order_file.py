@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.common.schema import Reader, about, build
-from agent.order_checks import check_orders
-from agent.order_sections import OrderSection
-from agent.scenario import ScenarioError
+from agent.fleet.order_checks import check_orders
+from agent.fleet.order_sections import OrderSection
+from agent.fleet.scenario import ScenarioError
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ def read_orders(raw: Mapping[str, Any], ids: Sequence[int]) -> tuple[OrderSectio
     """The orders in these tables, for a fleet of the robots `ids`.
 
     Raises:
-        agent.scenario.ScenarioError: with every problem; something else than ``[[order]]`` is one.
+        agent.fleet.scenario.ScenarioError: with every problem; something else than ``[[order]]`` is one.
     """
     reader = Reader(_Orders)
     values = reader.read(raw)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from agent.common.schema import Reader, show
-from agent.safety_sections import CORNERS_MAX, Pair
+from agent.fleet.safety_sections import CORNERS_MAX, Pair
 
 _CIRCLE = ("centre_m", "radius_m")
 _EITHER = (

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.common.schema import Reader, entries, example, show
-from agent.order_sections import ORDER_FIELDS, OrderSection
-from agent.trajectory_checks import check_trajectory
+from agent.fleet.order_sections import ORDER_FIELDS, OrderSection
+from agent.fleet.trajectory_checks import check_trajectory
 
 
 def check_orders(

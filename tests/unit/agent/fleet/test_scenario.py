@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet import FleetError, load_fleet, parse_fleet, to_dict
+from agent.fleet.fleet import FleetError, load_fleet, parse_fleet, to_dict
 from tests.unit.order_fleets import SQUARE, square
 
 LEAVES = '[[order]]\nat = "5s"\nkind = "leave"\nrobot = 2\n'

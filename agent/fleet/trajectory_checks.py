@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.common.schema import Reader, entries, show
-from agent.fleet_sections import TRAJECTORY_FIELDS, TrajectorySection
+from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 
 
 def check_trajectory(

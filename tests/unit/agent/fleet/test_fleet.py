@@ -1,4 +1,4 @@
-"""agent.fleet: the fleet file, its checks across fields, and what a robot asks of it."""
+"""agent.fleet.fleet: the fleet file, its checks across fields, and what a robot asks of it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet import FILE_BYTES_MAX, FleetError, digest, law_name, load_fleet, parse_fleet, to_dict
-from agent.fleet_sections import LAWS, ControlSection
+from agent.fleet.fleet import FILE_BYTES_MAX, FleetError, digest, law_name, load_fleet, parse_fleet, to_dict
+from agent.fleet.sections import LAWS, ControlSection
 from deploy import fleet_reference
-from tests.unit.fleet_texts import MIXED, SMALL, problems, small
+from tests.unit.agent.fleet.fleet_texts import MIXED, SMALL, problems, small
 
-DEPLOY = Path(__file__).parents[2] / "deploy"
+DEPLOY = Path(__file__).parents[4] / "deploy"
 BUNDLED = sorted((DEPLOY / "fleets").glob("*.toml"))
 
 
@@ -466,7 +466,8 @@ def test_a_stale_page_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_it_starts_without_numpy() -> None:
     code = (
-        "import sys, agent.fleet; print(sorted({'numpy', 'zenoh', 'difflib', 'asyncio'} & set(sys.modules)))"
+        "import sys, agent.fleet.fleet; print(sorted({'numpy', 'zenoh', 'difflib', 'asyncio'} & "
+        "set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True

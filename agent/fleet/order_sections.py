@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from agent.common.schema import about, setting
-from agent.fleet_sections import TrajectorySection
-from agent.safety_sections import Pair
+from agent.fleet.safety_sections import Pair
+from agent.fleet.sections import TrajectorySection
 
 _FAR_M: Final = 1e6
 

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.common.schema import Reader, show
-from agent.fault_checks import check_faults
-from agent.fleet_sections import SHARED_LINKS, SIMULATOR
-from agent.host_checks import check_hosts
-from agent.host_sections import PORT_MAX
+from agent.fleet.fault_checks import check_faults
+from agent.fleet.host_checks import check_hosts
+from agent.fleet.host_sections import PORT_MAX
+from agent.fleet.order_checks import check_orders
+from agent.fleet.safety_checks import check_safety
+from agent.fleet.sections import SHARED_LINKS, SIMULATOR
+from agent.fleet.trajectory_checks import check_trajectory
 from agent.messages.types import NEIGHBOURS_MAX
-from agent.order_checks import check_orders
-from agent.safety_checks import check_safety
-from agent.trajectory_checks import check_trajectory
 
 
 def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reader) -> None:

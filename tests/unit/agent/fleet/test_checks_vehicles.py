@@ -1,4 +1,4 @@
-"""agent.fleet: robots that are real vehicles, `[datum]` and `[robot.mavlink]`."""
+"""agent.fleet.fleet: robots that are real vehicles, `[datum]` and `[robot.mavlink]`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 import tomli_w
 
-from agent.fleet import digest, parse_fleet, to_dict
-from agent.fleet_sections import DatumSection, MavlinkSection
-from tests.unit.fleet_texts import DATUM, MIXED, ROVERS, problems, small
+from agent.fleet.fleet import digest, parse_fleet, to_dict
+from agent.fleet.sections import DatumSection, MavlinkSection
+from tests.unit.agent.fleet.fleet_texts import DATUM, MIXED, ROVERS, problems, small
 
 
 def test_a_fleet_of_simulated_and_real_robots() -> None:

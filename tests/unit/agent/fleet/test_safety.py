@@ -1,4 +1,5 @@
-"""agent.fleet: `[[obstacle]]`, `[geofence]`, `[avoidance]`, `[supervision]`; what does not go together."""
+"""agent.fleet.fleet: `[[obstacle]]`, `[geofence]`, `[avoidance]`, `[supervision]`; what does not go
+together."""
 
 from __future__ import annotations
 
@@ -7,9 +8,9 @@ from math import cos, pi, sin
 import pytest
 import tomli_w
 
-from agent.fleet import parse_fleet, to_dict
-from agent.safety_sections import CORNERS_MAX, GeofenceSection, ObstacleSection
-from tests.unit.fleet_texts import SMALL, problems, small
+from agent.fleet.fleet import parse_fleet, to_dict
+from agent.fleet.safety_sections import CORNERS_MAX, GeofenceSection, ObstacleSection
+from tests.unit.agent.fleet.fleet_texts import SMALL, problems, small
 
 TREE = "[[obstacle]]\ncentre_m = [5, 6]\nradius_m = 0.5\n"
 SHED = "[[obstacle]]\nname = 'shed'\npoints_m = [[9, 9], [10, 9], [10, 10]]\n"

@@ -9,7 +9,7 @@ import tomli_w
 
 from agent.__main__ import start as agent_start
 from agent.common.clock import RealClock
-from agent.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
+from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
 from plant import server
 from plant.unicycle import from_fleet
 

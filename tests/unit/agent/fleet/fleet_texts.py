@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet import Fleet, FleetError, parse_fleet
+from agent.fleet.fleet import Fleet, FleetError, parse_fleet
 
 SMALL = """
 [fleet]

@@ -1,8 +1,8 @@
 """The fleet file: one TOML text that says who drives where, and how; all processes of a fleet read the same.
 
 `parse_fleet` turns the text into a `Fleet`, or raises one `FleetError` with every problem of the file, each
-with its place. Fields, units and ranges are in the models of `agent.fleet_sections` and
-`agent.fault_settings`, of which ``docs/fleet-file.md`` is made.
+with its place. Fields, units and ranges are in the models of `agent.fleet.sections` and
+`agent.fleet.fault_rules`, of which ``docs/fleet-file.md`` is made.
 
 Lengths in m, times in s, angles in rad; frame W (ENU: x east, y north, heading counter-clockwise from x).
 PURE but for `load_fleet`, which reads the file.
@@ -20,9 +20,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.common.schema import Problem, Reader, about, build, plain, printable, show
-from agent.fault_settings import FaultsSection
-from agent.fleet_checks import check_fleet
-from agent.fleet_sections import (
+from agent.fleet.checks import check_fleet
+from agent.fleet.fault_rules import FaultsSection
+from agent.fleet.host_sections import HostSection, NetworkSection, RecordingSection
+from agent.fleet.order_file import read_orders
+from agent.fleet.order_sections import ORDER_FIELDS, OrderSection
+from agent.fleet.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
+from agent.fleet.scenario import ScenarioError, parse_scenario
+from agent.fleet.sections import (
     LAWS,
     LINK_FIELDS,
     TRAJECTORY_FIELDS,
@@ -34,12 +39,7 @@ from agent.fleet_sections import (
     Robot,
     TrajectorySection,
 )
-from agent.host_sections import HostSection, NetworkSection, RecordingSection
-from agent.order_file import read_orders
-from agent.order_sections import ORDER_FIELDS, OrderSection
-from agent.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
-from agent.scenario import ScenarioError, parse_scenario
-from agent.trajectory_checks import kinds_by_field
+from agent.fleet.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20
 LOOPBACK: Final = re.compile(r"127\.[0-9.]+|\[::1\]|localhost")
