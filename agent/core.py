@@ -16,6 +16,7 @@ from agent.controller import Controller
 from agent.fleet.fleet import Fleet, digest
 from agent.formation import resolve
 from agent.latch import AWAITED, Latch
+from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode, newer
 from agent.messages.types import (
@@ -40,7 +41,6 @@ from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX
 from agent.plan import PlanError, plan_of
 from agent.prediction import BRAKING_TIME_S
-from agent.reception import Reception
 from agent.reliance import Reliance
 from agent.supervision import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
 from agent.telling import Telling

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
 from agent.common import random_streams
-from agent.faults import FaultPlan
+from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 
 Outgoing = tuple[str, bytes]

@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple
 from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.common.schema import printable
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet, FleetError, load_fleet
+from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.node import Node, Ticks
 from agent.sealed_bus import bus_for

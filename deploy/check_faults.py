@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from agent import formation
 from agent.core import HEARD_ROUNDS
-from agent.faults import FaultPlan, LinkEffects
 from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from agent.fleet.fleet import Fleet
 from agent.impairments.impairments import Delay, Loss
+from agent.links.fault_plan import FaultPlan, LinkEffects
 from agent.messages.codec import encode
 from agent.messages.types import HandState
 from agent.node import FIRST_ROUND

@@ -11,10 +11,10 @@ import numpy as np
 from agent import formation, trajectory
 from agent.avoidance import clearance, sensing_distance
 from agent.boundaries import obstacles_of
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, ControlSection
 from agent.formation import Geometry
+from agent.links.fault_plan import FaultPlan
 from agent.trajectory import make_trajectory
 from deploy.check_safety import parting
 from deploy.fault_words import defaults, described, words

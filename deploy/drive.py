@@ -10,9 +10,9 @@ from typing import Final
 
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import OrderSection
+from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop

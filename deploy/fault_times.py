@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final, NamedTuple
 
-from agent.faults import FaultPlan, named
 from agent.fleet.fault_rules import Rule
 from agent.fleet.scenario import ScenarioError, parse_scenario
+from agent.links.fault_plan import FaultPlan, named
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.fault_words import lasts
 from deploy.recording import Recording

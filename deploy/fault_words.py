@@ -50,7 +50,8 @@ def _effect(name: str, value: object) -> str:
 
 
 def effects_text(effects: Mapping[str, Effect[Any]]) -> str:
-    """`delay 200ms, loss 30%`: effects on links (`agent.faults.link_effects`) as a fleet file has them."""
+    """`delay 200ms, loss 30%`: effects on links (`agent.links.fault_plan.link_effects`) as a fleet file has
+    them."""
     return ", ".join(name if effect.start is True else f"{name} {effect}" for name, effect in effects.items())
 
 

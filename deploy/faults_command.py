@@ -153,7 +153,7 @@ def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSessio
 
 
 def _show(options: argparse.Namespace) -> int:
-    from agent.faults import FaultPlan
+    from agent.links.fault_plan import FaultPlan
     from deploy.fault_words import defaults
     from deploy.faults_putting import ECHO_S, names
 

@@ -1,8 +1,9 @@
 """Is what was done to messages what the rules and the seed say: every decision of a recording, made again.
 
-Decisions are functions of the seed, the link and the message's number and stamp (`agent.links`). So a
-recording proves itself: its fleet file, the live rules that each process said it held, and the messages
-as they were sent give every decision again, by the code that made them. What depends on more is not checked:
+Decisions are functions of the seed, the link and the message's number and stamp
+(`agent.links.link_emulator`). So a recording proves itself: its fleet file, the live rules that each process
+said it held, and the messages as they were sent give every decision again, by the code that made them. What
+depends on more is not checked:
 queues of a rate limit (sizes of messages), range channels (where the receiver thought it was), and slots
 before a receiver knew the epoch.
 
@@ -22,8 +23,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.common.clock import NS_PER_S
-from agent.faults import FaultPlan
-from agent.links import TRACE_PERIOD_NS, Links
+from agent.links.fault_plan import FaultPlan
+from agent.links.link_emulator import TRACE_PERIOD_NS, Links
 from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from deploy.analysis import Analysis
 from deploy.fault_words import gives_link_effects

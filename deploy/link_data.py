@@ -17,7 +17,8 @@ from deploy.columns import Store
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Clock = tuple[int, float]
-"""How far a clock is ahead (ns) and how much faster it goes, on purpose (`agent.faults.FaultPlan.clock`)."""
+"""How far a clock is ahead (ns) and how much faster it goes, on purpose
+(`agent.links.fault_plan.FaultPlan.clock`)."""
 EXACT: Final[Clock] = (0, 0.0)
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.faults import FaultPlan, link_effects
 from agent.fleet.fault_rules import ACTION_FIELDS, Rule
+from agent.links.fault_plan import FaultPlan, link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis import Analysis
 from deploy.fault_times import LiveSet, live_sets, windows

@@ -14,9 +14,9 @@ from rich.table import Table
 
 from agent.common.clock import NS_PER_S
 from agent.course import Course
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet
 from agent.formation import Geometry
+from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
 from agent.supervision import State

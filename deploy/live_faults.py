@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet.fault_rules import Rule
 from agent.fleet.fleet import Fleet
 from agent.fleet.scenario import ScenarioError, parse_scenario
+from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
 from agent.messages import key_expressions
 from agent.messages.types import Faults, Message
 from deploy.fault_words import held, words

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, get_args, get_origin
 
 from agent.common.schema import Entry, Reader, entries, plain
-from agent.faults import named
 from agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
 from agent.fleet.scenario import ScenarioError, parse_scenario
+from agent.links.fault_plan import named
 from agent.messages.types import RULES_MAX
 from deploy.arguments import InputError
 from deploy.fault_words import defaults

@@ -47,7 +47,8 @@ def actions(rules: Sequence[Rule], ids: Sequence[int], end: float) -> list[Actio
     stays so, and whoever carries out the plan continues what is paused before it ends the run.
 
     Args:
-        rules: the fleet file's, each with a name (`agent.faults.FaultPlan.file_rules`); those without kill,
+        rules: the fleet file's, each with a name (`agent.links.fault_plan.FaultPlan.file_rules`); those
+        without kill,
             pause or restart are left out.
         ids: the fleet's robots, for a rule that names none.
         end: end of the drive, s of fleet time.

@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet
+from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.codec import newer
 from agent.messages.types import (

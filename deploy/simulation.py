@@ -20,10 +20,10 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import LISTEN_ROUNDS, Agent
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import OrderSection
 from agent.formation import resolve
+from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop

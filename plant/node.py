@@ -13,6 +13,7 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, digest
 from agent.hand import Pose
 from agent.latch import Latch
+from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
@@ -34,7 +35,6 @@ from agent.messages.types import (
 from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX
-from agent.reception import Reception
 from agent.supervision import at_rest
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement

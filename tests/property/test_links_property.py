@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.common.clock import NS_PER_S
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.links import Links
+from agent.links.fault_plan import FaultPlan
+from agent.links.link_emulator import Links
 from agent.messages.codec import decode, encode
 from agent.messages.types import HELD, LOST, TOPICS, Faults, HandState
 from agent.messages.validation import Malformed

@@ -10,14 +10,14 @@ from math import inf
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.faults import AUTHORS_MAX, ENDED_MAX
 from agent.fleet.fault_rules import Rule
 from agent.fleet.fleet import load_fleet
 from agent.fleet.scenario import parse_scenario
+from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
+from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults
-from agent.reception import Reception
 from deploy.arguments import FLEETS
 from deploy.fault_words import end_of, lasts, next_begin, window, words
 from deploy.faults_command import add_parser

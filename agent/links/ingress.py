@@ -1,6 +1,7 @@
 """What a node hears, through links that may fail: the part that agents and plants have in common (PURE).
 
-It keeps the node's fault plan up to date, passes messages through `agent.links`, and says what was done:
+It keeps the node's fault plan up to date, passes messages through `agent.links.link_emulator`, and says what
+was done:
 every decision (`LinkTrace`), and the live rules that are held.
 """
 
@@ -10,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
 from agent.common.clock import NS_PER_S
-from agent.faults import FaultPlan
 from agent.fleet.fleet import Fleet
-from agent.links import Arrival, Links, Sample
+from agent.links.fault_plan import FaultPlan
+from agent.links.link_emulator import Arrival, Links, Sample
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Faults

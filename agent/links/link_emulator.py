@@ -18,9 +18,9 @@ from typing import Final, NamedTuple
 
 from agent.common import random_streams
 from agent.common.clock import NS_PER_S, LocalTime
-from agent.faults import NONE, FaultPlan, LinkEffects, LinkRules
 from agent.impairments import recorded_fates
 from agent.impairments.impairments import Delay, from_trace
+from agent.links.fault_plan import NONE, FaultPlan, LinkEffects, LinkRules
 from agent.messages.types import (
     CORRUPTED,
     DUPLICATED,

@@ -8,11 +8,11 @@ import pytest
 
 from agent.common import random_streams
 from agent.common.clock import NS_PER_S
-from agent.faults import NONE, FaultPlan
 from agent.fleet.fleet import Fleet, FleetError, parse_fleet
 from agent.impairments import recorded_fates
 from agent.impairments.recorded_fates import encode_fates
-from agent.links import Links
+from agent.links.fault_plan import NONE, FaultPlan
+from agent.links.link_emulator import Links
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
     CORRUPTED,

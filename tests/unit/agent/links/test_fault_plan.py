@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from agent.common.clock import NS_PER_S
-from agent.faults import AUTHORS_MAX, FaultPlan
 from agent.fleet.fleet import Fleet, parse_fleet
+from agent.links.fault_plan import AUTHORS_MAX, FaultPlan
+from agent.links.ingress import Reception
 from agent.messages.codec import decode, encode
 from agent.messages.types import EVERY_AUTHOR, Faults, HandState, LinkTrace
-from agent.reception import Reception
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }]
