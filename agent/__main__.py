@@ -7,7 +7,7 @@ import sys
 from agent.common.clock import Clock
 from agent.core import Agent
 from agent.fleet.fleet import Fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.process import Log, Start, main
 
 

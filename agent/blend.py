@@ -1,6 +1,7 @@
 """How long a fleet needs to come from one plan's motion to the next one's (PURE, numpy).
 
-The blended motion of `agent.course` is, with p = r_new - r_old and S of the share of the blend that is over,
+The blended motion of `agent.formation.reference` is, with p = r_new - r_old and S of the share of the blend
+that is over,
 
     r_d' = (1 - S) r_old' + S r_new' + S' p
     r_d'' = (1 - S) r_old'' + S r_new'' + 2 S' p' + S'' p
@@ -17,9 +18,9 @@ from typing import Final
 import numpy as np
 
 from agent.common.clock import NS_PER_S
-from agent.course import blend_shape
 from agent.fleet.fleet import Fleet
-from agent.plan import Plan
+from agent.formation.mission_plan import Plan
+from agent.formation.reference import blend_shape
 
 BLEND_MIN_S: Final = 1.0
 BLEND_MAX_S: Final = 600.0

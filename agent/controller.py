@@ -14,14 +14,14 @@ from typing import Final, NamedTuple
 from agent import barrier, hand, law
 from agent.avoidance import barrier_rate
 from agent.common.clock import NS_PER_S
-from agent.course import Course, Edge
 from agent.detour import Blocker, Detour
 from agent.fleet.fleet import Fleet
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
+from agent.formation.mission_plan import Plan
+from agent.formation.reference import Course, Edge
 from agent.messages.types import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns
 from agent.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
-from agent.plan import Plan
 from agent.prediction import Prediction, approach, constraint_decay
 from agent.surroundings import Surroundings
 

@@ -14,7 +14,8 @@ from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet.fleet import Fleet, digest
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import PlanError, plan_of
 from agent.latch import AWAITED, Latch
 from agent.links.ingress import Reception
 from agent.messages import key_expressions
@@ -39,7 +40,6 @@ from agent.messages.types import (
 from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
 from agent.peers import FUTURE_NS_MAX
-from agent.plan import PlanError, plan_of
 from agent.prediction import BRAKING_TIME_S
 from agent.reliance import Reliance
 from agent.supervision import DRIVING, MISSION_OVER, Conditions, State, at_rest, step

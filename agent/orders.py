@@ -21,12 +21,12 @@ from agent.common.schema import show
 from agent.fleet.fleet import Fleet, digest
 from agent.fleet.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
 from agent.fleet.sections import Pair, TrajectorySection
-from agent.formation import DISTANCE_TOLERANCE, FormationError, components, realise_near, worst_edge
+from agent.formation.geometry import DISTANCE_TOLERANCE, FormationError, components, realise_near, worst_edge
+from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, clipped
 from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
-from agent.plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
 from agent.trilateration import place_apart
 
 LEAD_NS: Final = NS_PER_S

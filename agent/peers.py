@@ -14,9 +14,9 @@ from typing import Final
 
 from agent.clock_offset import ClockOffset
 from agent.common.clock import NS_PER_S
+from agent.formation.trajectory import Sample
 from agent.messages.types import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
 from agent.prediction import Prediction, as_it_came, coasting, following
-from agent.trajectory import Sample
 
 FUTURE_NS_MAX: Final = 250_000_000
 """A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
@@ -43,7 +43,8 @@ _NEVER: Final = -1
 Silent = tuple[int, int, bool, float, float, float, float]
 """A row of `Beacon.silent`."""
 Motion = Callable[[int, int], Sample | None]
-"""(robot, wall time ns) -> its desired motion, None for one without a place: `agent.course.Course.motion`."""
+"""(robot, wall time ns) -> its desired motion, None for one without a place:
+`agent.formation.reference.Course.motion`."""
 
 
 class Peer:

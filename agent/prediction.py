@@ -10,9 +10,9 @@ from functools import lru_cache
 from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final, NamedTuple
 
+from agent.formation.trajectory import Sample
 from agent.law import saturation
 from agent.messages.types import HandState
-from agent.trajectory import Sample
 
 BRAKING_TIME_S: Final = 0.2
 """A robot that brakes is taken to lose its speed with this time constant."""

@@ -75,7 +75,7 @@ class _WallClock:
 def about(fleet: Fleet, fleet_toml: str, robot: int) -> About:
     """Whose the segments of a robot are. Their numbers and times are still 0."""
     if not fleet.is_resolved:  # else without numpy, which takes its time
-        from agent.formation import resolved
+        from agent.formation.geometry import resolved
 
         fleet = resolved(fleet)
     try:

@@ -14,10 +14,10 @@ from agent.avoidance import avoidance_distance, clearance, sensing_distance
 from agent.boundaries import Boundary, fence_of, obstacles_of
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
+from agent.formation.mission_plan import Plan
 from agent.hand import Hand
 from agent.law import DISTANCE_MIN
 from agent.peers import UNSURE_NS, Peer, Peers
-from agent.plan import Plan
 
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often it is looked who is near."""

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
 from deploy.desired import MissionChange, desired
 from deploy.link_data import Floats
 from deploy.presence import away, downs

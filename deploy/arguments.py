@@ -119,7 +119,9 @@ def load(options: argparse.Namespace) -> Fleet:
     Raises:
         InputError, agent.fleet.fleet.FleetError: it cannot be.
     """
-    from agent.formation import resolved  # here: numpy takes its time, and nothing can be said before
+    from agent.formation.geometry import (
+        resolved,  # here: numpy takes its time, and nothing can be said before
+    )
 
     return resolved(load_unresolved(options))
 

@@ -17,7 +17,7 @@ from typing import Any, Final
 import tomli_w
 
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
 from deploy import oracles
 from deploy.analysis import Analysis, analyse
 from deploy.balance import caught

@@ -13,7 +13,7 @@ from typing import Any, Final
 import tomli_w
 
 from agent.fleet.fleet import parse_fleet
-from agent.trajectory import make_trajectory
+from agent.formation.trajectory import make_trajectory
 from deploy.chaos_faults import draw_faults
 from deploy.chaos_orders import draw_orders
 from deploy.chaos_shapes import Shape, draw_shape

@@ -14,9 +14,9 @@ import tomli_w
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
+from agent.formation.mission_plan import Plan
 from agent.orders import OrderError
-from agent.plan import Plan
 from deploy.chaos_shapes import APART_FACTOR, apart_m, draw_shape, near_shape
 from deploy.chaos_space import Pair, Reach, hands
 from deploy.dice import Dice

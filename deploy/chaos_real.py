@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from agent.fleet.fleet import parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from deploy.chaos import Outcome, judged, scenario_text
 from deploy.chaos_draw import draw, name_of
 from deploy.chaos_report import Driven

@@ -15,11 +15,26 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import formation, trajectory
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Robot
-from agent.formation import FormationError, Geometry
-from agent.trajectory import make_trajectory
+from agent.formation import trajectory
+from agent.formation.geometry import (
+    FormationError,
+    Geometry,
+    components,
+    connected,
+    edge_indices,
+    edge_lengths,
+    given_distances,
+    given_offsets,
+    is_collinear,
+    is_rigid,
+    loose,
+    resolve,
+    rigidity_rank,
+    start_hands,
+)
+from agent.formation.trajectory import make_trajectory
 from deploy.check_faults import check_faults
 from deploy.check_orders import check_orders
 from deploy.check_safety import check_safety, start_points
@@ -65,7 +80,7 @@ def check(fleet: Fleet) -> list[Finding]:
     geometry: Geometry | None = None
     if not any(finding.level == "error" for finding in findings):
         try:
-            geometry = formation.resolve(fleet)
+            geometry = resolve(fleet)
         except FormationError as error:
             findings.append(Finding("error", "formation.distance_m", _unplaced(str(error))))
     if geometry is not None:
@@ -90,9 +105,9 @@ def check(fleet: Fleet) -> list[Finding]:
 def _structure(fleet: Fleet) -> Iterator[Finding]:
     """What must hold before a formation can be resolved."""
     try:
-        edges = formation.edge_indices(fleet)
-        offsets = formation.given_offsets(fleet)
-        distances = formation.given_distances(fleet)
+        edges = edge_indices(fleet)
+        offsets = given_offsets(fleet)
+        distances = given_distances(fleet)
     except FormationError as error:
         yield Finding("error", "formation", str(error))
         return
@@ -100,7 +115,7 @@ def _structure(fleet: Fleet) -> Iterator[Finding]:
         make_trajectory(fleet.trajectory)
     except ValueError as error:
         yield Finding("error", "trajectory", str(error).removeprefix("trajectory."))
-    parts = formation.components(len(fleet.members), edges)
+    parts = components(len(fleet.members), edges)
     if len(parts) > 1:
         ids = [[fleet.members[k].id for k in part] for part in parts]
         shown = ", ".join("{" + some(part) + "}" for part in ids[:NAMES_SHOWN])
@@ -112,7 +127,7 @@ def _structure(fleet: Fleet) -> Iterator[Finding]:
             "each other; add edges that join the parts, or run them as fleets of their own",
         )
     if offsets is not None and distances is not None:
-        yield from _contradictions(fleet, formation.edge_lengths(offsets, edges), distances)
+        yield from _contradictions(fleet, edge_lengths(offsets, edges), distances)
 
 
 def _contradictions(fleet: Fleet, lengths: Floats, distances: Floats) -> Iterator[Finding]:
@@ -171,7 +186,7 @@ def _shape(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             f"safe distance {safe:.4g} m: {both}; move the places or join them by an edge",
         )
     if fleet.formation.offsets is None and len(distances):
-        lengths = formation.edge_lengths(offsets, edges)
+        lengths = edge_lengths(offsets, edges)
         misfit = np.abs(lengths / distances - 1.0)
         if misfit.max() > 1e-4:
             k = int(np.argmax(misfit))
@@ -188,14 +203,14 @@ def _shape(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
 def _rigidity(geometry: Geometry) -> Iterator[Finding]:
     n = len(geometry.ids)
-    if n < 2 or formation.is_rigid(geometry.offsets, geometry.edges):
+    if n < 2 or is_rigid(geometry.offsets, geometry.edges):
         return
-    if not formation.connected(n, geometry.edges):
+    if not connected(n, geometry.edges):
         return  # an error of its own
-    ids = [geometry.ids[k] for k in formation.loose(geometry.offsets, geometry.edges)]
+    ids = [geometry.ids[k] for k in loose(geometry.offsets, geometry.edges)]
     shift = f"{robots(ids)} can shift, seen from the others, with every distance kept"
-    rank = formation.rigidity_rank(geometry.offsets, geometry.edges)
-    if formation.is_collinear(geometry.offsets):
+    rank = rigidity_rank(geometry.offsets, geometry.edges)
+    if is_collinear(geometry.offsets):
         yield Finding(
             "warning",
             "formation.edges",
@@ -547,7 +562,7 @@ def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
         return np.zeros(len(fleet.robots))
     control = fleet.control
     x, y = make_trajectory(fleet.trajectory).at(0.0)[:2]
-    away = np.hypot(*(formation.start_hands(fleet) - geometry.offsets - (x, y)).T)
+    away = np.hypot(*(start_hands(fleet) - geometry.offsets - (x, y)).T)
     natural = sqrt(max(control.c1, 0.0))
     damping = control.c2 / (2.0 * natural) if natural > 0.0 else inf
     if damping < 0.999:

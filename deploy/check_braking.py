@@ -7,11 +7,11 @@ from itertools import combinations
 from math import dist, floor, inf, log10
 from typing import Final
 
-from agent import trajectory
 from agent.avoidance import AHEAD_M, barrier_rate, braking_room
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Robot
-from agent.formation import Geometry
+from agent.formation import trajectory
+from agent.formation.geometry import Geometry
 from deploy.finding import Finding
 from deploy.wording import robots
 
@@ -96,7 +96,7 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     """Places between which one robot cannot follow another at the formation's speed, (F4).
 
     Raises:
-        ValueError: a trajectory that `agent.trajectory` cannot make.
+        ValueError: a trajectory that `agent.formation.trajectory` cannot make.
     """
     if not fleet.avoidance.enabled:
         return

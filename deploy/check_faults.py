@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import formation
 from agent.core import HEARD_ROUNDS
 from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from agent.fleet.fleet import Fleet
+from agent.formation.geometry import start_hands
 from agent.impairments.impairments import Delay, Loss
 from agent.links.fault_plan import FaultPlan, LinkEffects
 from agent.messages.codec import encode
@@ -264,7 +264,7 @@ def _deaf(effects: LinkEffects, distance: float | None) -> str:
 
 def _start_distances(fleet: Fleet) -> Mapping[tuple[int, int], float]:
     """Distance of the hand points at the start, m, by the robots of each edge both ways."""
-    hands = dict(zip((robot.id for robot in fleet.members), formation.start_hands(fleet), strict=True))
+    hands = dict(zip((robot.id for robot in fleet.members), start_hands(fleet), strict=True))
     out = {}
     for i, j in fleet.formation.edges:
         if i in hands and j in hands:

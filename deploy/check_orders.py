@@ -7,9 +7,9 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
-from agent.formation import Geometry, components
+from agent.formation.geometry import Geometry, components
+from agent.formation.mission_plan import Plan
 from agent.orders import OrderError
-from agent.plan import Plan
 from deploy.finding import Finding
 from deploy.operating import Operator
 from deploy.wording import some

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agent.avoidance import avoidance_distance, clearance, least_apart
 from agent.boundaries import Circle, Polygon, fence_of, obstacles_of
 from agent.fleet.fleet import Fleet
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
 from agent.hand import Pose, hand
 from deploy.check_braking import check_braking, check_room
 from deploy.clearances import distances

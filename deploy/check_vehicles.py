@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from math import sqrt
 from typing import Final, NamedTuple
 
-from agent import trajectory
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
+from agent.formation import trajectory
 from bridges.mavlink.connection import BY_ID, Connection, parse_connection
 from deploy.finding import Finding, Level
 from deploy.wording import robots

@@ -178,7 +178,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from agent.formation import resolve
+    from agent.formation.geometry import resolve
     from deploy.live import Watch, make_view
     from deploy.recorder import RecordingError
     from deploy.simulation import Simulation

@@ -8,14 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from agent import formation, trajectory
 from agent.avoidance import clearance, sensing_distance
 from agent.boundaries import obstacles_of
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, ControlSection
-from agent.formation import Geometry
+from agent.formation import trajectory
+from agent.formation.geometry import Geometry, is_rigid, resolve, start_hands
+from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
-from agent.trajectory import make_trajectory
 from deploy.check_safety import parting
 from deploy.fault_words import defaults, described, words
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
@@ -38,7 +38,7 @@ def describe(fleet: Fleet) -> str:
         f"seed {fleet.fleet.seed}"
     )
     try:
-        geometry = formation.resolve(fleet)
+        geometry = resolve(fleet)
         make_trajectory(fleet.trajectory)
     except ValueError as error:
         lines.append(f"  cannot be driven: {error}")
@@ -82,7 +82,7 @@ def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:
             f"edges of {least:.4g} m" if most - least < 1e-9 else f"edges of {least:.4g} to {most:.4g} m"
         )
     if n > 1:
-        parts.append("rigid" if formation.is_rigid(geometry.offsets, geometry.edges) else "not rigid")
+        parts.append("rigid" if is_rigid(geometry.offsets, geometry.edges) else "not rigid")
     parts.append(f"safe distance {fleet.formation.safe_distance_m:.4g} m")
     if fleet.formation.offsets is None and n > 1:
         parts.append("places found from the distances")
@@ -209,7 +209,7 @@ def _describe_faults(fleet: Fleet) -> Iterator[str]:
 
 
 def _describe_start(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
-    hands = formation.start_hands(fleet)
+    hands = start_hands(fleet)
     n = len(hands)
     if n > 1:
         i, j = np.triu_indices(n, 1)

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.course import Course
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
+from agent.formation.mission_plan import PlanError, plan_of
+from agent.formation.reference import Course
+from agent.formation.trajectory import make_trajectory
 from agent.messages.codec import newer
 from agent.messages.types import Mission
-from agent.plan import PlanError, plan_of
-from agent.trajectory import make_trajectory
 from deploy.link_data import Floats
 from deploy.recording import Recording
 

@@ -102,7 +102,7 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
     Raises:
         InputError, agent.fleet.fleet.FleetError: it cannot be.
     """
-    from agent.formation import resolved
+    from agent.formation.geometry import resolved
 
     path = fleet_path(options.fleet)
     changes = [] if options.duration is None else [f"fleet.duration_s={options.duration}"]

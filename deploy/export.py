@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
 from deploy.analysis import analyse
 from deploy.link_data import LinkTable

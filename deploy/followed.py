@@ -8,7 +8,7 @@ from typing import Final
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.hand import Pose
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status

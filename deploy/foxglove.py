@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from math import cos, sin
 from typing import Any, Final
 
-from agent.course import Course
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import PlanError, plan_of
+from agent.formation.reference import Course
 from agent.messages.types import Mission, PlantState
-from agent.plan import PlanError, plan_of
 
 PERIOD_NS: Final = 100_000_000
 WORLD: Final = "world"

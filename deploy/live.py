@@ -13,9 +13,9 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from agent.common.clock import NS_PER_S
-from agent.course import Course
 from agent.fleet.fleet import Fleet
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
+from agent.formation.reference import Course
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from agent.segments import Received

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent.fleet.fleet import Fleet, law_name
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
 from agent.supervision import DRIVING, State
 from deploy import link_metrics, oracles, oracles_apart
 from deploy.analysis import Analysis, Approach, analyse, norm

@@ -11,7 +11,8 @@ from typing import Final
 
 from agent.fleet.fleet import Fleet, digest
 from agent.fleet.order_sections import OrderSection
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
+from agent.formation.mission_plan import Plan, PlanError, plan_of
 from agent.messages import key_expressions
 from agent.messages.codec import encode, newer
 from agent.messages.types import (
@@ -28,7 +29,6 @@ from agent.messages.types import (
 )
 from agent.node import Numbers, Outgoing
 from agent.orders import OrderError, first_mission, ordered
-from agent.plan import Plan, PlanError, plan_of
 from agent.supervision import DRIVING
 from deploy.order_versions import can_be
 
@@ -49,7 +49,7 @@ class Known:
 
     Args:
         fleet: resolved.
-        geometry: `agent.formation.resolve` of it.
+        geometry: `agent.formation.geometry.resolve` of it.
 
     Attributes:
         mission, plan: the newest mission that this fleet can drive, and what it means.

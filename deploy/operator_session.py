@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, Status
 from deploy.author import author

@@ -16,7 +16,7 @@ from agent.fleet.sections import TRAJECTORY_FIELDS
 from deploy.arguments import InputError
 
 if TYPE_CHECKING:
-    from agent.plan import Plan
+    from agent.formation.mission_plan import Plan
 
 OPTIONS: Final = {
     "robot": "--robot",
@@ -78,7 +78,9 @@ def shape_tables(
     Raises:
         InputError: there is nothing of the kind in the file, or an override cannot be.
     """
-    from agent.plan import trajectory_parts  # here: numpy, which comes with it, takes its time
+    from agent.formation.mission_plan import (
+        trajectory_parts,  # here: numpy, which comes with it, takes its time
+    )
 
     tables: dict[str, Any] = {}
     if file is not None:

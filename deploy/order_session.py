@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Final
 
 from agent.fleet.order_sections import OrderSection
+from agent.formation.mission_plan import Plan
 from agent.messages.types import Message, Mission
-from agent.plan import Plan
 from deploy.operating import NO_MISSION
 from deploy.operator_session import OperatorSession
 from deploy.ordering import Ordering

@@ -13,7 +13,7 @@ from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from agent.fleet.order_sections import OrderSection
-    from agent.plan import Plan
+    from agent.formation.mission_plan import Plan
 
 EXIT: Final = (
     "All robots take it over at one time, a second from now, and come to it smoothly. Exit status: 0 all "

@@ -8,8 +8,8 @@ from math import cos, hypot, pi, sin
 import numpy as np
 
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve, resolved
-from agent.trajectory import make_trajectory
+from agent.formation.geometry import resolve, resolved
+from agent.formation.trajectory import make_trajectory
 
 ATTEMPTS_MAX = 1000  # per robot: a square that is too full is an error, not an endless search
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent.fleet.fleet import Fleet
-from agent.formation import Geometry, resolve
+from agent.formation.geometry import Geometry, resolve
 from agent.supervision import State
 from agent.version import handfast_version
 from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report

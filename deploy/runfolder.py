@@ -9,7 +9,7 @@ from typing import Any, Final
 import tomli_w
 
 from agent.fleet.fleet import Fleet, to_dict
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages.types import Message
 from deploy import metrics
 from deploy.recorder import Recorder

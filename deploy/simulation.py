@@ -22,7 +22,7 @@ from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import LISTEN_ROUNDS, Agent
 from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import OrderSection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
@@ -204,8 +204,8 @@ class Simulation:
     """Every agent and plant of `fleet` in virtual time.
 
     Args:
-        fleet: resolved (`agent.formation.resolved`). Every body is simulated, whatever its connection.
-        sink: told of every message, (time of arrival ns, key, payload).
+        fleet: resolved (`agent.formation.geometry.resolved`). Every body is simulated, whatever its
+        connection. sink: told of every message, (time of arrival ns, key, payload).
 
     Attributes:
         now_ns: true time.

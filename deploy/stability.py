@@ -24,11 +24,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import formation, law
+from agent import law
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection
-from agent.formation import Geometry
-from agent.trajectory import make_trajectory
+from agent.formation.geometry import Geometry, edge_lengths, rigidity_matrix, start_hands
+from agent.formation.trajectory import make_trajectory
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def modes(geometry: Geometry, control: ControlSection, safe_distance: float) -> 
 def _jacobian(geometry: Geometry, safe_distance: float) -> Floats:
     """A of all edges at the formation, (m, 2n): phi' = 1 / (d - r_s) where rho = d (10)."""
     slope = 1.0 / (geometry.distances - safe_distance)
-    jacobian: Floats = formation.rigidity_matrix(geometry.offsets, geometry.edges) * slope[:, None]
+    jacobian: Floats = rigidity_matrix(geometry.offsets, geometry.edges) * slope[:, None]
     return jacobian
 
 
@@ -129,7 +129,7 @@ def settling_time(fleet: Fleet, geometry: Geometry) -> float | None:
     in it: right within a factor of two for assigned slots; a formation that must unfold takes longer.
     """
     safe = fleet.formation.safe_distance_m
-    lengths = formation.edge_lengths(formation.start_hands(fleet), geometry.edges)
+    lengths = edge_lengths(start_hands(fleet), geometry.edges)
     error = np.abs(lengths / geometry.distances - 1.0).max(initial=0.0)
     rates = [_decay(mode) for mode in modes(geometry, fleet.control, safe) if mode.shape]
     if not rates or error <= SETTLED:
@@ -158,7 +158,7 @@ def at_start(fleet: Fleet, geometry: Geometry) -> Start:
     control = fleet.control
     gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)
-    error = (formation.start_hands(fleet) - geometry.offsets - (x, y)).T
+    error = (start_hands(fleet) - geometry.offsets - (x, y)).T
     rate = np.broadcast_to(np.array([[-vx], [-vy]]), error.shape)  # the robots start at rest
     navigation = law.navigation_force(np.array([[ax], [ay]]), error, rate, control.c1, control.c2)
     i, j = geometry.edges[:, 0], geometry.edges[:, 1]
@@ -187,7 +187,7 @@ def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:
     holds for the joint law with k_p > 0 while nothing is clipped; None where it says nothing.
     """
     control, safe = fleet.control, fleet.formation.safe_distance_m
-    lengths = formation.edge_lengths(formation.start_hands(fleet), geometry.edges)
+    lengths = edge_lengths(start_hands(fleet), geometry.edges)
     if control.coupling != "joint" or control.kp <= 0.0 or float(lengths.min(initial=inf)) <= safe:
         return None
     span = float(geometry.distances.min()) - safe

@@ -17,7 +17,7 @@ from agent.common import random_streams
 from agent.common.quantities import UNITS, quantity
 from agent.common.schema import Problem, entries, printable, show
 from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from deploy.random_starts import random_fleet
 
 RUNS_MAX: Final = 1_000_000

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from deploy import judged, metrics
 from deploy.pool import Abandoned
 from deploy.sweep import Plan

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import trajectory
 from agent.boundaries import Circle, Polygon
 from agent.fleet.fleet import Fleet
-from agent.formation import Geometry
-from agent.trajectory import make_trajectory
+from agent.formation import trajectory
+from agent.formation.geometry import Geometry
+from agent.formation.trajectory import make_trajectory
 from deploy.clearances import distances
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,7 @@ class Ways:
     """Where each member of a fleet is to be, over the whole drive; later orders are not looked at.
 
     Raises:
-        ValueError: a trajectory that `agent.trajectory` cannot make.
+        ValueError: a trajectory that `agent.formation.trajectory` cannot make.
     """
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:

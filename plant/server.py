@@ -24,7 +24,7 @@ def main(
 
     def start(fleet: Fleet, robot: int, clock: Clock, log: Log) -> Start:
         if not fleet.is_resolved:  # else without numpy, which takes its time
-            from agent.formation import resolved
+            from agent.formation.geometry import resolved
 
             fleet = resolved(fleet)
         backend = make(fleet, robot, clock, log)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.trajectory import make_trajectory
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import PlantState
-from agent.trajectory import make_trajectory
 from deploy.simulation import Simulation
 from deploy.stability import SETTLED
 

@@ -65,7 +65,7 @@ def drives() -> list[str]:
 def fleet_of(name: str) -> Any:
     """The resolved fleet of a drive."""
     fleet = module("agent.fleet.fleet.loading", "agent.fleet.fleet")
-    geometry = module("agent.formation.geometry", "agent.formation")
+    geometry = module("agent.formation.geometry.geometry", "agent.formation.geometry")
     if name.startswith("chaos-"):
         text = module("deploy.chaos.run", "deploy.chaos").scenario_text(
             module("deploy.chaos.draw", "deploy.chaos_draw").draw(int(name.removeprefix("chaos-")))

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.hand import Pose
 from bridges.mavlink import ardurover, frames
 from bridges.mavlink.backend import MavlinkPlant, session

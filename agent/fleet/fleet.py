@@ -160,7 +160,7 @@ class Fleet:
 
     @property
     def is_resolved(self) -> bool:
-        """Whether the formation is written out, as `agent.formation.resolved` does it."""
+        """Whether the formation is written out, as `agent.formation.geometry.resolved` does it."""
         formation = self.formation
         return (
             formation.offsets is not None and isinstance(formation.distance_m, tuple) and not formation.assign

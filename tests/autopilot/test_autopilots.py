@@ -25,7 +25,7 @@ import pytest
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet.fleet import digest
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.hand import Pose
 from agent.latch import AWAITED
 from bridges.mavlink import ardurover

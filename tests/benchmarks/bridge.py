@@ -32,7 +32,7 @@ import tomli_w
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet, to_dict
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from bridges.mavlink.authority import Holder
 from bridges.mavlink.simulated import SimulatedRoverPlant
 from bridges.mavlink.streams import wanted_messages

@@ -20,7 +20,7 @@ from typing import Any, Final
 from agent import bus
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.node import Node
 from deploy.arguments import fleet_path
 from plant.node import PlantNode

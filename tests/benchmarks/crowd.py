@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from deploy import judged
 from deploy.analysis import analyse
 from deploy.arguments import fleet_path, fleet_text

@@ -14,7 +14,7 @@ from typing import Any, Final
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import Links
 from agent.messages import key_expressions

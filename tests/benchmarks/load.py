@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import median
 
 from agent.fleet.fleet import load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from deploy.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result
 from tests.benchmarks.processes import ROLES, measure, start_handfast

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
 from agent.hand import Pose
 from agent.messages.codec import decode
 from deploy.analysis import Analysis, analyse

@@ -18,7 +18,7 @@ from typing import Final
 import tomli_w
 
 from agent.fleet.fleet import Fleet, load_fleet, to_dict
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.segment_folder import segment_paths
 from agent.segments import MESSAGES, Segment
 from deploy.arguments import fleet_path

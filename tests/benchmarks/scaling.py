@@ -14,7 +14,7 @@ from statistics import median
 from typing import Final
 
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import ROLES, Cost, measure, start_handfast
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from agent import barrier, core, law
 from agent.fleet.fleet import load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.node import Node, Outgoing
 from agent.peers import Peers
 from agent.reliance import Reliance

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Final
 
 from agent.fleet.fleet import load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from deploy.arguments import fleet_path
 from deploy.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, spread

@@ -18,7 +18,7 @@ import tomli_w
 from agent.bus import Bus, Presence
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, digest, load_fleet, to_dict
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, Mission, PlantState, Status, Wrench

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Checks, Resume

@@ -14,7 +14,7 @@ from typing import Final
 
 from agent.bus import Bus
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.sealed_bus import gate_of
 from agent.security.access_control import Security

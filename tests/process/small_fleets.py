@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 
 TRIANGLE = """
 [fleet]

@@ -9,10 +9,10 @@ from typing import NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.controller import Controller
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import plan_of
 from agent.hand import Pose, advance, hand
 from agent.messages.types import HandState, Mission, PlantState
-from agent.plan import plan_of
 
 Point = tuple[float, float]
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.blend import blend_ns_for
-from agent.course import Course
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import Plan, mission_parts, plan_of, trajectory_parts
+from agent.formation.reference import Course
+from agent.formation.trajectory import TrajectorySection
 from agent.messages.types import Mission
-from agent.plan import Plan, mission_parts, plan_of, trajectory_parts
-from agent.trajectory import TrajectorySection
 from tests.unit.order_fleets import EPOCH, S, first_plan, square
 
 FLEET = square("control.max_speed_mps=2.0")

@@ -9,10 +9,19 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent import formation
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation import assign_slots, realise, resolve, resolved
+from agent.formation.geometry import (
+    DISTANCE_TOLERANCE,
+    assign_slots,
+    edge_lengths,
+    is_rigid,
+    loose,
+    realise,
+    resolve,
+    resolved,
+    rigidity_rank,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -54,10 +63,10 @@ def test_assignment_is_the_best_of_all_permutations(n: int, seed: int, scale: fl
 def test_distances_of_a_real_shape_are_met(n: int, seed: int):
     points = scattered(seed, n)
     edges = grown(points)
-    wanted = formation.edge_lengths(points, edges)
+    wanted = edge_lengths(points, edges)
     shape = realise(n, edges, wanted, 0.2)
-    assert np.abs(shape.error / wanted).max() <= formation.DISTANCE_TOLERANCE
-    assert np.allclose(formation.edge_lengths(shape.offsets, edges) - wanted, shape.error, atol=1e-12)
+    assert np.abs(shape.error / wanted).max() <= DISTANCE_TOLERANCE
+    assert np.allclose(edge_lengths(shape.offsets, edges) - wanted, shape.error, atol=1e-12)
 
 
 @given(st.integers(2, 12), SEEDS, st.floats(-3.0, 3.0), st.floats(0.1, 10.0))
@@ -69,8 +78,8 @@ def test_rigidity_does_not_change_with_a_turn_or_the_scale(n: int, seed: int, an
     assume(keep.any())
     edges = edges[keep]
     turned = scale * points @ np.array([[cos(angle), sin(angle)], [-sin(angle), cos(angle)]]) + 5.0
-    assert formation.rigidity_rank(points, edges) == formation.rigidity_rank(turned, edges)
-    assert formation.loose(points, edges) == formation.loose(turned, edges)
+    assert rigidity_rank(points, edges) == rigidity_rank(turned, edges)
+    assert loose(points, edges) == loose(turned, edges)
 
 
 @given(st.integers(2, 12), SEEDS)
@@ -80,12 +89,12 @@ def test_loose_robots_move_and_the_others_do_not(n: int, seed: int):
     edges = grown(points)
     edges = edges[np.random.default_rng(seed).random(len(edges)) < 0.7]
     assume(len(edges))
-    loose = formation.loose(points, edges)
-    assert bool(loose) == (not formation.is_rigid(points, edges))
+    free = loose(points, edges)
+    assert bool(free) == (not is_rigid(points, edges))
     # Brace the part that is said to be rigid with all its pairs: the rank must not rise.
-    fixed = [k for k in range(n) if k not in loose]
+    fixed = [k for k in range(n) if k not in free]
     braced = np.array([*edges.tolist(), *[(a, b) for a in fixed for b in fixed if a < b]])
-    assert formation.rigidity_rank(points, braced) == formation.rigidity_rank(points, edges)
+    assert rigidity_rank(points, braced) == rigidity_rank(points, edges)
 
 
 @given(st.integers(3, 10), SEEDS, st.booleans(), st.booleans())
@@ -93,7 +102,7 @@ def test_loose_robots_move_and_the_others_do_not(n: int, seed: int):
 def test_resolve_keeps_the_shape_and_writes_out_exactly(n: int, seed: int, given_offsets: bool, assign: bool):
     points, starts = scattered(seed, n), scattered(seed + 1, n)
     edges = grown(points)
-    wanted = tuple(formation.edge_lengths(points, edges).tolist())
+    wanted = tuple(edge_lengths(points, edges).tolist())
     fleet = Fleet(
         FleetSection("any"),
         FormationSection(
@@ -108,8 +117,8 @@ def test_resolve_keeps_the_shape_and_writes_out_exactly(n: int, seed: int, given
         tuple(Robot(id=k, x_m=float(x), y_m=float(y)) for k, (x, y) in enumerate(starts, 1)),
     )
     geometry = resolve(fleet)
-    lengths = formation.edge_lengths(geometry.offsets, geometry.edges)
-    assert np.allclose(lengths, wanted, rtol=formation.DISTANCE_TOLERANCE)
+    lengths = edge_lengths(geometry.offsets, geometry.edges)
+    assert np.allclose(lengths, wanted, rtol=DISTANCE_TOLERANCE)
     assert np.allclose(geometry.distances, wanted, rtol=1e-12)
     if not assign:
         assert np.array_equal(geometry.edges, edges)

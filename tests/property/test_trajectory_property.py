@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agent.fleet.sections import TrajectorySection
-from agent.trajectory import (
+from agent.formation.trajectory import (
     corner_distances,
     duration,
     legs,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
-from agent.trajectory import make_trajectory
+from agent.formation.geometry import resolve
+from agent.formation.trajectory import make_trajectory
 
 Array = NDArray[np.float64]
 

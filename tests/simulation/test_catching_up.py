@@ -8,7 +8,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, Status, Wrench

@@ -10,7 +10,7 @@ import pytest
 from agent.common.clock import NS_PER_S, LocalTime
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.codec import decode

@@ -13,13 +13,13 @@ from agent import law
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest, load_fleet
-from agent.formation import edge_lengths, resolve, resolved, start_hands
+from agent.formation.geometry import edge_lengths, resolve, resolved, start_hands
+from agent.formation.trajectory import make_trajectory
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission
 from agent.node import Node, Outgoing
 from agent.supervision import State
-from agent.trajectory import make_trajectory
 from deploy.random_starts import random_fleet
 from deploy.simulation import Simulation
 from plant.node import PlantNode

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from deploy.arguments import SCENARIOS, fleet_path
 from deploy.random_starts import random_fleet
 from deploy.sweep_run import measure

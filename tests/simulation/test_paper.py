@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop
 

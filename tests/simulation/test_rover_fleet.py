@@ -11,7 +11,7 @@ import pytest
 from agent.common.clock import NS_PER_S
 from agent.core import Agent
 from agent.fleet.fleet import parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Wrench

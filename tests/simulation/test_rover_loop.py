@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from agent import hand
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
 from deploy.simulation import Simulation
 from plant.unicycle import Unicycle
 

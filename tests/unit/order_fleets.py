@@ -6,10 +6,10 @@ from typing import Any
 
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.fleet.order_sections import OrderSection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import Plan, plan_of
 from agent.messages.types import Mission
 from agent.orders import first_mission, ordered
-from agent.plan import Plan, plan_of
 
 S = 1_000_000_000
 EPOCH = 1_700_000_000 * S

@@ -8,7 +8,7 @@ from pathlib import Path
 import tomli_w
 
 from agent.fleet.fleet import Fleet, parse_fleet, to_dict
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults, Message

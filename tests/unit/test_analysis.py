@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.course import Course
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import plan_of
+from agent.formation.reference import Course
 from agent.messages import key_expressions
 from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
-from agent.plan import plan_of
 from deploy.analysis import Analysis, analyse
 from deploy.metrics import compute
 from deploy.presence import downs

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from agent import law
 from agent.fleet.fleet import Fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from deploy.analysis import Analysis, analyse
 from deploy.balance import STILL_S, caught, last_caught_s
 from deploy.recording import RunData

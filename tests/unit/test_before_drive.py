@@ -7,7 +7,7 @@ import time
 import pytest
 
 from agent.fleet.fleet import digest
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Stop
 from deploy.before_drive import OVER, clock, refusal, stop_in_force

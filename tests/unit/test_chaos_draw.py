@@ -15,7 +15,7 @@ import pytest
 
 from agent.boundaries import obstacles_of
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolved, start_hands
+from agent.formation.geometry import resolved, start_hands
 from deploy.chaos import scenario_text
 from deploy.chaos_draw import QUIET_S, draw
 from deploy.chaos_report import parts

@@ -8,9 +8,10 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from agent import formation, law
+from agent import law
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
+from agent.formation.geometry import resolve, start_hands
 from deploy.check import Finding, check
 from deploy.description import describe
 from deploy.stability import Mode, modes, sampled_radius, settling_time, sweep_radius
@@ -182,7 +183,7 @@ def test_the_edges_are_those_of_the_robots_that_took_the_slots():
     starts = [OFFSETS[k] for k in (3, 1, 2, 0, 4, 5)]
     starts[3] = (0.4, -1.0)  # robot 4 takes slot 1; robot 3 is at (0.5, -H)
     given = fleet(tuple(starts), trajectory=TrajectorySection(), assign=True)
-    assert formation.resolve(given).offsets[3].tolist() == list(OFFSETS[0])
+    assert resolve(given).offsets[3].tolist() == list(OFFSETS[0])
     message = at(check(given), "robot[4]", "error")
     assert "robots 3 and 4" in message
     assert "share an edge" in message
@@ -217,7 +218,7 @@ def control_of(coupling: str) -> ControlSection:
 def test_modes_are_those_of_the_law_itself(coupling: str):
     """Differences of `agent.law` about the formation give the same gains as `modes`."""
     given = lattice(3)
-    control, geometry = control_of(coupling), formation.resolve(given)
+    control, geometry = control_of(coupling), resolve(given)
     n, step = len(geometry.ids), 1e-5
 
     def force(error, rate):
@@ -283,7 +284,7 @@ def commanded(geometry, control, error, rate, multipliers=None):
 def test_sweep_radius_says_how_the_sampled_law_grows(kd: float, stable: bool):
     """The law run with sweeps from a small error grows or falls as the largest eigenvalue says."""
     given, rate_hz = lattice(3), 50.0
-    geometry = formation.resolve(given)
+    geometry = resolve(given)
     control = replace(given.control, kd=kd)
     radius = sweep_radius(geometry, control, 0.22, rate_hz)
     assert (radius < 1.0) == stable
@@ -362,10 +363,10 @@ def test_the_settling_estimate_is_that_of_the_law_for_two_robots(kd: float):
     """Two robots, apart along their edge: the law itself, run in small steps, settles when estimated."""
     two, edge, places = ((-0.85, 0.0), (0.65, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0))
     given = fleet(two, edge, places, TrajectorySection(), {"kd": kd})
-    geometry = formation.resolve(given)
+    geometry = resolve(given)
     estimate = settling_time(given, geometry)
     assert estimate is not None
-    error = (formation.start_hands(given) - geometry.offsets).T
+    error = (start_hands(given) - geometry.offsets).T
     speed, h, last = np.zeros((2, 2)), 0.005, 0.0
     for k in range(8000):
         u = commanded(geometry, given.control, error, speed)

@@ -6,7 +6,7 @@ import pytest
 
 from agent.avoidance import barrier_rate
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from deploy import judged
 from deploy.analysis import analyse
 from deploy.arguments import FLEETS

@@ -10,7 +10,7 @@ import pytest
 import deploy
 from agent.common.random_streams import stream
 from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.impairments.impairments import Loss
 from agent.messages.codec import encode
 from agent.messages.types import HandState

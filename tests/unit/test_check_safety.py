@@ -7,9 +7,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from agent import formation
 from agent.boundaries import Circle, Polygon
 from agent.fleet.fleet import Fleet, parse_fleet
+from agent.formation.geometry import resolve
 from deploy.check_safety import check_safety, parting, start_points
 from deploy.description import describe
 from deploy.finding import Finding
@@ -53,7 +53,7 @@ def fleet(extra: str = "", *overrides: str) -> Fleet:
 
 def found(extra: str = "", *overrides: str) -> list[Finding]:
     one = fleet(extra, *overrides)
-    return list(check_safety(one, formation.resolve(one)))
+    return list(check_safety(one, resolve(one)))
 
 
 def said(extra: str = "", *overrides: str) -> list[str]:
@@ -121,14 +121,14 @@ def test_nothing_thin_is_missed() -> None:
     wire = "[[obstacle]]\nname = 'wire'\npoints_m = [[{x}, -1], [{x}, 1], [{y}, 1], [{y}, -1]]\n"
     thin = wire.format(x=4321.0, y=4321.002)
     one = fleet(thin, "fleet.duration_s=10000", "avoidance.clearance_m=0.01")
-    (only,) = check_safety(one, formation.resolve(one))
+    (only,) = check_safety(one, resolve(one))
     assert "leads through wire" in only.message
-    ways = Ways(one, formation.resolve(one))
+    ways = Ways(one, resolve(one))
     post = Circle("post", 4321.0, 0.0, 0.005)  # 1 cm of 5 km
     assert [robot for robot, _ in ways.below(post, 0.01)] == [3, 7, 5]
     times = dict(ways.below(post, 0.01))
     assert times[5] == pytest.approx(2.0 * (4320.0 - 0.015), abs=0.03)
-    (last,) = Ways(fleet(), formation.resolve(fleet())).below(Circle("last", 12.0, 0.0, 0.5), 0.503)
+    (last,) = Ways(fleet(), resolve(fleet())).below(Circle("last", 12.0, 0.0, 0.5), 0.503)
     assert last == (5, pytest.approx(20.0, abs=0.01))  # in the last 3 mm
     assert ways.below(Circle("beside", 4321.0, 1.0, 0.5), 0.45) == []
 
@@ -145,7 +145,7 @@ def test_places_at_rest_in_an_obstacle_can_never_be_taken() -> None:
 def test_a_circle_is_looked_at_once_round() -> None:
     turn = ("trajectory.kind=circle", "trajectory.centre_m=[0, 0]", "trajectory.radius_m=2.0")
     one = fleet("", *turn, "trajectory.speed_mps=0.5", "fleet.duration_s=1e6")
-    ways = Ways(one, formation.resolve(one))
+    ways = Ways(one, resolve(one))
     assert ways.end == pytest.approx(8.0 * pi)
     assert [robot for robot, _ in ways.below(Circle("post", -2.0, 0.0, 0.01), 0.01)] == [7]
 
@@ -183,7 +183,7 @@ def test_a_sensing_distance_below_that_of_avoidance() -> None:
 
 def test_the_distance_of_avoidance_of_a_formation() -> None:
     one = fleet()
-    assert parting(one, formation.resolve(one)) == (pytest.approx(0.6), pytest.approx(2.0))
+    assert parting(one, resolve(one)) == (pytest.approx(0.6), pytest.approx(2.0))
 
 
 # --- gaps ---
@@ -244,5 +244,5 @@ def test_a_fence_of_many_corners_and_a_long_drive_are_quick_to_look_at() -> None
         "ring", list(zip((50 * np.cos(angles)).tolist(), (50 * np.sin(angles)).tolist(), strict=True))
     )
     one = fleet("", "fleet.duration_s=1e6")
-    crossing = dict(Ways(one, formation.resolve(one)).below(ring, 0.0))
+    crossing = dict(Ways(one, resolve(one)).below(ring, 0.0))
     assert set(crossing) == {3, 7, 5}

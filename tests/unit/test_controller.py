@@ -9,7 +9,7 @@ import pytest
 from agent.avoidance import barrier_rate
 from agent.controller import Controller
 from agent.fleet.fleet import load_fleet, parse_fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.hand import Pose, advance, hand, wrench
 from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
 from deploy.arguments import fleet_path

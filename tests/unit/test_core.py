@@ -13,6 +13,7 @@ import pytest
 from agent.common.clock import NS_PER_S
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
+from agent.formation.trajectory import make_trajectory
 from agent.hand import Pose, hand, hand_acceleration
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode
@@ -30,7 +31,6 @@ from agent.messages.types import (
 )
 from agent.peers import FUTURE_NS_MAX
 from agent.supervision import State
-from agent.trajectory import make_trajectory
 from plant.backend import Command
 from plant.unicycle import from_fleet
 from tests.unit.agent_bench import (

@@ -13,7 +13,7 @@ import pytest
 
 from agent.bus import Bus
 from agent.fleet.fleet import Fleet, digest, parse_fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop

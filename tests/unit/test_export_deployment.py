@@ -19,7 +19,7 @@ import tomli_w
 
 from agent.fleet.fleet import Fleet, load_fleet, parse_fleet, to_dict
 from agent.fleet.host_sections import HostSection
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from deploy import export_deployment_command
 from deploy.arguments import FLEETS
 from deploy.bundle import Bundle, Platform

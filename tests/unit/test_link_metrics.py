@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
 from deploy import link_metrics

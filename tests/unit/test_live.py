@@ -8,7 +8,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, digest, parse_fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Mission, Status, Stop
 from deploy.arguments import FLEETS

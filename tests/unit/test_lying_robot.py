@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.formation import resolve, resolved
+from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop

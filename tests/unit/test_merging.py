@@ -12,7 +12,7 @@ import tomli_w
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, FleetError, digest, to_dict
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, PlantState, Resume, Stop

@@ -15,7 +15,7 @@ from agent.fleet.fault_rules import FaultsSection, Rule
 from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import OrderSection
 from agent.fleet.safety_sections import AvoidanceSection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
 from deploy.metrics import compute, write

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop

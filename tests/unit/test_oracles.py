@@ -12,7 +12,7 @@ from agent.fleet.fault_rules import Effect, FaultsSection, Rule
 from agent.fleet.fault_targets import Partition
 from agent.fleet.fleet import Fleet
 from agent.fleet.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.impairments.impairments import Delay
 from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions

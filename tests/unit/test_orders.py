@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from agent.blend import BLEND_MAX_S, blend_ns_for
-from agent.course import Course
 from agent.fleet.fleet import Fleet, digest
 from agent.fleet.order_sections import OrderSection, ShapeSection
 from agent.fleet.sections import TrajectorySection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import Plan, mission_parts
+from agent.formation.reference import Course
 from agent.messages.codec import decode, encode, newer
 from agent.orders import LEAD_NS, OrderError, first_mission, ordered
-from agent.plan import Plan, mission_parts
 from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()

@@ -8,6 +8,7 @@ from math import cos, dist, sin
 import numpy as np
 import pytest
 
+from agent.formation.trajectory import Sample
 from agent.law import saturation
 from agent.messages.codec import decode, encode
 from agent.messages.types import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
@@ -23,7 +24,6 @@ from agent.peers import (
     Peers,
 )
 from agent.prediction import Prediction, approach, as_it_came, coasting, following, transition
-from agent.trajectory import Sample
 
 PERIOD = 20_000_000
 S = 1_000_000_000

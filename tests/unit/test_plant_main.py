@@ -9,7 +9,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet.fleet import Fleet, digest, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from agent.formation.trajectory import Sample
 from agent.law import navigation_force, saturation
 from agent.messages.types import HandState
 from agent.prediction import (
@@ -26,7 +27,6 @@ from agent.prediction import (
     following,
     transition,
 )
-from agent.trajectory import Sample
 
 C1, C2 = 0.4, 0.6
 DECAY = constraint_decay(1.8, 1.0)

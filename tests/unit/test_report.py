@@ -18,7 +18,7 @@ import tomli_w
 
 from agent.fleet.fleet import Fleet, to_dict
 from agent.fleet.sections import TrajectorySection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Status

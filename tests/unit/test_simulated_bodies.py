@@ -8,7 +8,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState
 from bridges.mavlink.simulated import SimulatedRoverPlant

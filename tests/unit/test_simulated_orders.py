@@ -10,7 +10,7 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
-from agent.formation import resolved
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop

@@ -7,11 +7,11 @@ from math import inf
 import pytest
 
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import plan_of
 from agent.hand import Hand
 from agent.messages.types import Beacon, HandState, Mission
 from agent.peers import DOUBT_MAX, Peers
-from agent.plan import plan_of
 from agent.surroundings import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Surroundings
 
 FLEET = """

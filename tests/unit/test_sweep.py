@@ -16,7 +16,7 @@ import pytest
 from scipy.stats import binomtest
 
 from agent.fleet.fleet import Fleet, FleetError, to_dict
-from agent.formation import resolve, start_hands
+from agent.formation.geometry import resolve, start_hands
 from agent.messages.codec import decode
 from deploy import judged, metrics
 from deploy.arguments import FLEETS, fleet_text

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from agent.course import LEAVE_FADE_NS, Course, Edge
 from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import ShapeSection
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import Plan, mission_parts, plan_of
+from agent.formation.reference import LEAVE_FADE_NS, Course, Edge
 from agent.messages.types import Mission
-from agent.plan import Plan, mission_parts, plan_of
 from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()

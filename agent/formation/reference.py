@@ -23,12 +23,12 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Pair
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
+from agent.formation.mission_plan import Plan, plan_of
+from agent.formation.trajectory import Sample
 from agent.law import DISTANCE_MIN
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission
-from agent.plan import Plan, plan_of
-from agent.trajectory import Sample
 
 LEAVE_FADE_NS: Final = 500_000_000
 """Within which the edges of a robot that leaves lose their weight: it brakes, and is not waited for."""
@@ -92,7 +92,7 @@ class Course:
     robot supposes that has missed the missions before.
 
     Args:
-        geometry: `agent.formation.resolve` of `fleet`.
+        geometry: `agent.formation.geometry.resolve` of `fleet`.
 
     Attributes:
         plan: the latest that was taken, None before any.

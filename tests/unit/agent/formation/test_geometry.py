@@ -10,10 +10,23 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from agent import formation
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation import FormationError, assign_slots, realise, resolve, resolved
+from agent.formation.geometry import (
+    FormationError,
+    assign_slots,
+    components,
+    connected,
+    edge_lengths,
+    is_collinear,
+    is_rigid,
+    loose,
+    realise,
+    resolve,
+    resolved,
+    rigidity_rank,
+    start_hands,
+)
 
 H = sqrt(3.0) / 2.0
 DELTA_EDGES = ((1, 2), (1, 3), (2, 3), (2, 4), (2, 5), (3, 5), (3, 6), (4, 5), (5, 6))
@@ -40,60 +53,60 @@ def moved_squared(given: Fleet) -> float:
     """Total squared distance from the hand points to the places."""
     geometry = resolve(given)
     places = geometry.offsets + given.trajectory.start_m
-    return float(np.sum((formation.start_hands(given) - places) ** 2))
+    return float(np.sum((start_hands(given) - places) ** 2))
 
 
 # --- graph and rigidity ---
 
 
 def test_components_and_connected():
-    assert formation.components(5, [(0, 1), (3, 4), (1, 0)]) == ((0, 1), (2,), (3, 4))
-    assert not formation.connected(5, [(0, 1), (3, 4)])
-    assert formation.connected(4, [(3, 2), (2, 1), (1, 0)])
-    assert formation.connected(1, [])
+    assert components(5, [(0, 1), (3, 4), (1, 0)]) == ((0, 1), (2,), (3, 4))
+    assert not connected(5, [(0, 1), (3, 4)])
+    assert connected(4, [(3, 2), (2, 1), (1, 0)])
+    assert connected(1, [])
 
 
 def test_a_triangle_is_rigid_and_a_square_without_diagonal_is_not():
-    assert formation.rigidity_rank(DELTA, np.array(DELTA_EDGES) - 1) == 9
-    assert formation.is_rigid(DELTA, np.array(DELTA_EDGES) - 1)
-    assert not formation.is_rigid(SQUARE, RING)
-    assert formation.rigidity_rank(SQUARE, RING) == 4
-    assert formation.is_rigid(SQUARE, (*RING, (0, 2)))
+    assert rigidity_rank(DELTA, np.array(DELTA_EDGES) - 1) == 9
+    assert is_rigid(DELTA, np.array(DELTA_EDGES) - 1)
+    assert not is_rigid(SQUARE, RING)
+    assert rigidity_rank(SQUARE, RING) == 4
+    assert is_rigid(SQUARE, (*RING, (0, 2)))
 
 
 def test_too_few_robots_to_bend_are_rigid():
-    assert formation.is_rigid([(0.0, 0.0)], [])
-    assert formation.is_rigid([(0.0, 0.0), (1.0, 0.0)], [(0, 1)])
-    assert not formation.is_rigid([(0.0, 0.0), (1.0, 0.0)], [])
+    assert is_rigid([(0.0, 0.0)], [])
+    assert is_rigid([(0.0, 0.0), (1.0, 0.0)], [(0, 1)])
+    assert not is_rigid([(0.0, 0.0), (1.0, 0.0)], [])
 
 
 def test_robots_in_one_line_are_not_rigid_however_many_edges():
     line = [(0.0, 0.0), (0.6, 0.8), (1.2, 1.6)]
-    assert formation.is_collinear(line)
-    assert not formation.is_collinear(SQUARE)
-    assert not formation.is_rigid(line, [(0, 1), (1, 2), (0, 2)])
-    assert formation.loose(line, [(0, 1), (1, 2), (0, 2)]) == (2,)
+    assert is_collinear(line)
+    assert not is_collinear(SQUARE)
+    assert not is_rigid(line, [(0, 1), (1, 2), (0, 2)])
+    assert loose(line, [(0, 1), (1, 2), (0, 2)]) == (2,)
 
 
 def test_the_smallest_singular_value_of_a_long_truss_still_counts():
     places = [(k * 0.5, H * (k % 2)) for k in range(300)]
     edges = [(k, k + step) for step in (1, 2) for k in range(300 - step)]
-    assert formation.is_rigid(places, edges)
-    assert not formation.is_rigid(places, [edge for edge in edges if edge != (150, 151)])
+    assert is_rigid(places, edges)
+    assert not is_rigid(places, [edge for edge in edges if edge != (150, 151)])
 
 
 def test_loose_robots_are_those_outside_the_largest_rigid_part():
     arm = [(0.0, 0.0), (1.0, 0.0), (0.5, 1.0), (0.5, 2.0)]
-    assert formation.loose(arm, [(0, 1), (1, 2), (0, 2), (2, 3)]) == (3,)
-    assert formation.loose(arm, [(0, 1), (1, 2), (0, 2), (2, 3), (1, 3)]) == ()
+    assert loose(arm, [(0, 1), (1, 2), (0, 2), (2, 3)]) == (3,)
+    assert loose(arm, [(0, 1), (1, 2), (0, 2), (2, 3), (1, 3)]) == ()
     # Two triangles that share robot 2; the second one is the larger part with its extra robot.
     butterfly = [(-1.0, 1.0), (-1.0, -1.0), (0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)]
     edges = [(0, 1), (0, 2), (1, 2), (2, 3), (2, 4), (3, 4), (3, 5), (4, 5)]
-    assert formation.loose(butterfly, edges) == (0, 1)
+    assert loose(butterfly, edges) == (0, 1)
 
 
 def test_without_edges_all_but_the_first_are_loose():
-    assert formation.loose(SQUARE, []) == (1, 2, 3)
+    assert loose(SQUARE, []) == (1, 2, 3)
 
 
 # --- slots ---
@@ -210,7 +223,7 @@ def test_assigned_slots_take_their_edges_with_them():
     robot_of_slot = {slot: robot for robot, slot in enumerate(order)}
     expected = [(robot_of_slot[i - 1], robot_of_slot[j - 1]) for i, j in DELTA_EDGES]
     assert geometry.edges.tolist() == [list(edge) for edge in expected]
-    assert formation.edge_lengths(geometry.offsets, geometry.edges) == pytest.approx(np.ones(9))
+    assert edge_lengths(geometry.offsets, geometry.edges) == pytest.approx(np.ones(9))
 
 
 def test_slots_are_assigned_by_hand_points():
@@ -224,7 +237,7 @@ def test_slots_are_assigned_by_hand_points():
         robots=robots,
         trajectory=TrajectorySection("line", start_m=(-5.0, 0.0), velocity_mps=(1.0, 0.0)),
     )
-    assert formation.start_hands(given) == pytest.approx(np.array([[0.9, 0.0], [-0.9, 0.0]]))
+    assert start_hands(given) == pytest.approx(np.array([[0.9, 0.0], [-0.9, 0.0]]))
     assert resolve(given).offsets.tolist() == [[6.0, 0.0], [4.0, 0.0]]
 
 
@@ -269,7 +282,7 @@ def test_assigning_found_offsets_brings_them_nearer_still():
     assigned = fleet(offsets=None, distance_m=1.0, assign=True)
     assert moved_squared(assigned) < 0.8 * moved_squared(free)
     geometry = resolve(assigned)
-    assert formation.edge_lengths(geometry.offsets, geometry.edges) == pytest.approx(np.ones(9))
+    assert edge_lengths(geometry.offsets, geometry.edges) == pytest.approx(np.ones(9))
 
 
 @pytest.mark.parametrize("offsets", [DELTA, None])

@@ -8,7 +8,7 @@ from math import hypot, pi, sqrt
 import pytest
 
 from agent.fleet.sections import TrajectorySection
-from agent.trajectory import (
+from agent.formation.trajectory import (
     corner_distances,
     duration,
     legs,

@@ -17,9 +17,9 @@ from agent.common.schema import Reader, about, build, show
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
-from agent.formation import Geometry
+from agent.formation.geometry import Geometry
+from agent.formation.trajectory import Sample, Trajectory, make_trajectory
 from agent.messages.types import NEIGHBOURS_MAX, Mission
-from agent.trajectory import Sample, Trajectory, make_trajectory
 
 FAR_M: Final = 1e6
 """No place is further from the reference, and no edge longer, as in a fleet file."""
@@ -77,7 +77,7 @@ def plan_of(mission: Mission, fleet: Fleet, geometry: Geometry) -> Plan:
     Where it names robots, its edges are all the edges there are: none, if it gives none.
 
     Args:
-        geometry: `agent.formation.resolve` of `fleet`.
+        geometry: `agent.formation.geometry.resolve` of `fleet`.
 
     Raises:
         PlanError: for a mission that cannot be driven.

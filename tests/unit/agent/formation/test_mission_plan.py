@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from agent.formation import resolve
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import PlanError, mission_parts, plan_of
 from agent.messages.codec import decode, encode
 from agent.messages.types import NEIGHBOURS_MAX, Mission
-from agent.plan import PlanError, mission_parts, plan_of
 from tests.unit.order_fleets import EPOCH, SQUARE, S, first_plan, square
 
 ROBOTS = ((4, 0.0, 1.0), (1, 0.0, 0.0), (7, 2.0, 0.0))

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from agent.common.schema import Problem
 from agent.fleet.fleet import Fleet, FleetError
-from agent.trajectory import make_trajectory
+from agent.formation.trajectory import make_trajectory
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -102,7 +102,7 @@ def resolve(fleet: Fleet) -> Geometry:
             with itself or twice the same pair, numbers of offsets or distances that differ from the
             numbers of robots or edges, neither offsets nor distances, not finite, distances not
             above zero), or distances that no placement in the plane meets within `DISTANCE_TOLERANCE`.
-        ValueError: a trajectory that `agent.trajectory` cannot make.
+        ValueError: a trajectory that `agent.formation.trajectory` cannot make.
     """
     ids = tuple(robot.id for robot in fleet.members)
     edges = edge_indices(fleet)

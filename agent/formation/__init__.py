@@ -1,0 +1,2 @@
+"""Where every robot should be, over time: geometry, slots, trajectory, mission and the reference they
+make."""
