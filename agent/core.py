@@ -10,9 +10,11 @@ from collections import Counter
 from math import exp, hypot, isfinite
 from typing import Final
 
-from agent import hand
 from agent.common.clock import NS_PER_S
-from agent.controller import Controller
+from agent.control import hand
+from agent.control.controller import Controller
+from agent.control.peers import FUTURE_NS_MAX
+from agent.control.prediction import BRAKING_TIME_S
 from agent.fleet.fleet import Fleet, digest
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, plan_of
@@ -39,8 +41,6 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
-from agent.peers import FUTURE_NS_MAX
-from agent.prediction import BRAKING_TIME_S
 from agent.reliance import Reliance
 from agent.supervision import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
 from agent.telling import Telling

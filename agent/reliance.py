@@ -11,10 +11,10 @@ from __future__ import annotations
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.controller import Controller
+from agent.control.controller import Controller
+from agent.control.hand import Hand
+from agent.control.peers import TRUST_GAINED_S, Peer
 from agent.fleet.fleet import Fleet
-from agent.hand import Hand
-from agent.peers import TRUST_GAINED_S, Peer
 from agent.supervision import DRIVING, State
 
 SLOWEST: Final = 0.3

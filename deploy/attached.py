@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Final
 
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
-from agent.hand import Pose
 from agent.messages.key_expressions import ROLES
 from deploy.before_drive import refusal
 from deploy.interrupt import Interrupt

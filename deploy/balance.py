@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import law
+from agent.control import law
+from agent.control.prediction import approach
 from agent.fleet.fleet import Fleet
-from agent.prediction import approach
 from deploy.analysis import Analysis
 
 STILL_S: Final = 2.0

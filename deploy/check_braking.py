@@ -7,7 +7,7 @@ from itertools import combinations
 from math import dist, floor, inf, log10
 from typing import Final
 
-from agent.avoidance import AHEAD_M, barrier_rate, braking_room
+from agent.control.safety_distances import AHEAD_M, barrier_rate, braking_room
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control.peers import FUTURE_NS_MAX
 from agent.core import HEARD_ROUNDS
 from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from agent.fleet.fleet import Fleet
@@ -19,7 +20,6 @@ from agent.links.fault_plan import FaultPlan, LinkEffects
 from agent.messages.codec import encode
 from agent.messages.types import HandState
 from agent.node import FIRST_ROUND
-from agent.peers import FUTURE_NS_MAX
 from deploy.fault_times import windows
 from deploy.fault_words import acts_on_links, words
 from deploy.finding import Finding, Level

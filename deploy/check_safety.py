@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.avoidance import avoidance_distance, clearance, least_apart
-from agent.boundaries import Circle, Polygon, fence_of, obstacles_of
+from agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
+from agent.control.hand import Pose, hand
+from agent.control.safety_distances import avoidance_distance, clearance, least_apart
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
-from agent.hand import Pose, hand
 from deploy.check_braking import check_braking, check_room
 from deploy.clearances import distances
 from deploy.finding import Finding, Level

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.boundaries import Circle, Polygon
+from agent.control.boundaries import Circle, Polygon
 
 Floats = NDArray[np.float64]
 
@@ -13,8 +13,8 @@ Floats = NDArray[np.float64]
 def distances(boundary: Circle | Polygon, points: Floats) -> Floats:
     """Signed distance (m) of points (k, 2) from a boundary, (k,): above 0 on its allowed side.
 
-    That is the `distance` of the first one that `agent.boundaries.Boundary.near` returns. Points that are not
-    finite give nan.
+    That is the `distance` of the first one that `agent.control.boundaries.Boundary.near` returns. Points
+    that are not finite give nan.
     """
     x, y = points[:, 0], points[:, 1]
     if isinstance(boundary, Circle):

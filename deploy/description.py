@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from agent.avoidance import clearance, sensing_distance
-from agent.boundaries import obstacles_of
+from agent.control.boundaries import obstacles_of
+from agent.control.safety_distances import clearance, sensing_distance
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, ControlSection
 from agent.formation import trajectory

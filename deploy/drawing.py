@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as CornerPatch
 from numpy.typing import NDArray
 
-from agent.boundaries import Circle, Polygon
+from agent.control.boundaries import Circle, Polygon
 from deploy.recorder import RecordingError
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from agent.boundaries import fence_of, obstacles_of
+from agent.control.boundaries import fence_of, obstacles_of
 from agent.fleet.fleet import Fleet
 from deploy import link_figures
 from deploy.analysis import Analysis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
-from agent.hand import Pose
+from agent.control.hand import Pose
 from deploy.process_faults import Action, Process
 
 

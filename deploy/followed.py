@@ -7,9 +7,9 @@ from typing import Final
 
 from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
-from agent.hand import Pose
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
 from agent.supervision import State

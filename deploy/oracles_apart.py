@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from agent.avoidance import clearance as clearance_of
-from agent.boundaries import fence_of, obstacles_of
+from agent.control.boundaries import fence_of, obstacles_of
+from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fleet import Fleet
 from agent.supervision import DRIVING, State
 from deploy.analysis import Analysis, Approaches

@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Final
 
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
-from agent.hand import Pose
 from agent.messages.key_expressions import ROLES
 from deploy.children import Child, end_all
 from deploy.placing import Vehicle

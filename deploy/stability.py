@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import law
+from agent.control import law
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.geometry import Geometry, edge_lengths, rigidity_matrix, start_hands
@@ -97,7 +97,7 @@ def sweep_radius(geometry: Geometry, control: ControlSection, safe_distance: flo
 
     State: e, edot of every robot and the multiplier of every edge, with neighbours predicted exactly.
     lambda' = lambda + W^-1 (A (c1 e + c2 edot) - kd A edot - kp A e - (k2 + A A^T) lambda), the
-    sweep of `agent.law`, and u = -c1 e - c2 edot + A^T lambda'.
+    sweep of `agent.control.law`, and u = -c1 e - c2 edot + A^T lambda'.
     """
     jacobian = _jacobian(geometry, safe_distance)
     m, n2 = jacobian.shape

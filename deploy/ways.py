@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.boundaries import Circle, Polygon
+from agent.control.boundaries import Circle, Polygon
 from agent.fleet.fleet import Fleet
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry

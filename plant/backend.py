@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
-from agent.hand import Pose
+from agent.control.hand import Pose
 
 
 class Command(NamedTuple):

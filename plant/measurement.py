@@ -6,9 +6,9 @@ from math import cos, hypot, pi, sin
 from typing import Final
 
 from agent.common import random_streams
+from agent.control.hand import Pose
 from agent.fleet.fault_rules import SENSOR_FIELDS
 from agent.fleet.sections import Robot
-from agent.hand import Pose
 from agent.links.fault_plan import FaultPlan, SensorFaults
 
 _NONE: Final = SensorFaults()

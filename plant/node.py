@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
+from agent.control.peers import FUTURE_NS_MAX
 from agent.fleet.fleet import Fleet, digest
-from agent.hand import Pose
 from agent.latch import Latch
 from agent.links.ingress import Reception
 from agent.messages import key_expressions
@@ -34,7 +35,6 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
-from agent.peers import FUTURE_NS_MAX
 from agent.supervision import at_rest
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement

@@ -16,7 +16,7 @@ from pathlib import Path
 from struct import Struct
 from typing import Final
 
-from agent.hand import Pose
+from agent.control.hand import Pose
 from agent.segment_folder import PASSING
 from plant.backend import Check, Command, PlantBackend, Reading
 

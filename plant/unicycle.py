@@ -10,9 +10,9 @@ from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Robot
-from agent.hand import Pose
 from plant.backend import Command, PlantBackend, Reading
 
 TURN_MAX: Final = 0.5

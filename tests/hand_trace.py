@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import hand
 from agent.common.clock import NS_PER_S
+from agent.control import hand
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.trajectory import make_trajectory

@@ -10,9 +10,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
-from agent.hand import Pose
 from bridges.mavlink import ardurover, frames
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.rover_settings import Settings, settings_of

@@ -40,7 +40,7 @@ def _check_obstacles(rows: Sequence[Mapping[str, Any]], reader: Reader) -> None:
             _check_polygon(row["points_m"], f"{place}.points_m", reader)
         if "name" not in row:
             continue
-        name = row["name"] or f"obstacle {number}"  # as `agent.boundaries.obstacles_of` calls it
+        name = row["name"] or f"obstacle {number}"  # as `agent.control.boundaries.obstacles_of` calls it
         other = first.setdefault(name, number)
         if other != number:
             whose = f"obstacle[{other}]" if other else "the fence"

@@ -21,12 +21,12 @@ from math import hypot
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
+from agent.control.law import DISTANCE_MIN
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Pair
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan, plan_of
 from agent.formation.trajectory import Sample
-from agent.law import DISTANCE_MIN
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission
 

@@ -7,9 +7,9 @@ from math import radians
 from typing import Final
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
-from agent.hand import Pose
 from agent.process import Log
 from agent.supervision import at_rest
 from bridges.mavlink import ardurover, checks, frames

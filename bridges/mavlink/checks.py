@@ -12,8 +12,8 @@ from math import hypot
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.sections import MavlinkSection
-from agent.hand import Pose
 from bridges.mavlink import ardurover, audit
 from bridges.mavlink.connection import BY_ID
 from bridges.mavlink.frames import Geodetic, geodetic_to_world

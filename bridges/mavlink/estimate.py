@@ -16,7 +16,7 @@ from math import cos, degrees, hypot, isfinite, sin
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.hand import Pose
+from agent.control.hand import Pose
 from bridges.mavlink.frames import wrapped
 from bridges.mavlink.rover_dynamics import DEFAULTS, Limits, RoverDynamics
 

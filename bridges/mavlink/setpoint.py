@@ -1,8 +1,8 @@
 """A wrench becomes the forward speed and yaw rate that a rover is asked for (PURE).
 
-The agent drives a body with v' = F/m and w' = tau/J (`agent.hand`). A rover takes speeds and follows them
-late. So that body is kept here as a *reference*: its speed and yaw rate are what the wrenches integrate to.
-The rover is made to track it by a *lead*: what is sent is where the reference will be when the rover gets
+The agent drives a body with v' = F/m and w' = tau/J (`agent.control.hand`). A rover takes speeds and follows
+them late. So that body is kept here as a *reference*: its speed and yaw rate are what the wrenches integrate
+to. The rover is made to track it by a *lead*: what is sent is where the reference will be when the rover gets
 there,
 
     speed = v_r + (T_v + dt/2) a_r,    yaw rate = w_r + (T_w + dt/2) w_r',
@@ -25,7 +25,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Final, NamedTuple
 
-from agent.hand import Pose
+from agent.control.hand import Pose
 from agent.supervision import REST_SPEED
 from bridges.mavlink.estimate import Surprise
 from bridges.mavlink.rover_dynamics import (

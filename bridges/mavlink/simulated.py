@@ -6,8 +6,8 @@ from collections import deque
 from typing import Final
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
-from agent.hand import Pose
 from bridges.mavlink import frames
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.rover_settings import settings_of

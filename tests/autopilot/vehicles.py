@@ -17,9 +17,9 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved
-from agent.hand import Pose
 from agent.latch import AWAITED
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import MavlinkPlant, session

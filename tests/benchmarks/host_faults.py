@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.peers import UNSURE_NS
+from agent.control.peers import UNSURE_NS
 from agent.supervision import State
 from deploy.recording import Recording
 from tests.benchmarks.processes import BenchmarkError

@@ -21,11 +21,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
-from agent import hand
 from agent.common.clock import NS_PER_S
+from agent.control import hand
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
-from agent.hand import Pose
 from agent.messages.codec import decode
 from deploy.analysis import Analysis, analyse
 from deploy.arguments import fleet_path

@@ -14,9 +14,9 @@ from itertools import count
 from math import hypot, inf, sqrt
 from typing import Final, NamedTuple
 
-from agent import hand
 from agent.common.clock import NS_PER_S
-from agent.hand import Pose
+from agent.control import hand
+from agent.control.hand import Pose
 from bridges.mavlink.estimate import Estimate
 from bridges.mavlink.rover_dynamics import RoverDynamics
 from bridges.mavlink.setpoint import LEAD_SPEED_S, LEAD_YAW_S, TOLD_WITHIN, Bounds, Setpoint
@@ -120,7 +120,8 @@ class Rover:
 
 
 def drive(body: Ideal | Rover, law: Law, seconds: float) -> Trace:
-    """The loop of `agent.controller`: a wrench is for the middle of the period after the next tick."""
+    """The loop of `agent.control.controller`: a wrench is for the middle of the period after the next
+    tick."""
     hands: list[hand.Hand] = []
     command = Command(0.0, 0.0)
     for k in range(round(seconds * RATE_HZ)):

@@ -20,11 +20,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent import barrier, core, law
+from agent import core
+from agent.control import law, safety_filter
+from agent.control.peers import Peers
 from agent.fleet.fleet import load_fleet
 from agent.formation.geometry import resolved
 from agent.node import Node, Outgoing
-from agent.peers import Peers
 from agent.reliance import Reliance
 from agent.supervision import State
 from deploy import simulation
@@ -53,7 +54,8 @@ STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
         if callable(getattr(law, name)) and name.islower() and getattr(law, name).__module__ == law.__name__
     ),
     "filter": tuple(
-        (barrier, name) for name in ("keep_apart", "keep_clear", "limit_speed", "limit_actuators", "project")
+        (safety_filter, name)
+        for name in ("keep_apart", "keep_clear", "limit_speed", "limit_actuators", "project")
     ),
     "encode": ((core, "encode"),),
     "status": ((core.Agent, "_status"),),

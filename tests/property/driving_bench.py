@@ -7,11 +7,11 @@ from math import cos, dist, hypot, inf, sin
 from typing import NamedTuple
 
 from agent.common.clock import NS_PER_S
-from agent.controller import Controller
+from agent.control.controller import Controller
+from agent.control.hand import Pose, advance, hand
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
-from agent.hand import Pose, advance, hand
 from agent.messages.types import HandState, Mission, PlantState
 
 Point = tuple[float, float]

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from agent.barrier import (
+from agent.control.boundaries import Circle, Polygon
+from agent.control.safety_filter import (
     BODY,
     SEPARATION,
     SPEED,
@@ -20,7 +21,6 @@ from agent.barrier import (
     limit_speed,
     project,
 )
-from agent.boundaries import Circle, Polygon
 
 MOST = 5.0
 CLOSE = 1e-6

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from agent.boundaries import Circle, Polygon
+from agent.control.boundaries import Circle, Polygon
 from deploy.clearances import distances
 
 COORDINATE = st.floats(-20.0, 20.0)

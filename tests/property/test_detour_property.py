@@ -7,8 +7,8 @@ from random import Random
 
 import pytest
 
-from agent.avoidance import clearance
-from agent.boundaries import obstacles_of
+from agent.control.boundaries import obstacles_of
+from agent.control.safety_distances import clearance
 from tests.property.driving_bench import circle, drive, fleet_of, polygon
 
 SAFE = 0.22

@@ -7,7 +7,7 @@ from math import hypot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.hand import Pose, advance, hand, hand_acceleration, wrench
+from agent.control.hand import Pose, advance, hand, hand_acceleration, wrench
 
 COORDINATE = st.floats(-1e3, 1e3)
 SPEED = st.floats(-20.0, 20.0)

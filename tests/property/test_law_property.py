@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent import law
+from agent.control import law
 
 Floats = NDArray[np.float64]
 RS = 0.22
@@ -186,7 +186,7 @@ def test_names_of_robots_and_order_of_edges_do_not_matter(g: Group, names: list[
 
 
 def matrices(g: Group) -> tuple[Floats, Floats]:
-    """A (m, 2 n) and Adot rdot (m,) of (10), (11), edge by edge and apart from `agent.law`.
+    """A (m, 2 n) and Adot rdot (m,) of (10), (11), edge by edge and apart from `agent.control.law`.
 
     a = (d - r_s) D g with g = 1 / ((rho - r_s)^2 rho), so adot = (d - r_s)(w g + D gdot).
     """

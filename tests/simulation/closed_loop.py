@@ -1,6 +1,6 @@
 """The continuous closed loop of the paper, written straight from its equations and solved by scipy.
 
-Independent of `agent.law`: the constraint matrices are built as in (9)-(11) and (29)-(34), edge by
+Independent of `agent.control.law`: the constraint matrices are built as in (9)-(11) and (29)-(34), edge by
 edge, with Adot rdot as a derivative along the motion worked out on paper for D = r_i - r_j.
 """
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent import controller
+from agent.control import controller
 from agent.supervision import TRANSITIONS
 from deploy.arguments import fleet_path, fleet_text
 from deploy.chaos import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text

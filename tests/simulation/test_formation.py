@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agent import law
 from agent.common.clock import NS_PER_S
+from agent.control import law
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest, load_fleet
 from agent.formation.geometry import edge_lengths, resolve, resolved, start_hands

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent import hand
 from agent.common.clock import NS_PER_S
+from agent.control import hand
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
 from deploy.simulation import Simulation

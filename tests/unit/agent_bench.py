@@ -7,9 +7,9 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest, parse_fleet
-from agent.hand import Pose
 from agent.messages.codec import decode, encode
 from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.node import Numbers

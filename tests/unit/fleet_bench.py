@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from agent import hand
 from agent.common.clock import NS_PER_S
+from agent.control import hand
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.messages import key_expressions

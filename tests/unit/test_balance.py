@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from agent import law
+from agent.control import law
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis import Analysis, analyse

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from agent.boundaries import obstacles_of
+from agent.control.boundaries import obstacles_of
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved, start_hands
 from deploy.chaos import scenario_text

@@ -8,7 +8,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from agent import law
+from agent.control import law
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation.geometry import resolve, start_hands
@@ -216,7 +216,7 @@ def control_of(coupling: str) -> ControlSection:
 
 @pytest.mark.parametrize("coupling", ["joint", "edge", "penalty"])
 def test_modes_are_those_of_the_law_itself(coupling: str):
-    """Differences of `agent.law` about the formation give the same gains as `modes`."""
+    """Differences of `agent.control.law` about the formation give the same gains as `modes`."""
     given = lattice(3)
     control, geometry = control_of(coupling), resolve(given)
     n, step = len(geometry.ids), 1e-5
@@ -250,7 +250,8 @@ def test_modes_are_those_of_the_law_itself(coupling: str):
 
 
 def commanded(geometry, control, error, rate, multipliers=None):
-    """u of all robots by `agent.law`, (2, n); with `multipliers`, by one sweep, and those after it."""
+    """u of all robots by `agent.control.law`, (2, n); with `multipliers`, by one sweep, and those after
+    it."""
     gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
     i, j = geometry.edges.T
     n = len(geometry.ids)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.avoidance import barrier_rate
+from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve
 from deploy import judged

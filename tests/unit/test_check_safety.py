@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from agent.boundaries import Circle, Polygon
+from agent.control.boundaries import Circle, Polygon
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve
 from deploy.check_safety import check_safety, parting, start_points

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose, hand, hand_acceleration
+from agent.control.peers import FUTURE_NS_MAX
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.formation.trajectory import make_trajectory
-from agent.hand import Pose, hand, hand_acceleration
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode
 from agent.messages.types import (
@@ -29,7 +30,6 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.peers import FUTURE_NS_MAX
 from agent.supervision import State
 from plant.backend import Command
 from plant.unicycle import from_fleet

@@ -8,8 +8,8 @@ from math import hypot, sqrt
 import pytest
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import hand_acceleration
 from agent.formation.reference import Edge
-from agent.hand import hand_acceleration
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
 from agent.supervision import DRIVING, State

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose, hand
 from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest
-from agent.hand import Pose, hand
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Resume, Stop
 from agent.supervision import State

@@ -7,10 +7,10 @@ from math import hypot
 
 import pytest
 
-from agent import law
 from agent.common.clock import NS_PER_S
+from agent.control import law
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.hand import Pose
 from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
 from agent.supervision import State
 from plant.node import PlantNode

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
-from agent.boundaries import Circle, Polygon
+from agent.control.boundaries import Circle, Polygon
 from deploy.drawing import draw_boundary, new_figure, view
 
 LOW, HIGH = np.array([0.0, 0.0]), np.array([10.0, 4.0])

@@ -7,7 +7,7 @@ from math import cos, inf, nan, pi, radians, sin
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.hand import Pose
+from agent.control.hand import Pose
 from bridges.mavlink.estimate import JUMP_M, STALE_S, Estimate, Prediction
 from bridges.mavlink.rover_dynamics import DEFAULTS, RoverDynamics
 

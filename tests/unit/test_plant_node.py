@@ -8,8 +8,9 @@ from typing import NamedTuple
 import pytest
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
+from agent.control.peers import FUTURE_NS_MAX
 from agent.fleet.fleet import Fleet, digest, parse_fleet
-from agent.hand import Pose
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
@@ -25,7 +26,6 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.peers import FUTURE_NS_MAX
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.node import CHECKS_PERIOD_NS, PlantNode
 from plant.unicycle import from_fleet

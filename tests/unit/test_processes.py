@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.hand import Pose
 from deploy import processes
 from deploy.arguments import FLEETS
 from deploy.placing import Vehicle

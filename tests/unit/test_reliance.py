@@ -9,9 +9,9 @@ from typing import NamedTuple
 import pytest
 
 from agent.common.clock import NS_PER_S
-from agent.hand import hand_acceleration
+from agent.control.hand import hand_acceleration
+from agent.control.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.messages.types import HandState, Status, Stop, Wrench
-from agent.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.reliance import SLOWEST
 from agent.supervision import State
 from tests.unit.fleet_bench import PERIOD, FleetBench, three

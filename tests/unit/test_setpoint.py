@@ -7,7 +7,7 @@ from math import inf, nan
 
 import pytest
 
-from agent.hand import Pose
+from agent.control.hand import Pose
 from bridges.mavlink.estimate import Surprise
 from bridges.mavlink.rover_dynamics import Limits
 from bridges.mavlink.setpoint import (

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import parse_fleet
-from agent.hand import Pose
 from deploy.arguments import FLEETS
 from plant.__main__ import main as plant
 from plant.backend import Check, Command, PlantBackend, Reading
@@ -44,7 +44,8 @@ def test_nothing_is_known_of_a_new_file(tmp_path: Path):
 def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
     file = tmp_path / "pose"
     code = (
-        "import os, pathlib, signal; from plant.standing import Standing; from agent.hand import Pose; "
+        "import os, pathlib, signal; from plant.standing import Standing; from agent.control.hand "
+        "import Pose; "
         f"s = Standing(pathlib.Path({str(file)!r})); s.write(Pose(1.5, -2.0, 0.25, 3.0, 0.0)); "
         "os.kill(os.getpid(), signal.SIGKILL)"
     )

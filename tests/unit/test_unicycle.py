@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from agent.common.clock import NS_PER_S
+from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.fleet.sections import Robot
-from agent.hand import Pose
 from plant import unicycle
 from plant.backend import Command, Reading
 from plant.unicycle import Actuator, Unicycle, from_fleet, integrate

@@ -10,8 +10,8 @@ from functools import lru_cache
 from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final, NamedTuple
 
+from agent.control.law import saturation
 from agent.formation.trajectory import Sample
-from agent.law import saturation
 from agent.messages.types import HandState
 
 BRAKING_TIME_S: Final = 0.2

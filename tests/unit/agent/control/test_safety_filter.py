@@ -6,7 +6,8 @@ from math import cos, hypot, pi, sin, sqrt
 
 import pytest
 
-from agent.barrier import (
+from agent.control.hand import Pose, wrench
+from agent.control.safety_filter import (
     BODY,
     LEAST_MAX,
     SEPARATION,
@@ -20,7 +21,6 @@ from agent.barrier import (
     limit_turning,
     project,
 )
-from agent.hand import Pose, wrench
 
 RATE = 3.0
 STILL = (0.0, 0.0)

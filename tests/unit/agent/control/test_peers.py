@@ -8,11 +8,8 @@ from math import cos, dist, sin
 import numpy as np
 import pytest
 
-from agent.formation.trajectory import Sample
-from agent.law import saturation
-from agent.messages.codec import decode, encode
-from agent.messages.types import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
-from agent.peers import (
+from agent.control.law import saturation
+from agent.control.peers import (
     DOUBT_AFTER_S,
     DOUBT_MAX,
     DOUBT_RATE,
@@ -23,7 +20,10 @@ from agent.peers import (
     UNSURE_NS,
     Peers,
 )
-from agent.prediction import Prediction, approach, as_it_came, coasting, following, transition
+from agent.control.prediction import Prediction, approach, as_it_came, coasting, following, transition
+from agent.formation.trajectory import Sample
+from agent.messages.codec import decode, encode
+from agent.messages.types import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
 
 PERIOD = 20_000_000
 S = 1_000_000_000

@@ -1,4 +1,5 @@
-"""agent.detour: when a robot goes round what blocks it, which way, and when it is back on the direct way."""
+"""agent.control.detour: when a robot goes round what blocks it, which way, and when it is back on the direct
+way."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from math import inf, isfinite, nan
 
 import pytest
 
-from agent.detour import (
+from agent.control.detour import (
     FREE_S,
     KEEPS_S,
     PATIENCE_S,

@@ -6,11 +6,11 @@ from math import cos, sin, tau
 
 import pytest
 
-from agent.avoidance import barrier_rate
-from agent.controller import Controller
+from agent.control.controller import Controller
+from agent.control.hand import Pose, advance, hand, wrench
+from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import load_fleet, parse_fleet
 from agent.formation.geometry import resolve
-from agent.hand import Pose, advance, hand, wrench
 from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
 from deploy.arguments import fleet_path
 

@@ -1,4 +1,5 @@
-"""agent.avoidance: from which distances on robots keep apart, and how fast they may close in."""
+"""agent.control.safety_distances: from which distances on robots keep apart, and how fast they may close
+in."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from math import inf
 
 import pytest
 
-from agent.avoidance import (
+from agent.control.safety_distances import (
     avoidance_distance,
     barrier_rate,
     braking_room,
@@ -14,7 +15,7 @@ from agent.avoidance import (
     least_apart,
     sensing_distance,
 )
-from agent.barrier import keep_apart
+from agent.control.safety_filter import keep_apart
 from tests.unit.agent.fleet.fleet_texts import small
 
 LINE = {1: (0.0, 0.0), 2: (1.0, 0.0), 3: (2.0, 0.0)}

@@ -6,13 +6,13 @@ from math import inf
 
 import pytest
 
+from agent.control.hand import Hand
+from agent.control.peers import DOUBT_MAX, Peers
+from agent.control.proximity import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Surroundings
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
-from agent.hand import Hand
 from agent.messages.types import Beacon, HandState, Mission
-from agent.peers import DOUBT_MAX, Peers
-from agent.surroundings import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Surroundings
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1, y_m = 0 }, { id = 3, x_m = 5, y_m = 0 }]

@@ -11,19 +11,19 @@ from __future__ import annotations
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
-from agent import barrier, hand, law
-from agent.avoidance import barrier_rate
 from agent.common.clock import NS_PER_S
-from agent.detour import Blocker, Detour
+from agent.control import hand, law, safety_filter
+from agent.control.detour import Blocker, Detour
+from agent.control.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
+from agent.control.prediction import Prediction, approach, constraint_decay
+from agent.control.proximity import Surroundings
+from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import Course, Edge
 from agent.messages.types import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns
-from agent.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
-from agent.prediction import Prediction, approach, constraint_decay
-from agent.surroundings import Surroundings
 
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
@@ -82,7 +82,7 @@ class _Scene(NamedTuple):
     nx: float
     ny: float
     constraints: list[_Constraint]
-    planes: list[barrier.HalfPlane]
+    planes: list[safety_filter.HalfPlane]
 
 
 class Controller:
@@ -310,8 +310,8 @@ class Controller:
         follows = peer.message is not None and peer.message.following
         gap = self._safe_distance + self._margin + doubt
         # Where it is, nobody knows: those that are heard come first.
-        rank = barrier.UNSURE if doubt >= DOUBT_MAX else barrier.SEPARATION
-        plane = barrier.keep_apart(
+        rank = safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
+        plane = safety_filter.keep_apart(
             name,
             (dx, dy),
             (own.vx, own.vy),
@@ -331,7 +331,9 @@ class Controller:
             closing = plane.nx * own.vx + plane.ny * own.vy
             plane = plane._replace(least=min(plane.least, -closing / STOP_S))
             if rho < gap and closing < LEAVING * hypot(own.vx, own.vy):
-                scene.planes.extend(barrier.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank))
+                scene.planes.extend(
+                    safety_filter.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank)
+                )
         scene.planes.append(plane)
 
     def _keep_clear(self, scene: _Scene) -> None:
@@ -357,7 +359,7 @@ class Controller:
                     )
                     key = f"{near.name} {near.side}"
                     scene.constraints.append(_Constraint(key, constraint, None, 0, True, near.name))
-                plane = barrier.keep_clear(
+                plane = safety_filter.keep_clear(
                     near.name,
                     near.distance,
                     near.nx,
@@ -410,7 +412,7 @@ class Controller:
         self,
         ux: float,
         uy: float,
-        planes: list[barrier.HalfPlane],
+        planes: list[safety_filter.HalfPlane],
         body: hand.Pose,
         own: hand.Hand,
         reference: Vector,
@@ -420,12 +422,12 @@ class Controller:
         most = self._speed_max
         if slower < 1.0:
             most = min(most, slower * (hypot(*reference) + SLOW_SPEED))
-        planes += barrier.limit_speed(own.vx, own.vy, most, self._barrier_rate)
-        planes += barrier.limit_actuators(
+        planes += safety_filter.limit_speed(own.vx, own.vy, most, self._barrier_rate)
+        planes += safety_filter.limit_actuators(
             body, self._mass, self._inertia, self._reach, self._force_max, self._torque_max
         )
-        planes += barrier.limit_turning(body, self._reach, self._yaw_rate_max, 2.0 * self._barrier_rate)
-        ux, uy, causes, _ = barrier.project(ux, uy, planes, self._acceleration_max)
+        planes += safety_filter.limit_turning(body, self._reach, self._yaw_rate_max, 2.0 * self._barrier_rate)
+        ux, uy, causes, _ = safety_filter.project(ux, uy, planes, self._acceleration_max)
         return ux, uy, causes
 
 

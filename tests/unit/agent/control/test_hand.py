@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.hand import Hand, Pose, advance, hand, hand_acceleration, wrench
+from agent.control.hand import Hand, Pose, advance, hand, hand_acceleration, wrench
 
 Floats = NDArray[np.float64]
 MASS, INERTIA, REACH = 10.0, 0.13, 0.1

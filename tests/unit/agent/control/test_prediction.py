@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from agent.formation.trajectory import Sample
-from agent.law import navigation_force, saturation
-from agent.messages.types import HandState
-from agent.prediction import (
+from agent.control.law import navigation_force, saturation
+from agent.control.prediction import (
     APPROACH_SHARE,
     BRAKING_TIME_S,
     Prediction,
@@ -27,6 +25,8 @@ from agent.prediction import (
     following,
     transition,
 )
+from agent.formation.trajectory import Sample
+from agent.messages.types import HandState
 
 C1, C2 = 0.4, 0.6
 DECAY = constraint_decay(1.8, 1.0)

@@ -4,7 +4,7 @@ Pure. Others are heard in two ways: by the hand states of those that are listene
 in the formation graph, and whoever is near), and by the beacons of all (a few a second).
 
 A robot stamps its messages and follows the mission by its own clock. So all that is about it is reckoned
-in that clock: the own one plus its offset, as far as that is proven (`agent.clock_offset`).
+in that clock: the own one plus its offset, as far as that is proven (`agent.control.clock_offset`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from agent.clock_offset import ClockOffset
 from agent.common.clock import NS_PER_S
+from agent.control.clock_offset import ClockOffset
+from agent.control.prediction import Prediction, as_it_came, coasting, following
 from agent.formation.trajectory import Sample
 from agent.messages.types import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
-from agent.prediction import Prediction, as_it_came, coasting, following
 
 FUTURE_NS_MAX: Final = 250_000_000
 """A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
@@ -106,7 +106,7 @@ class Peers:
         c1, c2: navigation gains (21) of all.
         period_ns: time between two hand states of one robot.
         motion: desired motion of every robot.
-        decay: of a robot's constraint force, 1/s (`agent.prediction.constraint_decay`).
+        decay: of a robot's constraint force, 1/s (`agent.control.prediction.constraint_decay`).
         predict: False takes every message as it came, whatever its age.
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
 

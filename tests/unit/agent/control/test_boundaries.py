@@ -1,4 +1,4 @@
-"""agent.boundaries: what a point feels of circles, corners, notches, bends and fences."""
+"""agent.control.boundaries: what a point feels of circles, corners, notches, bends and fences."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import hypot, inf, isclose, sqrt
 import numpy as np
 import pytest
 
-from agent.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
+from agent.control.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
 from deploy.clearances import distances
 from tests.unit.agent.fleet.fleet_texts import SMALL, small
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent import law
+from agent.control import law
 
 Floats = NDArray[np.float64]
 GAINS = law.Gains(kd=1.8, k2=5.0, kp=1.0)
@@ -61,7 +61,8 @@ def group(seed: int, n: int = 6, graph: NDArray[np.intp] = DELTA) -> Group:
     )
 
 
-# The paper's own constraint function and its matrices, one edge at a time, nothing shared with agent.law.
+# The paper's own constraint function and its matrices, one edge at a time, nothing shared with
+# agent.control.law.
 
 
 def phi(ri: Floats, rj: Floats, d: float) -> float:

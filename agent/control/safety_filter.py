@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import cos, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
-from agent.hand import Pose
+from agent.control.hand import Pose
 
 BODY: Final = 0
 SEPARATION: Final = 1
