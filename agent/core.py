@@ -18,7 +18,6 @@ from agent.control.prediction import BRAKING_TIME_S
 from agent.fleet.fleet import Fleet, digest
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, plan_of
-from agent.latch import AWAITED, Latch
 from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode, newer
@@ -41,9 +40,10 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
-from agent.reliance import Reliance
-from agent.supervision import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
-from agent.telling import Telling
+from agent.supervision.neighbour_trust import Reliance
+from agent.supervision.order_relay import Telling
+from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
+from agent.supervision.stop_latch import AWAITED, Latch
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 HEARD_ROUNDS: Final = 7

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from agent.supervision import TRANSITIONS, State
+from agent.supervision.state_machine import TRANSITIONS, State
 from deploy.chaos import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
 
 Tables = dict[str, Any]

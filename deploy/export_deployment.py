@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
-from agent.supervision import DRIVING
+from agent.supervision.state_machine import DRIVING
 from deploy import host_program, units
 from deploy.bundle import Bundle, Platform
 from deploy.host_connection import NO_PYTHON, bootstrap

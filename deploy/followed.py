@@ -12,7 +12,7 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.author import author
 from deploy.fleet_processes import FleetProcesses
 from deploy.live import Watch, fleet_time_s

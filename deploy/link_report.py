@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, Final
 
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.page import figure, shown, table
 from deploy.recording import Recording
 

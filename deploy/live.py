@@ -19,7 +19,7 @@ from agent.formation.reference import Course
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.fault_words import defaults, held, lasts, words
 from deploy.live_faults import Held, shown
 from deploy.news import News

@@ -17,7 +17,7 @@ import numpy as np
 
 from agent.fleet.fleet import Fleet, law_name
 from agent.formation.geometry import Geometry
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 from deploy import link_metrics, oracles, oracles_apart
 from deploy.analysis import Analysis, Approach, analyse, norm
 from deploy.link_data import Floats

@@ -8,7 +8,7 @@ from typing import Final
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.messages.types import Mission, Resume, Stop
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 from deploy.wording import robots
 
 SENTENCES_MAX: Final = 8

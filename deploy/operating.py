@@ -29,7 +29,7 @@ from agent.messages.types import (
 )
 from agent.node import Numbers, Outgoing
 from agent.orders import OrderError, first_mission, ordered
-from agent.supervision import DRIVING
+from agent.supervision.state_machine import DRIVING
 from deploy.order_versions import can_be
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000

@@ -10,7 +10,7 @@ import numpy as np
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fleet import Fleet
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis import Analysis, Approaches
 from deploy.clearances import distances
 from deploy.presence import Flags, said

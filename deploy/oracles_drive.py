@@ -15,7 +15,7 @@ from agent.fleet.fault_rules import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, 
 from agent.fleet.fleet import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages.key_expressions import ROLES
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis import Analysis, norm
 from deploy.balance import last_caught_s
 from deploy.clearances import distances

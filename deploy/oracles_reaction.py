@@ -9,7 +9,7 @@ import numpy as np
 from agent.fleet.fault_rules import Impairments, Rule
 from agent.fleet.fleet import Fleet
 from agent.messages.types import TOPICS
-from agent.supervision import DRIVING, REST_SPEED
+from agent.supervision.state_machine import DRIVING, REST_SPEED
 from deploy.analysis import Analysis
 from deploy.link_data import Floats
 from deploy.presence import Down, Flags, downs

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.link_data import Floats
 from deploy.recording import Recording
 from deploy.run_tables import StatusTable

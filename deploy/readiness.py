@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from agent.messages.types import PlantState, Status
-from agent.supervision import State, at_rest
+from agent.supervision.state_machine import State, at_rest
 from deploy.wording import robots
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry, resolve
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from agent.version import handfast_version
 from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
 from deploy.analysis import Analysis, analyse

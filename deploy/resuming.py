@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Final
 
 from agent.fleet.fleet import Fleet
-from agent.latch import AWAITED
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Resume, Status
-from agent.supervision import DRIVING, MISSION_OVER, State
+from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
+from agent.supervision.stop_latch import AWAITED
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 _OVER: Final = (State.STOPPED.value, MISSION_OVER)

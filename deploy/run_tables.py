@@ -63,7 +63,7 @@ class Table:
 
 class Change(NamedTuple):
     """An agent came from state `before` ("" when nothing is known of it) to `state` at `t_s`; `row` names the
-    row of `agent.supervision.TRANSITIONS` that led there."""
+    row of `agent.supervision.state_machine.TRANSITIONS` that led there."""
 
     t_s: float
     before: str

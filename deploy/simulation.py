@@ -30,7 +30,7 @@ from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.orders import OrderError
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
 from deploy.process_faults import Action, Process, actions
 from deploy.readiness import is_ready

@@ -7,7 +7,7 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.order_versions import AHEAD_US_MAX
 
 BRAKING: Final = frozenset(

@@ -15,7 +15,7 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
 from agent.messages.key_expressions import ROLES
-from agent.supervision import DRIVING
+from agent.supervision.state_machine import DRIVING
 from deploy import units
 from deploy.arrivals import Arrivals
 from deploy.bundle import program_archive

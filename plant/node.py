@@ -13,7 +13,6 @@ from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.control.peers import FUTURE_NS_MAX
 from agent.fleet.fleet import Fleet, digest
-from agent.latch import Latch
 from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
@@ -35,7 +34,8 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.node import Numbers, Outgoing
-from agent.supervision import at_rest
+from agent.supervision.state_machine import at_rest
+from agent.supervision.stop_latch import Latch
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 

@@ -198,11 +198,11 @@ class Checks(NamedTuple):
 class Status(NamedTuple):
     """What one agent is doing. `counters` are totals since it started.
 
-    `transition` names the row of `agent.supervision.TRANSITIONS` that led to `state`; `order_version` is that
-    of the last stop or resume. `tick_us` holds the duration of every tick since the last status (empty in
-    virtual time), `ages_us` the age of every neighbour's hand state at every tick since then.
-    `neighbours` gives ``(id, age_us, received, lost, offset_us, error_us)`` for each neighbour: the
-    age of its hand state now, -1 when never heard; how many of them came and how many did not; its
+    `transition` names the row of `agent.supervision.state_machine.TRANSITIONS` that led to `state`;
+    `order_version` is that of the last stop or resume. `tick_us` holds the duration of every tick since the
+    last status (empty in virtual time), `ages_us` the age of every neighbour's hand state at every tick
+    since then. `neighbours` gives ``(id, age_us, received, lost, offset_us, error_us)`` for each neighbour:
+    the age of its hand state now, -1 when never heard; how many of them came and how many did not; its
     clock minus the own, and half of that estimate's uncertainty, -1 while nothing is known.
     """
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, NamedTuple
 
-from agent.latch import AWAITED
+from agent.supervision.stop_latch import AWAITED
 
 
 class Holder(Enum):

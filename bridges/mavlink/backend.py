@@ -11,7 +11,7 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
 from agent.process import Log
-from agent.supervision import at_rest
+from agent.supervision.state_machine import at_rest
 from bridges.mavlink import ardurover, checks, frames
 from bridges.mavlink.authority import Authority, Holder
 from bridges.mavlink.claim import Claim

@@ -26,7 +26,7 @@ from math import isfinite
 from typing import Final, NamedTuple
 
 from agent.control.hand import Pose
-from agent.supervision import REST_SPEED
+from agent.supervision.state_machine import REST_SPEED
 from bridges.mavlink.estimate import Surprise
 from bridges.mavlink.rover_dynamics import (
     DEFAULTS,

@@ -30,7 +30,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState
 from agent.node import Node
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from bridges.mavlink import ardurover
 from bridges.mavlink.link import Link, LinkSettings
 from plant.backend import Command, Reading

@@ -20,7 +20,7 @@ from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved
-from agent.latch import AWAITED
+from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink import ardurover
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.frames import Geodetic, world_to_geodetic

@@ -24,7 +24,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Status
 from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.children import ONE_THREAD
 from deploy.placing import place
 

@@ -26,8 +26,8 @@ from agent.control.peers import Peers
 from agent.fleet.fleet import load_fleet
 from agent.formation.geometry import resolved
 from agent.node import Node, Outgoing
-from agent.reliance import Reliance
-from agent.supervision import State
+from agent.supervision.neighbour_trust import Reliance
+from agent.supervision.state_machine import State
 from deploy import simulation
 from deploy.arguments import fleet_path
 from deploy.recording import Recording

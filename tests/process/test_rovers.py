@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 from agent.common.clock import NS_PER_S
-from agent.latch import AWAITED
 from agent.messages.types import HandState, PlantState, Status, Wrench
+from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink import ardurover
 from tests.ground_station import Operator
 from tests.process.harness import measured, no_trouble_in_logs

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.recording import Recording
 from tests.process.harness import (
     Command,

@@ -12,7 +12,7 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, Status, Wrench
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.simulation import Simulation
 
 SQUARE = """

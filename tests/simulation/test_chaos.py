@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from agent.control import controller
-from agent.supervision import TRANSITIONS
+from agent.supervision.state_machine import TRANSITIONS
 from deploy.arguments import fleet_path, fleet_text
 from deploy.chaos import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text
 from deploy.chaos_draw import draw

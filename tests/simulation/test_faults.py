@@ -16,7 +16,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Event, Mission, PlantState, Status
 from agent.node import INBOX_SIZE
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 from deploy.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace

@@ -15,7 +15,7 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Wrench
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from bridges.mavlink import frames
 from bridges.mavlink.frames import datum_of
 from bridges.mavlink.rover_simulator import Rover

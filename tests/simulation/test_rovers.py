@@ -14,7 +14,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from agent.supervision import at_rest
+from agent.supervision.state_machine import at_rest
 from bridges.mavlink import ardurover, frames
 from bridges.mavlink.backend import UNTOLD
 from bridges.mavlink.frames import datum_of

@@ -13,7 +13,7 @@ from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from agent.node import Numbers
-from agent.supervision import State
+from agent.supervision.state_machine import State
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]

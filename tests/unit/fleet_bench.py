@@ -12,7 +12,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, Mission
 from agent.node import Node
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from plant.node import PlantNode
 from plant.unicycle import Unicycle, from_fleet
 

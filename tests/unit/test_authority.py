@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.latch import AWAITED
+from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink.authority import TRANSITIONS, Authority, Holder
 
 MANUAL = "mode MANUAL, not GUIDED"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from agent.fleet.fleet import load_fleet
-from agent.supervision import TRANSITIONS
+from agent.supervision.state_machine import TRANSITIONS
 from deploy import chaos_command, pool
 from deploy.chaos import Outcome, scenario_text
 from deploy.chaos_draw import draw

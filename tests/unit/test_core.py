@@ -30,7 +30,7 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from plant.backend import Command
 from plant.unicycle import from_fleet
 from tests.unit.agent_bench import (

@@ -12,7 +12,7 @@ from agent.control.hand import hand_acceleration
 from agent.formation.reference import Edge
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 from tests.unit.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
 
 PLACES = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))

@@ -14,7 +14,7 @@ from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Resume, Stop
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from plant.backend import Command, PlantBackend, Reading
 from plant.node import PlantNode
 from plant.unicycle import from_fleet

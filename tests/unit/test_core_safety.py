@@ -12,7 +12,7 @@ from agent.control import law
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from plant.node import PlantNode
 from tests.unit.agent_bench import (
     ALIVE,

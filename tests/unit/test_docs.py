@@ -12,7 +12,7 @@ from agent.common.schema import entries
 from agent.fleet.fleet import load_fleet, parse_fleet
 from agent.fleet.safety_sections import AvoidanceSection, SupervisionSection
 from agent.formation.geometry import resolve, resolved
-from agent.supervision import DOES, TRANSITIONS, State
+from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli
 from deploy.arguments import FLEETS
 from deploy.check import check

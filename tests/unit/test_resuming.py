@@ -8,10 +8,10 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import load_fleet
-from agent.latch import AWAITED
 from agent.messages import key_expressions
 from agent.messages.types import PlantState, Resume, Status
-from agent.supervision import MISSION_OVER
+from agent.supervision.state_machine import MISSION_OVER
+from agent.supervision.stop_latch import AWAITED
 from deploy.arguments import FLEETS, InputError, robots_named
 from deploy.resuming import Resuming
 

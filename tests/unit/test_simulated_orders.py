@@ -16,7 +16,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.messages.validation import Malformed
 from agent.orders import OrderError
-from agent.supervision import State
+from agent.supervision.state_machine import State
 from deploy.operating import HEARTBEAT_PERIOD_NS
 from deploy.simulation import Simulation
 from tests.unit.order_fleets import SQUARE, order, square

@@ -8,11 +8,11 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
-from agent.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench
 from agent.node import FIRST_ROUND
-from agent.supervision import DRIVING, State
+from agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
+from agent.supervision.state_machine import DRIVING, State
 from plant.node import PlantNode
 from tests.unit.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
 

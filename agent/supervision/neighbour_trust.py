@@ -15,7 +15,7 @@ from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers import TRUST_GAINED_S, Peer
 from agent.fleet.fleet import Fleet
-from agent.supervision import DRIVING, State
+from agent.supervision.state_machine import DRIVING, State
 
 SLOWEST: Final = 0.3
 """Share of its speed that a robot has left when it gives a neighbour up."""

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.latch import Latch
 from agent.messages.types import Resume, Stop
+from agent.supervision.stop_latch import Latch
 
 ROBOT = 1
 

@@ -9,12 +9,12 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
-from agent.gossip import AGAIN_NS, Gossip, Mark
-from agent.latch import Latch
 from agent.messages import key_expressions
 from agent.messages.codec import encode, tag
 from agent.messages.types import Beacon, Mission, PlantState, Resume, Stop
 from agent.node import Numbers, Outgoing
+from agent.supervision.gossip import AGAIN_NS, Gossip, Mark
+from agent.supervision.stop_latch import Latch
 
 UNMOVED_NS: Final = NS_PER_S // 2
 """A plant that brakes for so long while it is asked to drive may have missed a leave to drive."""
@@ -26,7 +26,7 @@ class Telling:
     Attributes:
         key: where it tells it.
         subscription: where all robots do.
-        mission_mark: of the mission that it knows (`agent.gossip.Mark`).
+        mission_mark: of the mission that it knows (`agent.supervision.gossip.Mark`).
     """
 
     def __init__(self, fleet: Fleet, robot: int, latch: Latch) -> None:
