@@ -8,7 +8,7 @@ from agent.common.clock import Clock
 from agent.core import Agent
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolved
-from agent.process import Log, Start, main
+from agent.runtime.process import Log, Start, main
 
 
 def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:

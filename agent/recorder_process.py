@@ -16,11 +16,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet.fleet import Fleet, FleetError, digest, load_fleet, read_text
 from agent.messages import key_expressions
-from agent.process import (
+from agent.recorder_thread import RecorderThread
+from agent.robot_recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
+from agent.runtime.bus import Bus, BusError
+from agent.runtime.process import (
     BAD_INPUT,
     FAILED,
     Log,
@@ -30,12 +32,10 @@ from agent.process import (
     open_bus,
     robot_arguments,
 )
-from agent.recorder_thread import RecorderThread
-from agent.robot_recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
+from agent.runtime.systemd_notify import Service
+from agent.runtime.version import handfast_version
 from agent.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
 from agent.segments import About, Received
-from agent.service import Service
-from agent.version import handfast_version
 
 POLL_S: Final = 0.05
 INBOX_S: Final = 60

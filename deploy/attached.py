@@ -103,7 +103,7 @@ def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool) -> str:
 
     Raises:
         deploy.running.NoAnswerError: nobody is there.
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(OperatorSession(fleet), interrupt) as session:
         session.ask()

@@ -24,7 +24,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
-from agent.version import handfast_version
+from agent.runtime.version import handfast_version
 from deploy.folders import cache_folder
 
 REQUIREMENTS: Final = Path(__file__).parent / "robot_requirements.txt"

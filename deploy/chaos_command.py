@@ -87,7 +87,7 @@ class Scenarios:
 
 def chaos(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from agent.bus import BusError
+    from agent.runtime.bus import BusError
     from deploy.chaos_real import real_results
     from deploy.chaos_report import Tally, conclusion, lines
     from deploy.interrupt import Interrupt

@@ -28,7 +28,7 @@ def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Itera
 
     Raises:
         deploy.ports.NoPortsError, deploy.runfolder.FolderError, deploy.recorder.RecordingError,
-        agent.bus.BusError: as `deploy.local.LocalRun` and what it needs do.
+        agent.runtime.bus.BusError: as `deploy.local.LocalRun` and what it needs do.
     """
     for seed in seeds:
         tables = draw(seed)

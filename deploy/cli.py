@@ -13,7 +13,7 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import FleetError
-from agent.version import handfast_version
+from agent.runtime.version import handfast_version
 from deploy import (
     chaos_command,
     down_command,
@@ -146,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from agent.bus import BusError
+    from agent.runtime.bus import BusError
     from deploy.live import make_view
     from deploy.local import LocalRun
     from deploy.placing import place

@@ -58,7 +58,7 @@ def _down(options: argparse.Namespace) -> int:
 
 def _brake(fleet: Fleet, view: HostsView) -> None:
     """Stops all robots at once, before their processes end one by one."""
-    from agent.bus import BusError
+    from agent.runtime.bus import BusError
     from deploy.stop_session import stop
 
     try:

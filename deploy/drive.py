@@ -8,7 +8,6 @@ from functools import partial
 from operator import itemgetter
 from typing import Final
 
-from agent.bus import Bus
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import OrderSection
@@ -18,6 +17,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
 from agent.node import next_tick_ns
 from agent.orders import OrderError
+from agent.runtime.bus import Bus
 from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.fleet_processes import FleetProcesses
 from deploy.followed import Followed, Record

@@ -145,7 +145,7 @@ def _attend(
     options: argparse.Namespace, fleet: Fleet, driven: Fleet, folder: RunFolder, interrupt: Interrupt
 ) -> int:
     """Drives it to the end, and reports."""
-    from agent.bus import BusError
+    from agent.runtime.bus import BusError
     from deploy.attached import Attached
     from deploy.before_drive import BROKEN_OFF
     from deploy.drive import Drive
@@ -180,12 +180,12 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
     Raises:
         InputError: a file cannot be written.
-        agent.private_folder.NotPrivateError: see there.
+        agent.runtime.runtime_folder.NotPrivateError: see there.
     """
     import tomli_w
 
     from agent.fleet.fleet import to_dict
-    from agent.private_folder import NotPrivateError
+    from agent.runtime.runtime_folder import NotPrivateError
     from deploy.registry import Registration
 
     path = folder / ROBOTS_FILE

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
+from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
 from deploy.author import author
 from deploy.fleet_processes import FleetProcesses

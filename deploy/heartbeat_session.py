@@ -22,7 +22,7 @@ class HeartbeatSession(Session):
     """A session that sends heartbeats.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -54,7 +54,7 @@ def beat(fleet: Fleet, interrupt: Interrupt, stream: TextIO) -> None:
 
     Raises:
         deploy.running.NoAnswerError: nobody is there.
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(HeartbeatSession(fleet), interrupt) as session:
         session.beat(interrupt, stream)

@@ -45,7 +45,7 @@ class LocalRun:
         """From start to end; whatever happens, no process is left.
 
         Raises:
-            agent.bus.BusError: the operator's session cannot be opened.
+            agent.runtime.bus.BusError: the operator's session cannot be opened.
             deploy.recorder.RecordingError: the recording cannot be written (the fleet is stopped first).
         """
         try:

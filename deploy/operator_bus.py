@@ -8,10 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.bus import Bus
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
-from agent.sealed_bus import bus_for
+from agent.runtime.bus import Bus
+from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator
 from deploy.arguments import InputError
@@ -27,7 +27,7 @@ def operator_bus(fleet: Fleet) -> Bus:
     """On the bus of `fleet`, connected to every agent and plant, or to one of its routers.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
         InputError: the fleet is secured, and this operator has no certificate that is valid.
     """
     routers = fleet.network.routers

@@ -26,7 +26,7 @@ class OperatorSession(Session):
         statuses: what each agent said last.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:

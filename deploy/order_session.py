@@ -23,7 +23,7 @@ class OrderSession(OperatorSession):
     """A session that changes the mission.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
     _answers = 0

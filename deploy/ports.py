@@ -7,7 +7,7 @@ import os
 import socket
 from typing import Final
 
-from agent.private_folder import NotPrivateError, private_folder
+from agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 BLOCK: Final = 128
 """Ports are reserved in blocks of this many."""

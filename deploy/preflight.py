@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from agent.bus import Bus
 from agent.common.clock import RealClock
 from agent.fleet.fleet import Fleet, to_dict
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed
+from agent.runtime.bus import Bus
 from deploy.interrupt import Interrupt
 from deploy.placing import Vehicle
 from deploy.processes import VEHICLE, Processes
@@ -53,7 +53,7 @@ class Preflight:
         """What the vehicles tell; ends early when interrupted. Whatever happens, no process is left.
 
         Raises:
-            agent.bus.BusError: the operator's session cannot be opened.
+            agent.runtime.bus.BusError: the operator's session cannot be opened.
         """
         robots = self._checks.robots
         if robots:

@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _preflight(options: argparse.Namespace) -> int:
-    from agent.bus import BusError
+    from agent.runtime.bus import BusError
     from deploy.placing import place
     from deploy.ports import NoPortsError
     from deploy.preflight import Preflight, passed, show, to_json

@@ -23,7 +23,7 @@ from agent.fleet.fleet import Fleet, law_name, to_dict
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, PlantState
 from agent.messages.validation import Malformed
-from agent.version import handfast_version
+from agent.runtime.version import handfast_version
 from deploy.foxglove import SCHEMAS, Scene
 from deploy.message_json import schema, schema_name, to_json
 

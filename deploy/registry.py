@@ -19,7 +19,7 @@ from typing import Final
 
 from agent.common.schema import show
 from agent.fleet.fleet import load_fleet
-from agent.private_folder import private_folder
+from agent.runtime.runtime_folder import private_folder
 from deploy.arguments import bundled, fleet_path
 from deploy.wording import NAMES_SHOWN
 

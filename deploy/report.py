@@ -15,8 +15,8 @@ import numpy as np
 
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry, resolve
+from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
-from agent.version import handfast_version
 from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
 from deploy.analysis import Analysis, analyse
 from deploy.page import CSS, bullets, figure, shown, table

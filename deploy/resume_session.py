@@ -19,7 +19,7 @@ class ResumeSession(OperatorSession):
     """A session that hears whether robots drive.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -47,7 +47,7 @@ def resume(fleet: Fleet, robots: Sequence[int]) -> Resuming:
 
     Raises:
         deploy.running.NoAnswerError: nobody is there.
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:
         return session.resume(robots)

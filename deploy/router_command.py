@@ -47,12 +47,12 @@ def add_parser(commands: Any) -> None:
 
 
 def _router(options: argparse.Namespace) -> int:
-    from agent.bus import Router, init_log, settings_of
-    from agent.linger import Lingering
     from agent.messages.key_expressions import alive, robot_of_alive
+    from agent.runtime.bus import Router, init_log, settings_of
+    from agent.runtime.systemd_notify import Service
+    from agent.runtime.tcp_linger import Lingering
+    from agent.runtime.zenoh_log import ZenohLog
     from agent.security.refusals import FILTER
-    from agent.service import Service
-    from agent.zenoh_log import ZenohLog
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -105,7 +105,7 @@ def _listen(options: argparse.Namespace, fleet: Fleet) -> str:
 def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
     if not fleet.is_secured:
         return None
-    from agent.sealed_bus import secured
+    from agent.runtime.sealed_bus import secured
     from agent.security.credentials import CredentialsError, MissingError, load
     from agent.security.identity import IdentityError, of_router
     from deploy.authority import keys_folder

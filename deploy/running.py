@@ -44,8 +44,8 @@ def handled(command: Command) -> Command:
 
     def run(options: argparse.Namespace) -> int:
         # Here: opening the bus takes its time, and most commands do not.
-        from agent.bus import BusError
-        from agent.private_folder import NotPrivateError
+        from agent.runtime.bus import BusError
+        from agent.runtime.runtime_folder import NotPrivateError
         from deploy.registry import NotRunningError
 
         try:

@@ -40,7 +40,7 @@ class Session:
         alive: those that are there.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet) -> None:

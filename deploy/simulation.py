@@ -1,8 +1,8 @@
 """A fleet in virtual time: the same agents and plants, the same bytes, one process, no waiting.
 
-What `agent.process.loop` does in real time happens here in the order of the ticks' times, and so does what
-rules do to processes, clocks and ticks. A message is there `LATENCY_NS` after it was published, about what a
-loopback link takes; the same fleet file and seed give the same bytes.
+What `agent.runtime.process.loop` does in real time happens here in the order of the ticks' times, and so
+does what rules do to processes, clocks and ticks. A message is there `LATENCY_NS` after it was published,
+about what a loopback link takes; the same fleet file and seed give the same bytes.
 
 Times are true time, the operator's. A robot's clock may be wrong on purpose
 (`agent.common.clock.LocalTime`): its nodes are told what it shows.
@@ -39,7 +39,7 @@ from plant.node import PlantNode
 
 LATENCY_NS: Final = 100_000
 LEASE_NS: Final = 900_000_000
-"""A process that is paused is seen to go so long after, as measured for `agent.bus.LEASE_MS`."""
+"""A process that is paused is seen to go so long after, as measured for `agent.runtime.bus.LEASE_MS`."""
 WARM_UP_PERIODS: Final = 10
 """Periods from the start to the epoch, for a fleet that is ready after half of them; more where agents first
 listen for who is near."""
@@ -169,7 +169,7 @@ class _Host:
             self._changes.append((time_ns, key, here))
 
     def tick(self, true_ns: int) -> list[Outgoing]:
-        """One round of `agent.process.loop`."""
+        """One round of `agent.runtime.process.loop`."""
         node, ticks = self.node, self._ticks
         now_ns, missed = ticks.take(self._local.local_ns(true_ns))
         while self._changes and self._changes[0][0] <= true_ns:

@@ -50,7 +50,7 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from agent.bus import BusError
+    from agent.runtime.bus import BusError
     from deploy import units
     from deploy.host_connection import HostConnection
     from deploy.host_jobs import HostJobs

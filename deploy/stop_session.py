@@ -21,7 +21,7 @@ class StopSession(Session):
     """A session that hears who brakes.
 
     Raises:
-        agent.bus.BusError: the bus cannot be opened.
+        agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
     def __init__(self, fleet: Fleet, reason: str) -> None:

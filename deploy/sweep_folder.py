@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.version import handfast_version
+from agent.runtime.version import handfast_version
 from deploy.sweep import Plan, Question, SweepError, parse_axis
 from deploy.sweep_run import NUMBERS, Row
 

@@ -1,8 +1,8 @@
 """The systemd user units of a robot: one for each of its processes (PURE).
 
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
-it lives (`agent.service`); it bounds what it may take. Neither ssh nor the operator's machine is needed for
-that.
+it lives (`agent.runtime.systemd_notify`); it bounds what it may take. Neither ssh nor the operator's machine
+is needed for that.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class BringUp:
         """Brings all up; what became of each host and robot is in `rows` then.
 
         Raises:
-            agent.bus.BusError: the operator's session cannot be opened.
+            agent.runtime.bus.BusError: the operator's session cannot be opened.
         """
         with Arrivals(self._fleet) as self._arrivals:
             listen_until = time.monotonic() + LISTEN_S

@@ -16,7 +16,7 @@ from pathlib import Path
 from agent.common.clock import Clock
 from agent.fleet.fleet import Fleet
 from agent.messages.types import FLOAT_MAX
-from agent.process import FAILED, Log, StartError
+from agent.runtime.process import FAILED, Log, StartError
 from plant.backend import PlantBackend
 from plant.server import main as serve
 from plant.standing import Place, Standing, StandingBody, StandingError

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from agent.common.clock import Clock
 from agent.fleet.fleet import Fleet
-from agent.process import Log, Start
-from agent.process import main as process_main
+from agent.runtime.process import Log, Start
+from agent.runtime.process import main as process_main
 from plant.backend import PlantBackend
 from plant.node import PlantNode
 

@@ -15,7 +15,7 @@ from typing import Final
 from agent.common.clock import Clock
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR
-from agent.process import Log, StartError
+from agent.runtime.process import Log, StartError
 from bridges.mavlink.signing import SigningError, open_signing
 from bridges.mavlink.transport import open_transport
 from plant.backend import PlantBackend
@@ -31,7 +31,8 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
         look: it arms nothing.
 
     Raises:
-        agent.process.StartError: the fleet file does not say how to reach it, or its key cannot be used.
+        agent.runtime.process.StartError: the fleet file does not say how to reach it, or its key cannot be
+        used.
     """
     section = fleet.robot(robot).mavlink
     if section is None or section.connection is None or fleet.datum is None:

@@ -10,7 +10,7 @@ from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
-from agent.process import Log
+from agent.runtime.process import Log
 from agent.supervision.state_machine import at_rest
 from bridges.mavlink import ardurover, checks, frames
 from bridges.mavlink.authority import Authority, Holder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from agent.process import Log
+from agent.runtime.process import Log
 from bridges.mavlink import ardurover
 from bridges.mavlink.authority import Holder
 from bridges.mavlink.link import Link

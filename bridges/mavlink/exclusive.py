@@ -7,7 +7,7 @@ import os
 import re
 from hashlib import sha256
 
-from agent.private_folder import private_folder
+from agent.runtime.runtime_folder import private_folder
 from bridges.mavlink.connection import Connection, Unusable
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from agent.common.clock import NS_PER_S, Clock, RealClock
-from agent.process import PARENT_PERIOD_NS, Shutdown
+from agent.runtime.process import PARENT_PERIOD_NS, Shutdown
 from bridges.mavlink import ardurover
 from bridges.mavlink.rover_settings import DEFAULT_HOME, Settings, SettingsError, parse_home, parse_parameter
 from bridges.mavlink.rover_simulator import Rover

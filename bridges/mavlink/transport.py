@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from agent.private_folder import NotPrivateError
+from agent.runtime.runtime_folder import NotPrivateError
 from bridges.mavlink.channels import Channel, open_channel
 from bridges.mavlink.connection import Connection, Unusable, parse_connection
 from bridges.mavlink.exclusive import Hold

@@ -16,13 +16,13 @@ from typing import Final, NamedTuple
 
 import zenoh
 
-from agent.bus import RUNTIME, settings_of
 from agent.fleet.fleet import load_fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import HandState
 from agent.messages.validation import Malformed
-from agent.sealed_bus import secured
+from agent.runtime.bus import RUNTIME, settings_of
+from agent.runtime.sealed_bus import secured
 from agent.security.credentials import load
 from agent.security.identity import MAIN, of_operator
 from deploy.authority import keys_folder

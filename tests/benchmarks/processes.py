@@ -16,7 +16,6 @@ from typing import Final, Self
 
 import tomli_w
 
-from agent.bus import Bus
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet.fleet import Fleet, digest, to_dict
 from agent.messages import key_expressions
@@ -24,6 +23,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Status
 from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
+from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
 from deploy.children import ONE_THREAD
 from deploy.placing import place

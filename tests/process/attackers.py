@@ -20,7 +20,6 @@ import zenoh
 from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from agent.bus import PAYLOAD_BYTES_MAX, settings_of
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, digest
 from agent.messages import key_expressions
@@ -41,6 +40,7 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
+from agent.runtime.bus import PAYLOAD_BYTES_MAX, settings_of
 from agent.security.access_control import tls_settings
 from agent.security.credentials import Credentials, Files, load
 from agent.security.sealed_order import DOMAIN, VERSION

@@ -15,7 +15,6 @@ from typing import Any, Final, TypeVar
 
 import tomli_w
 
-from agent.bus import Bus, Presence
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, digest, load_fleet, to_dict
 from agent.formation.geometry import resolved
@@ -23,6 +22,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, Mission, PlantState, Status, Wrench
 from agent.messages.validation import Malformed
+from agent.runtime.bus import Bus, Presence
 from deploy.arguments import FLEETS
 from deploy.ports import Reservation
 from tests.process.harness import ADDRESS, PATIENCE_S, Command, environment, last_lines, wait_for

@@ -17,14 +17,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.bus import Bus, Presence, Router, init_log
 from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
-from agent.sealed_bus import SealedBus, secured
+from agent.runtime.bus import Bus, Presence, Router, init_log
+from agent.runtime.sealed_bus import SealedBus, secured
+from agent.runtime.zenoh_log import ZenohLog
 from agent.security.credentials import load
 from agent.security.identity import Identity, parse
 from agent.security.refusals import FILTER
-from agent.zenoh_log import ZenohLog
 from tests.process.fleet_harness import make_fleet
 from tests.unit.trusted import FLEET
 

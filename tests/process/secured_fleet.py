@@ -12,11 +12,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent.bus import Bus
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
-from agent.sealed_bus import gate_of
+from agent.runtime.bus import Bus
+from agent.runtime.sealed_bus import gate_of
 from agent.security.access_control import Security
 from agent.security.credentials import Files, load
 from agent.security.identity import MAIN, Identity, of_operator, of_robot

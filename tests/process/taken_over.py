@@ -14,9 +14,9 @@ from typing import Any
 
 import zenoh
 
-from agent import process
 from agent.__main__ import start
-from agent.bus import Bus
+from agent.runtime import process
+from agent.runtime.bus import Bus
 
 
 def main() -> int:

@@ -25,7 +25,6 @@ import pytest
 import tomli_w
 import zenoh
 
-from agent.bus import Bus, BusError, Router
 from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode
@@ -43,6 +42,7 @@ from agent.messages.types import (
     Wrench,
 )
 from agent.messages.validation import Malformed
+from agent.runtime.bus import Bus, BusError, Router
 from tests.process.fleet_harness import Robots, make_fleet, placed, robots
 from tests.process.harness import (
     ADDRESS,

@@ -19,10 +19,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Resume, Stop
+from agent.runtime.bus import PAYLOAD_BYTES_MAX, Bus, Mode, settings_of
 from agent.security.access_control import Security, tls_settings
 from agent.security.credentials import Files, load
 from agent.security.identity import Identity, of_operator, of_robot, of_router

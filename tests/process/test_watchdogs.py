@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.bus import LEASE_MS
 from agent.common.clock import NS_PER_S
 from agent.messages.types import PlantState, Status
+from agent.runtime.bus import LEASE_MS
 from tests.process.fleet_harness import Robots, robots
 from tests.process.harness import measured, no_trouble_in_logs
 

@@ -11,13 +11,13 @@ from typing import Any, cast
 
 import pytest
 
-from agent.bus import Bus
 from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
+from agent.runtime.bus import Bus
 from deploy.attached import Attached
 from deploy.before_drive import BROKEN_OFF, OVER, refusal
 from deploy.drive import Drive

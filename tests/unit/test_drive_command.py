@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.bus import BusError
-from agent.private_folder import NotPrivateError
+from agent.runtime.bus import BusError
+from agent.runtime.runtime_folder import NotPrivateError
 from deploy.arguments import FLEETS, InputError
 from deploy.cli import main
 from deploy.ports import Reservation

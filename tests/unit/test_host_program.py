@@ -73,9 +73,9 @@ def told(home: Path) -> list[str]:
     return [line.removeprefix("--user --no-pager ") for line in lines]
 
 
-AGENT = "handfast-two-robot-1-agent.service"
-OTHER = "handfast-two-robot-2-agent.service"
-STRANGER = "handfast-two-robotics-robot-1-agent.service"
+AGENT = "handfast-two-robot-1-agent.runtime.systemd_notify"
+OTHER = "handfast-two-robot-2-agent.runtime.systemd_notify"
+STRANGER = "handfast-two-robotics-robot-1-agent.runtime.systemd_notify"
 
 
 def units(home: Path) -> Path:

@@ -8,8 +8,8 @@ from typing import Any
 
 import zenoh
 
-from agent.bus import PRESENCE_SIZE, Presence
 from agent.messages import key_expressions
+from agent.runtime.bus import PRESENCE_SIZE, Presence
 
 
 class Subscriber:

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from agent import recorder_process
-from agent.bus import BusError
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import digest, load_fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.robot_recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders
+from agent.runtime.bus import BusError
 from agent.segment_folder import FolderInUseError, SegmentFolder, segment_paths
 from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
 from deploy.arguments import FLEETS

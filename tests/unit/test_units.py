@@ -96,4 +96,4 @@ def test_the_keys_are_named_not_shown():
 
 
 def test_names_tell_fleet_robot_and_process():
-    assert unit_name("two", 12, "agent") == "handfast-two-robot-12-agent.service"
+    assert unit_name("two", 12, "agent") == "handfast-two-robot-12-agent.runtime.systemd_notify"

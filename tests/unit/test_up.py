@@ -241,7 +241,7 @@ def test_with_nothing_to_do_it_ends_as_soon_as_all_are_heard(
 
 def test_while_none_drives_robots_of_a_host_start_together(world: World) -> None:
     world.everybody("ready")
-    world.stale, world.unwanted = {1, 3}, ["handfast-delta-robot-9-agent.service"]
+    world.stale, world.unwanted = {1, 3}, ["handfast-delta-robot-9-agent.runtime.systemd_notify"]
     world.after = {1: "ready", 3: "ready"}
     work = bring(world)
     assert ends(work)["rover1"] == (DONE, "up, robots 1 and 3 started")
@@ -308,7 +308,7 @@ def test_a_stop_during_an_upgrade_does_not_halt_it(world: World) -> None:
 def test_a_robot_that_drives_but_is_not_heard_is_not_touched(world: World) -> None:
     world.says = {3: "degraded: slower"}
     world.stale = {1, 3, 5}
-    world.unwanted = ["handfast-delta-robot-9-agent.service"]
+    world.unwanted = ["handfast-delta-robot-9-agent.runtime.systemd_notify"]
     work = bring(world)
     for name in ("rover1", "rover2"):
         state, step = ends(work)[name]

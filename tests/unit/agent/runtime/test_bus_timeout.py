@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from agent import sealed_bus
-from agent.bus import LINK_TIMEOUT_S, Bus, settings_of
 from agent.fleet.fleet import Fleet, load_fleet
-from agent.sealed_bus import bus_for
+from agent.runtime import sealed_bus
+from agent.runtime.bus import LINK_TIMEOUT_S, Bus, settings_of
+from agent.runtime.sealed_bus import bus_for
 from deploy.arguments import fleet_path
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.service import Service
+from agent.runtime.systemd_notify import Service
 
 
 @pytest.fixture

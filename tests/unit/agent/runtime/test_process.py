@@ -7,13 +7,13 @@ from typing import cast
 
 import pytest
 
-from agent.bus import Bus
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
-from agent.process import Shutdown, loop
-from agent.service import Service
+from agent.runtime.bus import Bus
+from agent.runtime.process import Shutdown, loop
+from agent.runtime.systemd_notify import Service
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 

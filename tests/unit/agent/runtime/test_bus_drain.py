@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.bus import Bus
 from agent.node import INBOX_SIZE
+from agent.runtime.bus import Bus
 
 SAMPLE = SimpleNamespace(key_expr="two/robot/7/hand", payload=SimpleNamespace(to_bytes=lambda: b"junk"))
 

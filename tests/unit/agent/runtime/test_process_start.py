@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from agent import process
 from agent.__main__ import start
-from agent.bus import BusError
+from agent.runtime import process
+from agent.runtime.bus import BusError
 from agent.security.credentials import CredentialsError, NotYetValidError
-from tests.unit.test_service import all_of
+from tests.unit.agent.runtime.test_systemd_notify import all_of
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 2, y_m = 0 }]

@@ -16,9 +16,9 @@ from typing import Any, Final, Literal
 
 import zenoh
 
-from agent.linger import Lingering
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import INBOX_SIZE
+from agent.runtime.tcp_linger import Lingering
 from agent.security.access_control import Security
 
 Mode = Literal["peer", "client", "router"]
@@ -39,7 +39,7 @@ messages a second keep none of them busy, and handing over between threads cost 
 Zenoh reads it from the environment; a ``ZENOH_RUNTIME`` that is set already is left alone."""
 RETRY_MS: Final = (50, 150)
 LINGER_PERIOD_S: Final = 0.5
-"""How often it is looked for links that are new (`agent.linger`)."""
+"""How often it is looked for links that are new (`agent.runtime.tcp_linger`)."""
 PRESENCE_SIZE: Final = 4096
 """Changes of who is there that wait, and that are taken at once."""
 M_ARENA_MAX: Final = -8

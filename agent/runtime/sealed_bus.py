@@ -13,16 +13,16 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.bus import LINK_TIMEOUT_S, Bus, init_log
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
+from agent.runtime.bus import LINK_TIMEOUT_S, Bus, init_log
+from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
 from agent.security.credentials import Credentials, load
 from agent.security.identity import MAIN, Identity
 from agent.security.order_gate import OrderGate
 from agent.security.refusals import FILTER
 from agent.security.sealed_order import Opener, Sealer
-from agent.zenoh_log import ZenohLog
 
 Log = Callable[[str], None]
 
@@ -63,7 +63,7 @@ class SealedBus(Bus):
         bus: what else a `Bus` takes.
 
     Raises:
-        agent.bus.BusError: see `Bus`.
+        agent.runtime.bus.BusError: see `Bus`.
         agent.security.credentials.CredentialsError: the files are not there, or not valid.
     """
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 CODE = """
 import os, sys
-from agent.zenoh_log import ZenohLog
+from agent.runtime.zenoh_log import ZenohLog
 print("before")
 log = ZenohLog()
 os.write(1, b"from the library\\n")
@@ -24,7 +24,7 @@ print("after")
 def test_only_what_the_library_writes_is_taken() -> None:
     done = subprocess.run(
         [sys.executable, "-c", CODE],
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[4],
         capture_output=True,
         text=True,
         timeout=30,

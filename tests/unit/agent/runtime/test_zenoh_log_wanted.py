@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from agent.zenoh_log import WANTED, ZenohLog
+from agent.runtime.zenoh_log import WANTED, ZenohLog
 
 
 def test_a_log_that_somebody_wants_is_left_to_him(

@@ -12,17 +12,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.bus import Bus, BusError
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet, FleetError, load_fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.node import Node, Ticks
-from agent.sealed_bus import bus_for
+from agent.runtime.bus import Bus, BusError
+from agent.runtime.sealed_bus import bus_for
+from agent.runtime.systemd_notify import Service
 from agent.security.credentials import CredentialsError, NotYetValidError
 from agent.security.identity import of_robot
-from agent.service import Service
 
 LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was told to end has this long to bring its robot to a standstill."""
@@ -154,10 +154,10 @@ def logger(robot: int, role: str) -> Log:
 
 
 def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any) -> Bus:
-    """The bus of one of a robot's processes: see `agent.sealed_bus.bus_for`.
+    """The bus of one of a robot's processes: see `agent.runtime.sealed_bus.bus_for`.
 
     Raises:
-        agent.bus.BusError: it cannot be opened now; nor can it before this computer's clock is set.
+        agent.runtime.bus.BusError: it cannot be opened now; nor can it before this computer's clock is set.
         StartError: the fleet is secured and the robot's certificate cannot be used.
     """
     if not fleet.is_secured:

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from agent import sealed_bus
-from agent.bus import Bus, BusError
-from agent.sealed_bus import SealedBus
+from agent.runtime import sealed_bus
+from agent.runtime.bus import Bus, BusError
+from agent.runtime.sealed_bus import SealedBus
 from agent.security.identity import of_robot
 from agent.security.refusals import Refusals
 from tests.process.guarded import guarded_fleet
