@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
-from agent.segment_folder import SEGMENT_NAME, segment_paths
+from agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
 from deploy.folders import cache_folder
 from deploy.host_connection import HostConnection, HostError
 from deploy.hosts import robots_on

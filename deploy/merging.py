@@ -21,7 +21,7 @@ from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
-from agent.segments import Received
+from agent.recorder.segments import Received
 from deploy.recorder import RecordingError
 from deploy.robot_recording import (
     GAP_NS,

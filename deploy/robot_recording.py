@@ -1,4 +1,4 @@
-"""What robots' computers recorded (`agent.recorder_process`), in folders that were brought here: what
+"""What robots' computers recorded (`agent.recorder.__main__`), in folders that were brought here: what
 there is of it, and its messages by time.
 
 A recording is believed about its own robot only: whose it is its folder says, and what its robot and its
@@ -18,9 +18,9 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Mission, Resume, Stop
 from agent.messages.validation import Malformed
-from agent.robot_recorder import order_keys
-from agent.segment_folder import segment_paths
-from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Received, Segment
+from agent.recorder.recorder import order_keys
+from agent.recorder.segment_folder import segment_paths
+from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Received, Segment
 
 GAP_NS: Final = NS_PER_S
 """A robot is never silent for so long: something is missing."""

@@ -18,7 +18,7 @@ from deploy.children import ONE_THREAD
 from deploy.processes import MODULES
 
 RECORDER: Final = "recorder"
-RECORDER_MODULE: Final = "agent.recorder_process"
+RECORDER_MODULE: Final = "agent.recorder.__main__"
 WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0}
 """A process whose loop is silent for so long is killed and started again. A recorder's disk may stall."""
 RESTART_DELAY_MS: Final = 200

@@ -17,7 +17,7 @@ from struct import Struct
 from typing import Final
 
 from agent.control.hand import Pose
-from agent.segment_folder import PASSING
+from agent.recorder.segment_folder import PASSING
 from plant.backend import Check, Command, PlantBackend, Reading
 
 _PLACE: Final = Struct("<Qddd")  # number of the record; x, y (m, W), heading (rad)

@@ -19,8 +19,8 @@ import tomli_w
 
 from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.formation.geometry import resolved
-from agent.segment_folder import segment_paths
-from agent.segments import MESSAGES, Segment
+from agent.recorder.segment_folder import segment_paths
+from agent.recorder.segments import MESSAGES, Segment
 from deploy.arguments import fleet_path
 from deploy.placing import place
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
@@ -126,7 +126,7 @@ def _result(found: _Found) -> Result:
 
 def _record(group: Group, fleet: Fleet, fleet_file: Path, recordings: Path) -> None:
     for robot in fleet.ids:
-        command = [sys.executable, "-P", "-m", "agent.recorder_process", "--fleet", str(fleet_file)]
+        command = [sys.executable, "-P", "-m", "agent.recorder.__main__", "--fleet", str(fleet_file)]
         command += ["--robot", str(robot), "--folder", str(recordings / str(robot)), "--exit-with-parent"]
         group.start(robot, RECORDER, command, {})
 

@@ -17,8 +17,8 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed
-from agent.segment_folder import segment_paths
-from agent.segments import MESSAGES, Received, Segment
+from agent.recorder.segment_folder import segment_paths
+from agent.recorder.segments import MESSAGES, Received, Segment
 from deploy.merging import merge
 from deploy.report import rebuild
 from deploy.runfolder import RunFolder
@@ -63,7 +63,7 @@ class Recorded(Robots):
     def start_recorder(self, robot: int) -> None:
         arguments = ("--fleet", str(self.fleet_file), "--robot", str(robot))
         self.run(
-            robot, RECORDER, "agent.recorder_process", *arguments, "--folder", str(self.recording(robot))
+            robot, RECORDER, "agent.recorder.__main__", *arguments, "--folder", str(self.recording(robot))
         )
 
     def recorded(self, robot: int) -> list[Received]:

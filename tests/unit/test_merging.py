@@ -16,9 +16,9 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, PlantState, Resume, Stop
-from agent.robot_recorder import RobotRecorder, order_keys
-from agent.segment_folder import SegmentFolder, segment_paths
-from agent.segments import About, Received
+from agent.recorder.recorder import RobotRecorder, order_keys
+from agent.recorder.segment_folder import SegmentFolder, segment_paths
+from agent.recorder.segments import About, Received
 from deploy.merging import MARGIN_NS, Choice, Merged, merge
 from deploy.recording import Recording
 from deploy.report import rebuild

@@ -1,4 +1,4 @@
-"""The bytes of what a robot's computer records (PURE). `agent.segment_folder` has the files.
+"""The bytes of what a robot's computer records (PURE). `agent.recorder.segment_folder` has the files.
 
 A segment is a file to which blocks are only ever appended. Each block is a head (`_HEAD`) and its content,
 compressed by zlib. The first block tells whose the segment is (`About`), the second which orders were known

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from agent import recorder_process
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import digest, load_fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
-from agent.robot_recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders
+from agent.recorder import __main__
+from agent.recorder.recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS, RobotRecorder, known_orders
+from agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
+from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
 from agent.runtime.bus import BusError
-from agent.segment_folder import FolderInUseError, SegmentFolder, segment_paths
-from agent.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
 from deploy.arguments import FLEETS
 
 BEGUN_NS = 1_763_600_000_000_000_000
@@ -252,7 +252,7 @@ def test_a_folder_that_is_gone_is_not_waited_for(tmp_path: Path) -> None:
 def test_about_names_the_fleet_as_the_mission_does() -> None:
     path = FLEETS / "delta.toml"  # not resolved
     fleet = load_fleet(path)
-    about = recorder_process.about(fleet, path.read_text(), 3)
+    about = __main__.about(fleet, path.read_text(), 3)
     assert about.digest == digest(resolved(fleet))
     assert (about.fleet, about.robot, about.fleet_toml) == ("delta", 3, path.read_text())
 
@@ -262,7 +262,7 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "file").touch()
 
     def said(*arguments: str) -> tuple[int, str]:
-        status = recorder_process.main(arguments)
+        status = __main__.main(arguments)
         (line,) = capsys.readouterr().err.splitlines()
         return status, line
 
@@ -285,9 +285,9 @@ def test_only_what_another_start_does_not_mend_is_bad_input(
     def cannot_be_made(*_: object) -> None:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(recorder_process, "SegmentFolder", cannot_be_made)
+    monkeypatch.setattr(__main__, "SegmentFolder", cannot_be_made)
     arguments = ["--fleet", str(FLEETS / "pair.toml"), "--robot", "1", "--folder", str(tmp_path / "a")]
-    assert recorder_process.main(arguments) == status
+    assert __main__.main(arguments) == status
 
 
 def test_its_threads_are_nice_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -297,10 +297,10 @@ def test_its_threads_are_nice_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         done.append("bus")
         raise BusError("not here")
 
-    monkeypatch.setattr(recorder_process.os, "nice", lambda _: done.append("nice"))
-    monkeypatch.setattr(recorder_process, "open_bus", open_bus)
+    monkeypatch.setattr(__main__.os, "nice", lambda _: done.append("nice"))
+    monkeypatch.setattr(__main__, "open_bus", open_bus)
     arguments = ["--fleet", str(FLEETS / "pair.toml"), "--robot", "1", "--folder", str(tmp_path / "a")]
-    assert recorder_process.main(arguments) == 1
+    assert __main__.main(arguments) == 1
     assert done == ["nice", "bus"]
 
 
@@ -315,15 +315,15 @@ def test_orders_are_known_though_the_newest_segment_is_cut(tmp_path: Path) -> No
     bench.disk.close()
     newest = segment_paths(tmp_path)[-1]
     newest.write_bytes(newest.read_bytes()[:20])
-    assert set(recorder_process.known(tmp_path, ORDER_KEYS)) == {(told_ns, TOLD, b"mission")}
-    assert recorder_process.known(tmp_path / "none", ORDER_KEYS) == []
+    assert set(__main__.known(tmp_path, ORDER_KEYS)) == {(told_ns, TOLD, b"mission")}
+    assert __main__.known(tmp_path / "none", ORDER_KEYS) == []
 
 
 def test_a_minute_of_a_robot_waits_on_the_bus() -> None:
     def sized(rate: str) -> int:
         slow = ("control.plant_timeout_s=2", "control.wrench_timeout_s=2")
-        return recorder_process.inbox_size(load_fleet(FLEETS / "pair.toml", [f"fleet.rate_hz={rate}", *slow]))
+        return __main__.inbox_size(load_fleet(FLEETS / "pair.toml", [f"fleet.rate_hz={rate}", *slow]))
 
     assert sized("50") == 16_500
     assert sized("200") == 4 * sized("50")
-    assert sized("1") == recorder_process.INBOX_MIN
+    assert sized("1") == __main__.INBOX_MIN

@@ -1,4 +1,4 @@
-"""``python -m agent.recorder_process --fleet FILE --robot ID --folder DIR``: records what one robot says.
+"""``python -m agent.recorder.__main__ --fleet FILE --robot ID --folder DIR``: records what one robot says.
 
 A process of its own on the robot's computer: a slow disk stalls only this one. It is linked to the robot's
 agent and plant and to nobody else, and it publishes nothing. Peers do not relay, so it hears what these
@@ -19,8 +19,10 @@ from typing import Final
 from agent.common.clock import NS_PER_S, RealClock
 from agent.fleet.fleet import Fleet, FleetError, digest, load_fleet, read_text
 from agent.messages import key_expressions
-from agent.recorder_thread import RecorderThread
-from agent.robot_recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
+from agent.recorder.recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
+from agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
+from agent.recorder.segments import About, Received
+from agent.recorder.writer_thread import RecorderThread
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.process import (
     BAD_INPUT,
@@ -34,8 +36,6 @@ from agent.runtime.process import (
 )
 from agent.runtime.systemd_notify import Service
 from agent.runtime.version import handfast_version
-from agent.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
-from agent.segments import About, Received
 
 POLL_S: Final = 0.05
 INBOX_S: Final = 60
@@ -164,7 +164,7 @@ def _bus(fleet: Fleet, robot: int, folder: str | None, log: Log) -> Bus:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
     for bad input."""
-    parser = robot_arguments("python -m agent.recorder_process", "Records what one robot of a fleet says.")
+    parser = robot_arguments("python -m agent.recorder.__main__", "Records what one robot of a fleet says.")
     parser.add_argument("--folder", required=True, type=Path, metavar="DIR", help="where the recording goes")
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)

@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from agent import recorder_process, recorder_thread
 from agent.common.clock import NS_PER_S
-from agent.recorder_thread import RecorderThread
-from agent.robot_recorder import RobotRecorder
-from agent.segments import MESSAGES, OVERFLOW
-from tests.unit.test_robot_recorder import BEGUN_NS, HAND, ORDER_KEYS, TOLD, WHO, Disk, blocks
+from agent.recorder import __main__, writer_thread
+from agent.recorder.recorder import RobotRecorder
+from agent.recorder.segments import MESSAGES, OVERFLOW
+from agent.recorder.writer_thread import RecorderThread
+from tests.unit.agent.recorder.test_recorder import BEGUN_NS, HAND, ORDER_KEYS, TOLD, WHO, Disk, blocks
 
 TICK_NS = NS_PER_S // 20
 
@@ -78,7 +78,7 @@ def test_what_is_heard_while_the_disk_stalls_has_the_time_of_its_reception(bench
 
 
 def test_what_there_is_no_room_for_is_counted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder_thread, "WAITING_BYTES_MAX", 20_000)
+    monkeypatch.setattr(writer_thread, "WAITING_BYTES_MAX", 20_000)
     with bench.thread:
         bench.stall()
         for _ in range(100):
@@ -123,12 +123,12 @@ def test_an_overflow_and_a_clock_that_is_set_are_told_in_their_place(bench: Benc
 def test_a_folder_that_is_gone_ends_the_process(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.disk.goes_on.set()
     shutil.rmtree(bench.path)
-    monkeypatch.setattr(recorder_process, "POLL_S", 0.0)
+    monkeypatch.setattr(__main__, "POLL_S", 0.0)
     bus: Any = SimpleNamespace(drain=lambda: [(HAND, bytes(100_000))])
     shutdown: Any = SimpleNamespace(asked=False, look_for_parent=lambda: None)
     service: Any = SimpleNamespace(lives=lambda _: None)
     with bench.thread, pytest.raises(FileNotFoundError):
-        recorder_process.record(bus, 10, bench.thread, shutdown, service)
+        __main__.record(bus, 10, bench.thread, shutdown, service)
 
 
 def test_all_is_on_the_disk_at_an_orderly_end(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,5 +139,5 @@ def test_all_is_on_the_disk_at_an_orderly_end(bench: Bench, monkeypatch: pytest.
     shutdown.look_for_parent = lambda: setattr(shutdown, "asked", True)
     service: Any = SimpleNamespace(lives=lambda _: None, stopping=lambda: None)
     with bench.thread:
-        recorder_process.record(bus, 10, bench.thread, shutdown, service)
+        __main__.record(bus, 10, bench.thread, shutdown, service)
         assert [payload for _, _, payload in bench.kept] == [b"one", b"two"]

@@ -1,6 +1,6 @@
 """Makes blocks of what a robot says, and puts them on the disk of its computer, come what may.
 
-No clock, no bus: `agent.recorder_process` has both. What the disk does not take is counted, and the block
+No clock, no bus: `agent.recorder.__main__` has both. What the disk does not take is counted, and the block
 after it says how much is missing.
 """
 
@@ -12,8 +12,8 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.messages import key_expressions
-from agent.segment_folder import SegmentFolder
-from agent.segments import (
+from agent.recorder.segment_folder import SegmentFolder
+from agent.recorder.segments import (
     KNOWN,
     ORDERS,
     OVERFLOW,

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from agent import segment_folder
-from agent.segment_folder import FolderInUseError, SegmentFolder, segment_paths
+from agent.recorder import segment_folder
+from agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
 
 BLOCK = b"b" * 100_000
 
