@@ -18,8 +18,8 @@ from agent.fleet.fleet import Fleet
 from agent.messages.types import FLOAT_MAX
 from agent.runtime.process import FAILED, Log, StartError
 from plant.backend import PlantBackend
+from plant.pose_file import Place, Standing, StandingBody, StandingError
 from plant.server import main as serve
-from plant.standing import Place, Standing, StandingBody, StandingError
 from plant.unicycle import from_fleet
 
 

@@ -19,7 +19,7 @@ from agent.fleet.fleet import parse_fleet
 from deploy.arguments import FLEETS
 from plant.__main__ import main as plant
 from plant.backend import Check, Command, PlantBackend, Reading
-from plant.standing import Standing, StandingBody, StandingError
+from plant.pose_file import Standing, StandingBody, StandingError
 from plant.unicycle import from_fleet
 from tests.unit.agent.fleet.fleet_texts import SMALL
 
@@ -44,12 +44,12 @@ def test_nothing_is_known_of_a_new_file(tmp_path: Path):
 def test_it_outlives_a_process_that_is_killed(tmp_path: Path):
     file = tmp_path / "pose"
     code = (
-        "import os, pathlib, signal; from plant.standing import Standing; from agent.control.hand "
+        "import os, pathlib, signal; from plant.pose_file import Standing; from agent.control.hand "
         "import Pose; "
         f"s = Standing(pathlib.Path({str(file)!r})); s.write(Pose(1.5, -2.0, 0.25, 3.0, 0.0)); "
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2]).returncode == -9
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3]).returncode == -9
     assert Standing(file).place == (1.5, -2.0, 0.25)
 
 
