@@ -81,7 +81,7 @@ def vehicle(fleet: Fleet, robot: int, port: int) -> Vehicle:
     bridge that starts again hears it at once, and a second one on the same vehicle finds the port taken.
     """
     # Here: a fleet without vehicles needs no geodesy.
-    from bridges.mavlink.frames import yaw_degrees
+    from bridges.mavlink.ardupilot.frames import yaw_degrees
     from bridges.mavlink.rover_settings import settings_of
 
     settings = settings_of(fleet, robot)

@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.transport import Transport
 from tests.process.harness import PATIENCE_S, wait_for
 
@@ -34,7 +34,7 @@ class Operator:
         meanwhile: Callable[[], object] = lambda: None,
     ) -> None:
         self._transport, self._name, self.meanwhile = transport, name, meanwhile
-        self._codec = mavlink.MAVLink(None, ardurover.SYSTEM_GROUND_STATION, 190)
+        self._codec = mavlink.MAVLink(None, constants.SYSTEM_GROUND_STATION, 190)
         self._codec.robust_parsing = True
         self._due = 0.0
         self.system = system
@@ -68,12 +68,12 @@ class Operator:
             self._due = time.monotonic() + 1.0
             self.send(
                 mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_GCS, ardurover.AUTOPILOT_INVALID, 0, 0, ardurover.STATE_ACTIVE, 3
+                    mavlink.MAV_TYPE_GCS, constants.AUTOPILOT_INVALID, 0, 0, constants.STATE_ACTIVE, 3
                 )
             )
 
     def _take(self, message: Any) -> None:
-        if message.get_srcComponent() != ardurover.COMPONENT_AUTOPILOT:
+        if message.get_srcComponent() != constants.COMPONENT_AUTOPILOT:
             return
         if message.get_type() == "HEARTBEAT" and self.system is None:
             self.system = message.get_srcSystem()
@@ -82,7 +82,7 @@ class Operator:
         kind = message.get_type()
         self.latest[kind] = message
         if kind == "HEARTBEAT":
-            self.mode, self.armed = message.custom_mode, bool(message.base_mode & ardurover.FLAG_ARMED)
+            self.mode, self.armed = message.custom_mode, bool(message.base_mode & constants.FLAG_ARMED)
             self.heard_at = time.monotonic()
         elif kind == "STATUSTEXT":
             self.texts.append(message.text)
@@ -128,7 +128,7 @@ class Operator:
 
     def set_mode(self, name: str, timeout_s: float = PATIENCE_S) -> None:
         """Asks until the vehicle's heartbeat says that it is in that mode."""
-        mode, custom = ardurover.MODE_NUMBERS[name], ardurover.FLAG_CUSTOM_MODE
+        mode, custom = constants.MODE_NUMBERS[name], constants.FLAG_CUSTOM_MODE
         self._again_until(
             lambda: self.send(mavlink.MAVLink_set_mode_message(self.system, custom, mode)),
             lambda: self.mode == mode,
@@ -139,7 +139,7 @@ class Operator:
     def arm(self, armed: bool = True, timeout_s: float = PATIENCE_S) -> None:
         """Asks until the vehicle is armed or disarmed; it says why not by STATUSTEXT."""
         self._again_until(
-            lambda: self.command(ardurover.CMD_COMPONENT_ARM_DISARM, 1.0 if armed else 0.0),
+            lambda: self.command(constants.CMD_COMPONENT_ARM_DISARM, 1.0 if armed else 0.0),
             lambda: self.armed is armed,
             "armed" if armed else "disarmed",
             timeout_s,

@@ -13,7 +13,7 @@ from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
-from bridges.mavlink import ardurover, frames
+from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.rover_settings import Settings, settings_of
 from bridges.mavlink.rover_simulator import Rover
@@ -218,11 +218,11 @@ class Scene:
         self.world.ports[port].send(message.pack(mavlink.MAVLink(None, system, component)))
 
 
-def heartbeat(kind: int = mavlink.MAV_TYPE_GCS, autopilot: int = ardurover.AUTOPILOT_INVALID) -> Any:
+def heartbeat(kind: int = mavlink.MAV_TYPE_GCS, autopilot: int = constants.AUTOPILOT_INVALID) -> Any:
     """As a ground station sends."""
-    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, ardurover.STATE_ACTIVE, 3)
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, constants.STATE_ACTIVE, 3)
 
 
 def set_mode(mode: int) -> Any:
     """SET_MODE, as most ground stations do it."""
-    return mavlink.MAVLink_set_mode_message(1, ardurover.FLAG_CUSTOM_MODE, mode)
+    return mavlink.MAVLink_set_mode_message(1, constants.FLAG_CUSTOM_MODE, mode)

@@ -7,7 +7,7 @@ from math import degrees
 from typing import Final
 
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.link import Link
 from plant.backend import WAITING, Check
 
@@ -34,27 +34,27 @@ _HOMEWARD: Final = "it drives home by itself then, through its neighbours"
 _GOES_HOME: Final = (1.0, 3.0, 4.0)
 """RTL and the two of SmartRTL, in FS_ACTION and BATT_FS_*_ACT alike."""
 _RISKY: Final = (
-    (ardurover.FS_ACTION, (0.0,), "a failsafe does nothing", "set 2 (HOLD)"),
-    (ardurover.FS_ACTION, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
-    (ardurover.FS_THR_ENABLE, (0.0,), "the loss of its remote control goes unnoticed", "set 1"),
+    (constants.FS_ACTION, (0.0,), "a failsafe does nothing", "set 2 (HOLD)"),
+    (constants.FS_ACTION, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
+    (constants.FS_THR_ENABLE, (0.0,), "the loss of its remote control goes unnoticed", "set 1"),
     (
-        ardurover.FS_GCS_ENABLE,
+        constants.FS_GCS_ENABLE,
         (0.0,),
         "the loss of its ground station goes unnoticed",
         "set 1 if one is always there",
     ),
     # 2 only reports.
-    (ardurover.FS_EKF_ACTION, (0.0, 2.0), "it drives on when its EKF fails", "set 1 (HOLD)"),
-    (ardurover.FS_EKF_THRESH, (0.0,), "that its EKF fails goes unnoticed", "set 0.8"),
-    (ardurover.FS_CRASH_CHECK, (0.0,), "it drives on against an obstacle", "set 1 (HOLD)"),
+    (constants.FS_EKF_ACTION, (0.0, 2.0), "it drives on when its EKF fails", "set 1 (HOLD)"),
+    (constants.FS_EKF_THRESH, (0.0,), "that its EKF fails goes unnoticed", "set 0.8"),
+    (constants.FS_CRASH_CHECK, (0.0,), "it drives on against an obstacle", "set 1 (HOLD)"),
     (
-        ardurover.BATT_FS_LOW_ACT,
+        constants.BATT_FS_LOW_ACT,
         (0.0,),
         "a low battery goes unnoticed",
         "set 2 (HOLD) with a battery monitor",
     ),
-    (ardurover.BATT_FS_LOW_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
-    (ardurover.BATT_FS_CRT_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
+    (constants.BATT_FS_LOW_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
+    (constants.BATT_FS_CRT_ACT, _GOES_HOME, _HOMEWARD, "set 2 (HOLD)"),
 )
 _FAILSAFES: Final = tuple(dict.fromkeys(name for name, *_ in _RISKY))
 
@@ -73,9 +73,9 @@ def _failsafes(link: Link) -> Iterator[Check]:
 
 def _limits(link: Link, section: MavlinkSection) -> Iterator[Check]:
     for name, unit, scale, ours, field in (
-        (ardurover.WP_SPEED, "m/s", 1.0, section.max_speed_mps, "max_speed_mps"),
-        (ardurover.ATC_ACCEL_MAX, "m/s2", 1.0, section.max_acceleration, "max_acceleration"),
-        (ardurover.ATC_STR_RAT_MAX, "deg/s", degrees(1.0), section.max_yaw_rate_radps, "max_yaw_rate_radps"),
+        (constants.WP_SPEED, "m/s", 1.0, section.max_speed_mps, "max_speed_mps"),
+        (constants.ATC_ACCEL_MAX, "m/s2", 1.0, section.max_acceleration, "max_acceleration"),
+        (constants.ATC_STR_RAT_MAX, "deg/s", degrees(1.0), section.max_yaw_rate_radps, "max_yaw_rate_radps"),
     ):
         value = link.parameters.get(name)
         if value is not None and 0.0 < value < ours * scale * 0.999:
@@ -85,12 +85,12 @@ def _limits(link: Link, section: MavlinkSection) -> Iterator[Check]:
 
 def _ids(link: Link, section: MavlinkSection) -> Iterator[Check]:
     own = section.own_system or link.system
-    station = link.parameter(ardurover.GROUND_STATION_ID)
-    options = int(link.parameters.get(ardurover.MAV_OPTIONS) or 0.0)
-    enforced = link.parameters.get(ardurover.SYSID_ENFORCE) == 1.0 or options & ardurover.OPTION_ENFORCE
+    station = link.parameter(constants.GROUND_STATION_ID)
+    options = int(link.parameters.get(constants.MAV_OPTIONS) or 0.0)
+    enforced = link.parameters.get(constants.SYSID_ENFORCE) == 1.0 or options & constants.OPTION_ENFORCE
     if enforced and own not in (link.system, station):
         text = f"it obeys its ground station {station or 255:g} only, and the bridge is system {own}"
-        yield Check(ardurover.SYSID_ENFORCE, "blocking", text, "leave own_system out")
+        yield Check(constants.SYSID_ENFORCE, "blocking", text, "leave own_system out")
     if station is not None and own == station:
         text = f"its ground station's id {station:g} is the bridge's own: its failsafe would watch the bridge"
         yield Check("own_system", "warning", text, "leave own_system out")

@@ -12,14 +12,15 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
 from agent.runtime.process import Log
 from agent.supervision.state_machine import at_rest
-from bridges.mavlink import ardurover, checks, frames
+from bridges.mavlink import checks
+from bridges.mavlink.ardupilot import constants, frames
+from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
+from bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
 from bridges.mavlink.authority import Authority, Holder
 from bridges.mavlink.claim import Claim
 from bridges.mavlink.estimate import Estimate
-from bridges.mavlink.frames import Geodetic, LocalToWorld
 from bridges.mavlink.link import Link
 from bridges.mavlink.link_settings import LinkSettings
-from bridges.mavlink.rover_dynamics import DEFAULTS, Limits
 from bridges.mavlink.setpoint import Bounds, MotionCheck, Setpoint
 from bridges.mavlink.signing import Signing
 from bridges.mavlink.transport import Transport
@@ -69,8 +70,8 @@ def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Li
 def _operators(said: tuple[int | None, bool]) -> str:
     """What makes a vehicle its operator's, of the mode and arming that it said; "" when nothing does."""
     mode, armed = said
-    if mode != ardurover.GUIDED:
-        return f"mode {ardurover.mode_name(mode) if mode is not None else 'unknown'}, not GUIDED"
+    if mode != constants.GUIDED:
+        return f"mode {constants.mode_name(mode) if mode is not None else 'unknown'}, not GUIDED"
     return "" if armed else DISARMED
 
 
@@ -176,7 +177,7 @@ class MavlinkPlant(PlantBackend):
                 speed = frames.forward_speed(self._yaw, position.v_north, position.v_east)
                 self._estimate.position(position.valid_ns, x, y, speed)
         for text in link.take_texts():
-            self._log(f"the vehicle says ({ardurover.severity_name(text.severity)}): {text.text}")
+            self._log(f"the vehicle says ({constants.severity_name(text.severity)}): {text.text}")
             for mark in PREARM:
                 if text.text.startswith(mark):
                     self._prearm = text.text.removeprefix(mark)
@@ -291,10 +292,10 @@ class MavlinkPlant(PlantBackend):
         speed, acceleration, turn, turn_g = map(
             link.parameter,
             (
-                ardurover.WP_SPEED,
-                ardurover.ATC_ACCEL_MAX,
-                ardurover.ATC_STR_RAT_MAX,
-                ardurover.ATC_TURN_MAX_G,
+                constants.WP_SPEED,
+                constants.ATC_ACCEL_MAX,
+                constants.ATC_STR_RAT_MAX,
+                constants.ATC_TURN_MAX_G,
             ),
         )
         return Limits(

@@ -14,9 +14,10 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink import ardurover, audit
+from bridges.mavlink import audit
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.connection import BY_ID
-from bridges.mavlink.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.link import Link
 from bridges.mavlink.link_reports import Ekf
 from plant.backend import WAITING, Check
@@ -102,7 +103,7 @@ def _type(link: Link) -> Check:
         return Check(
             "type", "blocking", link.problem, "only ArduPilot Rover can be driven: check the connection"
         )
-    return Check("type", "ok", f"ArduPilot, {ardurover.TYPE_NAMES.get(link.type, f'MAV_TYPE {link.type}')}")
+    return Check("type", "ok", f"ArduPilot, {constants.TYPE_NAMES.get(link.type, f'MAV_TYPE {link.type}')}")
 
 
 def _firmware(link: Link) -> Check:
@@ -116,8 +117,8 @@ def _firmware(link: Link) -> Check:
 
 
 def _mode(link: Link, section: MavlinkSection) -> Check:
-    name = ardurover.mode_name(link.mode) if link.mode is not None else "unknown"
-    if link.mode == ardurover.GUIDED:
+    name = constants.mode_name(link.mode) if link.mode is not None else "unknown"
+    if link.mode == constants.GUIDED:
         return Check("mode", "ok", name)
     advice = (
         "the bridge will put it into GUIDED"
@@ -144,22 +145,22 @@ def ekf_trouble(link: Link, now_ns: int) -> str:
         return f"{WAITING}the state of its EKF"
     if now_ns - ekf.arrival_ns > REPORTED_NS:
         return f"{WAITING}its EKF: silent for {(now_ns - ekf.arrival_ns) / NS_PER_S:.0f} s"
-    if ekf.flags & ardurover.EKF_UNINITIALIZED:
+    if ekf.flags & constants.EKF_UNINITIALIZED:
         return f"{WAITING}its EKF to start"
-    if ekf.flags & ardurover.EKF_GPS_GLITCHING:
+    if ekf.flags & constants.EKF_GPS_GLITCHING:
         return "its EKF says that the GPS is glitching"
-    if ekf.flags & ardurover.EKF_CONST_POS_MODE:
+    if ekf.flags & constants.EKF_CONST_POS_MODE:
         return f"{WAITING}its EKF to have a position"
-    missing = ardurover.EKF_NEEDED & ~ekf.flags
+    missing = constants.EKF_NEEDED & ~ekf.flags
     if missing:
         names = {
-            ardurover.EKF_ATTITUDE: "attitude",
-            ardurover.EKF_VELOCITY_HORIZ: "velocity",
-            ardurover.EKF_POS_HORIZ_REL: "position",
-            ardurover.EKF_POS_HORIZ_ABS: "position on the earth",
+            constants.EKF_ATTITUDE: "attitude",
+            constants.EKF_VELOCITY_HORIZ: "velocity",
+            constants.EKF_POS_HORIZ_REL: "position",
+            constants.EKF_POS_HORIZ_ABS: "position on the earth",
         }
         return f"{WAITING}its EKF to have {', '.join(name for flag, name in names.items() if missing & flag)}"
-    return _inconsistency(ekf, link.parameter(ardurover.FS_EKF_THRESH) or VARIANCE_MAX)
+    return _inconsistency(ekf, link.parameter(constants.FS_EKF_THRESH) or VARIANCE_MAX)
 
 
 def _inconsistency(ekf: Ekf, most: float) -> str:
@@ -183,8 +184,8 @@ def gps_trouble(link: Link, now_ns: int) -> str:
         return f"{WAITING}its GPS"
     if now_ns - link.gps.arrival_ns > REPORTED_NS:
         return f"{WAITING}its GPS: silent for {(now_ns - link.gps.arrival_ns) / NS_PER_S:.0f} s"
-    if link.gps.fix < ardurover.GPS_3D_FIX:
-        return f"{WAITING}a GPS fix: {ardurover.GPS_FIX_NAMES.get(link.gps.fix, link.gps.fix)}"
+    if link.gps.fix < constants.GPS_3D_FIX:
+        return f"{WAITING}a GPS fix: {constants.GPS_FIX_NAMES.get(link.gps.fix, link.gps.fix)}"
     return ""
 
 
@@ -212,7 +213,7 @@ def _gps(link: Link, now_ns: int) -> Check:
         return Check("GPS", "blocking", trouble, "give it open sky; check the antenna")
     hdop = f", hdop {link.gps.hdop:.1f}" if link.gps.hdop is not None else ""
     text = (
-        f"{ardurover.GPS_FIX_NAMES.get(link.gps.fix, link.gps.fix)}, {link.gps.satellites} satellites{hdop}"
+        f"{constants.GPS_FIX_NAMES.get(link.gps.fix, link.gps.fix)}, {link.gps.satellites} satellites{hdop}"
     )
     if link.gps.satellites < SATELLITES_MIN or (link.gps.hdop or 0.0) > HDOP_MAX:
         return Check("GPS", "warning", text, "wait for more satellites: positions may be metres off")
@@ -282,9 +283,9 @@ def _rates(link: Link, now_ns: int) -> Iterator[Check]:
                 stream.name, "warning", text, "driven all the same, less closely: raise the link's speed"
             )
         elif stream.granted_hz is not None and stream.granted_hz < stream.asked_hz:
-            loop_hz = link.parameter(ardurover.SCHED_LOOP_RATE) or ardurover.LOOP_RATE_HZ
+            loop_hz = link.parameter(constants.SCHED_LOOP_RATE) or constants.LOOP_RATE_HZ
             advice = (
-                f"its SCHED_LOOP_RATE {loop_hz:g} allows {ardurover.STREAM_RATE_PART * loop_hz:g} Hz: take "
+                f"its SCHED_LOOP_RATE {loop_hz:g} allows {constants.STREAM_RATE_PART * loop_hz:g} Hz: take "
                 f"state_rate_hz = {stream.granted_hz:g}"
             )
             yield Check(stream.name, "warning", text, advice)
@@ -318,7 +319,7 @@ def _battery(link: Link) -> Iterator[Check]:
     shown = [f"{battery.voltage:.1f} V"] if battery.voltage is not None else []
     shown += [f"{battery.percent} %"] if battery.percent is not None else []
     text = ", ".join(shown)
-    low = link.parameters.get(ardurover.BATT_LOW_VOLT)
+    low = link.parameters.get(constants.BATT_LOW_VOLT)
     empty = battery.percent is not None and battery.percent < BATTERY_MIN_PERCENT
     if empty or (low and battery.voltage is not None and battery.voltage < low):
         yield Check("battery", "blocking", text, "charge it")

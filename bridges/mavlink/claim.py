@@ -6,7 +6,7 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.runtime.process import Log
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.authority import Holder
 from bridges.mavlink.link import Link
 
@@ -44,7 +44,7 @@ class Claim:
         if holder is Holder.BRIDGE:
             self._wanted = False
             return
-        if link.mode == ardurover.GUIDED:
+        if link.mode == constants.GUIDED:
             self._was_guided = True
         elif self._was_guided:
             self._wanted = False
@@ -53,11 +53,11 @@ class Claim:
         due = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
         if trouble or holder is not Holder.OPERATOR or not due:
             return
-        if link.mode == ardurover.GUIDED:
+        if link.mode == constants.GUIDED:
             self._log("arming it (mavlink.arm = true)")
             link.command_arm(True)
             self.armed_here = True
         elif not link.armed:  # else somebody drives it
             self._log("asking for GUIDED (mavlink.arm = true)")
-            link.command_mode(ardurover.GUIDED)
+            link.command_mode(constants.GUIDED)
         self._asked_ns = now_ns

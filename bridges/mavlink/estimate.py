@@ -2,9 +2,9 @@
 
 Position and attitude come in messages of their own, valid at different instants and up to 0.15 s old. Both
 are carried to the time asked for along the motion that a model of the rover
-(`bridges.mavlink.rover_dynamics`) makes of the commands that were sent since; what the measured speed and yaw
-rate differed from those of the model is added as if it stayed. So a rover that nobody here commands goes on
-as it was measured, and one that was just told to turn is already seen turning.
+(`bridges.mavlink.ardupilot.dynamics`) makes of the commands that were sent since; what the measured speed
+and yaw rate differed from those of the model is added as if it stayed. So a rover that nobody here commands
+goes on as it was measured, and one that was just told to turn is already seen turning.
 
 Poses are in W (world ENU), yaw rates counter-clockwise, times ns of the wall clock.
 """
@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
-from bridges.mavlink.frames import wrapped
-from bridges.mavlink.rover_dynamics import DEFAULTS, Limits, RoverDynamics
+from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits, RoverDynamics
+from bridges.mavlink.ardupilot.frames import wrapped
 
 STALE_S: Final = 0.4
 """Nothing older than this is driven by."""

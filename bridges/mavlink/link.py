@@ -16,7 +16,8 @@ from typing import Any, Final, TypeVar
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover, frames, link_reports
+from bridges.mavlink import link_reports
+from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.link_commands import Outcome
 from bridges.mavlink.link_receiver import Receiver
 from bridges.mavlink.link_reports import AttitudeSample, Battery, PositionSample, Text
@@ -53,9 +54,9 @@ class Link(Receiver):
         self._target = dialect.MAVLink_set_position_target_local_ned_message(
             0,
             0,
-            ardurover.COMPONENT_AUTOPILOT,
-            ardurover.FRAME_BODY_NED,
-            ardurover.MASK_SPEED_AND_YAW_RATE,
+            constants.COMPONENT_AUTOPILOT,
+            constants.FRAME_BODY_NED,
+            constants.MASK_SPEED_AND_YAW_RATE,
             *(0.0, 0.0, 0.0),
             *(0.0, 0.0, 0.0),
             *(0.0, 0.0, 0.0),
@@ -134,8 +135,8 @@ class Link(Receiver):
             return f"no heartbeat of the vehicle for {age_ns / NS_PER_S:.1f} s"
         vehicles = self._others.vehicles(now_ns)
         if vehicles:
-            heard = ", ".join(f"{o.system} ({ardurover.TYPE_NAMES.get(o.type, o.type)})" for o in vehicles)
-            meant = self.settings.system or f"from 1 to {ardurover.SYSTEM_GROUND_STATION - 1}"
+            heard = ", ".join(f"{o.system} ({constants.TYPE_NAMES.get(o.type, o.type)})" for o in vehicles)
+            meant = self.settings.system or f"from 1 to {constants.SYSTEM_GROUND_STATION - 1}"
             return f"no vehicle with system id {meant} here, but with {heard}"
         if self.unsigned_refused:
             return "what comes is not signed: give the vehicle this signing key"
@@ -204,18 +205,18 @@ class Link(Receiver):
         return self._codec.encoded(message)
 
     def command_mode(self, mode: int) -> None:
-        """Asks for a custom mode, up to three times: `outcome(ardurover.CMD_DO_SET_MODE)`. Not again once the
+        """Asks for a custom mode, up to three times: `outcome(constants.CMD_DO_SET_MODE)`. Not again once the
         mode has changed: that may have been the operator. Never of a vehicle that is not a rover.
         """
         if not self.problem:
-            self._commands.give(ardurover.CMD_DO_SET_MODE, ardurover.FLAG_CUSTOM_MODE, mode)
+            self._commands.give(constants.CMD_DO_SET_MODE, constants.FLAG_CUSTOM_MODE, mode)
 
     def command_arm(self, arm: bool) -> None:
         """Arms or disarms, never by force, asking up to three times:
-        `outcome(ardurover.CMD_COMPONENT_ARM_DISARM)`. Never a vehicle that is not a rover.
+        `outcome(constants.CMD_COMPONENT_ARM_DISARM)`. Never a vehicle that is not a rover.
         """
         if not self.problem:
-            self._commands.give(ardurover.CMD_COMPONENT_ARM_DISARM, 1.0 if arm else 0.0)
+            self._commands.give(constants.CMD_COMPONENT_ARM_DISARM, 1.0 if arm else 0.0)
 
     def setup_signing(self, key: bytes, timestamp: int) -> bytes:
         """The message that gives the vehicle a signing key (32 bytes) and the time (10 us since 2015) from
@@ -232,7 +233,7 @@ class Link(Receiver):
         if self.system is None or self.armed:
             return b""
         message = dialect.MAVLink_setup_signing_message(
-            self.system, ardurover.COMPONENT_AUTOPILOT, tuple(key), timestamp
+            self.system, constants.COMPONENT_AUTOPILOT, tuple(key), timestamp
         )
         return self._codec.encoded(message)
 
@@ -272,7 +273,7 @@ class Link(Receiver):
         )
         if settled and not self._is_due("look", now_ns, LOOK_PERIOD_NS):
             return []
-        component = ardurover.COMPONENT_AUTOPILOT
+        component = constants.COMPONENT_AUTOPILOT
         self._next_stream(now_ns)
         out = [
             dialect.MAVLink_command_long_message(system, component, command, confirmation, *values)
@@ -284,9 +285,9 @@ class Link(Receiver):
             if self.origin is None and self.settings.set_origin and datum is not None and not self.problem:
                 place = link_reports.scaled(datum)
                 out.append(dialect.MAVLink_set_gps_global_origin_message(system, *place, now_ns // 1000))
-            out.append(_request_message(system, ardurover.GPS_GLOBAL_ORIGIN))
+            out.append(_request_message(system, constants.GPS_GLOBAL_ORIGIN))
         if not self.firmware and self._is_due("version", now_ns, VERSION_PERIOD_NS):
-            out.append(_request_message(system, ardurover.AUTOPILOT_VERSION))
+            out.append(_request_message(system, constants.AUTOPILOT_VERSION))
         name = self._audit.ask(now_ns)
         if name is not None:
             out.append(
@@ -295,20 +296,20 @@ class Link(Receiver):
         return out
 
     def _next_stream(self, now_ns: int) -> None:
-        outcome = self._commands.take(ardurover.CMD_SET_MESSAGE_INTERVAL)
+        outcome = self._commands.take(constants.CMD_SET_MESSAGE_INTERVAL)
         if outcome is not None:
             self._streams.answered(now_ns, outcome.result)
         wanted = self._streams.ask(now_ns)
         if wanted is not None:
-            self._commands.give(ardurover.CMD_SET_MESSAGE_INTERVAL, *wanted)
+            self._commands.give(constants.CMD_SET_MESSAGE_INTERVAL, *wanted)
 
     def _heartbeat(self) -> Any:
         return dialect.MAVLink_heartbeat_message(
-            ardurover.TYPE_ONBOARD_CONTROLLER,
-            ardurover.AUTOPILOT_INVALID,
+            constants.TYPE_ONBOARD_CONTROLLER,
+            constants.AUTOPILOT_INVALID,
             0,
             self.settings.token,
-            ardurover.STATE_ACTIVE,
+            constants.STATE_ACTIVE,
             MAVLINK_VERSION,
         )
 
@@ -325,7 +326,7 @@ class Link(Receiver):
 def _request_message(system: int, number: int) -> Any:
     values = (float(number), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return dialect.MAVLink_command_long_message(
-        system, ardurover.COMPONENT_AUTOPILOT, ardurover.CMD_REQUEST_MESSAGE, 0, *values
+        system, constants.COMPONENT_AUTOPILOT, constants.CMD_REQUEST_MESSAGE, 0, *values
     )
 
 

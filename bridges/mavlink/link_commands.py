@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 
 TRIES: Final = 3
 PATIENCE_NS: Final = NS_PER_S
@@ -26,7 +26,7 @@ class Outcome(NamedTuple):
     def text(self) -> str:
         """The outcome in words."""
         if self.state == "refused" and self.result is not None:
-            return ardurover.RESULT_NAMES.get(self.result, f"refused with result {self.result}")
+            return constants.RESULT_NAMES.get(self.result, f"refused with result {self.result}")
         return self.state
 
 
@@ -90,11 +90,11 @@ class Commands:
         pending = self._pending.get(command)
         if pending is None or not pending.tries:
             return
-        if result == ardurover.RESULT_IN_PROGRESS:
+        if result == constants.RESULT_IN_PROGRESS:
             self._pending[command] = pending._replace(due_ns=arrival_ns + 5 * PATIENCE_NS)
             return
         del self._pending[command]
-        state = "accepted" if result == ardurover.RESULT_ACCEPTED else "refused"
+        state = "accepted" if result == constants.RESULT_ACCEPTED else "refused"
         self._outcomes[command] = Outcome(state, result)
 
     def outcome(self, command: int) -> Outcome | None:

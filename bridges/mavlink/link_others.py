@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 
 HEARD_NS: Final = 5 * NS_PER_S
 """Who has sent no heartbeat for this long is gone."""
@@ -51,7 +51,7 @@ class Others:
 
     def ground_stations(self, now_ns: int) -> list[Other]:
         """Those of MAV_TYPE_GCS."""
-        return [o for o in self._now(now_ns, vehicle=False) if o.type == ardurover.TYPE_GCS]
+        return [o for o in self._now(now_ns, vehicle=False) if o.type == constants.TYPE_GCS]
 
     def vehicles(self, now_ns: int) -> list[Other]:
         """Autopilots that are not the one of this link."""
@@ -68,7 +68,7 @@ class Others:
             if (other.system, other.component) == own:
                 return f"another program speaks as {name}, which is this bridge's own identity"
             if (
-                other.type == ardurover.TYPE_ONBOARD_CONTROLLER
+                other.type == constants.TYPE_ONBOARD_CONTROLLER
                 and other.system == vehicle
                 and other.component in BRIDGE_COMPONENTS
             ):

@@ -8,9 +8,10 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridges.mavlink import ardurover, link_reports
+from bridges.mavlink import link_reports
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.boot_clock import BootClock
-from bridges.mavlink.frames import Geodetic
 from bridges.mavlink.link_codec import Codec
 from bridges.mavlink.link_commands import Commands
 from bridges.mavlink.link_others import Other, Others
@@ -38,7 +39,7 @@ class Receiver:
         problem: why it is not to be driven, as "is a quadrotor (MAV_TYPE 2), not a rover"; "" when nothing is
             known against it.
         heartbeat_ns: arrival of its last heartbeat; None: none since the (re)start of link or vehicle.
-        mode: custom mode (`ardurover.mode_name`), None while unknown. armed: whether it may move.
+        mode: custom mode (`constants.mode_name`), None while unknown. armed: whether it may move.
         vehicle_signs: whether its last heartbeat was signed, with whatever key, though none may be known.
         epoch: grows with each restart of the connection or of the vehicle.
         clock: its boot clock against ours.
@@ -144,7 +145,7 @@ class Receiver:
             elif number == dialect.MAVLINK_MSG_ID_TIMESYNC and not message.tc1:
                 self._on_time_asked(arrival_ns, message, sender)
                 continue
-            if sender == (self.system, ardurover.COMPONENT_AUTOPILOT):
+            if sender == (self.system, constants.COMPONENT_AUTOPILOT):
                 self._streams.heard(number, arrival_ns)
                 handler(arrival_ns, message)
 
@@ -152,20 +153,20 @@ class Receiver:
         """ArduPilot passes no heartbeat on to a port where it has heard its sender's identity, but this it
         does: so a twin with its own way to the vehicle is found.
         """
-        if sender == (self.system, ardurover.COMPONENT_AUTOPILOT):
+        if sender == (self.system, constants.COMPONENT_AUTOPILOT):
             self._replies.append(message.ts1)
         elif sender == self.own and self.system is not None and message.ts1 not in self._own_times:
-            twin = Other(*sender, ardurover.TYPE_ONBOARD_CONTROLLER, arrival_ns)
+            twin = Other(*sender, constants.TYPE_ONBOARD_CONTROLLER, arrival_ns)
             self._others.heard(twin, vehicle=False)
 
     def _on_any_heartbeat(self, arrival_ns: int, message: Any, sender: tuple[int, int]) -> None:
         system, component = sender
         autopilot = (
-            component == ardurover.COMPONENT_AUTOPILOT
-            and message.autopilot != ardurover.AUTOPILOT_INVALID
-            and message.type != ardurover.TYPE_GCS
+            component == constants.COMPONENT_AUTOPILOT
+            and message.autopilot != constants.AUTOPILOT_INVALID
+            and message.type != constants.TYPE_GCS
         )
-        meant = self.settings.system in (None, system) and 1 <= system < ardurover.SYSTEM_GROUND_STATION
+        meant = self.settings.system in (None, system) and 1 <= system < constants.SYSTEM_GROUND_STATION
         if autopilot and self.system is None and meant:
             self.system = system
             if self.settings.own_system is None:
@@ -178,17 +179,17 @@ class Receiver:
         self._others.heard(Other(system, component, message.type, arrival_ns), vehicle=autopilot)
 
     def _on_heartbeat(self, arrival_ns: int, message: Any) -> None:
-        if message.autopilot == ardurover.AUTOPILOT_INVALID or message.type == ardurover.TYPE_GCS:
+        if message.autopilot == constants.AUTOPILOT_INVALID or message.type == constants.TYPE_GCS:
             return
         self.type, self.autopilot = message.type, message.autopilot
         self.problem = _problem(message.type, message.autopilot)
         self.heartbeat_ns = arrival_ns
-        mode = message.custom_mode if message.base_mode & ardurover.FLAG_CUSTOM_MODE else None
-        armed = bool(message.base_mode & ardurover.FLAG_ARMED)
+        mode = message.custom_mode if message.base_mode & constants.FLAG_CUSTOM_MODE else None
+        armed = bool(message.base_mode & constants.FLAG_ARMED)
         if mode != self.mode:
-            self._commands.no_more(ardurover.CMD_DO_SET_MODE)
-        if armed != self.armed or (mode != self.mode and mode != ardurover.GUIDED):
-            self._commands.no_more(ardurover.CMD_COMPONENT_ARM_DISARM)
+            self._commands.no_more(constants.CMD_DO_SET_MODE)
+        if armed != self.armed or (mode != self.mode and mode != constants.GUIDED):
+            self._commands.no_more(constants.CMD_COMPONENT_ARM_DISARM)
         self.mode, self.armed = mode, armed
         if not self._modes or self._modes[-1] != (mode, armed):
             self._modes.append((mode, armed))
@@ -275,10 +276,10 @@ class Receiver:
 
 
 def _problem(kind: int, autopilot: int) -> str:
-    if kind not in ardurover.ROVER_TYPES:
-        name = ardurover.TYPE_NAMES.get(kind, "vehicle of another kind")
+    if kind not in constants.ROVER_TYPES:
+        name = constants.TYPE_NAMES.get(kind, "vehicle of another kind")
         return f"is a {name} (MAV_TYPE {kind}), not a rover"
-    if autopilot != ardurover.AUTOPILOT_ARDUPILOT:
-        name = "PX4" if autopilot == ardurover.AUTOPILOT_PX4 else "another autopilot"
+    if autopilot != constants.AUTOPILOT_ARDUPILOT:
+        name = "PX4" if autopilot == constants.AUTOPILOT_PX4 else "another autopilot"
         return f"runs {name} (MAV_AUTOPILOT {autopilot}), not ArduPilot"
     return ""

@@ -6,8 +6,8 @@ from math import isfinite
 from typing import Any, Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic, wrapped
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic, wrapped
 
 _UNKNOWN_U16: Final = 65535
 _E7: Final = 1e7
@@ -84,9 +84,9 @@ class Status(NamedTuple):
     @property
     def prearm_ok(self) -> bool | None:
         """Whether the vehicle's own checks before arming pass; None: it does not say."""
-        if not self.present & self.enabled & ardurover.SENSOR_PREARM_CHECK:
+        if not self.present & self.enabled & constants.SENSOR_PREARM_CHECK:
             return None
-        return bool(self.health & ardurover.SENSOR_PREARM_CHECK)
+        return bool(self.health & constants.SENSOR_PREARM_CHECK)
 
 
 class Text(NamedTuple):

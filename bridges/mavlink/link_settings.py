@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.parameters import AUDITED
 from bridges.mavlink.signing import Signing
 
@@ -30,7 +30,7 @@ class LinkSettings:
 
     system: int | None = None
     own_system: int | None = None
-    own_component: int = ardurover.COMPONENT_ONBOARD_COMPUTER
+    own_component: int = constants.COMPONENT_ONBOARD_COMPUTER
     state_rate_hz: float = 25.0
     set_origin: bool = True
     datum: Geodetic | None = None
@@ -40,7 +40,7 @@ class LinkSettings:
 
     def __post_init__(self) -> None:
         for name, system in (("system", self.system), ("own_system", self.own_system)):
-            if system is not None and not 1 <= system < ardurover.SYSTEM_GROUND_STATION:
+            if system is not None and not 1 <= system < constants.SYSTEM_GROUND_STATION:
                 raise ValueError(f"{name} must be from 1 to 254 (255 is the ground station's), not {system}")
         if not 2 <= self.own_component <= 254:
             raise ValueError(

@@ -7,36 +7,36 @@ from math import isfinite
 from typing import Final
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 
 AUDITED: Final = (
     # First what limits the motion, which the bridge itself needs.
-    ardurover.WP_SPEED,
-    ardurover.ATC_ACCEL_MAX,
-    ardurover.ATC_STR_RAT_MAX,
-    ardurover.ATC_TURN_MAX_G,
-    *ardurover.SYSTEM_ID,
-    *ardurover.GROUND_STATION_ID,
-    ardurover.SYSID_ENFORCE,
-    ardurover.MAV_OPTIONS,
-    ardurover.SCHED_LOOP_RATE,
-    ardurover.FS_ACTION,
-    ardurover.FS_THR_ENABLE,
-    ardurover.FS_GCS_ENABLE,
-    ardurover.FS_EKF_ACTION,
-    ardurover.FS_EKF_THRESH,
-    ardurover.FS_CRASH_CHECK,
-    *ardurover.ARMING_CHECK,
-    ardurover.BATT_FS_LOW_ACT,
-    ardurover.BATT_FS_CRT_ACT,
-    ardurover.BATT_LOW_VOLT,
+    constants.WP_SPEED,
+    constants.ATC_ACCEL_MAX,
+    constants.ATC_STR_RAT_MAX,
+    constants.ATC_TURN_MAX_G,
+    *constants.SYSTEM_ID,
+    *constants.GROUND_STATION_ID,
+    constants.SYSID_ENFORCE,
+    constants.MAV_OPTIONS,
+    constants.SCHED_LOOP_RATE,
+    constants.FS_ACTION,
+    constants.FS_THR_ENABLE,
+    constants.FS_GCS_ENABLE,
+    constants.FS_EKF_ACTION,
+    constants.FS_EKF_THRESH,
+    constants.FS_CRASH_CHECK,
+    *constants.ARMING_CHECK,
+    constants.BATT_FS_LOW_ACT,
+    constants.BATT_FS_CRT_ACT,
+    constants.BATT_LOW_VOLT,
 )
 """Where firmware versions differ in a name, both: the one that answers counts."""
 RENAMED: Final = (
-    ardurover.SYSTEM_ID,
-    ardurover.GROUND_STATION_ID,
-    (ardurover.SYSID_ENFORCE, ardurover.MAV_OPTIONS),
-    ardurover.ARMING_CHECK,
+    constants.SYSTEM_ID,
+    constants.GROUND_STATION_ID,
+    (constants.SYSID_ENFORCE, constants.MAV_OPTIONS),
+    constants.ARMING_CHECK,
 )
 """Of each a firmware has one name: when that has answered, nobody waits for the other."""
 IN_FLIGHT: Final = 4

@@ -8,8 +8,8 @@ from __future__ import annotations
 from math import atan2, copysign, cos, hypot, isfinite, pi, sin, sqrt
 from typing import Final, NamedTuple
 
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import wrapped
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import wrapped
 
 STEERING_P: Final = 2.0
 """rad/s of yaw rate per rad of heading error (ATC_STR_ANG_P)."""
@@ -81,13 +81,13 @@ def of_position_target(message: PositionTarget, pose: Pose, speed_max: float) ->
     Raises `NotFinite` for a number that is used and is none, as the autopilot dies of it.
     """
     frame, mask, x, y, vx, vy, yaw, yaw_rate = message
-    if frame not in ardurover.ACCEPTED_FRAMES:
+    if frame not in constants.ACCEPTED_FRAMES:
         return None
-    in_body = frame in ardurover.BODY_FRAMES
-    position = not mask & ardurover.IGNORE_POSITION
-    velocity = not mask & ardurover.IGNORE_VELOCITY
-    has_yaw = not mask & ardurover.IGNORE_YAW
-    has_rate = not mask & ardurover.IGNORE_YAW_RATE
+    in_body = frame in constants.BODY_FRAMES
+    position = not mask & constants.IGNORE_POSITION
+    velocity = not mask & constants.IGNORE_VELOCITY
+    has_yaw = not mask & constants.IGNORE_YAW
+    has_rate = not mask & constants.IGNORE_YAW_RATE
     if position:
         _used(x, y)
     if velocity:
@@ -96,7 +96,7 @@ def of_position_target(message: PositionTarget, pose: Pose, speed_max: float) ->
         _used(yaw)
     if has_rate:
         _used(yaw_rate)
-    if not mask & ardurover.IGNORE_ACCELERATION:
+    if not mask & constants.IGNORE_ACCELERATION:
         return None
     if position:
         return _place(frame, x, y, pose)
@@ -114,9 +114,9 @@ def of_position_target(message: PositionTarget, pose: Pose, speed_max: float) ->
 
 
 def _place(frame: int, x: float, y: float, pose: Pose) -> Place:
-    if frame == ardurover.FRAME_LOCAL_NED:
+    if frame == constants.FRAME_LOCAL_NED:
         return Place(x, y)
-    if frame == ardurover.FRAME_LOCAL_OFFSET_NED:
+    if frame == constants.FRAME_LOCAL_OFFSET_NED:
         return Place(pose.north + x, pose.east + y)
     c, s = cos(pose.yaw), sin(pose.yaw)
     return Place(pose.north + x * c - y * s, pose.east + x * s + y * c)
@@ -158,7 +158,7 @@ class Guided:
         """Whether the setpoint has just become too old; it is forgotten then. Places never do."""
         if self._target is None or isinstance(self._target, Place):
             return False
-        if now_ns - self._since_ns <= ardurover.SETPOINT_TIMEOUT_NS:
+        if now_ns - self._since_ns <= constants.SETPOINT_TIMEOUT_NS:
             return False
         self._target = None
         return True

@@ -11,27 +11,27 @@ from math import cos, sin, tau
 from typing import Final
 
 from agent.common.random_streams import stream, uniform
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic, geodetic_to_local, local_to_geodetic, wrapped
-from bridges.mavlink.rover_dynamics import RoverDynamics
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.dynamics import RoverDynamics
+from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local, local_to_geodetic, wrapped
 
 INITIALISED: Final = 5.0 / 40.0
 GPS_FIX: Final = 12.0 / 40.0
 OWN_ORIGIN: Final = 17.0 / 40.0
 """Of the time to boot: when the EKF runs, the GPS has a fix, the EKF takes an origin by itself."""
 EKF_READY: Final = (
-    ardurover.EKF_NEEDED
-    | ardurover.EKF_VELOCITY_VERT
-    | ardurover.EKF_POS_VERT_ABS
-    | ardurover.EKF_PRED_POS_HORIZ_REL
-    | ardurover.EKF_PRED_POS_HORIZ_ABS
+    constants.EKF_NEEDED
+    | constants.EKF_VELOCITY_VERT
+    | constants.EKF_POS_VERT_ABS
+    | constants.EKF_PRED_POS_HORIZ_REL
+    | constants.EKF_PRED_POS_HORIZ_ABS
 )
 EKF_WITHOUT_POSITION: Final = (
-    ardurover.EKF_ATTITUDE
-    | ardurover.EKF_VELOCITY_HORIZ
-    | ardurover.EKF_VELOCITY_VERT
-    | ardurover.EKF_POS_VERT_ABS
-    | ardurover.EKF_CONST_POS_MODE
+    constants.EKF_ATTITUDE
+    | constants.EKF_VELOCITY_HORIZ
+    | constants.EKF_VELOCITY_VERT
+    | constants.EKF_POS_VERT_ABS
+    | constants.EKF_CONST_POS_MODE
 )
 FIX_LOST_S: Final = 1.0
 POSITION_LOST_S: Final = 13.5
@@ -143,13 +143,13 @@ class Navigation:
     def flags(self) -> int:
         """Of EKF_STATUS_REPORT."""
         if not self.initialised:
-            return ardurover.EKF_UNINITIALIZED
+            return constants.EKF_UNINITIALIZED
         return EKF_READY if self.ready else EKF_WITHOUT_POSITION
 
     @property
     def fix(self) -> int:
         """GPS_RAW_INT.fix_type."""
-        return ardurover.GPS_3D_FIX if self._fixed else ardurover.GPS_NO_FIX
+        return constants.GPS_3D_FIX if self._fixed else constants.GPS_NO_FIX
 
     @property
     def satellites(self) -> int:

@@ -8,11 +8,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.common.random_streams import stream, uniform
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.rover_telemetry import BUILDERS, DEFAULT_STREAMS, Message
 from bridges.mavlink.signing import timestamp_at
 
-DEFAULT_INTERVAL_NS: Final = round(NS_PER_S / ardurover.STREAM_RATE_HZ)
+DEFAULT_INTERVAL_NS: Final = round(NS_PER_S / constants.STREAM_RATE_HZ)
 LATE: Final = 0.02
 """Share of the streamed messages that a busy autopilot sends a loop late."""
 PARAMETER_LIST_SLOWS: Final = 4
@@ -41,7 +41,7 @@ class Port:
 
     def __init__(self, number: int, system: int, now_ns: int, *key: int | str) -> None:
         self.number = number
-        self._mav = mavlink.MAVLink(None, system, ardurover.COMPONENT_AUTOPILOT)
+        self._mav = mavlink.MAVLink(None, system, constants.COMPONENT_AUTOPILOT)
         self._mav.robust_parsing = True
         self._draws = stream("rover port", number, *key)
         self._drawn = 0

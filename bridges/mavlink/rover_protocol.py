@@ -10,8 +10,8 @@ from typing import Final
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.rover_commands import COMMANDS, SET_MODE, Context, set_mode
 from bridges.mavlink.rover_guided import NotFinite, PositionTarget, of_attitude_target, of_position_target
 from bridges.mavlink.rover_port import Port
@@ -106,12 +106,12 @@ class Protocol:
             # Only a mode is said at once. Arming and failsafes wait for the heartbeat that is due anyway.
             vehicle.changed = False
             self.log.append(
-                f"{ardurover.mode_name(vehicle.mode)}, {'armed' if vehicle.armed else 'disarmed'}"
+                f"{constants.mode_name(vehicle.mode)}, {'armed' if vehicle.armed else 'disarmed'}"
             )
             self._send_all(heartbeat(vehicle, now_ns), now_ns)
         if vehicle.navigation.origin is not None and not self._origin_said:
             self._origin_said = True
-            self._send_all(BUILDERS[ardurover.GPS_GLOBAL_ORIGIN](vehicle, now_ns), now_ns)
+            self._send_all(BUILDERS[constants.GPS_GLOBAL_ORIGIN](vehicle, now_ns), now_ns)
         if now_ns >= self._timesync_ns:
             # It asks for the time itself, too: whoever takes that for an answer gets it wrong.
             self._timesync_ns = now_ns + TIMESYNC_PERIOD_NS
@@ -142,7 +142,7 @@ class Protocol:
         """Passes a message on to whom it concerns; whether it concerns the vehicle."""
         id_, sender = message.get_msgId(), (message.get_srcSystem(), message.get_srcComponent())
         self._routes.learn(port.number, *sender)
-        if id_ == ardurover.HEARTBEAT:
+        if id_ == constants.HEARTBEAT:
             ports, ours = self._routes.of_heartbeat(len(self._ports), port.number, *sender), True
         else:
             # SET_MODE has a system but no component; what is for everybody has neither.
@@ -179,7 +179,7 @@ class Protocol:
 
     def _on_command(self, port: Port, message: Message, now_ns: int) -> None:
         command = COMMANDS.get(message.command)
-        result = ardurover.RESULT_UNSUPPORTED
+        result = constants.RESULT_UNSUPPORTED
         if command is not None:
 
             def answer(reply: Message | None) -> None:
@@ -188,8 +188,8 @@ class Protocol:
             context = Context(self._vehicle, port, answer, now_ns)
             result = command(context, [message.param1, message.param2, message.param3])
         self._acknowledge(port, message, message.command, result, now_ns)
-        if message.command == ardurover.CMD_PREFLIGHT_REBOOT_SHUTDOWN:
-            self.reboot_asked = result == ardurover.RESULT_ACCEPTED
+        if message.command == constants.CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+            self.reboot_asked = result == constants.RESULT_ACCEPTED
 
     def _parameter(self, name: str) -> Message:
         parameters = self._vehicle.parameters

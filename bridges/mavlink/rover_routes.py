@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 
 ROUTES_MAX: Final = 20
 PRIVATE: Final = frozenset({109, 166, 246})
@@ -20,7 +20,7 @@ class Routes:
     """Who was heard where, of the vehicle with this system id."""
 
     def __init__(self, system: int) -> None:
-        self._own = (system, ardurover.COMPONENT_AUTOPILOT)
+        self._own = (system, constants.COMPONENT_AUTOPILOT)
         self._heard: list[tuple[int, int, int]] = []  # port, system, component
 
     def learn(self, port: int, system: int, component: int) -> None:

@@ -12,7 +12,7 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.runtime.process import PARENT_PERIOD_NS, Shutdown
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.rover_settings import DEFAULT_HOME, Settings, SettingsError, parse_home, parse_parameter
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.rover_sockets import Endpoint, Line, open_lines, parse_endpoint, with_something
@@ -22,12 +22,12 @@ DEFAULT_ENDPOINTS: Final = tuple(Endpoint("tcp", "127.0.0.1", port, True) for po
 HELD_UP_NS: Final = NS_PER_S
 """A process that was held up for longer has lost that time, instead of making up for it all at once."""
 TYPES: Final = {
-    "rover": (ardurover.TYPE_GROUND_ROVER, ardurover.AUTOPILOT_ARDUPILOT),
-    "boat": (ardurover.TYPE_SURFACE_BOAT, ardurover.AUTOPILOT_ARDUPILOT),
-    "copter": (ardurover.TYPE_QUADROTOR, ardurover.AUTOPILOT_ARDUPILOT),
-    "plane": (ardurover.TYPE_FIXED_WING, ardurover.AUTOPILOT_ARDUPILOT),
-    "sub": (ardurover.TYPE_SUBMARINE, ardurover.AUTOPILOT_ARDUPILOT),
-    "px4": (ardurover.TYPE_GROUND_ROVER, ardurover.AUTOPILOT_PX4),
+    "rover": (constants.TYPE_GROUND_ROVER, constants.AUTOPILOT_ARDUPILOT),
+    "boat": (constants.TYPE_SURFACE_BOAT, constants.AUTOPILOT_ARDUPILOT),
+    "copter": (constants.TYPE_QUADROTOR, constants.AUTOPILOT_ARDUPILOT),
+    "plane": (constants.TYPE_FIXED_WING, constants.AUTOPILOT_ARDUPILOT),
+    "sub": (constants.TYPE_SUBMARINE, constants.AUTOPILOT_ARDUPILOT),
+    "px4": (constants.TYPE_GROUND_ROVER, constants.AUTOPILOT_PX4),
 }
 Log = Callable[[str], None]
 

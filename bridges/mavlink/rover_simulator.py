@@ -10,8 +10,8 @@ from typing import Final
 
 from agent.common.clock import NS_PER_S
 from agent.common.random_streams import stream, uniform
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.rover_protocol import Protocol
 from bridges.mavlink.rover_settings import Settings, SettingsError
 from bridges.mavlink.rover_vehicle import Vehicle
@@ -92,7 +92,7 @@ class Rover:
     @property
     def mode(self) -> str:
         """Name of its mode."""
-        return ardurover.mode_name(self._vehicle.mode)
+        return constants.mode_name(self._vehicle.mode)
 
     @property
     def armed(self) -> bool:
@@ -139,9 +139,9 @@ class Rover:
 
     def set_mode(self, name: str) -> bool:
         """By the transmitter's switch. Whether it is in that mode now. `SettingsError`: no such mode."""
-        if name not in ardurover.MODE_NUMBERS:
-            raise SettingsError(f"Rover has no mode {name}; it has {', '.join(ardurover.MODE_NUMBERS)}")
-        return self._vehicle.set_mode(ardurover.MODE_NUMBERS[name])
+        if name not in constants.MODE_NUMBERS:
+            raise SettingsError(f"Rover has no mode {name}; it has {', '.join(constants.MODE_NUMBERS)}")
+        return self._vehicle.set_mode(constants.MODE_NUMBERS[name])
 
     def arm(self) -> bool:
         """By the transmitter. Whether it is armed now."""

@@ -8,13 +8,13 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.rover_vehicle import Vehicle
 
-MANUAL_MODES: Final = frozenset({ardurover.MANUAL, ardurover.ACRO, ardurover.STEERING, ardurover.SIMPLE})
-NOT_AUTOPILOT: Final = MANUAL_MODES | {ardurover.HOLD, ardurover.INITIALISING}
-SENSORS: Final = ardurover.SENSOR_GPS | ardurover.SENSOR_AHRS | ardurover.SENSOR_PREARM_CHECK
+MANUAL_MODES: Final = frozenset({constants.MANUAL, constants.ACRO, constants.STEERING, constants.SIMPLE})
+NOT_AUTOPILOT: Final = MANUAL_MODES | {constants.HOLD, constants.INITIALISING}
+SENSORS: Final = constants.SENSOR_GPS | constants.SENSOR_AHRS | constants.SENSOR_PREARM_CHECK
 CAPABILITIES: Final = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -33,17 +33,17 @@ Message = Any
 def heartbeat(vehicle: Vehicle, _now_ns: int) -> Message:
     """Mode, arming and state."""
     mode = vehicle.mode
-    base = ardurover.FLAG_CUSTOM_MODE
+    base = constants.FLAG_CUSTOM_MODE
     if mode in MANUAL_MODES:
-        base |= ardurover.FLAG_MANUAL_INPUT
+        base |= constants.FLAG_MANUAL_INPUT
     if mode not in NOT_AUTOPILOT:
-        base |= ardurover.FLAG_GUIDED
+        base |= constants.FLAG_GUIDED
     if vehicle.armed:
-        base |= ardurover.FLAG_ARMED
+        base |= constants.FLAG_ARMED
     if vehicle.failsafe or vehicle.ekf_failsafe:
-        state = ardurover.STATE_CRITICAL
+        state = constants.STATE_CRITICAL
     else:
-        state = ardurover.STATE_STANDBY if mode == ardurover.HOLD else ardurover.STATE_ACTIVE
+        state = constants.STATE_STANDBY if mode == constants.HOLD else constants.STATE_ACTIVE
     settings = vehicle.settings
     return mavlink.MAVLink_heartbeat_message(settings.vehicle_type, settings.autopilot, base, mode, state, 3)
 
@@ -94,7 +94,7 @@ def _global_position(vehicle: Vehicle, now_ns: int) -> Message:
 
 def _gps(vehicle: Vehicle, now_ns: int) -> Message:
     navigation, truth = vehicle.navigation, vehicle.truth
-    fixed = navigation.fix >= ardurover.GPS_3D_FIX
+    fixed = navigation.fix >= constants.GPS_3D_FIX
     course = degrees(truth.yaw) + (180.0 if truth.speed < 0.0 else 0.0)
     return mavlink.MAVLink_gps_raw_int_message(
         (now_ns - vehicle.boot_ns) // 1000,
@@ -123,12 +123,12 @@ def _charge(vehicle: Vehicle) -> int:
 
 def _system(vehicle: Vehicle, _now_ns: int) -> Message:
     health = SENSORS
-    if vehicle.navigation.fix < ardurover.GPS_3D_FIX:
-        health &= ~ardurover.SENSOR_GPS
+    if vehicle.navigation.fix < constants.GPS_3D_FIX:
+        health &= ~constants.SENSOR_GPS
     if not vehicle.navigation.ready:
-        health &= ~ardurover.SENSOR_AHRS
+        health &= ~constants.SENSOR_AHRS
     if not vehicle.armed and vehicle.arming_refused():
-        health &= ~ardurover.SENSOR_PREARM_CHECK
+        health &= ~constants.SENSOR_PREARM_CHECK
     voltage = round(vehicle.parameters["SIM_BATT_VOLTAGE"] * 1e3)
     return mavlink.MAVLink_sys_status_message(
         SENSORS, SENSORS, health, 120, voltage, 250, _charge(vehicle), 0, 0, 0, 0, 0, 0
@@ -152,7 +152,7 @@ def _battery(vehicle: Vehicle, _now_ns: int) -> Message:
 
 
 def _system_time(vehicle: Vehicle, now_ns: int) -> Message:
-    unix = now_ns // 1000 if vehicle.navigation.fix >= ardurover.GPS_3D_FIX else 0
+    unix = now_ns // 1000 if vehicle.navigation.fix >= constants.GPS_3D_FIX else 0
     return mavlink.MAVLink_system_time_message(unix, _boot_ms(vehicle, now_ns))
 
 
@@ -193,29 +193,29 @@ def _version(vehicle: Vehicle, _now_ns: int) -> Message:
 
 
 BUILDERS: Final[Mapping[int, Callable[[Vehicle, int], Message | None]]] = {
-    ardurover.HEARTBEAT: heartbeat,
-    ardurover.SYS_STATUS: _system,
-    ardurover.SYSTEM_TIME: _system_time,
-    ardurover.GPS_RAW_INT: _gps,
-    ardurover.ATTITUDE: _attitude,
-    ardurover.LOCAL_POSITION_NED: _local_position,
-    ardurover.GLOBAL_POSITION_INT: _global_position,
-    ardurover.GPS_GLOBAL_ORIGIN: _origin,
-    ardurover.BATTERY_STATUS: _battery,
-    ardurover.AUTOPILOT_VERSION: _version,
-    ardurover.EKF_STATUS_REPORT: _ekf,
-    ardurover.HOME_POSITION: _home,
+    constants.HEARTBEAT: heartbeat,
+    constants.SYS_STATUS: _system,
+    constants.SYSTEM_TIME: _system_time,
+    constants.GPS_RAW_INT: _gps,
+    constants.ATTITUDE: _attitude,
+    constants.LOCAL_POSITION_NED: _local_position,
+    constants.GLOBAL_POSITION_INT: _global_position,
+    constants.GPS_GLOBAL_ORIGIN: _origin,
+    constants.BATTERY_STATUS: _battery,
+    constants.AUTOPILOT_VERSION: _version,
+    constants.EKF_STATUS_REPORT: _ekf,
+    constants.HOME_POSITION: _home,
 }
 """All that can be asked for by its id. None: it has nothing to say yet, and sends nothing."""
 DEFAULT_STREAMS: Final = (
-    ardurover.HEARTBEAT,
-    ardurover.SYS_STATUS,
-    ardurover.SYSTEM_TIME,
-    ardurover.GPS_RAW_INT,
-    ardurover.ATTITUDE,
-    ardurover.LOCAL_POSITION_NED,
-    ardurover.GLOBAL_POSITION_INT,
-    ardurover.BATTERY_STATUS,
-    ardurover.EKF_STATUS_REPORT,
+    constants.HEARTBEAT,
+    constants.SYS_STATUS,
+    constants.SYSTEM_TIME,
+    constants.GPS_RAW_INT,
+    constants.ATTITUDE,
+    constants.LOCAL_POSITION_NED,
+    constants.GLOBAL_POSITION_INT,
+    constants.BATTERY_STATUS,
+    constants.EKF_STATUS_REPORT,
 )
 """What is sent at 1 Hz by itself."""

@@ -27,14 +27,14 @@ from typing import Final, NamedTuple
 
 from agent.control.hand import Pose
 from agent.supervision.state_machine import REST_SPEED
-from bridges.mavlink.estimate import Surprise
-from bridges.mavlink.rover_dynamics import (
+from bridges.mavlink.ardupilot.dynamics import (
     DEFAULTS,
     GRAVITY,
     STEERING_ACCELERATION_MAX,
     limited,
     or_inf,
 )
+from bridges.mavlink.estimate import Surprise
 from plant.backend import Command
 
 LEAD_SPEED_S: Final = 0.15

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 
 LOWER_RATES_HZ: Final = (25.0, 20.0, 12.5, 10.0, 5.0)
 """Tried in turn when a state message is refused; whole milliseconds, as ArduPilot counts them."""
@@ -54,12 +54,12 @@ def wanted_messages(state_rate_hz: float) -> tuple[Wanted, ...]:
     """
     rates = (state_rate_hz, *(rate for rate in LOWER_RATES_HZ if rate < state_rate_hz))
     return (
-        Wanted(ardurover.ATTITUDE, "ATTITUDE", rates),
-        Wanted(ardurover.LOCAL_POSITION_NED, "LOCAL_POSITION_NED", rates),
-        Wanted(ardurover.HEARTBEAT, "HEARTBEAT", (5.0,)),
-        Wanted(ardurover.EKF_STATUS_REPORT, "EKF_STATUS_REPORT", (2.0,)),
-        Wanted(ardurover.SYS_STATUS, "SYS_STATUS", (1.0,)),
-        Wanted(ardurover.GPS_RAW_INT, "GPS_RAW_INT", (1.0,)),
+        Wanted(constants.ATTITUDE, "ATTITUDE", rates),
+        Wanted(constants.LOCAL_POSITION_NED, "LOCAL_POSITION_NED", rates),
+        Wanted(constants.HEARTBEAT, "HEARTBEAT", (5.0,)),
+        Wanted(constants.EKF_STATUS_REPORT, "EKF_STATUS_REPORT", (2.0,)),
+        Wanted(constants.SYS_STATUS, "SYS_STATUS", (1.0,)),
+        Wanted(constants.GPS_RAW_INT, "GPS_RAW_INT", (1.0,)),
     )
 
 
@@ -109,14 +109,14 @@ class _Stream:
 
     def answered(self, now_ns: int, result: int | None) -> None:
         self.since_ns, self.due_ns = now_ns, None
-        if result == ardurover.RESULT_ACCEPTED:
+        if result == constants.RESULT_ACCEPTED:
             if not self.granted:
                 self.arrivals.clear()  # what came until now came at another rate
             self.answer, self.granted = "accepted", True
         elif result is None:
             self.answer = "no answer"
             self.due_ns = now_ns + _REPEAT_NS
-        elif result == ardurover.RESULT_TEMPORARILY_REJECTED:
+        elif result == constants.RESULT_TEMPORARILY_REJECTED:
             self.due_ns = now_ns + _REJECTED_NS
         else:
             self.answer, self.granted = "denied", False

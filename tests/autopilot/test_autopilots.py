@@ -31,7 +31,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState
 from agent.node import Node
 from agent.supervision.state_machine import State
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.link import Link, LinkSettings
 from plant.backend import Command, Reading
 from plant.node import PlantNode
@@ -101,8 +101,8 @@ def test_it_is_there_and_is_a_rover(field: Field, vehicle: Vehicle) -> None:
     link = vehicle.link
     field.until(lambda: link.connected(time.time_ns()), "a heartbeat", BOOT_S)
     assert link.problem == ""
-    assert link.autopilot == ardurover.AUTOPILOT_ARDUPILOT
-    assert link.type in ardurover.ROVER_TYPES
+    assert link.autopilot == constants.AUTOPILOT_ARDUPILOT
+    assert link.type in constants.ROVER_TYPES
     field.until(lambda: link.firmware, "its version", 30.0)
     print(f"system {link.system}, firmware {link.firmware}")
 
@@ -122,8 +122,8 @@ def test_the_streams_that_are_asked_for_come(field: Field, vehicle: Vehicle) -> 
 
 def test_a_rate_above_what_it_can_do_is_refused_and_a_lower_one_taken(field: Field, vehicle: Vehicle) -> None:
     field.until(lambda: vehicle.link.parameters_done, "its parameters", BOOT_S)
-    loop_hz = vehicle.link.parameter(ardurover.SCHED_LOOP_RATE)
-    if loop_hz is None or ardurover.STREAM_RATE_PART * loop_hz >= 50.0:
+    loop_hz = vehicle.link.parameter(constants.SCHED_LOOP_RATE)
+    if loop_hz is None or constants.STREAM_RATE_PART * loop_hz >= 50.0:
         pytest.skip(f"its loop rate is {loop_hz}: it grants 50 Hz")
     greedy = Link(LinkSettings(state_rate_hz=50.0, set_origin=False, own_component=192))
     shared = vehicle.tee.other()
@@ -155,9 +155,9 @@ def test_its_clock_is_found_by_timesync(field: Field, vehicle: Vehicle) -> None:
 
 def test_its_parameters_are_read(field: Field, vehicle: Vehicle) -> None:
     field.until(lambda: vehicle.link.parameters_done, "its parameters", BOOT_S)
-    for names in (ardurover.WP_SPEED, ardurover.ATC_ACCEL_MAX, ardurover.FS_ACTION, ardurover.SYSTEM_ID):
+    for names in (constants.WP_SPEED, constants.ATC_ACCEL_MAX, constants.FS_ACTION, constants.SYSTEM_ID):
         assert vehicle.link.parameter(names) is not None, names
-    assert vehicle.link.parameter(ardurover.SYSTEM_ID) == vehicle.link.system
+    assert vehicle.link.parameter(constants.SYSTEM_ID) == vehicle.link.system
 
 
 def test_it_becomes_ready_and_nothing_blocks(field: Field, vehicle: Vehicle) -> None:
@@ -199,7 +199,7 @@ def test_all_are_in_one_world(field: Field) -> None:
 
 def test_it_is_armed_and_put_into_guided(field: Field, vehicle: Vehicle) -> None:
     field.ready(vehicle)
-    assert (vehicle.link.mode, vehicle.link.armed) == (ardurover.GUIDED, True)
+    assert (vehicle.link.mode, vehicle.link.armed) == (constants.GUIDED, True)
     place = vehicle.pose
     field.run(3.0)
     assert hypot(vehicle.pose.x - place.x, vehicle.pose.y - place.y) < STILL_M, "armed, it stands"
@@ -273,7 +273,7 @@ def test_without_a_wrench_it_stops_and_is_left_in_peace(field: Field, vehicle: V
     field.run(4.0)
     assert vehicle.standing
     assert setpoints(vehicle, time.time_ns() - NS_PER_S // 2) == 0, "silence once it stands"
-    assert (vehicle.link.mode, vehicle.link.armed) == (ardurover.GUIDED, True)
+    assert (vehicle.link.mode, vehicle.link.armed) == (constants.GUIDED, True)
 
 
 def setpoints(vehicle: Vehicle, since_ns: int) -> int:

@@ -21,9 +21,9 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved
 from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic, world_to_geodetic
 from bridges.mavlink.backend import MavlinkPlant, session
-from bridges.mavlink.frames import Geodetic, world_to_geodetic
 from bridges.mavlink.link import Link, LinkSettings
 from bridges.mavlink.transport import Transport, open_transport
 from plant.backend import Command, Reading
@@ -129,7 +129,7 @@ class Vehicle:
         if self.place.operator:
             wanted.append(mavlink.MAVLINK_MSG_ID_ATTITUDE)
         for message in wanted:
-            self.operator.command(ardurover.CMD_SET_MESSAGE_INTERVAL, message, 1e6 / OPERATORS_RATE_HZ)
+            self.operator.command(constants.CMD_SET_MESSAGE_INTERVAL, message, 1e6 / OPERATORS_RATE_HZ)
 
     def step(self, now_ns: int) -> None:
         command = None if self.reading is None else self.command(self.reading)

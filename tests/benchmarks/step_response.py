@@ -1,9 +1,10 @@
 """Step responses of the hand point: a rover behind the bridge's control parts against the ideal body.
 
 The agent believes that it drives a double integrator. Here it gets the ideal unicycle, and then a rover with
-the measured delays and lags (`bridges.mavlink.rover_dynamics`), measured at 25 Hz and seen 50 to 65 ms late,
-behind `bridges.mavlink.estimate` and `bridges.mavlink.setpoint`: without and with the lead, and with the
-hand's velocity from the measured speeds, from the reference, or from it within a little of the measured ones.
+the measured delays and lags (`bridges.mavlink.ardupilot.dynamics`), measured at 25 Hz and seen 50 to 65 ms
+late, behind `bridges.mavlink.estimate` and `bridges.mavlink.setpoint`: without and with the lead, and with
+the hand's velocity from the measured speeds, from the reference, or from it within a little of the measured
+ones.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.control import hand
 from agent.control.hand import Pose
+from bridges.mavlink.ardupilot.dynamics import RoverDynamics
 from bridges.mavlink.estimate import Estimate
-from bridges.mavlink.rover_dynamics import RoverDynamics
 from bridges.mavlink.setpoint import LEAD_SPEED_S, LEAD_YAW_S, TOLD_WITHIN, Bounds, Setpoint
 from plant.backend import Command
 from plant.unicycle import Actuator, integrate

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from tests.process.harness import ADDRESS, environment, no_trouble, running, wait_for
 
 SERVER = (sys.executable, "-P", "-m", "bridges.mavlink.rover_server")
@@ -94,7 +94,7 @@ class Client:
                 self.ended = True
                 return
             for message in self.codec.parse_buffer(data) or ():
-                if message.get_srcComponent() == ardurover.COMPONENT_AUTOPILOT:
+                if message.get_srcComponent() == constants.COMPONENT_AUTOPILOT:
                     self.heard.setdefault(message.get_type(), []).append(message)
 
     def has(self, name: str) -> list[Any]:
@@ -133,7 +133,7 @@ def test_it_listens_and_sends_and_drives_and_ends(start: Callable[..., Simulator
             for client in (radio, ground, bridge):
                 (beat, *_) = simulator.wait_for(lambda c=client: c.has("HEARTBEAT"), "a heartbeat")
                 assert beat.get_srcSystem() == 7
-                assert beat.type == ardurover.TYPE_GROUND_ROVER
+                assert beat.type == constants.TYPE_GROUND_ROVER
             bridge.send(mavlink.MAVLink_command_long_message(7, 1, 511, 0, 32, 40_000, 0, 0, 0, 0, 0))
 
             answered = 0
@@ -145,13 +145,13 @@ def test_it_listens_and_sends_and_drives_and_ends(start: Callable[..., Simulator
                     answered = len(positions)
                     bridge.send(
                         mavlink.MAVLink_set_position_target_local_ned_message(
-                            0, 7, 1, 8, ardurover.MASK_SPEED_AND_YAW_RATE, 0, 0, 0, 0.5, 0, 0, 0, 0, 0, 0, 0
+                            0, 7, 1, 8, constants.MASK_SPEED_AND_YAW_RATE, 0, 0, 0, 0.5, 0, 0, 0, 0, 0, 0, 0
                         )
                     )
                 return any(m.vy > 0.4 for m in positions)
 
             simulator.wait_for(drives, "driving east")
-            assert bridge.has("COMMAND_ACK")[0].result == ardurover.RESULT_ACCEPTED
+            assert bridge.has("COMMAND_ACK")[0].result == constants.RESULT_ACCEPTED
             assert len(ground.has("LOCAL_POSITION_NED")) < 0.5 * len(bridge.has("LOCAL_POSITION_NED"))
     simulator.process.send_signal(signal.SIGINT)
     assert simulator.process.wait(5.0) == 0
@@ -169,7 +169,7 @@ def test_one_tcp_client_at_a_time_and_a_reboot_sends_it_away(start: Callable[...
         simulator.wait_for(lambda: second.has("HEARTBEAT"), "a heartbeat for the second")
         second.send(mavlink.MAVLink_command_long_message(1, 1, 246, 0, 1, 0, 0, 0, 0, 0, 0))
         simulator.wait_for(lambda: second.look() or second.ended, "the end of the connection")
-        assert second.has("COMMAND_ACK")[0].result == ardurover.RESULT_ACCEPTED
+        assert second.has("COMMAND_ACK")[0].result == constants.RESULT_ACCEPTED
     with tcp(port) as third:
         simulator.wait_for(lambda: third.has("SYSTEM_TIME"), "the time since the boot")
         assert third.has("SYSTEM_TIME")[0].time_boot_ms < 4_000

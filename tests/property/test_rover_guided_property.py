@@ -7,8 +7,8 @@ from math import isfinite
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import wrapped
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import wrapped
 from bridges.mavlink.rover_guided import Guided, NotFinite, Pose, PositionTarget, of_position_target
 
 FINITE = st.floats(-1e6, 1e6, width=32)
@@ -46,13 +46,13 @@ def test_what_is_used_is_finite_or_the_end(message: PositionTarget, pose: Pose) 
 
 @given(st.floats(-3.0, 3.0, width=32), FINITE, st.sampled_from([1, 7, 8, 9]), POSES)
 def test_a_bridges_setpoint_means_what_it_says(v: float, w: float, frame: int, pose: Pose) -> None:
-    message = PositionTarget(frame, ardurover.MASK_SPEED_AND_YAW_RATE, 0.0, 0.0, v, 0.0, 0.0, w)
+    message = PositionTarget(frame, constants.MASK_SPEED_AND_YAW_RATE, 0.0, 0.0, v, 0.0, 0.0, w)
     assert of_position_target(message, pose, 3.0) == (v, w)
 
 
 @given(FINITE, FINITE, POSES)
 def test_a_velocity_vector_never_reverses(vx: float, vy: float, pose: Pose) -> None:
-    message = PositionTarget(1, ardurover.MASK_VELOCITY, 0.0, 0.0, vx, vy, 0.0, 0.0)
+    message = PositionTarget(1, constants.MASK_VELOCITY, 0.0, 0.0, vx, vy, 0.0, 0.0)
     target = of_position_target(message, pose, 3.0)
     assert target is not None
     assert target[0] >= 0.0

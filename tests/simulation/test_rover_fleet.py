@@ -16,8 +16,8 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Checks, HandState, PlantState, Resume, Status, Wrench
 from agent.supervision.state_machine import State
-from bridges.mavlink import frames
-from bridges.mavlink.frames import datum_of
+from bridges.mavlink.ardupilot import frames
+from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.simulated import SimulatedRoverPlant
 from deploy.arguments import FLEETS

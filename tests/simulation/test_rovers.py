@@ -15,9 +15,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.supervision.state_machine import at_rest
-from bridges.mavlink import ardurover, frames
+from bridges.mavlink.ardupilot import constants, frames
+from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.backend import UNTOLD
-from bridges.mavlink.frames import datum_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.signing import Signing, Timestamps
 from plant.backend import Command
@@ -74,7 +74,7 @@ def test_a_mode_that_is_heard_is_looked_at_before_anything_is_sent() -> None:
     scene.drive()
     bridge = scene.bridge
     scene.rover.set_mode("MANUAL")
-    while bridge.link.mode == ardurover.GUIDED:
+    while bridge.link.mode == constants.GUIDED:
         before_ns = scene.now_ns
         scene.tick()
     assert bridge.setpoints(before_ns + 1) == []
@@ -113,7 +113,7 @@ def test_a_rover_that_was_never_handed_over_is_not_commanded() -> None:
     assert not scene.rover.armed
     assert bridge.setpoints() == []
     assert [
-        m for _, m in bridge.port.messages("COMMAND_LONG") if m.command == ardurover.CMD_DO_SET_MODE
+        m for _, m in bridge.port.messages("COMMAND_LONG") if m.command == constants.CMD_DO_SET_MODE
     ] == []
     assert scene.rover.arm()
     scene.run(2.0)
@@ -183,15 +183,15 @@ def test_a_ground_station_is_let_be_and_its_mode_wins() -> None:
         if round(scene.time * 20) % 20 == 0:
             # QGroundControl's, and one that says of itself what an autopilot would.
             scene.say(heartbeat())
-            scene.say(heartbeat(mavlink.MAV_TYPE_GCS, ardurover.AUTOPILOT_ARDUPILOT), system=1, component=190)
+            scene.say(heartbeat(mavlink.MAV_TYPE_GCS, constants.AUTOPILOT_ARDUPILOT), system=1, component=190)
 
     scene.run(3.0, beat)
     assert bridge.reading.obeying
-    assert bridge.link.type == ardurover.TYPE_GROUND_ROVER
-    assert bridge.link.mode == ardurover.GUIDED
+    assert bridge.link.type == constants.TYPE_GROUND_ROVER
+    assert bridge.link.mode == constants.GUIDED
     assert bridge.check("ground station").level == "ok"
     assert "255" in bridge.check("ground station").found
-    scene.say(set_mode(ardurover.HOLD))
+    scene.say(set_mode(constants.HOLD))
     scene.until(lambda: not bridge.reading.obeying, 0.2)
     released_ns = scene.now_ns
     scene.run(2.0, beat)
@@ -499,11 +499,11 @@ def test_a_bridge_with_an_identity_of_its_own_is_found_too() -> None:
 @pytest.mark.parametrize(
     ("kind", "autopilot", "what"),
     [
-        (ardurover.TYPE_QUADROTOR, ardurover.AUTOPILOT_ARDUPILOT, "quadrotor"),
-        (ardurover.TYPE_FIXED_WING, ardurover.AUTOPILOT_ARDUPILOT, "fixed wing"),
-        (ardurover.TYPE_SUBMARINE, ardurover.AUTOPILOT_ARDUPILOT, "submarine"),
-        (ardurover.TYPE_GROUND_ROVER, ardurover.AUTOPILOT_PX4, "PX4"),
-        (ardurover.TYPE_GROUND_ROVER, ardurover.AUTOPILOT_GENERIC, "another autopilot"),
+        (constants.TYPE_QUADROTOR, constants.AUTOPILOT_ARDUPILOT, "quadrotor"),
+        (constants.TYPE_FIXED_WING, constants.AUTOPILOT_ARDUPILOT, "fixed wing"),
+        (constants.TYPE_SUBMARINE, constants.AUTOPILOT_ARDUPILOT, "submarine"),
+        (constants.TYPE_GROUND_ROVER, constants.AUTOPILOT_PX4, "PX4"),
+        (constants.TYPE_GROUND_ROVER, constants.AUTOPILOT_GENERIC, "another autopilot"),
     ],
 )
 def test_a_vehicle_of_another_kind_is_never_commanded(kind: int, autopilot: int, what: str) -> None:
@@ -517,7 +517,7 @@ def test_a_vehicle_of_another_kind_is_never_commanded(kind: int, autopilot: int,
     scene.run(5.0)
     assert bridge.setpoints() == []
     asked = {m.command for _, m in bridge.port.messages("COMMAND_LONG")}
-    assert not asked & {ardurover.CMD_DO_SET_MODE, ardurover.CMD_COMPONENT_ARM_DISARM}
+    assert not asked & {constants.CMD_DO_SET_MODE, constants.CMD_COMPONENT_ARM_DISARM}
     assert bridge.port.messages("SET_GPS_GLOBAL_ORIGIN") == []
     assert what in bridge.reading.note
     assert not bridge.reading.healthy
@@ -538,8 +538,8 @@ def test_a_rover_that_reboots_is_released_and_asked_for_everything_again() -> No
     assert "mode MANUAL" in bridge.reading.note
     assert bridge.link.origin_ours, "it was offered anew"
     again = [m for _, m in bridge.port.messages("COMMAND_LONG", since_ns)]
-    wanted = {m.param1 for m in again if m.command == ardurover.CMD_SET_MESSAGE_INTERVAL}
-    assert {ardurover.ATTITUDE, ardurover.LOCAL_POSITION_NED, ardurover.HEARTBEAT} <= wanted
+    wanted = {m.param1 for m in again if m.command == constants.CMD_SET_MESSAGE_INTERVAL}
+    assert {constants.ATTITUDE, constants.LOCAL_POSITION_NED, constants.HEARTBEAT} <= wanted
     scene.run(6.0)
     assert len(bridge.port.messages("PARAM_REQUEST_READ", since_ns)) >= min(10, asked)
     # While it was away the setpoints stopped; none has been sent since.
@@ -646,7 +646,7 @@ def test_bad_flags_of_its_ekf_are_told_at_once() -> None:
     scene = Scene()
     scene.drive(0.2)
     navigation = scene.rover._vehicle.navigation
-    lost = property(lambda _: ardurover.EKF_ATTITUDE | ardurover.EKF_CONST_POS_MODE)
+    lost = property(lambda _: constants.EKF_ATTITUDE | constants.EKF_CONST_POS_MODE)
     navigation.__class__ = type("Lost", (type(navigation),), {"flags": lost})
     took = scene.until(lambda: not scene.bridge.reading.healthy, 2.0)
     assert took < 0.7

@@ -8,11 +8,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.rover_simulator import Rover, Settings
 
-ACCEPTED, DENIED, FAILED = ardurover.RESULT_ACCEPTED, ardurover.RESULT_DENIED, ardurover.RESULT_FAILED
+ACCEPTED, DENIED, FAILED = constants.RESULT_ACCEPTED, constants.RESULT_DENIED, constants.RESULT_FAILED
 HOME = Geodetic(47.3977, 8.5456, 488.0)
 START_NS = 1_800_000_000 * NS_PER_S
 STEP_NS = 5_000_000
@@ -94,8 +94,8 @@ class Bench:
         speed: float = 0.5,
         yaw_rate: float = 0.0,
         *,
-        mask: int = ardurover.MASK_SPEED_AND_YAW_RATE,
-        frame: int = ardurover.FRAME_BODY_NED,
+        mask: int = constants.MASK_SPEED_AND_YAW_RATE,
+        frame: int = constants.FRAME_BODY_NED,
         vy: float = 0.0,
         x: float = 0.0,
         yaw: float = 0.0,
@@ -110,7 +110,7 @@ class Bench:
         self.send(message, system=system, component=component, port=port)
 
     def interval(self, message: int, rate_hz: float, port: int = 0) -> int:
-        return self.command(ardurover.CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate_hz, port=port)
+        return self.command(constants.CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate_hz, port=port)
 
     def set_parameter(self, name: str, value: float, port: int = 0) -> None:
         self.send(

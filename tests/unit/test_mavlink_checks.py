@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink import ardurover, checks, frames
+from bridges.mavlink import checks
+from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.checks import Found
 from plant.backend import Check
 from tests.rover_scene import Scene, heartbeat
@@ -79,11 +80,11 @@ def test_the_link() -> None:
 
 
 def test_nothing_more_is_said_of_a_vehicle_of_another_kind() -> None:
-    looked = Looked(vehicle_type=ardurover.TYPE_QUADROTOR)
+    looked = Looked(vehicle_type=constants.TYPE_QUADROTOR)
     assert looked.names() == ["link", "type"]
     assert looked.line("type").level == "blocking"
     assert looked.line("type").found == "is a quadrotor (MAV_TYPE 2), not a rover"
-    assert Looked(vehicle_type=ardurover.TYPE_SURFACE_BOAT).line("type").level == "ok"
+    assert Looked(vehicle_type=constants.TYPE_SURFACE_BOAT).line("type").level == "ok"
 
 
 @pytest.mark.parametrize(
@@ -123,11 +124,11 @@ def test_ekf_and_gps() -> None:
     assert link.gps is not None
     good_ekf, good_gps = link.ekf, link.gps
     for flags, text in (
-        (good_ekf.flags | ardurover.EKF_GPS_GLITCHING, "glitching"),
-        (good_ekf.flags | ardurover.EKF_CONST_POS_MODE, "to have a position"),
-        (good_ekf.flags & ~ardurover.EKF_POS_HORIZ_ABS, "position on the earth"),
-        (good_ekf.flags & ~ardurover.EKF_VELOCITY_HORIZ, "velocity"),
-        (ardurover.EKF_UNINITIALIZED, "to start"),
+        (good_ekf.flags | constants.EKF_GPS_GLITCHING, "glitching"),
+        (good_ekf.flags | constants.EKF_CONST_POS_MODE, "to have a position"),
+        (good_ekf.flags & ~constants.EKF_POS_HORIZ_ABS, "position on the earth"),
+        (good_ekf.flags & ~constants.EKF_VELOCITY_HORIZ, "velocity"),
+        (constants.EKF_UNINITIALIZED, "to start"),
     ):
         link.ekf = good_ekf._replace(flags=flags)
         assert looked.line("EKF").level == "blocking"
@@ -155,7 +156,7 @@ def test_ekf_and_gps() -> None:
     )
     link.ekf = good_ekf
     for changed, level in (
-        ({"fix": ardurover.GPS_3D_FIX - 1}, "blocking"),
+        ({"fix": constants.GPS_3D_FIX - 1}, "blocking"),
         ({"satellites": 5}, "warning"),
         ({"hdop": 2.5}, "warning"),
         ({"hdop": None}, "ok"),
@@ -290,7 +291,7 @@ def test_who_else_is_there() -> None:
     scene_lines = Looked(ports=2)
     scene = scene_lines.scene
     scene.say(heartbeat())
-    scene.say(heartbeat(mavlink.MAV_TYPE_GROUND_ROVER, ardurover.AUTOPILOT_ARDUPILOT), system=5, component=1)
+    scene.say(heartbeat(mavlink.MAV_TYPE_GROUND_ROVER, constants.AUTOPILOT_ARDUPILOT), system=5, component=1)
     scene.say(heartbeat(mavlink.MAV_TYPE_ONBOARD_CONTROLLER), system=1, component=192)
     scene.run(0.5)
     scene_lines.found = scene_lines.found._replace(now_ns=scene.now_ns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.backend import JUDGED_NS
 from bridges.mavlink.checks import REPORTED_NS
 from tests.rover_scene import Scene
@@ -13,7 +13,7 @@ from tests.rover_scene import Scene
 
 @pytest.mark.parametrize(
     ("report", "found", "name"),
-    [(ardurover.EKF_STATUS_REPORT, "ekf", "EKF"), (ardurover.GPS_RAW_INT, "gps", "GPS")],
+    [(constants.EKF_STATUS_REPORT, "ekf", "EKF"), (constants.GPS_RAW_INT, "gps", "GPS")],
 )
 def test_a_report_that_comes_no_more_stops_it(report: int, found: str, name: str) -> None:
     scene = Scene()
@@ -37,6 +37,6 @@ def test_a_report_that_is_bad_counts_at_once() -> None:
     scene.drive(0.3)
     link = scene.bridge.link
     assert link.ekf is not None
-    link.ekf = link.ekf._replace(flags=ardurover.EKF_UNINITIALIZED)
+    link.ekf = link.ekf._replace(flags=constants.EKF_UNINITIALIZED)
     scene.tick()
     assert scene.bridge.reading.note == "waiting for its EKF to start"

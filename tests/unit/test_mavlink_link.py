@@ -11,8 +11,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.link import Link, LinkSettings
 from bridges.mavlink.signing import EPOCH_S, Signing, Timestamps
 
@@ -40,7 +40,7 @@ class Speaker:
         return pack
 
     def alive(
-        self, mode: int = ardurover.GUIDED, armed: bool = True, kind: int = 10, autopilot: int = 3
+        self, mode: int = constants.GUIDED, armed: bool = True, kind: int = 10, autopilot: int = 3
     ) -> bytes:
         return self.heartbeat(kind, autopilot, 1 | (128 if armed else 0), mode, 4, 3)
 
@@ -98,10 +98,10 @@ def test_the_first_autopilot_is_the_vehicle_and_nobody_else() -> None:
     assert link.system is None
     assert link.absence(T0) == "no heartbeat of a vehicle yet"
     link.receive(T0, Speaker(3).alive())
-    link.receive(T0, Speaker(4).alive(mode=ardurover.HOLD))
-    assert (link.system, link.mode, link.armed) == (3, ardurover.GUIDED, True)
+    link.receive(T0, Speaker(4).alive(mode=constants.HOLD))
+    assert (link.system, link.mode, link.armed) == (3, constants.GUIDED, True)
     assert link.absence(T0) == ""
-    assert link.strangers == {4: ardurover.TYPE_GROUND_ROVER}
+    assert link.strangers == {4: constants.TYPE_GROUND_ROVER}
 
 
 def test_a_vehicle_with_another_id_is_noted_not_taken() -> None:
@@ -140,9 +140,9 @@ def test_only_a_rover_of_ardupilot_is_driven(kind: int, autopilot: int, problem:
     assert link.problem == problem
     assert bool(link.setpoint(0.1, 0.0)) is not bool(problem)
     link.command_arm(True)
-    link.command_mode(ardurover.GUIDED)
+    link.command_mode(constants.GUIDED)
     sent = link.tick(T0)
-    for command in (ardurover.CMD_COMPONENT_ARM_DISARM, ardurover.CMD_DO_SET_MODE):
+    for command in (constants.CMD_COMPONENT_ARM_DISARM, constants.CMD_DO_SET_MODE):
         assert bool(requests(sent, command)) is not bool(problem)
     assert bool(named(sent, "SET_GPS_GLOBAL_ORIGIN")) is not bool(problem)
 
@@ -153,10 +153,10 @@ def test_what_others_say_changes_nothing(sender: tuple[int, int]) -> None:
     other = Speaker(*sender)
     link.receive(T0, other.position(1000) + other.yaw(1000) + other.gps_global_origin(47 * 10**7, 8, 0))
     link.receive(T0, other.ekf_status_report(831, 0, 0, 0, 0, 0) + other.statustext(2, b"PreArm: no"))
-    link.receive(T0, other.heartbeat(18, 8, 0, ardurover.HOLD, 4, 3))
+    link.receive(T0, other.heartbeat(18, 8, 0, constants.HOLD, 4, 3))
     assert [*link.take_positions(), *link.take_attitudes(), *link.take_texts()] == []
     assert link.origin is link.ekf is None
-    assert (link.mode, link.armed) == (ardurover.GUIDED, True)
+    assert (link.mode, link.armed) == (constants.GUIDED, True)
 
 
 @pytest.mark.parametrize(
@@ -241,11 +241,11 @@ def test_message_rates_are_asked_for_one_after_the_other_and_lowered_when_denied
     link, rover = joined()
     asked, now_ns = [], T0
     for _ in range(20):
-        for message in requests(link.tick(now_ns), ardurover.CMD_SET_MESSAGE_INTERVAL):
+        for message in requests(link.tick(now_ns), constants.CMD_SET_MESSAGE_INTERVAL):
             asked.append((round(message.param1), round(message.param2)))
             assert (message.target_system, message.target_component) == (3, 1)
-            denied = message.param1 == ardurover.ATTITUDE and message.param2 < 50_000
-            result = ardurover.RESULT_DENIED if denied else ardurover.RESULT_ACCEPTED
+            denied = message.param1 == constants.ATTITUDE and message.param2 < 50_000
+            result = constants.RESULT_DENIED if denied else constants.RESULT_ACCEPTED
             link.receive(now_ns + 20 * MS, rover.command_ack(511, result, 0, 0, 3, 191))
         now_ns += TICK_NS
     assert asked[:3] == [(30, 40_000), (30, 50_000), (32, 40_000)]
@@ -318,7 +318,7 @@ def test_a_command_in_progress_is_waited_for_not_repeated() -> None:
     link, rover = joined()
     link.command_arm(True)
     link.tick(T0)
-    link.receive(T0, rover.command_ack(400, ardurover.RESULT_IN_PROGRESS, 0, 0, 3, 191))
+    link.receive(T0, rover.command_ack(400, constants.RESULT_IN_PROGRESS, 0, 0, 3, 191))
     assert state(link, 400) == "waiting"
     link.receive(T0 + 2 * NS_PER_S, rover.alive())
     assert not requests(link.tick(T0 + 2 * NS_PER_S), 400)
@@ -342,14 +342,14 @@ def test_a_request_that_the_link_was_lost_over_is_made_at_once_when_it_is_back()
     later_ns = T0 + 10 * NS_PER_S
     link.tick(later_ns)
     link.receive(later_ns, rover.alive())
-    assert [m.param1 for m in requests(link.tick(later_ns), 511)] == [ardurover.ATTITUDE]
+    assert [m.param1 for m in requests(link.tick(later_ns), 511)] == [constants.ATTITUDE]
 
 
-@pytest.mark.parametrize(("mode", "armed"), [(ardurover.HOLD, False), (ardurover.GUIDED, True)])
+@pytest.mark.parametrize(("mode", "armed"), [(constants.HOLD, False), (constants.GUIDED, True)])
 def test_an_order_is_not_repeated_after_the_operator_acted(mode: int, armed: bool) -> None:
     link, rover = joined()
-    link.receive(T0, rover.alive(ardurover.MANUAL, armed=False))
-    link.command_mode(ardurover.GUIDED)
+    link.receive(T0, rover.alive(constants.MANUAL, armed=False))
+    link.command_mode(constants.GUIDED)
     link.command_arm(True)
     sent = link.tick(T0)
     assert [(m.param1, m.param2) for m in requests(sent, 176)] == [(1.0, 15.0)]
@@ -388,13 +388,13 @@ def test_reports_are_kept_with_their_units() -> None:
     link, rover = joined()
     link.receive(T0, rover.ekf_status_report(831, 0.1, 0.2, nan, 0.4, 0.0))
     link.receive(T0, rover.gps_raw_int(0, 6, 0, 0, 0, 87, 0, 0, 0, 14))
-    bits = ardurover.SENSOR_PREARM_CHECK
+    bits = constants.SENSOR_PREARM_CHECK
     link.receive(T0, rover.sys_status(bits, bits, 0, 0, 12600, 0, 88, 0, 0, 0, 0, 0, 0))
     link.receive(
         T0, rover.autopilot_version(0, 0x040507FF, 0, 0, 0, b"1a2b3c4d", bytes(8), bytes(8), 0, 0, 0)
     )
     assert link.ekf == (T0, 831, pytest.approx(0.1), pytest.approx(0.2), inf, pytest.approx(0.4))
-    assert link.gps == (T0, ardurover.GPS_RTK_FIXED, 14, 0.87)
+    assert link.gps == (T0, constants.GPS_RTK_FIXED, 14, 0.87)
     assert link.battery == (12.6, 88)
     assert link.prearm_ok is False
     assert link.firmware == "4.5.7 (1a2b3c4d)"
@@ -402,7 +402,7 @@ def test_reports_are_kept_with_their_units() -> None:
     link.receive(T0, rover.gps_raw_int(0, 1, 0, 0, 0, 65535, 0, 0, 0, 255))
     assert link.battery == (None, None)
     assert link.prearm_ok is None
-    assert link.gps == (T0, ardurover.GPS_NO_FIX, 0, None)
+    assert link.gps == (T0, constants.GPS_NO_FIX, 0, None)
 
 
 def test_samples_come_in_order_once_and_finite() -> None:
@@ -508,14 +508,14 @@ def test_messages_of_no_use_are_skipped_unread() -> None:
     link, rover = joined()
     useless = bytearray(rover.vfr_hud(0, 0, 0, 0, 0, 0))
     useless[-1] ^= 1
-    link.receive(T0, bytes(useless) + rover.alive(ardurover.HOLD))
-    assert link.mode == ardurover.HOLD
+    link.receive(T0, bytes(useless) + rover.alive(constants.HOLD))
+    assert link.mode == constants.HOLD
     assert not link.counts
     broken = bytearray(rover.alive())
     broken[-1] ^= 1
     link.receive(T0, bytes(broken))
     assert link.counts == {"bad data": 1}
-    assert link.mode == ardurover.HOLD
+    assert link.mode == constants.HOLD
 
 
 # Beginning anew.
@@ -555,10 +555,10 @@ def test_after_a_reboot_nothing_is_believed_and_all_is_asked_again(by: str) -> N
     assert [s.stamp_ms for s in link.take_positions()] == ([1500] if by == "stamp" else [])
     assert link.take_attitudes() == []
     assert link.system == 3
-    link.receive(now_ns, rover.alive(ardurover.HOLD, armed=False))
+    link.receive(now_ns, rover.alive(constants.HOLD, armed=False))
     sent = link.tick(now_ns)
     assert requests(sent, 511)
-    assert link.mode == ardurover.HOLD
+    assert link.mode == constants.HOLD
     link.receive(now_ns + TICK_NS, rover.position(1540))
     assert link.epoch == epoch + 1
 
@@ -575,7 +575,7 @@ def test_after_a_reboot_the_parameters_are_read_again() -> None:
 def test_a_message_that_is_merely_late_is_no_reboot() -> None:
     link, rover = known()
     link.receive(T0 + NS_PER_S, rover.position(59_500))
-    assert (link.epoch, link.mode) == (0, ardurover.GUIDED)
+    assert (link.epoch, link.mode) == (0, constants.GUIDED)
 
 
 def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> None:
@@ -589,8 +589,8 @@ def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> N
     assert link.setpoint(0.1, 0.0) == b""
     assert link.clock.error_ns is None
     assert not requests(link.tick(T0 + NS_PER_S), 511)
-    link.receive(T0 + NS_PER_S, Speaker(5).alive(ardurover.HOLD))
-    assert (link.system, link.mode) == (5, ardurover.HOLD)
+    link.receive(T0 + NS_PER_S, Speaker(5).alive(constants.HOLD))
+    assert (link.system, link.mode) == (5, constants.HOLD)
     sent = link.tick(T0 + NS_PER_S)
     assert requests(sent, 511)
     assert {m.get_srcSystem() for m in read(sent)} == {5}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.parameters import AUDITED, Parameters
 
 MS = NS_PER_S // 1000
@@ -56,12 +56,12 @@ def test_a_value_that_is_not_finite_is_refused_and_asked_for_again() -> None:
 def test_the_name_that_answers_counts() -> None:
     parameters = Parameters(AUDITED)
     parameters.received("SYSID_THISMAV", 3.0)
-    assert parameters.first(ardurover.SYSTEM_ID) == 3.0
+    assert parameters.first(constants.SYSTEM_ID) == 3.0
     assert parameters.values == {"SYSID_THISMAV": 3.0, "MAV_SYSID": None}
     parameters.received("MAV_SYSID", 4.0)
     parameters.received("SYSID_THISMAV", 3.0)
-    assert parameters.first(ardurover.SYSTEM_ID) == 4.0, "it is said, if both are told"
-    assert parameters.first(ardurover.GROUND_STATION_ID) is None
+    assert parameters.first(constants.SYSTEM_ID) == 4.0, "it is said, if both are told"
+    assert parameters.first(constants.GROUND_STATION_ID) is None
     assert parameters.first("SYSID_THISMAV") == 3.0
 
 

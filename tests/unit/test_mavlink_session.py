@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.link import Link, LinkSettings
 from bridges.mavlink.rover_settings import Settings
 from bridges.mavlink.rover_simulator import Rover
@@ -96,13 +96,13 @@ def test_from_switching_on_to_driving() -> None:
     wire = Wire(link(system=3), rover)
     took = wire.run(60.0, lambda: wire.link.armed)
     assert 35.0 < took < 45.0
-    assert wire.link.mode == ardurover.GUIDED
+    assert wire.link.mode == constants.GUIDED
     assert wire.link.origin == HOME == rover.origin
     assert wire.link.origin_ours
     assert wire.link.prearm_ok is not None
     assert wire.link.firmware.startswith("4.7.0")
     assert wire.link.parameters_done
-    assert wire.link.parameter(ardurover.SYSTEM_ID) == 3.0
+    assert wire.link.parameter(constants.SYSTEM_ID) == 3.0
     assert wire.link.absence(wire.now_ns) == wire.link.problem == ""
     wire.command = (0.5, 0.3)
     wire.run(3.0)
@@ -114,7 +114,7 @@ def test_from_switching_on_to_driving() -> None:
     wire.command = None
     wire.run(5.0)
     assert rover.speed == pytest.approx(0.0, abs=0.01)
-    assert ardurover.SETPOINT_TIMEOUT_TEXT in [text.text for text in wire.link.take_texts()]
+    assert constants.SETPOINT_TIMEOUT_TEXT in [text.text for text in wire.link.take_texts()]
 
 
 def test_rates_are_granted_kept_and_within_what_a_radio_carries() -> None:
@@ -181,7 +181,7 @@ def test_a_reboot_is_noticed_and_the_rates_are_asked_for_again() -> None:
     assert not wire.link.armed
     wire.run(8.0)
     assert wire.link.epoch == 1
-    assert wire.link.mode != ardurover.GUIDED
+    assert wire.link.mode != constants.GUIDED
     assert wire.rates()["ATTITUDE"] == pytest.approx(25.0, rel=0.03)
     assert wire.run(60.0, lambda: wire.link.origin is not None) < 60.0
 
@@ -205,14 +205,14 @@ def test_mode_and_arming_are_asked_for_and_answered() -> None:
     wire = Wire(link(), rover)
     wire.run(5.0)
     assert not rover.armed
-    wire.link.command_mode(ardurover.GUIDED)
+    wire.link.command_mode(constants.GUIDED)
     wire.run(1.0)
-    assert (wire.link.mode, rover.mode) == (ardurover.GUIDED, "GUIDED")
+    assert (wire.link.mode, rover.mode) == (constants.GUIDED, "GUIDED")
     wire.link.command_arm(True)
     wire.run(1.0)
     assert wire.link.armed
     assert rover.armed
-    for command in (ardurover.CMD_DO_SET_MODE, ardurover.CMD_COMPONENT_ARM_DISARM):
+    for command in (constants.CMD_DO_SET_MODE, constants.CMD_COMPONENT_ARM_DISARM):
         outcome = wire.link.outcome(command)
         assert outcome is not None
         assert outcome.state == "accepted"
@@ -224,7 +224,7 @@ def test_arming_before_the_vehicle_is_ready_is_refused_and_does_no_harm() -> Non
     wire.run(25.0, lambda: wire.link.connected(wire.now_ns))
     wire.link.command_arm(True)
     wire.run(4.0)
-    outcome = wire.link.outcome(ardurover.CMD_COMPONENT_ARM_DISARM)
+    outcome = wire.link.outcome(constants.CMD_COMPONENT_ARM_DISARM)
     assert outcome is not None
     assert outcome.state == "refused"
     assert not rover.crashed

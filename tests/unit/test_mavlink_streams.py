@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.streams import Streams, Wanted, wanted_messages
 
-ATTITUDE = Wanted(ardurover.ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
-GPS = Wanted(ardurover.GPS_RAW_INT, "GPS_RAW_INT", (1.0,))
+ATTITUDE = Wanted(constants.ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
+GPS = Wanted(constants.GPS_RAW_INT, "GPS_RAW_INT", (1.0,))
 
 
 def feed(streams: Streams, message: int, since_ns: int, until_ns: int, rate_hz: float) -> None:
@@ -18,18 +18,18 @@ def feed(streams: Streams, message: int, since_ns: int, until_ns: int, rate_hz: 
 
 def test_one_request_at_a_time_in_whole_microseconds() -> None:
     streams = Streams((ATTITUDE, GPS))
-    assert streams.ask(0) == (ardurover.ATTITUDE, 40_000)
+    assert streams.ask(0) == (constants.ATTITUDE, 40_000)
     assert streams.ask(0) is None
-    streams.answered(5, ardurover.RESULT_ACCEPTED)
-    assert streams.ask(5) == (ardurover.GPS_RAW_INT, 1_000_000)
-    streams.answered(9, ardurover.RESULT_ACCEPTED)
+    streams.answered(5, constants.RESULT_ACCEPTED)
+    assert streams.ask(5) == (constants.GPS_RAW_INT, 1_000_000)
+    streams.answered(9, constants.RESULT_ACCEPTED)
     assert streams.ask(9) is None
 
 
 def test_a_refused_rate_is_lowered_until_one_is_granted() -> None:
     streams = Streams((ATTITUDE,))
     asked = []
-    for result in (ardurover.RESULT_DENIED, ardurover.RESULT_FAILED, ardurover.RESULT_ACCEPTED):
+    for result in (constants.RESULT_DENIED, constants.RESULT_FAILED, constants.RESULT_ACCEPTED):
         wanted = streams.ask(0)
         assert wanted is not None
         asked.append(wanted[1])
@@ -42,7 +42,7 @@ def test_a_refused_rate_is_lowered_until_one_is_granted() -> None:
 def test_what_is_refused_for_good_is_not_asked_again() -> None:
     streams = Streams((GPS,))
     assert streams.ask(0)
-    streams.answered(0, ardurover.RESULT_DENIED)
+    streams.answered(0, constants.RESULT_DENIED)
     assert streams.ask(3600 * NS_PER_S) is None
     assert streams.rows(0)[0].answer == "denied"
     assert streams.rows(0)[0].granted_hz is None
@@ -60,7 +60,7 @@ def test_without_an_answer_it_is_asked_again_later() -> None:
 def test_temporarily_rejected_is_asked_again_at_the_same_rate() -> None:
     streams = Streams((ATTITUDE,))
     first = streams.ask(0)
-    streams.answered(0, ardurover.RESULT_TEMPORARILY_REJECTED)
+    streams.answered(0, constants.RESULT_TEMPORARILY_REJECTED)
     assert streams.ask(NS_PER_S) is None
     assert streams.ask(2 * NS_PER_S) == first
 
@@ -68,8 +68,8 @@ def test_temporarily_rejected_is_asked_again_at_the_same_rate() -> None:
 def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
     streams = Streams((ATTITUDE,))
     assert streams.ask(0)
-    streams.answered(0, ardurover.RESULT_ACCEPTED)
-    feed(streams, ardurover.ATTITUDE, 0, 10 * NS_PER_S, 25.0)
+    streams.answered(0, constants.RESULT_ACCEPTED)
+    feed(streams, constants.ATTITUDE, 0, 10 * NS_PER_S, 25.0)
     assert streams.ask(10 * NS_PER_S) is None
     row = streams.rows(10 * NS_PER_S)[0]
     assert abs(row.measured_hz - 25.0) < 0.5
@@ -77,24 +77,24 @@ def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
 
 def test_what_came_before_it_was_granted_does_not_count() -> None:
     streams = Streams((ATTITUDE,))
-    feed(streams, ardurover.ATTITUDE, 0, 3 * NS_PER_S, 1.0)
+    feed(streams, constants.ATTITUDE, 0, 3 * NS_PER_S, 1.0)
     assert streams.ask(3 * NS_PER_S)
-    streams.answered(3 * NS_PER_S, ardurover.RESULT_ACCEPTED)
-    feed(streams, ardurover.ATTITUDE, 3 * NS_PER_S, 4 * NS_PER_S, 25.0)
+    streams.answered(3 * NS_PER_S, constants.RESULT_ACCEPTED)
+    feed(streams, constants.ATTITUDE, 3 * NS_PER_S, 4 * NS_PER_S, 25.0)
     assert abs(streams.rows(4 * NS_PER_S)[0].measured_hz - 25.0) < 0.5
 
 
 def test_less_than_seven_tenths_for_three_seconds_is_asked_again_ever_more_rarely() -> None:
     streams = Streams((ATTITUDE,))
     assert streams.ask(0)
-    streams.answered(0, ardurover.RESULT_ACCEPTED)
+    streams.answered(0, constants.RESULT_ACCEPTED)
     asked, now_ns = [], 0
     while now_ns < 60 * NS_PER_S:
         now_ns += NS_PER_S // 10
-        streams.heard(ardurover.ATTITUDE, now_ns)
+        streams.heard(constants.ATTITUDE, now_ns)
         if streams.ask(now_ns) is not None:
             asked.append(round(now_ns / NS_PER_S))
-            streams.answered(now_ns, ardurover.RESULT_ACCEPTED)
+            streams.answered(now_ns, constants.RESULT_ACCEPTED)
     assert asked == [3, 9, 18, 33, 60]
     row = streams.rows(now_ns)[0]
     assert abs(row.measured_hz - 10.0) < 0.5
@@ -103,22 +103,22 @@ def test_less_than_seven_tenths_for_three_seconds_is_asked_again_ever_more_rarel
 def test_a_slow_message_is_judged_over_five_of_them() -> None:
     streams = Streams((GPS,))
     assert streams.ask(0)
-    streams.answered(0, ardurover.RESULT_ACCEPTED)
-    feed(streams, ardurover.GPS_RAW_INT, 0, 4 * NS_PER_S, 0.5)
+    streams.answered(0, constants.RESULT_ACCEPTED)
+    feed(streams, constants.GPS_RAW_INT, 0, 4 * NS_PER_S, 0.5)
     assert streams.ask(4 * NS_PER_S) is None
-    feed(streams, ardurover.GPS_RAW_INT, 4 * NS_PER_S, 6 * NS_PER_S, 0.5)
+    feed(streams, constants.GPS_RAW_INT, 4 * NS_PER_S, 6 * NS_PER_S, 0.5)
     assert streams.ask(6 * NS_PER_S) is not None
 
 
 def test_a_restart_begins_anew_at_the_first_rate() -> None:
     streams = Streams((ATTITUDE,))
-    for result in (ardurover.RESULT_DENIED, ardurover.RESULT_ACCEPTED):
+    for result in (constants.RESULT_DENIED, constants.RESULT_ACCEPTED):
         streams.ask(0)
         streams.answered(0, result)
-    feed(streams, ardurover.ATTITUDE, 0, 3 * NS_PER_S, 20.0)
+    feed(streams, constants.ATTITUDE, 0, 3 * NS_PER_S, 20.0)
     streams.restart()
     assert streams.rows(3 * NS_PER_S)[0].measured_hz == 0.0
-    assert streams.ask(3 * NS_PER_S) == (ardurover.ATTITUDE, 40_000)
+    assert streams.ask(3 * NS_PER_S) == (constants.ATTITUDE, 40_000)
 
 
 def test_a_withdrawn_request_is_made_again() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from agent.fleet.fleet import Fleet, digest, load_fleet, parse_fleet, to_dict
-from bridges.mavlink.frames import Geodetic, geodetic_to_world
+from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.rover_settings import parse_home
 from deploy import ports
 from deploy.arguments import FLEETS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from tests.unit.rover_bench import ACCEPTED, DENIED, FAILED, Bench, ready
 
 # Modes and arming
@@ -14,27 +14,27 @@ from tests.unit.rover_bench import ACCEPTED, DENIED, FAILED, Bench, ready
 def test_arming_is_refused_in_words_before_it_is_ready() -> None:
     bench = Bench()
     bench.run(3.0)
-    assert bench.command(ardurover.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
+    assert bench.command(constants.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
     assert bench.texts()[-1] == "Arm: AHRS: EKF3 not started"
     bench.run(20.0)
-    assert bench.command(ardurover.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
+    assert bench.command(constants.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
     assert bench.texts()[-1] == "Arm: Need Position Estimate"
     bench.run(12.0)
     assert any(text.startswith("PreArm: ") for text in bench.texts())
     bench.run(10.0)
-    assert bench.command(ardurover.CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
+    assert bench.command(constants.CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
     assert bench.rover.armed
     assert bench.texts()[-1] == "Throttle armed"
     bench.run(1.1)
-    assert bench.last("HEARTBEAT").base_mode & ardurover.FLAG_ARMED
-    assert bench.command(ardurover.CMD_COMPONENT_ARM_DISARM, 0) == ACCEPTED
+    assert bench.last("HEARTBEAT").base_mode & constants.FLAG_ARMED
+    assert bench.command(constants.CMD_COMPONENT_ARM_DISARM, 0) == ACCEPTED
     assert not bench.rover.armed
 
 
 def test_arming_by_force_before_it_is_ready_ends_the_autopilot() -> None:
     bench = Bench()
     bench.run(10.0)
-    bench.send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, ardurover.FORCE_ARM, 0, 0, 0, 0, 0))
+    bench.send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, constants.FORCE_ARM, 0, 0, 0, 0, 0))
     bench.run(1.0)
     assert bench.rover.crashed
     assert bench.of("COMMAND_ACK") == []
@@ -42,15 +42,15 @@ def test_arming_by_force_before_it_is_ready_ends_the_autopilot() -> None:
 
 def test_modes_by_command_and_by_message() -> None:
     bench = Bench(boot="warm")
-    flag = ardurover.FLAG_CUSTOM_MODE
-    assert bench.command(ardurover.CMD_DO_SET_MODE, flag, ardurover.GUIDED) == ACCEPTED
+    flag = constants.FLAG_CUSTOM_MODE
+    assert bench.command(constants.CMD_DO_SET_MODE, flag, constants.GUIDED) == ACCEPTED
     assert bench.rover.mode == "GUIDED"
-    bench.send(mavlink.MAVLink_set_mode_message(1, flag, ardurover.HOLD))
+    bench.send(mavlink.MAVLink_set_mode_message(1, flag, constants.HOLD))
     bench.run(0.05)
     assert bench.rover.mode == "HOLD"
     assert bench.last("COMMAND_ACK").command == 11
-    assert bench.command(ardurover.CMD_DO_SET_MODE, flag, 42) == FAILED
-    assert bench.command(ardurover.CMD_DO_SET_MODE, 0, ardurover.GUIDED) == DENIED
+    assert bench.command(constants.CMD_DO_SET_MODE, flag, 42) == FAILED
+    assert bench.command(constants.CMD_DO_SET_MODE, 0, constants.GUIDED) == DENIED
     assert bench.rover.mode == "HOLD"
 
 
@@ -58,7 +58,7 @@ def test_an_armed_rover_without_a_position_refuses_guided() -> None:
     bench = Bench(parameters={"ARMING_CHECK": 0})
     bench.run(10.0)
     assert bench.rover.arm()
-    assert bench.command(ardurover.CMD_DO_SET_MODE, 1, ardurover.GUIDED) == FAILED
+    assert bench.command(constants.CMD_DO_SET_MODE, 1, constants.GUIDED) == FAILED
     assert bench.texts()[-1] == "Flight mode change failed"
     assert bench.rover.mode == "MANUAL"
 
@@ -76,7 +76,7 @@ def test_the_operator_hands_over_once() -> None:
 def test_a_reboot_begins_anew_where_it_stands() -> None:
     bench = ready(boot_s=4.0)
     bench.run(6.0, lambda: bench.drive(0.5))
-    assert bench.command(ardurover.CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == FAILED
+    assert bench.command(constants.CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == FAILED
     bench.set_parameter("WP_SPEED", 0.7)
     before, origin = bench.rover.north, bench.rover.origin
     bench.rover.disarm()
@@ -112,7 +112,7 @@ def test_the_ground_station_failsafe_counts_heartbeats_of_its_own_one() -> None:
     assert fired - since == pytest.approx(6.5, abs=0.1)
     assert bench.rover.mode == "HOLD"
     assert bench.rover.armed
-    assert bench.last("HEARTBEAT").system_status == ardurover.STATE_CRITICAL
+    assert bench.last("HEARTBEAT").system_status == constants.STATE_CRITICAL
     bench.run(3.0, lambda: (bench.drive(0.5), bench.heartbeat()))
     assert "GCS Failsafe Cleared" in bench.texts(since)
     assert bench.rover.mode == "HOLD", "the operator has to ask for GUIDED again"
@@ -132,7 +132,7 @@ def test_a_jammed_gps_ends_in_hold(name: str, value: float) -> None:
     since = bench.time
     bench.set_parameter(name, value)
     bench.run(13.0, lambda: bench.drive(0.3))
-    assert bench.last("GPS_RAW_INT").fix_type < ardurover.GPS_3D_FIX
+    assert bench.last("GPS_RAW_INT").fix_type < constants.GPS_3D_FIX
     assert bench.rover.mode == "GUIDED"
     fired = bench.until(lambda: bench.rover.mode == "HOLD", 5.0)
     assert fired - since == pytest.approx(14.5, abs=0.3)
@@ -151,8 +151,8 @@ def test_a_gps_that_is_jammed_from_the_start_never_makes_it_ready() -> None:
     bench.run(55.0)
     assert bench.rover.origin is None
     assert not bench.rover.ready
-    assert {m.fix_type for m in bench.of("GPS_RAW_INT")} == {ardurover.GPS_NO_FIX}
-    assert bench.command(ardurover.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
+    assert {m.fix_type for m in bench.of("GPS_RAW_INT")} == {constants.GPS_NO_FIX}
+    assert bench.command(constants.CMD_COMPONENT_ARM_DISARM, 1) == FAILED
     assert bench.texts()[-1] == "Arm: GPS 1: Bad fix"
 
 

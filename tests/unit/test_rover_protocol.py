@@ -8,8 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.rover_settings import Settings, SettingsError, parse_home, parse_parameter
 from tests.unit.rover_bench import ACCEPTED, START_NS, Bench, ready
 
@@ -62,7 +62,7 @@ def test_a_value_that_cannot_be_is_answered_with_the_one_that_is() -> None:
 
 def test_the_list_of_parameters_is_whole_and_slows_the_streams() -> None:
     bench = Bench(boot="warm")
-    assert bench.interval(ardurover.ATTITUDE, 25.0) == ACCEPTED
+    assert bench.interval(constants.ATTITUDE, 25.0) == ACCEPTED
     bench.run(0.2)
     bench.send(mavlink.MAVLink_param_request_list_message(1, 1))
     since = bench.time
@@ -233,10 +233,10 @@ def test_a_mode_that_there_is_not() -> None:
 
 def test_the_mask_of_what_a_bridge_sends_is_that_of_its_bits() -> None:
     ignored = (
-        ardurover.IGNORE_POSITION
-        | ardurover.IGNORE_Z
-        | ardurover.IGNORE_ACCELERATION
-        | ardurover.IGNORE_AZ
-        | ardurover.IGNORE_YAW
+        constants.IGNORE_POSITION
+        | constants.IGNORE_Z
+        | constants.IGNORE_ACCELERATION
+        | constants.IGNORE_AZ
+        | constants.IGNORE_YAW
     )
-    assert ignored == ardurover.MASK_SPEED_AND_YAW_RATE == 1479
+    assert ignored == constants.MASK_SPEED_AND_YAW_RATE == 1479

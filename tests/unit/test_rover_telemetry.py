@@ -10,8 +10,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import ardurover
-from bridges.mavlink.frames import Geodetic, geodetic_to_local
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_local
 from tests.unit.rover_bench import ACCEPTED, DENIED, FAILED, HOME, START_NS, Bench, ready
 
 # Streams
@@ -30,7 +30,7 @@ def test_at_first_everything_comes_once_a_second() -> None:
 )
 def test_forty_a_second_are_granted_and_no_more(rate: float, result: int) -> None:
     bench = Bench(boot="warm")
-    assert bench.interval(ardurover.LOCAL_POSITION_NED, rate) == result
+    assert bench.interval(constants.LOCAL_POSITION_NED, rate) == result
     since = bench.time
     bench.run(10.0)
     expected = rate if result == ACCEPTED else 1.0
@@ -39,12 +39,12 @@ def test_forty_a_second_are_granted_and_no_more(rate: float, result: int) -> Non
 
 def test_the_ceiling_follows_the_loop_rate() -> None:
     bench = Bench(boot="warm", parameters={"SCHED_LOOP_RATE": 25})
-    assert bench.interval(ardurover.ATTITUDE, 25.0) == DENIED
-    assert bench.interval(ardurover.ATTITUDE, 20.0) == ACCEPTED
+    assert bench.interval(constants.ATTITUDE, 25.0) == DENIED
+    assert bench.interval(constants.ATTITUDE, 20.0) == ACCEPTED
 
 
 def gaps(bench: Bench, rate: float) -> list[float]:
-    assert bench.interval(ardurover.ATTITUDE, rate) == ACCEPTED
+    assert bench.interval(constants.ATTITUDE, rate) == ACCEPTED
     bench.run(0.2)
     since = bench.time
     bench.run(60.0)
@@ -64,11 +64,11 @@ def test_25_hz_is_steady_and_40_hz_alternates() -> None:
 
 def test_intervals_belong_to_a_port_and_end_with_a_reboot() -> None:
     bench = Bench(boot="warm", ports=2, boot_s=4.0)
-    assert bench.interval(ardurover.ATTITUDE, 25.0, port=1) == ACCEPTED
+    assert bench.interval(constants.ATTITUDE, 25.0, port=1) == ACCEPTED
     bench.run(4.0)
     assert len(bench.of("ATTITUDE", port=0)) < 8
     assert len(bench.of("ATTITUDE", port=1)) > 80
-    assert bench.command(ardurover.CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == ACCEPTED
+    assert bench.command(constants.CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == ACCEPTED
     bench.run(1.0)
     since = bench.time
     bench.run(4.0)
@@ -77,11 +77,11 @@ def test_intervals_belong_to_a_port_and_end_with_a_reboot() -> None:
 
 def test_an_interval_can_be_asked_for_ended_and_brought_back() -> None:
     bench = Bench(boot="warm")
-    assert bench.interval(ardurover.ATTITUDE, 25.0) == ACCEPTED
-    assert bench.command(ardurover.CMD_GET_MESSAGE_INTERVAL, ardurover.ATTITUDE) == ACCEPTED
+    assert bench.interval(constants.ATTITUDE, 25.0) == ACCEPTED
+    assert bench.command(constants.CMD_GET_MESSAGE_INTERVAL, constants.ATTITUDE) == ACCEPTED
     assert bench.last("MESSAGE_INTERVAL").interval_us == 40_000
     for asked, count in ((-1, 0), (0, 5)):
-        assert bench.command(ardurover.CMD_SET_MESSAGE_INTERVAL, ardurover.ATTITUDE, asked) == ACCEPTED
+        assert bench.command(constants.CMD_SET_MESSAGE_INTERVAL, constants.ATTITUDE, asked) == ACCEPTED
         since = bench.time
         bench.run(5.0)
         assert len(bench.of("ATTITUDE", since)) == pytest.approx(count, abs=1)
@@ -91,8 +91,8 @@ def test_messages_that_it_does_not_have_are_denied_in_words() -> None:
     bench = Bench(boot="warm")
     assert bench.interval(331, 10.0) == DENIED
     assert "No ap_message for mavlink id (331)" in bench.texts()
-    assert bench.command(ardurover.CMD_REQUEST_MESSAGE, 331) == FAILED
-    assert bench.command(31_010) == ardurover.RESULT_UNSUPPORTED
+    assert bench.command(constants.CMD_REQUEST_MESSAGE, 331) == FAILED
+    assert bench.command(31_010) == constants.RESULT_UNSUPPORTED
 
 
 @pytest.mark.parametrize("message", [0, 1, 2, 24, 30, 32, 33, 49, 147, 148, 193, 242])
@@ -100,7 +100,7 @@ def test_messages_come_when_they_are_asked_for(message: int) -> None:
     bench = Bench(boot="warm")
     bench.run(1.5)
     since = bench.time
-    assert bench.command(ardurover.CMD_REQUEST_MESSAGE, message) == ACCEPTED
+    assert bench.command(constants.CMD_REQUEST_MESSAGE, message) == ACCEPTED
     assert any(m.get_msgId() == message and t >= since for t, _, m in bench.heard)
 
 
@@ -110,7 +110,7 @@ def test_a_change_of_mode_is_said_at_once() -> None:
     since = bench.time
     bench.rover.set_mode("HOLD")
     bench.run(0.03)
-    assert [m.custom_mode for m in bench.of("HEARTBEAT", since)][-1] == ardurover.HOLD
+    assert [m.custom_mode for m in bench.of("HEARTBEAT", since)][-1] == constants.HOLD
 
 
 def test_a_change_of_arming_waits_for_the_next_heartbeat() -> None:
@@ -122,7 +122,7 @@ def test_a_change_of_arming_waits_for_the_next_heartbeat() -> None:
     assert bench.of("HEARTBEAT", since + 0.001) == []
     assert "Throttle disarmed" in bench.texts(since)
     bench.run(0.5)
-    assert not bench.last("HEARTBEAT").base_mode & ardurover.FLAG_ARMED
+    assert not bench.last("HEARTBEAT").base_mode & constants.FLAG_ARMED
 
 
 def test_timesync_answers_by_the_boot_clock_and_asks_too() -> None:
@@ -155,12 +155,12 @@ def test_a_cold_boot() -> None:
     assert len(bench.of("GPS_GLOBAL_ORIGIN")) == 1
     assert bench.until(lambda: bench.rover.ready) == pytest.approx(40.0, abs=0.1)
     bench.run(2.0)
-    assert bench.of("EKF_STATUS_REPORT")[0].flags == ardurover.EKF_UNINITIALIZED
+    assert bench.of("EKF_STATUS_REPORT")[0].flags == constants.EKF_UNINITIALIZED
     assert any(m.flags == 0xA7 for m in bench.of("EKF_STATUS_REPORT"))
     assert bench.last("EKF_STATUS_REPORT").flags == 0x33F
-    assert bench.of("GPS_RAW_INT")[0].fix_type == ardurover.GPS_NO_FIX
+    assert bench.of("GPS_RAW_INT")[0].fix_type == constants.GPS_NO_FIX
     assert bench.of("GLOBAL_POSITION_INT")[0].lat == 0
-    assert bench.last("GPS_RAW_INT").fix_type == ardurover.GPS_3D_FIX
+    assert bench.last("GPS_RAW_INT").fix_type == constants.GPS_3D_FIX
 
 
 @pytest.mark.parametrize("boot", ["cold", "warm"])
@@ -226,7 +226,7 @@ def test_before_its_ekf_runs_an_origin_is_lost() -> None:
     bench.send(origin_message(Geodetic(47.4, 8.5)))
     bench.run(5.0)
     assert bench.rover.origin is None
-    assert bench.command(ardurover.CMD_REQUEST_MESSAGE, ardurover.GPS_GLOBAL_ORIGIN) == ACCEPTED
+    assert bench.command(constants.CMD_REQUEST_MESSAGE, constants.GPS_GLOBAL_ORIGIN) == ACCEPTED
     assert bench.of("GPS_GLOBAL_ORIGIN") == bench.of("LOCAL_POSITION_NED") == []
 
 
@@ -245,7 +245,7 @@ def test_a_lagging_gps_puts_it_behind() -> None:
     bench.run(15.0, lambda: bench.drive(1.0))
     origin = bench.rover.origin
     assert origin is not None
-    assert bench.interval(ardurover.LOCAL_POSITION_NED, 25.0) == ACCEPTED
+    assert bench.interval(constants.LOCAL_POSITION_NED, 25.0) == ACCEPTED
     behind = []
     for _ in range(100):
         bench.run(0.02, lambda: bench.drive(1.0))

@@ -8,8 +8,8 @@ from math import inf, nan
 import pytest
 
 from agent.control.hand import Pose
+from bridges.mavlink.ardupilot.dynamics import Limits
 from bridges.mavlink.estimate import Surprise
-from bridges.mavlink.rover_dynamics import Limits
 from bridges.mavlink.setpoint import (
     DISAGREES_S,
     LEAD_SPEED_S,

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.rover_settings import settings_of
 from bridges.mavlink.signing import Signing, Timestamps, make_key, open_signing
 from bridges.mavlink.signing_setup import (
@@ -140,7 +140,7 @@ def test_an_armed_one_is_refused(bench: MakeBench) -> None:
 
 
 def test_no_rover_is_given_no_key(bench: MakeBench) -> None:
-    made = bench(vehicle_type=ardurover.TYPE_QUADROTOR)
+    made = bench(vehicle_type=constants.TYPE_QUADROTOR)
     outcome = made.run()
     assert outcome == Outcome(False, "it is a quadrotor (MAV_TYPE 2), not a rover: given no key")
     assert made.given == []

@@ -4,7 +4,7 @@ The structure is ArduRover's: a command that takes `DELAY_S` to act, a speed ref
 acceleration, a proportional-integral loop with feed-forward on a motor of first order, and a yaw-rate
 reference limited likewise in front of a loop of second order. The numbers are fitted to the step
 responses of a skid-steering rover that were measured on the autopilot itself, to within their reading
-errors (tests/unit/test_rover_dynamics.py has the figures).
+errors (tests/unit/bridges/mavlink/ardupilot/test_dynamics.py has the figures).
 
 Frames are the vehicle's: NED about its origin, yaw clockwise from north, FRD in the body. SI units.
 """
@@ -15,7 +15,7 @@ from collections import deque
 from math import ceil, cos, inf, radians, sin
 from typing import Final, NamedTuple
 
-from bridges.mavlink import ardurover
+from bridges.mavlink.ardupilot import constants
 
 GRAVITY: Final = 9.80665
 STEP_S: Final = 0.005
@@ -46,10 +46,10 @@ class Limits(NamedTuple):
     """What a rover's parameters allow: WP_SPEED m/s, ATC_ACCEL_MAX m/s^2, ATC_STR_RAT_MAX rad/s and
     ATC_TURN_MAX_G in g; 0 means no limit, as the autopilot has it."""
 
-    speed: float = ardurover.WP_SPEED_MPS
-    acceleration: float = ardurover.ATC_ACCEL_MAX_MPS2
-    yaw_rate: float = radians(ardurover.ATC_STR_RAT_MAX_DPS)
-    turn_g: float = ardurover.ATC_TURN_MAX_G_G
+    speed: float = constants.WP_SPEED_MPS
+    acceleration: float = constants.ATC_ACCEL_MAX_MPS2
+    yaw_rate: float = radians(constants.ATC_STR_RAT_MAX_DPS)
+    turn_g: float = constants.ATC_TURN_MAX_G_G
 
 
 DEFAULTS: Final = Limits()
