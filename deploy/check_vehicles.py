@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
 from agent.formation import trajectory
-from bridges.mavlink.connection import BY_ID, Connection, parse_connection
+from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
 from deploy.finding import Finding, Level
 from deploy.wording import robots
 

@@ -10,7 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.transport import Transport
+from bridges.mavlink.transport.transport import Transport
 from tests.process.harness import PATIENCE_S, wait_for
 
 

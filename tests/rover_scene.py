@@ -32,7 +32,7 @@ def rovers(*overrides: str) -> Fleet:
 
 
 class Port:
-    """A `bridges.mavlink.transport.Transport` to one port of the rover of a `World`.
+    """A `bridges.mavlink.transport.transport.Transport` to one port of the rover of a `World`.
 
     `sent` is (time, bytes) of all that went out; `cut`: nothing passes.
     """

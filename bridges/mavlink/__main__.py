@@ -17,7 +17,7 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR
 from agent.runtime.process import Log, StartError
 from bridges.mavlink.signing import SigningError, open_signing
-from bridges.mavlink.transport import open_transport
+from bridges.mavlink.transport.transport import open_transport
 from plant.backend import PlantBackend
 from plant.server import main as serve
 

@@ -23,7 +23,7 @@ from bridges.mavlink.link import Link
 from bridges.mavlink.link_settings import LinkSettings
 from bridges.mavlink.setpoint import Bounds, MotionCheck, Setpoint
 from bridges.mavlink.signing import Signing
-from bridges.mavlink.transport import Transport
+from bridges.mavlink.transport.transport import Transport
 from plant.backend import WAITING, Check, Command, PlantBackend, Reading
 
 CHECKS_PERIOD_NS: Final = NS_PER_S // 2

@@ -17,9 +17,9 @@ from agent.fleet.sections import MavlinkSection
 from bridges.mavlink import audit
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
-from bridges.mavlink.connection import BY_ID
 from bridges.mavlink.link import Link
 from bridges.mavlink.link_reports import Ekf
+from bridges.mavlink.transport.connection_string import BY_ID
 from plant.backend import WAITING, Check
 
 FIRMWARE_MIN: Final = (4, 3)

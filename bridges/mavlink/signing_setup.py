@@ -16,7 +16,7 @@ from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.link import Link
 from bridges.mavlink.link_settings import LinkSettings
 from bridges.mavlink.signing import Signing, SigningError, open_signing
-from bridges.mavlink.transport import Transport, open_transport
+from bridges.mavlink.transport.transport import Transport, open_transport
 
 PERIOD_NS: Final = NS_PER_S // 25
 VEHICLE_NS: Final = 15 * NS_PER_S

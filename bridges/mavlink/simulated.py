@@ -21,7 +21,7 @@ STEP_NS: Final = NS_PER_S // 200
 
 
 class MemoryTransport:
-    """A `bridges.mavlink.transport.Transport` to a `Rover`'s first port, which it drives.
+    """A `bridges.mavlink.transport.transport.Transport` to a `Rover`'s first port, which it drives.
 
     Args:
         now_ns: the present, wall time.

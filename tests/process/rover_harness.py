@@ -17,7 +17,7 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Checks, Resume
-from bridges.mavlink.transport import open_transport
+from bridges.mavlink.transport.transport import open_transport
 from deploy.arguments import FLEETS
 from deploy.placing import Vehicle, place, vehicle
 from deploy.ports import Reservation

@@ -8,7 +8,7 @@ import re
 from hashlib import sha256
 
 from agent.runtime.runtime_folder import private_folder
-from bridges.mavlink.connection import Connection, Unusable
+from bridges.mavlink.transport.connection_string import Connection, Unusable
 
 
 class InUse(Unusable):

@@ -11,7 +11,7 @@ import termios
 from typing import Any, Final, Protocol
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink.connection import Connection, Unusable
+from bridges.mavlink.transport.connection_string import Connection, Unusable
 
 READ_BYTES: Final = 8192
 NO_DEVICE: Final = "there is no such device: is it plugged in?"

@@ -16,9 +16,9 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from agent.runtime.runtime_folder import NotPrivateError
-from bridges.mavlink.channels import Channel, open_channel
-from bridges.mavlink.connection import Connection, Unusable, parse_connection
-from bridges.mavlink.exclusive import Hold
+from bridges.mavlink.transport.channels import Channel, open_channel
+from bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
+from bridges.mavlink.transport.lock import Hold
 
 RETRY_S: Final = 0.2
 """Until the first attempt to open it again; twice that until the next, and so on."""

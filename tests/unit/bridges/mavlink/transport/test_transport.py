@@ -18,12 +18,12 @@ from pathlib import Path
 import pytest
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import channels, exclusive
-from bridges.mavlink import transport as transport_module
-from bridges.mavlink.channels import PEER_NS, Tcp, UdpIn, UdpOut
-from bridges.mavlink.connection import parse_connection
-from bridges.mavlink.exclusive import Hold, InUse
-from bridges.mavlink.transport import Transport, open_transport
+from bridges.mavlink.transport import channels, lock
+from bridges.mavlink.transport import transport as transport_module
+from bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut
+from bridges.mavlink.transport.connection_string import parse_connection
+from bridges.mavlink.transport.lock import Hold, InUse
+from bridges.mavlink.transport.transport import Transport, open_transport
 
 LOCALHOST = "127.0.0.1"
 
@@ -458,12 +458,12 @@ def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
         "import os\n"
         "import tempfile\n"
         f"tempfile.tempdir = {str(tmp_path)!r}\n"
-        "from bridges.mavlink.connection import parse_connection\n"
-        "from bridges.mavlink.exclusive import Hold\n"
+        "from bridges.mavlink.transport.connection_string import parse_connection\n"
+        "from bridges.mavlink.transport.lock import Hold\n"
         "Hold(parse_connection('udpin:0.0.0.0:14550'))\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    killed = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=False)
+    killed = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[5], check=False)
     assert killed.returncode == -9
     Hold(parse_connection("udpin:0.0.0.0:14550")).close()
 
@@ -473,4 +473,4 @@ def test_a_lock_folder_that_others_may_write_to_is_refused(tmp_path: Path) -> No
     folder.mkdir()
     folder.chmod(0o777)
     with pytest.raises(OSError, match="nobody else may write to"):
-        exclusive.Hold(parse_connection("udpin:0.0.0.0:14550"))
+        lock.Hold(parse_connection("udpin:0.0.0.0:14550"))
