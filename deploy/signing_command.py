@@ -78,7 +78,7 @@ def _signing(options: argparse.Namespace) -> int:
 def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
     from agent.common.clock import RealClock
-    from bridges.mavlink.signing import SigningError
+    from bridges.mavlink.session.signing import SigningError
     from bridges.mavlink.signing_setup import Outcome, SigningSetup, give_keys, open_setup
 
     def ended(robot: int, outcome: Outcome) -> None:
@@ -118,7 +118,7 @@ def prepare_keys(robots: Sequence[Robot], *, make: bool) -> None:
     Raises:
         InputError: a key is missing, or cannot be used or made.
     """
-    from bridges.mavlink.signing import SigningError, load_key, make_key
+    from bridges.mavlink.session.signing import SigningError, load_key, make_key
 
     for robot in robots:
         assert robot.mavlink is not None

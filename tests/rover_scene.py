@@ -17,7 +17,7 @@ from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.backend import MavlinkPlant, session
 from bridges.mavlink.rover_settings import Settings, settings_of
 from bridges.mavlink.rover_simulator import Rover
-from bridges.mavlink.signing import Signing
+from bridges.mavlink.session.signing import Signing
 from bridges.mavlink.simulated import LATENCY_NS, STEP_NS
 from deploy.arguments import FLEETS
 from plant.backend import Check, Command, Reading

@@ -16,7 +16,7 @@ from agent.common.clock import Clock
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR
 from agent.runtime.process import Log, StartError
-from bridges.mavlink.signing import SigningError, open_signing
+from bridges.mavlink.session.signing import SigningError, open_signing
 from bridges.mavlink.transport.transport import open_transport
 from plant.backend import PlantBackend
 from plant.server import main as serve

@@ -8,7 +8,7 @@ from typing import Final
 
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.link import Link
+from bridges.mavlink.session.session import Link
 from plant.backend import WAITING, Check
 
 

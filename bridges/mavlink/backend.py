@@ -19,10 +19,10 @@ from bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
 from bridges.mavlink.authority import Authority, Holder
 from bridges.mavlink.claim import Claim
 from bridges.mavlink.estimate import Estimate
-from bridges.mavlink.link import Link
-from bridges.mavlink.link_settings import LinkSettings
+from bridges.mavlink.session.session import Link
+from bridges.mavlink.session.settings import LinkSettings
+from bridges.mavlink.session.signing import Signing
 from bridges.mavlink.setpoint import Bounds, MotionCheck, Setpoint
-from bridges.mavlink.signing import Signing
 from bridges.mavlink.transport.transport import Transport
 from plant.backend import WAITING, Check, Command, PlantBackend, Reading
 

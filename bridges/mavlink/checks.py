@@ -17,8 +17,8 @@ from agent.fleet.sections import MavlinkSection
 from bridges.mavlink import audit
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
-from bridges.mavlink.link import Link
-from bridges.mavlink.link_reports import Ekf
+from bridges.mavlink.session.reports import Ekf
+from bridges.mavlink.session.session import Link
 from bridges.mavlink.transport.connection_string import BY_ID
 from plant.backend import WAITING, Check
 

@@ -8,7 +8,7 @@ from agent.common.clock import NS_PER_S
 from agent.runtime.process import Log
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.authority import Holder
-from bridges.mavlink.link import Link
+from bridges.mavlink.session.session import Link
 
 PERIOD_NS: Final = 3 * NS_PER_S
 """Between two attempts: the vehicle's own checks may refuse the first ones."""

@@ -13,9 +13,9 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S, Clock
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink.link import Link
-from bridges.mavlink.link_settings import LinkSettings
-from bridges.mavlink.signing import Signing, SigningError, open_signing
+from bridges.mavlink.session.session import Link
+from bridges.mavlink.session.settings import LinkSettings
+from bridges.mavlink.session.signing import Signing, SigningError, open_signing
 from bridges.mavlink.transport.transport import Transport, open_transport
 
 PERIOD_NS: Final = NS_PER_S // 25

@@ -32,7 +32,7 @@ from agent.messages.types import Mission, PlantState
 from agent.node import Node
 from agent.supervision.state_machine import State
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.link import Link, LinkSettings
+from bridges.mavlink.session.session import Link, LinkSettings
 from plant.backend import Command, Reading
 from plant.node import PlantNode
 from tests.autopilot.vehicles import (

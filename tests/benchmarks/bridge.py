@@ -34,8 +34,8 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.formation.geometry import resolved
 from bridges.mavlink.authority import Holder
+from bridges.mavlink.session.streams import wanted_messages
 from bridges.mavlink.simulated import SimulatedRoverPlant
-from bridges.mavlink.streams import wanted_messages
 from deploy.arguments import fleet_path
 from deploy.placing import ADDRESS, Vehicle, place
 from deploy.ports import Reservation

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.link import Link, LinkSettings
+from bridges.mavlink.session.session import Link, LinkSettings
 
 T0 = 1_700_000_000 * NS_PER_S
 READ = (

@@ -19,7 +19,7 @@ from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.backend import UNTOLD
 from bridges.mavlink.rover_simulator import Rover
-from bridges.mavlink.signing import Signing, Timestamps
+from bridges.mavlink.session.signing import Signing, Timestamps
 from plant.backend import Command
 from tests.rover_scene import MASS, START_NS, Bridge, Scene, heartbeat, set_mode
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from agent.fleet.fleet import Fleet, parse_fleet
-from bridges.mavlink.parameters import AUDITED
+from bridges.mavlink.session.parameters import AUDITED
 from deploy.check import check
 
 ROOT = Path(__file__).parents[2]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bridges.mavlink.signing import load_key
+from bridges.mavlink.session.signing import load_key
 from deploy.cli import main
 from deploy.signing_command import prepare_keys
 from tests.rover_scene import rovers

@@ -14,7 +14,7 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.rover_settings import settings_of
-from bridges.mavlink.signing import Signing, Timestamps, make_key, open_signing
+from bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
 from bridges.mavlink.signing_setup import (
     CONFIRM_NS,
     GIVEN_MOST,

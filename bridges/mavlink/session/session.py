@@ -16,14 +16,14 @@ from typing import Any, Final, TypeVar
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink import link_reports
 from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.link_commands import Outcome
-from bridges.mavlink.link_receiver import Receiver
-from bridges.mavlink.link_reports import AttitudeSample, Battery, PositionSample, Text
-from bridges.mavlink.link_settings import LinkSettings as LinkSettings
-from bridges.mavlink.signing import KEY_BYTES
-from bridges.mavlink.streams import StreamRow
+from bridges.mavlink.session import reports
+from bridges.mavlink.session.commands import Outcome
+from bridges.mavlink.session.receiver import Receiver
+from bridges.mavlink.session.reports import AttitudeSample, Battery, PositionSample, Text
+from bridges.mavlink.session.settings import LinkSettings as LinkSettings
+from bridges.mavlink.session.signing import KEY_BYTES
+from bridges.mavlink.session.streams import StreamRow
 
 HEARTBEAT_PERIOD_NS: Final = NS_PER_S
 HEARTBEAT_TIMEOUT_NS: Final = 3 * NS_PER_S
@@ -70,7 +70,7 @@ class Link(Receiver):
     def origin_ours(self) -> bool:
         """Whether the EKF's origin is the datum."""
         datum = self.settings.datum
-        return self.origin is not None and datum is not None and link_reports.same_place(self.origin, datum)
+        return self.origin is not None and datum is not None and reports.same_place(self.origin, datum)
 
     @property
     def prearm_ok(self) -> bool | None:
@@ -283,7 +283,7 @@ class Link(Receiver):
         if self._is_due("origin", now_ns, again_ns):
             datum = self.settings.datum
             if self.origin is None and self.settings.set_origin and datum is not None and not self.problem:
-                place = link_reports.scaled(datum)
+                place = reports.scaled(datum)
                 out.append(dialect.MAVLink_set_gps_global_origin_message(system, *place, now_ns // 1000))
             out.append(_request_message(system, constants.GPS_GLOBAL_ORIGIN))
         if not self.firmware and self._is_due("version", now_ns, VERSION_PERIOD_NS):

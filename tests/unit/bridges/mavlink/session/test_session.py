@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.link import Link, LinkSettings
-from bridges.mavlink.signing import EPOCH_S, Signing, Timestamps
+from bridges.mavlink.session.session import Link, LinkSettings
+from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
 
 T0 = 1_700_000_000 * NS_PER_S
 MS = NS_PER_S // 1000

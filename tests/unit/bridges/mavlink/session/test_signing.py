@@ -9,8 +9,16 @@ from pathlib import Path
 import pytest
 
 from agent.security.private_files import KeyFileError
-from bridges.mavlink import signing
-from bridges.mavlink.signing import AHEAD, EPOCH_S, STEPS_PER_S, SigningError, Timestamps, load_key, make_key
+from bridges.mavlink.session import signing
+from bridges.mavlink.session.signing import (
+    AHEAD,
+    EPOCH_S,
+    STEPS_PER_S,
+    SigningError,
+    Timestamps,
+    load_key,
+    make_key,
+)
 
 NOW_NS = (EPOCH_S + 1000) * 1_000_000_000
 NOW = 1000 * STEPS_PER_S

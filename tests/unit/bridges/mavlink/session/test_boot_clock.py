@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink.boot_clock import BootClock
+from bridges.mavlink.session.boot_clock import BootClock
 
 MS = 1_000_000
 BOOT_NS = 1_700_000_000 * NS_PER_S

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.parameters import AUDITED
-from bridges.mavlink.signing import Signing
+from bridges.mavlink.session.parameters import AUDITED
+from bridges.mavlink.session.signing import Signing
 
 
 @dataclass(frozen=True)

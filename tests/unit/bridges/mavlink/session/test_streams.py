@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.streams import Streams, Wanted, wanted_messages
+from bridges.mavlink.session.streams import Streams, Wanted, wanted_messages
 
 ATTITUDE = Wanted(constants.ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
 GPS = Wanted(constants.GPS_RAW_INT, "GPS_RAW_INT", (1.0,))

@@ -8,17 +8,17 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridges.mavlink import link_reports
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.boot_clock import BootClock
-from bridges.mavlink.link_codec import Codec
-from bridges.mavlink.link_commands import Commands
-from bridges.mavlink.link_others import Other, Others
-from bridges.mavlink.link_reports import AttitudeSample, Ekf, Gps, PositionSample, Status, Text, Texts
-from bridges.mavlink.link_settings import LinkSettings
-from bridges.mavlink.parameters import Parameters
-from bridges.mavlink.streams import Streams, wanted_messages
+from bridges.mavlink.session import reports
+from bridges.mavlink.session.boot_clock import BootClock
+from bridges.mavlink.session.codec import Codec
+from bridges.mavlink.session.commands import Commands
+from bridges.mavlink.session.parameters import Parameters
+from bridges.mavlink.session.participants import Other, Others
+from bridges.mavlink.session.reports import AttitudeSample, Ekf, Gps, PositionSample, Status, Text, Texts
+from bridges.mavlink.session.settings import LinkSettings
+from bridges.mavlink.session.streams import Streams, wanted_messages
 
 QUEUE_MAX: Final = 256
 TIMESYNC_KEPT: Final = 16
@@ -216,7 +216,7 @@ class Receiver:
     def _on_position(self, arrival_ns: int, message: Any) -> None:
         valid_ns = self._valid_ns(message, arrival_ns)
         if valid_ns is not None:
-            sample = link_reports.position_sample(message, valid_ns, arrival_ns)
+            sample = reports.position_sample(message, valid_ns, arrival_ns)
             if sample is None:
                 self.counts["not finite"] += 1
             else:
@@ -225,7 +225,7 @@ class Receiver:
     def _on_attitude(self, arrival_ns: int, message: Any) -> None:
         valid_ns = self._valid_ns(message, arrival_ns)
         if valid_ns is not None:
-            sample = link_reports.attitude_sample(message, valid_ns, arrival_ns)
+            sample = reports.attitude_sample(message, valid_ns, arrival_ns)
             if sample is None:
                 self.counts["not finite"] += 1
             else:
@@ -240,16 +240,16 @@ class Receiver:
                 self._rebooted()
 
     def _on_ekf(self, arrival_ns: int, message: Any) -> None:
-        self.ekf = link_reports.ekf(message, arrival_ns)
+        self.ekf = reports.ekf(message, arrival_ns)
 
     def _on_gps(self, arrival_ns: int, message: Any) -> None:
-        self.gps = link_reports.gps(message, arrival_ns)
+        self.gps = reports.gps(message, arrival_ns)
 
     def _on_status(self, arrival_ns: int, message: Any) -> None:
-        self.status = link_reports.status(message, arrival_ns)
+        self.status = reports.status(message, arrival_ns)
 
     def _on_origin(self, _arrival_ns: int, message: Any) -> None:
-        origin = link_reports.origin(message)
+        origin = reports.origin(message)
         if origin is None:
             self.counts["no place"] += 1
         else:
@@ -272,7 +272,7 @@ class Receiver:
             self._audit.missing(message.param_id)
 
     def _on_version(self, _arrival_ns: int, message: Any) -> None:
-        self.firmware = link_reports.firmware(message)
+        self.firmware = reports.firmware(message)
 
 
 def _problem(kind: int, autopilot: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.parameters import AUDITED, Parameters
+from bridges.mavlink.session.parameters import AUDITED, Parameters
 
 MS = NS_PER_S // 1000
 NAMES = ("A", "B", "C", "D", "E", "F")

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridges.mavlink.signing import STEPS_PER_S, Signing
+from bridges.mavlink.session.signing import STEPS_PER_S, Signing
 
 STREAMS_MAX: Final = 64
 NEW_STREAM_BEHIND: Final = 60 * STEPS_PER_S

@@ -1,0 +1,1 @@
+"""A MAVLink session, sans-IO: heartbeat, TIMESYNC, streams, parameters, commands, signing."""
