@@ -78,8 +78,8 @@ def _signing(options: argparse.Namespace) -> int:
 def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
     from agent.common.clock import RealClock
+    from bridges.mavlink.bridge.signing_setup import Outcome, SigningSetup, give_keys, open_setup
     from bridges.mavlink.session.signing import SigningError
-    from bridges.mavlink.signing_setup import Outcome, SigningSetup, give_keys, open_setup
 
     def ended(robot: int, outcome: Outcome) -> None:
         print(f"robot {robot}: {'' if outcome.done else NOT_DONE}{outcome.text}", flush=True)

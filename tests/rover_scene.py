@@ -14,7 +14,7 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
 from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.backend import MavlinkPlant, session
+from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.rover_settings import Settings, settings_of
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.session.signing import Signing

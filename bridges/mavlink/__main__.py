@@ -44,7 +44,7 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
         )
     try:
         # Here: it may be that the packages of a vehicle's machine are not there, which needs one clear line.
-        from bridges.mavlink.backend import MavlinkPlant, session
+        from bridges.mavlink.bridge.backend import MavlinkPlant, session
     except ModuleNotFoundError as error:
         raise StartError(f"it needs the package {error.name}: pip install 'handfast[rover]'") from None
     try:

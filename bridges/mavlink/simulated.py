@@ -9,7 +9,7 @@ from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from bridges.mavlink.ardupilot import frames
-from bridges.mavlink.backend import MavlinkPlant, session
+from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.rover_settings import settings_of
 from bridges.mavlink.rover_simulator import Rover
 from plant.backend import Check, Command, PlantBackend, Reading

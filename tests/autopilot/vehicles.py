@@ -23,7 +23,7 @@ from agent.formation.geometry import resolved
 from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, world_to_geodetic
-from bridges.mavlink.backend import MavlinkPlant, session
+from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.session.session import Link, LinkSettings
 from bridges.mavlink.transport.transport import Transport, open_transport
 from plant.backend import Command, Reading

@@ -33,7 +33,7 @@ import tomli_w
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.formation.geometry import resolved
-from bridges.mavlink.authority import Holder
+from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.streams import wanted_messages
 from bridges.mavlink.simulated import SimulatedRoverPlant
 from deploy.arguments import fleet_path

@@ -2,9 +2,9 @@
 
 The agent believes that it drives a double integrator. Here it gets the ideal unicycle, and then a rover with
 the measured delays and lags (`bridges.mavlink.ardupilot.dynamics`), measured at 25 Hz and seen 50 to 65 ms
-late, behind `bridges.mavlink.estimate` and `bridges.mavlink.setpoint`: without and with the lead, and with
-the hand's velocity from the measured speeds, from the reference, or from it within a little of the measured
-ones.
+late, behind `bridges.mavlink.bridge.estimate` and `bridges.mavlink.bridge.setpoint`: without and with the
+lead, and with the hand's velocity from the measured speeds, from the reference, or from it within a little
+of the measured ones.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from agent.common.clock import NS_PER_S
 from agent.control import hand
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import RoverDynamics
-from bridges.mavlink.estimate import Estimate
-from bridges.mavlink.setpoint import LEAD_SPEED_S, LEAD_YAW_S, TOLD_WITHIN, Bounds, Setpoint
+from bridges.mavlink.bridge.estimate import Estimate
+from bridges.mavlink.bridge.setpoint import LEAD_SPEED_S, LEAD_YAW_S, TOLD_WITHIN, Bounds, Setpoint
 from plant.backend import Command
 from plant.unicycle import Actuator, integrate
 from tests.benchmarks.figures import Figure, Options, Result, table

@@ -17,7 +17,7 @@ from agent.common.clock import NS_PER_S
 from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.frames import datum_of
-from bridges.mavlink.backend import UNTOLD
+from bridges.mavlink.bridge.backend import UNTOLD
 from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.session.signing import Signing, Timestamps
 from plant.backend import Command

@@ -7,7 +7,7 @@ from typing import Final
 from agent.common.clock import NS_PER_S
 from agent.runtime.process import Log
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.authority import Holder
+from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.session import Link
 
 PERIOD_NS: Final = 3 * NS_PER_S

@@ -6,8 +6,8 @@ import pytest
 
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.backend import JUDGED_NS
-from bridges.mavlink.checks import REPORTED_NS
+from bridges.mavlink.bridge.backend import JUDGED_NS
+from bridges.mavlink.bridge.preflight_checks import REPORTED_NS
 from tests.rover_scene import Scene
 
 

@@ -8,8 +8,9 @@ there,
     speed = v_r + (T_v + dt/2) a_r,    yaw rate = w_r + (T_w + dt/2) w_r',
 
 with dt/2 for a command that is held for a period. The reference cannot run away from the rover: what the
-measured motion lacks of what the commands should have made of it (`bridges.mavlink.estimate.Surprise`, which
-ordinary lag does not show in) pulls it back, and it stays within a band about the estimate.
+measured motion lacks of what the commands should have made of it
+(`bridges.mavlink.bridge.estimate.Surprise`, which ordinary lag does not show in) pulls it back, and it stays
+within a band about the estimate.
 
 The agent is told the reference's speed and yaw rate, with which its double integrator is an exact one; but
 where the rover's own differ by more than a little, those, less that little. Told the measured ones alone, a
@@ -34,7 +35,7 @@ from bridges.mavlink.ardupilot.dynamics import (
     limited,
     or_inf,
 )
-from bridges.mavlink.estimate import Surprise
+from bridges.mavlink.bridge.estimate import Surprise
 from plant.backend import Command
 
 LEAD_SPEED_S: Final = 0.15
@@ -113,7 +114,7 @@ class Setpoint:
         Args:
             dt: since the last step, s.
             command: force and torque from now on; None to brake. One that is not finite brakes too.
-            pose: the estimate now (`bridges.mavlink.estimate.Estimate.pose_at`).
+            pose: the estimate now (`bridges.mavlink.bridge.estimate.Estimate.pose_at`).
             surprise: of that estimate.
         """
         self.note = ""

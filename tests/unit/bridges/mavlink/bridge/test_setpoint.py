@@ -9,8 +9,8 @@ import pytest
 
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import Limits
-from bridges.mavlink.estimate import Surprise
-from bridges.mavlink.setpoint import (
+from bridges.mavlink.bridge.estimate import Surprise
+from bridges.mavlink.bridge.setpoint import (
     DISAGREES_S,
     LEAD_SPEED_S,
     LEAD_YAW_S,

@@ -12,17 +12,17 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
 from agent.runtime.process import Log
 from agent.supervision.state_machine import at_rest
-from bridges.mavlink import checks
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits
 from bridges.mavlink.ardupilot.frames import Geodetic, LocalToWorld
-from bridges.mavlink.authority import Authority, Holder
-from bridges.mavlink.claim import Claim
-from bridges.mavlink.estimate import Estimate
+from bridges.mavlink.bridge import preflight_checks
+from bridges.mavlink.bridge.authority import Authority, Holder
+from bridges.mavlink.bridge.estimate import Estimate
+from bridges.mavlink.bridge.setpoint import Bounds, MotionCheck, Setpoint
+from bridges.mavlink.bridge.takeover import Claim
 from bridges.mavlink.session.session import Link
 from bridges.mavlink.session.settings import LinkSettings
 from bridges.mavlink.session.signing import Signing
-from bridges.mavlink.setpoint import Bounds, MotionCheck, Setpoint
 from bridges.mavlink.transport.transport import Transport
 from plant.backend import WAITING, Check, Command, PlantBackend, Reading
 
@@ -205,8 +205,10 @@ class MavlinkPlant(PlantBackend):
         reports = link.ekf, link.gps, link.origin, link.parameter_changes
         if reports != self._judged or now_ns >= self._judged_until_ns:
             self._judged, self._judged_until_ns = reports, now_ns + JUDGED_NS
-            self._unfit = checks.gps_trouble(link, now_ns)
-            self._unlocated = checks.ekf_trouble(link, now_ns) or checks.origin_trouble(link, self._datum)
+            self._unfit = preflight_checks.gps_trouble(link, now_ns)
+            self._unlocated = preflight_checks.ekf_trouble(link, now_ns) or preflight_checks.origin_trouble(
+                link, self._datum
+            )
 
     @property
     def _trouble(self) -> str:
@@ -337,7 +339,7 @@ class MavlinkPlant(PlantBackend):
             self._checks_due_ns = now_ns + CHECKS_PERIOD_NS
             link = self._link
             trip_ns = link.clock.round_trip_ns
-            found = checks.Found(
+            found = preflight_checks.Found(
                 now_ns,
                 self._trouble,
                 self._transport.note,
@@ -347,7 +349,7 @@ class MavlinkPlant(PlantBackend):
                 self._start,
                 self._prearm,
             )
-            self._checks = checks.checks(link, found, self._section, self._datum)
+            self._checks = preflight_checks.checks(link, found, self._section, self._datum)
         return self._checks
 
     def close(self) -> None:

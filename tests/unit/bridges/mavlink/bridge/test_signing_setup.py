@@ -13,9 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.common.clock import NS_PER_S
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.rover_settings import settings_of
-from bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
-from bridges.mavlink.signing_setup import (
+from bridges.mavlink.bridge.signing_setup import (
     CONFIRM_NS,
     GIVEN_MOST,
     PERIOD_NS,
@@ -25,6 +23,8 @@ from bridges.mavlink.signing_setup import (
     give_keys,
     setup_settings,
 )
+from bridges.mavlink.rover_settings import settings_of
+from bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
 from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))

@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink import checks
 from bridges.mavlink.ardupilot import constants, frames
-from bridges.mavlink.checks import Found
+from bridges.mavlink.bridge import preflight_checks
+from bridges.mavlink.bridge.preflight_checks import Found
 from plant.backend import Check
 from tests.rover_scene import Scene, heartbeat
 
@@ -34,7 +34,7 @@ class Looked:
         )
 
     def lines(self, **found: Any) -> Sequence[Check]:
-        return checks.checks(
+        return preflight_checks.checks(
             self.link, self.found._replace(**found), self.section, frames.datum_of(self.scene.fleet)
         )
 

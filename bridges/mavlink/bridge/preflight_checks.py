@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink import audit
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
+from bridges.mavlink.bridge import parameter_audit
 from bridges.mavlink.session.reports import Ekf
 from bridges.mavlink.session.session import Link
 from bridges.mavlink.transport.connection_string import BY_ID
@@ -74,7 +74,7 @@ def checks(link: Link, found: Found, section: MavlinkSection, datum: Geodetic) -
     lines += [_ekf(link, found.now_ns), _gps(link, found.now_ns)]
     lines += [_origin(link, datum), *_place(found), *_rates(link, found.now_ns), _round_trip(found)]
     lines += [
-        *audit.parameters(link, section),
+        *parameter_audit.parameters(link, section),
         *_battery(link),
         _signing(link, section, found),
         *_others(link, found.now_ns),

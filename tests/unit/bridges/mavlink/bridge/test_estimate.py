@@ -9,7 +9,7 @@ import pytest
 from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import DEFAULTS, RoverDynamics
-from bridges.mavlink.estimate import JUMP_M, STALE_S, Estimate, Prediction
+from bridges.mavlink.bridge.estimate import JUMP_M, STALE_S, Estimate, Prediction
 
 MS = 1_000_000
 T0 = 1_700_000_000 * NS_PER_S

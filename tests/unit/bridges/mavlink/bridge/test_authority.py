@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.supervision.stop_latch import AWAITED
-from bridges.mavlink.authority import TRANSITIONS, Authority, Holder
+from bridges.mavlink.bridge.authority import TRANSITIONS, Authority, Holder
 
 MANUAL = "mode MANUAL, not GUIDED"
 LOST = "no heartbeat for 4 s"
