@@ -261,7 +261,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _rover_simulator(arguments: Sequence[str]) -> int:
-    from bridges.mavlink.rover_server import main as serve
+    from bridges.mavlink.simulator.__main__ import main as serve
 
     return serve(arguments)
 

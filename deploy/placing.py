@@ -19,7 +19,7 @@ class Vehicle:
 
     Attributes:
         robot: whose vehicle it is.
-        arguments: what `bridges.mavlink.rover_server` is to be told.
+        arguments: what `bridges.mavlink.simulator.__main__` is to be told.
         ground_station: where a ground station reaches it, as pymavlink writes it.
     """
 
@@ -82,7 +82,7 @@ def vehicle(fleet: Fleet, robot: int, port: int) -> Vehicle:
     """
     # Here: a fleet without vehicles needs no geodesy.
     from bridges.mavlink.ardupilot.frames import yaw_degrees
-    from bridges.mavlink.rover_settings import settings_of
+    from bridges.mavlink.simulator.settings import settings_of
 
     settings = settings_of(fleet, robot)
     at, yaw_deg = settings.home, yaw_degrees(settings.yaw)

@@ -8,7 +8,7 @@ from agent.fleet.fleet import Fleet
 from plant.unicycle import Unicycle, from_fleet
 
 if TYPE_CHECKING:
-    from bridges.mavlink.simulated import SimulatedRoverPlant
+    from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 
 
 class Bodies:
@@ -27,7 +27,7 @@ class Bodies:
         """
         if self._fleet.robot(robot).plant == "mavlink":
             # Here: other fleets need none of it.
-            from bridges.mavlink.simulated import SimulatedRoverPlant
+            from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 
             before = self._rovers.get(robot)
             rover = SimulatedRoverPlant(self._fleet, robot, now_ns, None if before is None else before.rover)

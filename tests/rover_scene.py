@@ -15,10 +15,10 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
-from bridges.mavlink.rover_settings import Settings, settings_of
-from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.session.signing import Signing
-from bridges.mavlink.simulated import LATENCY_NS, STEP_NS
+from bridges.mavlink.simulator.in_memory import LATENCY_NS, STEP_NS
+from bridges.mavlink.simulator.rover import Rover
+from bridges.mavlink.simulator.settings import Settings, settings_of
 from deploy.arguments import FLEETS
 from plant.backend import Check, Command, Reading
 

@@ -35,7 +35,7 @@ from agent.fleet.fleet import Fleet, load_fleet, to_dict
 from agent.formation.geometry import resolved
 from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.streams import wanted_messages
-from bridges.mavlink.simulated import SimulatedRoverPlant
+from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.arguments import fleet_path
 from deploy.placing import ADDRESS, Vehicle, place
 from deploy.ports import Reservation

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import wrapped
-from bridges.mavlink.rover_guided import Guided, NotFinite, Pose, PositionTarget, of_position_target
+from bridges.mavlink.simulator.guided import Guided, NotFinite, Pose, PositionTarget, of_position_target
 
 FINITE = st.floats(-1e6, 1e6, width=32)
 ANY = FINITE | st.sampled_from([float("nan"), float("inf"), float("-inf")])

@@ -18,8 +18,8 @@ from agent.messages.types import Checks, HandState, PlantState, Resume, Status, 
 from agent.supervision.state_machine import State
 from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.ardupilot.frames import datum_of
-from bridges.mavlink.rover_simulator import Rover
-from bridges.mavlink.simulated import SimulatedRoverPlant
+from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
+from bridges.mavlink.simulator.rover import Rover
 from deploy.arguments import FLEETS
 from deploy.simulation import Simulation
 

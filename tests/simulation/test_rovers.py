@@ -18,8 +18,8 @@ from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.bridge.backend import UNTOLD
-from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.session.signing import Signing, Timestamps
+from bridges.mavlink.simulator.rover import Rover
 from plant.backend import Command
 from tests.rover_scene import MASS, START_NS, Bridge, Scene, heartbeat, set_mode
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.rover_simulator import Rover, Settings
+from bridges.mavlink.simulator.rover import Rover, Settings
 
 ACCEPTED, DENIED, FAILED = constants.RESULT_ACCEPTED, constants.RESULT_DENIED, constants.RESULT_FAILED
 HOME = Geodetic(47.3977, 8.5456, 488.0)

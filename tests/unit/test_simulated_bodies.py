@@ -11,7 +11,7 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState
-from bridges.mavlink.simulated import SimulatedRoverPlant
+from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.arguments import FLEETS
 from deploy.simulated_bodies import Bodies
 from deploy.simulation import Simulation

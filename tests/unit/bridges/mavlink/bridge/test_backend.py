@@ -12,7 +12,7 @@ import pytest
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.bridge.backend import BRAKE_NS_MAX, session
-from bridges.mavlink.simulated import LATENCY_NS, SimulatedRoverPlant
+from bridges.mavlink.simulator.in_memory import LATENCY_NS, SimulatedRoverPlant
 from plant.backend import Command
 from tests.rover_scene import MASS, START_NS, Scene, rovers
 

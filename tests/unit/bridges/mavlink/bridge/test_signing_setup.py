@@ -23,8 +23,8 @@ from bridges.mavlink.bridge.signing_setup import (
     give_keys,
     setup_settings,
 )
-from bridges.mavlink.rover_settings import settings_of
 from bridges.mavlink.session.signing import Signing, Timestamps, make_key, open_signing
+from bridges.mavlink.simulator.settings import settings_of
 from tests.rover_scene import START_NS, Bridge, Scene, World, heartbeat, rovers
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))

@@ -12,10 +12,10 @@ import pytest
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.rover_settings import Settings
-from bridges.mavlink.rover_simulator import Rover
 from bridges.mavlink.session.session import Link, LinkSettings
 from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
+from bridges.mavlink.simulator.rover import Rover
+from bridges.mavlink.simulator.settings import Settings
 
 T0 = 1_700_000_000 * NS_PER_S
 HOME = Geodetic(47.3977, 8.5456, 500.0)

@@ -10,8 +10,8 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
-from bridges.mavlink.rover_settings import settings_of
-from bridges.mavlink.rover_simulator import Rover
+from bridges.mavlink.simulator.rover import Rover
+from bridges.mavlink.simulator.settings import settings_of
 from plant.backend import Check, Command, PlantBackend, Reading
 
 LATENCY_NS: Final = 2_000_000

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.rover_settings import Settings, SettingsError, parse_home, parse_parameter
+from bridges.mavlink.simulator.settings import Settings, SettingsError, parse_home, parse_parameter
 from tests.unit.rover_bench import ACCEPTED, START_NS, Bench, ready
 
 # Parameters

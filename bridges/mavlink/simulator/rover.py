@@ -12,9 +12,9 @@ from agent.common.clock import NS_PER_S
 from agent.common.random_streams import stream, uniform
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.rover_protocol import Protocol
-from bridges.mavlink.rover_settings import Settings, SettingsError
-from bridges.mavlink.rover_vehicle import Vehicle
+from bridges.mavlink.simulator.protocol import Protocol
+from bridges.mavlink.simulator.settings import Settings, SettingsError
+from bridges.mavlink.simulator.vehicle import Vehicle
 
 __all__ = ["Rover", "Settings", "SettingsError"]
 

@@ -13,9 +13,9 @@ from agent.common.random_streams import stream, uniform
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.dynamics import Limits, RoverDynamics
 from bridges.mavlink.ardupilot.frames import Geodetic, local_to_geodetic
-from bridges.mavlink.rover_guided import Guided, Pose
-from bridges.mavlink.rover_navigation import Navigation
-from bridges.mavlink.rover_settings import Parameters, Settings
+from bridges.mavlink.simulator.guided import Guided, Pose
+from bridges.mavlink.simulator.navigation import Navigation
+from bridges.mavlink.simulator.settings import Parameters, Settings
 
 CREEP_M: Final = (0.03, 0.09)
 """m, least and most, that it creeps while it boots."""

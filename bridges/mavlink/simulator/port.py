@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.common.clock import NS_PER_S
 from agent.common.random_streams import stream, uniform
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.rover_telemetry import BUILDERS, DEFAULT_STREAMS, Message
 from bridges.mavlink.session.signing import timestamp_at
+from bridges.mavlink.simulator.telemetry import BUILDERS, DEFAULT_STREAMS, Message
 
 DEFAULT_INTERVAL_NS: Final = round(NS_PER_S / constants.STREAM_RATE_HZ)
 LATE: Final = 0.02

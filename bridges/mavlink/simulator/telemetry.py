@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.rover_vehicle import Vehicle
+from bridges.mavlink.simulator.vehicle import Vehicle
 
 MANUAL_MODES: Final = frozenset({constants.MANUAL, constants.ACRO, constants.STEERING, constants.SIMPLE})
 NOT_AUTOPILOT: Final = MANUAL_MODES | {constants.HOLD, constants.INITIALISING}

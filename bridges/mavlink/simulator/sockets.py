@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink.rover_settings import SettingsError
+from bridges.mavlink.simulator.settings import SettingsError
 
 RECEIVE_BYTES: Final = 65_536
 DATAGRAM_BYTES: Final = 1_200

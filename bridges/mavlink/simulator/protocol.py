@@ -12,13 +12,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.rover_commands import COMMANDS, SET_MODE, Context, set_mode
-from bridges.mavlink.rover_guided import NotFinite, PositionTarget, of_attitude_target, of_position_target
-from bridges.mavlink.rover_port import Port
-from bridges.mavlink.rover_routes import Routes
-from bridges.mavlink.rover_settings import PARAMETERS, SettingsError
-from bridges.mavlink.rover_telemetry import BUILDERS, Message, heartbeat
-from bridges.mavlink.rover_vehicle import WARNING, Vehicle
+from bridges.mavlink.simulator.commands import COMMANDS, SET_MODE, Context, set_mode
+from bridges.mavlink.simulator.guided import NotFinite, PositionTarget, of_attitude_target, of_position_target
+from bridges.mavlink.simulator.port import Port
+from bridges.mavlink.simulator.routing import Routes
+from bridges.mavlink.simulator.settings import PARAMETERS, SettingsError
+from bridges.mavlink.simulator.telemetry import BUILDERS, Message, heartbeat
+from bridges.mavlink.simulator.vehicle import WARNING, Vehicle
 
 PARAMETERS_PER_LOOP: Final = 2
 TIMESYNC_PERIOD_NS: Final = 10 * NS_PER_S

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.common.clock import NS_PER_S
 from agent.common.random_streams import bits, stream
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.rover_settings import Settings
-from bridges.mavlink.rover_simulator import Rover
+from bridges.mavlink.simulator.rover import Rover
+from bridges.mavlink.simulator.settings import Settings
 from tests.unit.rover_bench import ACCEPTED, START_NS, Bench, ready
 
 # Setpoints

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from agent.common.clock import NS_PER_S
-from bridges.mavlink.rover_server import serve
-from bridges.mavlink.rover_settings import SettingsError
-from bridges.mavlink.rover_simulator import Rover, Settings
-from bridges.mavlink.rover_sockets import (
+from bridges.mavlink.simulator.__main__ import serve
+from bridges.mavlink.simulator.rover import Rover, Settings
+from bridges.mavlink.simulator.settings import SettingsError
+from bridges.mavlink.simulator.sockets import (
     DATAGRAM_BYTES,
     Endpoint,
     TcpLine,

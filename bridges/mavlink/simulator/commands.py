@@ -10,9 +10,9 @@ from typing import Final
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.rover_port import Port
-from bridges.mavlink.rover_telemetry import BUILDERS, Message
-from bridges.mavlink.rover_vehicle import CRITICAL, INFO, Vehicle
+from bridges.mavlink.simulator.port import Port
+from bridges.mavlink.simulator.telemetry import BUILDERS, Message
+from bridges.mavlink.simulator.vehicle import CRITICAL, INFO, Vehicle
 
 SET_MODE: Final = mavlink.MAVLINK_MSG_ID_SET_MODE
 """What ArduPilot acknowledges a SET_MODE as, although it is a message and not a command."""

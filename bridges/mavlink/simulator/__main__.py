@@ -13,9 +13,15 @@ from typing import Final
 from agent.common.clock import NS_PER_S, Clock, RealClock
 from agent.runtime.process import PARENT_PERIOD_NS, Shutdown
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.rover_settings import DEFAULT_HOME, Settings, SettingsError, parse_home, parse_parameter
-from bridges.mavlink.rover_simulator import Rover
-from bridges.mavlink.rover_sockets import Endpoint, Line, open_lines, parse_endpoint, with_something
+from bridges.mavlink.simulator.rover import Rover
+from bridges.mavlink.simulator.settings import (
+    DEFAULT_HOME,
+    Settings,
+    SettingsError,
+    parse_home,
+    parse_parameter,
+)
+from bridges.mavlink.simulator.sockets import Endpoint, Line, open_lines, parse_endpoint, with_something
 
 DEFAULT_ENDPOINTS: Final = tuple(Endpoint("tcp", "127.0.0.1", port, True) for port in (5760, 5762, 5763))
 """Ports as ArduPilot's own simulator has them, of this machine only."""

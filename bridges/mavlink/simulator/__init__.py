@@ -1,0 +1,1 @@
+"""A simulated ArduPilot Rover that speaks MAVLink, to try bridges and ground stations with."""
