@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Final
 
 from agent.fleet.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.sections import LAWS
+from deploy.data_files import FLEETS, SCENARIOS
 from deploy.wording import some
-
-FLEETS: Final = Path(__file__).parent / "fleets"
-SCENARIOS: Final = Path(__file__).parent / "scenarios"
 
 
 class InputError(Exception):

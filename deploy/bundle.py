@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.runtime.version import handfast_version
+from deploy.data_files import ROBOT_REQUIREMENTS, ROOT
 from deploy.folders import cache_folder
 
-REQUIREMENTS: Final = Path(__file__).parent / "robot_requirements.txt"
 PACKAGES: Final = ("agent", "plant", "bridges")
 """What a robot runs; `deploy` is the operator's."""
 DOWNLOAD_TIMEOUT_S: Final = 600.0
@@ -115,7 +115,7 @@ def bundle_for(platform: Platform, program: bytes) -> Bundle:
     Raises:
         BundleError: they cannot be had.
     """
-    text = REQUIREMENTS.read_text(encoding="utf-8")
+    text = ROBOT_REQUIREMENTS.read_text(encoding="utf-8")
     folder = cache_folder("bundles") / hashlib.sha256(f"{text}{platform}".encode()).hexdigest()[:16]
     with _guard:
         lock = _locks.setdefault(folder, threading.Lock())
@@ -184,7 +184,7 @@ def _download(platform: Platform, folder: Path) -> None:
     for tag in platform.tags:
         words += ["--platform", tag]
     process = subprocess.Popen(
-        [*words, "-r", str(REQUIREMENTS)],
+        [*words, "-r", str(ROBOT_REQUIREMENTS)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -222,11 +222,10 @@ def program_archive() -> bytes:
 
 
 def _contents() -> Iterator[tuple[str, bytes]]:
-    above = Path(__file__).parent.parent
     for package in PACKAGES:
-        for path in sorted((above / package).rglob("*")):
+        for path in sorted((ROOT / package).rglob("*")):
             if path.is_file() and path.suffix != ".pyc":
-                yield path.relative_to(above).as_posix(), path.read_bytes()
+                yield path.relative_to(ROOT).as_posix(), path.read_bytes()
     version = handfast_version()
     metadata = f"Metadata-Version: 2.1\nName: handfast\nVersion: {version}\n"
     yield f"handfast-{version}.dist-info/METADATA", metadata.encode()

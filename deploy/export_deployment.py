@@ -21,6 +21,7 @@ from agent.fleet.host_sections import HostSection
 from agent.supervision.state_machine import DRIVING
 from deploy import host_program, units
 from deploy.bundle import Bundle, Platform
+from deploy.data_files import ANSIBLE
 from deploy.host_connection import NO_PYTHON, bootstrap
 from deploy.host_keys import MODULE
 from deploy.host_places import fleet_file, places
@@ -28,7 +29,6 @@ from deploy.host_setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
 from deploy.hosts import hosts_of, robots_on
 from deploy.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
 
-SAME: Final = Path(__file__).parent / "deployment"
 GROUP: Final = "handfast_robots"
 OPERATORS_FLEET: Final = "fleet.toml"
 PROGRAM: Final = Path(host_program.__file__)
@@ -85,8 +85,8 @@ def texts(
     """
     hosts = hosts_of(fleet, source)
     same = {
-        path.relative_to(SAME).as_posix(): path.read_text(encoding="utf-8")
-        for path in sorted(SAME.rglob("*"))
+        path.relative_to(ANSIBLE).as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted(ANSIBLE.rglob("*"))
         if path.is_file()
     }
     readme = same.pop("README.md")

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin
 
 from agent.common.quantities import UNITS
 from agent.common.schema import Entry, entries, example, show
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
+from deploy.data_files import ROOT, TEMPLATE
 
-PAGE: Final = Path(__file__).parent.parent / "docs" / "fleet-file.md"
-_TEMPLATE: Final = Path(__file__).parent / "template.toml"
+PAGE: Final = ROOT / "docs" / "fleet-file.md"
 
 _HEAD: Final = """\
 # The fleet file
@@ -59,7 +58,7 @@ def render() -> str:
 
 
 def _example() -> str:
-    template = _TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", "triangle")
+    template = TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", "triangle")
     return f"## An example\n\n```toml\n{template}```\n"
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from deploy.arguments import InputError
+from deploy.data_files import TEMPLATE
 
-TEMPLATE: Final = Path(__file__).parent / "template.toml"
 DONE: Final = 0
 
 

@@ -13,8 +13,8 @@ from typing import Any, Final
 import pytest
 import tomli_w
 
-from deploy.arguments import FLEETS
 from deploy.bundle import Platform, bundle_for
+from deploy.data_files import FLEETS
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
 from tests.process.harness import ROOT, wait_for

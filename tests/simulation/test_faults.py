@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,11 +15,12 @@ from agent.messages.codec import decode
 from agent.messages.types import Event, Mission, PlantState, Status
 from agent.node import INBOX_SIZE
 from agent.supervision.state_machine import DRIVING, State
+from deploy.data_files import FLEETS
 from deploy.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace
 
-DELTA = (Path(__file__).parents[2] / "deploy" / "fleets" / "delta.toml").read_text(encoding="utf-8")
+DELTA = (FLEETS / "delta.toml").read_text(encoding="utf-8")
 PERIOD_NS = NS_PER_S // 50
 STEP_S = 0.02
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,12 +19,12 @@ from agent.messages.codec import encode
 from agent.messages.types import Mission
 from agent.node import Node, Outgoing
 from agent.supervision.state_machine import State
+from deploy.data_files import FLEETS
 from deploy.random_starts import random_fleet
 from deploy.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace, drive
 
-FLEETS = Path(__file__).parents[2] / "deploy" / "fleets"
 STARTS = 30
 CHUNK = 6
 SETTLING_MAX_S = 40.0

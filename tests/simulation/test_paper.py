@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from math import cos, sin
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
+from deploy.data_files import FLEETS
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop
 
-DELTA = Path(__file__).parents[2] / "deploy" / "fleets" / "delta.toml"
+DELTA = FLEETS / "delta.toml"
 DURATION_S = 20
 GRID_S = 0.02
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import radians
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +14,13 @@ from agent.common.clock import NS_PER_S
 from agent.control import hand
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
+from deploy.data_files import FLEETS
 from deploy.simulation import Simulation
 from plant.unicycle import Unicycle
 
 Floats = NDArray[np.float64]
 
-ROVERS = Path(__file__).parents[2] / "deploy" / "fleets" / "rovers.toml"
+ROVERS = FLEETS / "rovers.toml"
 SETTLED_M = 0.15
 SETTLED_S = 20.0
 SETTLED_TURNING_S = 30.0

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from deploy import bundle
-from deploy.bundle import REQUIREMENTS, Bundle, BundleError, Platform, bundle_for, program_archive
+from deploy.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
+from deploy.data_files import ROBOT_REQUIREMENTS
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
 
@@ -59,7 +60,7 @@ def test_the_version_names_all_that_is_in_it():
 
 
 def test_all_that_robots_need_is_locked_with_hashes():
-    text = REQUIREMENTS.read_text()
+    text = ROBOT_REQUIREMENTS.read_text()
     names = set(re.findall(r"^([a-z0-9-]+)==", text, re.MULTILINE))
     assert {
         "eclipse-zenoh",

@@ -9,9 +9,9 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve
 from deploy import judged
 from deploy.analysis import analyse
-from deploy.arguments import FLEETS
 from deploy.check import check
 from deploy.check_braking import check_braking
+from deploy.data_files import FLEETS
 from deploy.finding import Finding
 from tests.unit.agent.fleet.fleet_texts import small
 

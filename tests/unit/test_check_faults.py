@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
-import deploy
 from agent.common.random_streams import stream
 from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
 from agent.formation.geometry import resolved
@@ -16,10 +14,11 @@ from agent.messages.codec import encode
 from agent.messages.types import HandState
 from deploy.check import Finding, check
 from deploy.check_faults import silences
+from deploy.data_files import FLEETS
 from deploy.description import describe
 from tests.unit.simulated_run import driven
 
-DELTA = Path(deploy.__file__).parent / "fleets" / "delta.toml"
+DELTA = FLEETS / "delta.toml"
 
 
 def delta(faults: str, *overrides: str) -> Fleet:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from agent.fleet.fleet import Fleet, load_fleet
-from deploy.arguments import FLEETS
 from deploy.check import check
 from deploy.check_vehicles import check_vehicles
+from deploy.data_files import FLEETS
 from deploy.description import describe
 from deploy.finding import Finding
 

@@ -14,8 +14,8 @@ from agent.fleet.safety_sections import AvoidanceSection, SupervisionSection
 from agent.formation.geometry import resolve, resolved
 from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli
-from deploy.arguments import FLEETS
 from deploy.check import check
+from deploy.data_files import FLEETS
 from deploy.oracles import ORACLES
 
 ROOT = Path(__file__).parents[2]

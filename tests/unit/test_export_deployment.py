@@ -21,8 +21,8 @@ from agent.fleet.fleet import Fleet, load_fleet, parse_fleet, to_dict
 from agent.fleet.host_sections import HostSection
 from agent.formation.geometry import resolved
 from deploy import export_deployment_command
-from deploy.arguments import FLEETS
 from deploy.bundle import Bundle, Platform
+from deploy.data_files import FLEETS
 from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platform, texts
 from deploy.finding import Finding
 from deploy.host_connection import Clock

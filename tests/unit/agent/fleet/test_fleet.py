@@ -14,10 +14,10 @@ import tomli_w
 from agent.fleet.fleet import FILE_BYTES_MAX, FleetError, digest, law_name, load_fleet, parse_fleet, to_dict
 from agent.fleet.sections import LAWS, ControlSection
 from deploy import fleet_reference
+from deploy.data_files import FLEETS, TEMPLATE
 from tests.unit.agent.fleet.fleet_texts import MIXED, SMALL, problems, small
 
-DEPLOY = Path(__file__).parents[4] / "deploy"
-BUNDLED = sorted((DEPLOY / "fleets").glob("*.toml"))
+BUNDLED = sorted((FLEETS).glob("*.toml"))
 
 
 def test_the_small_fleet() -> None:
@@ -355,7 +355,7 @@ def test_bundled_fleets(path: Path) -> None:
 
 
 def test_delta_is_the_papers() -> None:
-    delta = load_fleet(DEPLOY / "fleets" / "delta.toml")
+    delta = load_fleet(FLEETS / "delta.toml")
     assert delta.neighbours(2) == (1, 3, 4, 5), "section 3.2"
     assert len(delta.formation.edges) == 9
     assert [(robot.x_m, robot.y_m) for robot in delta.robots] == [
@@ -376,7 +376,7 @@ def test_delta_is_the_papers() -> None:
 
 
 def test_the_template_is_a_fleet() -> None:
-    text = (DEPLOY / "template.toml").read_text()
+    text = TEMPLATE.read_text()
     fleet = parse_fleet(text.replace("@NAME@", "mine"), source="mine")
     assert fleet.fleet.name == "mine"
     assert len(fleet.robots) == 3

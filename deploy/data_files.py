@@ -1,0 +1,17 @@
+"""Where the files lie that come with the program, in `deploy/data/`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import deploy
+
+ROOT: Final = Path(deploy.__file__).parent.parent
+"""Folder of the import packages: the checkout's, or that of an installation."""
+_DATA: Final = ROOT / "deploy" / "data"
+FLEETS: Final = _DATA / "fleets"
+SCENARIOS: Final = _DATA / "scenarios"
+TEMPLATE: Final = _DATA / "template.toml"
+ANSIBLE: Final = _DATA / "ansible"
+ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
