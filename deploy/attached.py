@@ -9,11 +9,11 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
 from deploy.before_drive import refusal
-from deploy.interrupt import Interrupt
+from deploy.console.interrupt import Interrupt
+from deploy.console.wording import robots
 from deploy.operator_session import OperatorSession
 from deploy.process_faults import Action, Process
 from deploy.session import connected
-from deploy.wording import robots
 
 NAMED_MAX: Final = 6
 """Of processes that go at one time, as when this machine is cut off, so many are named."""

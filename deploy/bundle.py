@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.runtime.version import handfast_version
-from deploy.data_files import ROBOT_REQUIREMENTS, ROOT
+from deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
 from deploy.folders import cache_folder
 
 PACKAGES: Final = ("agent", "plant", "bridges")

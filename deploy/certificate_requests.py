@@ -10,8 +10,8 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
 from agent.security.private_files import reason
-from deploy.arguments import InputError
 from deploy.authority import Authority
+from deploy.console.arguments import InputError
 from deploy.hosts import located
 
 REQUESTS_BYTES_MAX: Final = 4_000_000

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 
 if TYPE_CHECKING:
     from deploy.chaos_report import Driven
@@ -90,10 +90,10 @@ def chaos(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
     from deploy.chaos_real import real_results
     from deploy.chaos_report import Tally, conclusion, lines
-    from deploy.interrupt import Interrupt
+    from deploy.console.interrupt import Interrupt
+    from deploy.console.progress import make_progress
     from deploy.pool import Pool, PoolError, cores
     from deploy.ports import NoPortsError
-    from deploy.progress import make_progress
     from deploy.recorder import RecordingError
     from deploy.runfolder import FolderError
 

@@ -13,7 +13,7 @@ from agent.formation.geometry import resolved
 from deploy.chaos import Outcome, judged, scenario_text
 from deploy.chaos_draw import draw, name_of
 from deploy.chaos_report import Driven
-from deploy.interrupt import Interrupt
+from deploy.console.interrupt import Interrupt
 from deploy.live import make_view
 from deploy.local import LocalRun
 from deploy.placing import place

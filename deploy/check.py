@@ -39,6 +39,7 @@ from deploy.check_faults import check_faults
 from deploy.check_orders import check_orders
 from deploy.check_safety import check_safety, start_points
 from deploy.check_vehicles import check_vehicles
+from deploy.console.wording import NAMES_SHOWN, counted, robots, some
 from deploy.finding import Finding
 from deploy.stability import (
     SETTLED,
@@ -49,7 +50,6 @@ from deploy.stability import (
     settling_time,
     sweep_radius,
 )
-from deploy.wording import NAMES_SHOWN, counted, robots, some
 
 __all__ = ["Finding", "check"]
 

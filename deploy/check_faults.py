@@ -20,12 +20,12 @@ from agent.links.fault_plan import FaultPlan, LinkEffects
 from agent.messages.codec import encode
 from agent.messages.types import HandState
 from agent.node import FIRST_ROUND
+from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.fault_times import windows
 from deploy.fault_words import acts_on_links, words
 from deploy.finding import Finding, Level
 from deploy.link_audit import links_of
 from deploy.link_data import Link
-from deploy.wording import NAMES_SHOWN, robots
 
 CONTRADICTIONS_MAX: Final = 12
 """So many are said one by one."""

@@ -17,9 +17,9 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
 from deploy.check_braking import check_braking, check_room
 from deploy.clearances import distances
+from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.finding import Finding, Level
 from deploy.ways import Ways
-from deploy.wording import NAMES_SHOWN, robots
 
 Floats = NDArray[np.float64]
 

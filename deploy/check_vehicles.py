@@ -13,8 +13,8 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
 from agent.formation import trajectory
 from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
+from deploy.console.wording import robots
 from deploy.finding import Finding, Level
-from deploy.wording import robots
 
 RATE_MAX_HZ: Final = 50.0
 """ArduPilot Rover's own loop: it takes nothing faster."""

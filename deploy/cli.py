@@ -35,8 +35,8 @@ from deploy import (
     sweep_command,
     up_command,
 )
-from deploy.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
-from deploy.interrupt import Interrupt, remembered
+from deploy.console.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
+from deploy.console.interrupt import Interrupt, remembered
 from deploy.outcome import finish, refuse_errors, run_folder, say_verdict
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

@@ -17,9 +17,9 @@ from agent.formation.geometry import Geometry, is_rigid, resolve, start_hands
 from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
 from deploy.check_safety import parting
+from deploy.console.wording import robots, some
 from deploy.fault_words import defaults, described, words
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
-from deploy.wording import robots, some
 
 FAULTS_SHOWN: Final = 12
 

@@ -6,8 +6,8 @@ import argparse
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import Fleet
-from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
+from deploy.console.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled
 
 if TYPE_CHECKING:

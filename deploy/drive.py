@@ -19,14 +19,14 @@ from agent.node import next_tick_ns
 from agent.orders import OrderError
 from agent.runtime.bus import Bus
 from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
+from deploy.console.interrupt import Interrupt
+from deploy.console.wording import robots
 from deploy.fleet_processes import FleetProcesses
 from deploy.followed import Followed, Record
-from deploy.interrupt import Interrupt
 from deploy.live import View
 from deploy.operating import HEARTBEAT_PERIOD_NS, refused
 from deploy.process_faults import WORDS, Action, actions
 from deploy.standstill import Standstill
-from deploy.wording import robots
 
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4

@@ -10,14 +10,14 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import Fleet, load_fleet
-from deploy.arguments import InputError, fleet_path
+from deploy.console.arguments import InputError, fleet_path
 from deploy.outcome import finish, refuse_errors, run_folder
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from deploy.interrupt import Interrupt
+    from deploy.console.interrupt import Interrupt
     from deploy.registry import Registration
     from deploy.runfolder import RunFolder
 
@@ -78,7 +78,7 @@ class _Fixed(argparse.Action):
 
 def _drive(options: argparse.Namespace) -> int:
     from deploy.attached import refused
-    from deploy.interrupt import Interrupt
+    from deploy.console.interrupt import Interrupt
 
     interrupt = Interrupt()
     with interrupt.caught():

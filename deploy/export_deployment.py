@@ -21,7 +21,7 @@ from agent.fleet.host_sections import HostSection
 from agent.supervision.state_machine import DRIVING
 from deploy import host_program, units
 from deploy.bundle import Bundle, Platform
-from deploy.data_files import ANSIBLE
+from deploy.console.data_files import ANSIBLE
 from deploy.host_connection import NO_PYTHON, bootstrap
 from deploy.host_keys import MODULE
 from deploy.host_places import fleet_file, places

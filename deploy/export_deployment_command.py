@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deploy.arguments import InputError, fleet_path, load, no_changes
+from deploy.console.arguments import InputError, fleet_path, load, no_changes
 from deploy.running import DONE, handled
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from agent.fleet.fault_rules import (
     Impairments,
     Rule,
 )
-from deploy.wording import robots
+from deploy.console.wording import robots
 
 _WHERE_AND_WHEN = ("name", "link", "robot", "topic", "partition", "at", "for", "every", "until")
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, read_text
-from deploy.arguments import InputError, scenario_path
+from deploy.console.arguments import InputError, scenario_path
 from deploy.running import DONE, FAILED, INTERRUPTED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from agent.common.schema import Entry
     from agent.fleet.fault_rules import Rule
+    from deploy.console.interrupt import Interrupt
     from deploy.faults_session import FaultsSession
-    from deploy.interrupt import Interrupt
 
 
 def add_parser(commands: Any) -> None:
@@ -121,8 +121,8 @@ def _apply(options: argparse.Namespace) -> int:
 
 def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     """Sends the rules, and keeps them in force until they end."""
+    from deploy.console.interrupt import Interrupt
     from deploy.faults_putting import Putting, names
-    from deploy.interrupt import Interrupt
     from deploy.live_rules import text_of
 
     text = text_of(rules)

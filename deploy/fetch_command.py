@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
+from deploy.console.interrupt import Interrupt
+from deploy.console.times import FORMS, point_in_time
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
-from deploy.times import FORMS, point_in_time
 
 
 def add_parser(commands: Any) -> None:

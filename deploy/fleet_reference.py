@@ -14,7 +14,7 @@ from agent.common.quantities import UNITS
 from agent.common.schema import Entry, entries, example, show
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
-from deploy.data_files import ROOT, TEMPLATE
+from deploy.console.data_files import ROOT, TEMPLATE
 
 PAGE: Final = ROOT / "docs" / "fleet-file.md"
 

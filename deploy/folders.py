@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 
 
 def cache_folder(kind: str) -> Path:

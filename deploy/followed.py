@@ -14,6 +14,7 @@ from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
 from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
 from deploy.author import author
+from deploy.console.wording import robots
 from deploy.fleet_processes import FleetProcesses
 from deploy.live import Watch, fleet_time_s
 from deploy.operating import Operator, Order
@@ -22,7 +23,6 @@ from deploy.readiness import in_words, is_ready, waits
 from deploy.recorder import RecordingError
 from deploy.session import valid
 from deploy.vehicle_checks import VehicleChecks
-from deploy.wording import robots
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
 """How often something is said again that a process has not heard."""

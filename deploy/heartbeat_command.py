@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 from deploy.running import DONE, MEANING, handled, running_fleet
 
 
@@ -26,8 +26,8 @@ def add_parser(commands: Any) -> None:
 
 
 def _heartbeat(options: argparse.Namespace) -> int:
+    from deploy.console.interrupt import Interrupt
     from deploy.heartbeat_session import beat
-    from deploy.interrupt import Interrupt
 
     fleet = running_fleet(options.fleet)
     deadman_s = fleet.supervision.deadman_s

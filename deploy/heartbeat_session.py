@@ -9,11 +9,11 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Heartbeat
 from deploy.author import author
+from deploy.console.interrupt import Interrupt
+from deploy.console.wording import robots
 from deploy.faults_putting import Line
-from deploy.interrupt import Interrupt
 from deploy.operating import HEARTBEAT_PERIOD_NS
 from deploy.session import Session, connected
-from deploy.wording import robots
 
 PERIOD_S: Final = HEARTBEAT_PERIOD_NS / 1e9
 

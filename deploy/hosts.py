@@ -9,9 +9,9 @@ from agent.common.schema import Problem
 from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.fleet.host_sections import HostSection
 from deploy import ssh
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
+from deploy.console.wording import some
 from deploy.placing import is_simulated
-from deploy.wording import some
 
 
 def located(fleet: Fleet) -> Fleet:

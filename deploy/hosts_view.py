@@ -10,8 +10,8 @@ from typing import Final, Protocol, TextIO
 
 from rich.table import Table
 
-from deploy.views import LinesView, Speaker, TerminalView, plain
-from deploy.wording import robots as robots_words
+from deploy.console.views import LinesView, Speaker, TerminalView, plain
+from deploy.console.wording import robots as robots_words
 
 DOING, DONE, FAILED = "doing", "done", "failed"
 _COUNT: Final = re.compile(r" \d+ of (?=\d+ MB)")  # how far it has come is for the table

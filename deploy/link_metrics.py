@@ -11,6 +11,7 @@ from agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from agent.links.fault_plan import FaultPlan, link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis import Analysis
+from deploy.console.wording import robots
 from deploy.fault_times import LiveSet, live_sets, windows
 from deploy.fault_words import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.link_audit import audit, links_of
@@ -18,7 +19,6 @@ from deploy.link_data import Floats, Ints, Link, LinkTable
 from deploy.recording import Recording
 from deploy.rounding import largest, mean, number, percentile
 from deploy.run_tables import StatusTable
-from deploy.wording import robots
 
 _RECEIVED, _LOST, _OFFSET, _ERROR = 2, 3, 4, 5  # columns of StatusTable.neighbours
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]

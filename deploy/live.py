@@ -20,11 +20,11 @@ from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
 from agent.supervision.state_machine import State
+from deploy.console.views import LinesView, Speaker, TerminalView, plain
 from deploy.fault_words import defaults, held, lasts, words
 from deploy.live_faults import Held, shown
 from deploy.news import News
 from deploy.operating import Known
-from deploy.views import LinesView, Speaker, TerminalView, plain
 
 STYLES: Final = {
     State.RUNNING.value: "green",

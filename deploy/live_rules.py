@@ -11,7 +11,7 @@ from agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, 
 from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.links.fault_plan import named
 from agent.messages.types import RULES_MAX
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 from deploy.fault_words import defaults
 
 NOT_LIVE: Final = (*ACTION_FIELDS, *CLOCK_FIELDS)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from agent.fleet.fleet import Fleet
+from deploy.console.interrupt import Interrupt
 from deploy.drive import Drive
-from deploy.interrupt import Interrupt
 from deploy.live import View
 from deploy.operator_bus import operator_bus
 from deploy.placing import Vehicle

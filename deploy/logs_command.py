@@ -19,7 +19,7 @@ from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
 from deploy import ssh, units
-from deploy.arguments import (
+from deploy.console.arguments import (
     InputError,
     fleet_path,
     host_argument,
@@ -28,10 +28,10 @@ from deploy.arguments import (
     robots_argument,
     robots_named,
 )
+from deploy.console.interrupt import Interrupt
+from deploy.console.times import FORMS, point_in_time
 from deploy.hosts import hosts_of, located, robots_on
-from deploy.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
-from deploy.times import FORMS, point_in_time
 
 FOLLOWED_LINES: Final = 20
 """Lines of each host that are shown before those that are followed."""

@@ -20,12 +20,12 @@ from agent.formation.geometry import Geometry
 from agent.supervision.state_machine import DRIVING, State
 from deploy import link_metrics, oracles, oracles_apart
 from deploy.analysis import Analysis, Approach, analyse, norm
+from deploy.console.wording import robots
 from deploy.link_data import Floats
 from deploy.recorder import RecordingError
 from deploy.recording import Recording
 from deploy.rounding import largest, number, percentile
 from deploy.stability import SETTLED
-from deploy.wording import robots
 
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from deploy.arguments import InputError
-from deploy.data_files import TEMPLATE
+from deploy.console.arguments import InputError
+from deploy.console.data_files import TEMPLATE
 
 DONE: Final = 0
 

@@ -9,7 +9,7 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.messages.types import Mission, Resume, Stop
 from agent.supervision.state_machine import DRIVING, State
-from deploy.wording import robots
+from deploy.console.wording import robots
 
 SENTENCES_MAX: Final = 8
 """Of one moment; of more only the number is said."""

@@ -14,8 +14,8 @@ from agent.runtime.bus import Bus
 from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator
-from deploy.arguments import InputError
 from deploy.authority import keys_folder
+from deploy.console.arguments import InputError
 from deploy.live_faults import receivers
 
 OPERATOR: Final = "HANDFAST_OPERATOR"

@@ -13,7 +13,7 @@ from agent.fleet.order_file import read_orders
 from agent.fleet.order_sections import OrderSection, ShapeSection
 from agent.fleet.scenario import ScenarioError
 from agent.fleet.sections import TRAJECTORY_FIELDS
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 
 if TYPE_CHECKING:
     from agent.formation.mission_plan import Plan

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import Fleet, fleet_tables, read_text
-from deploy.arguments import InputError, fleet_path
+from deploy.console.arguments import InputError, fleet_path
 from deploy.order_options import OPTIONS, order_of_options, shape_tables
 from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 

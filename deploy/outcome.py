@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 from deploy.running import DONE, FAILED, INTERRUPTED
 
 if TYPE_CHECKING:

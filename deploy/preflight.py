@@ -20,7 +20,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.runtime.bus import Bus
-from deploy.interrupt import Interrupt
+from deploy.console.interrupt import Interrupt
 from deploy.placing import Vehicle
 from deploy.processes import VEHICLE, Processes
 from deploy.runfolder import FLEET_FILE

@@ -6,8 +6,8 @@ import argparse
 import sys
 from typing import Any
 
-from deploy.arguments import InputError, fleet_arguments, load
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, fleet_arguments, load
+from deploy.console.interrupt import Interrupt
 
 CLEAR, BLOCKED, INTERRUPTED = 0, 1, 130
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from agent.messages.types import PlantState, Status
 from agent.supervision.state_machine import State, at_rest
-from deploy.wording import robots
+from deploy.console.wording import robots
 
 
 def is_ready(state: str) -> bool:

@@ -20,8 +20,8 @@ from typing import Final
 from agent.common.schema import show
 from agent.fleet.fleet import load_fleet
 from agent.runtime.runtime_folder import private_folder
-from deploy.arguments import bundled, fleet_path
-from deploy.wording import NAMES_SHOWN
+from deploy.console.arguments import bundled, fleet_path
+from deploy.console.wording import NAMES_SHOWN
 
 _PREFIX: Final = "run-"
 _SUFFIX: Final = ".json"

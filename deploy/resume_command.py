@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from deploy.arguments import robots_argument, robots_named
+from deploy.console.arguments import robots_argument, robots_named
 from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 
 

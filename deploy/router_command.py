@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from deploy.arguments import InputError, fleet_path, load, no_changes
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, fleet_path, load, no_changes
+from deploy.console.interrupt import Interrupt
 from deploy.running import DONE, INTERRUPTED, handled
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 
 from agent.fleet.fleet import Fleet, FleetError, load_fleet
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANING = (

@@ -13,7 +13,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message
 from agent.messages.validation import Malformed
-from deploy.interrupt import Interrupt
+from deploy.console.interrupt import Interrupt
 from deploy.live_faults import Receiver, receivers
 from deploy.operator_bus import operator_bus
 from deploy.running import NoAnswerError

@@ -11,14 +11,14 @@ from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Robot
-from deploy.arguments import (
+from deploy.console.arguments import (
     InputError,
     fleet_arguments,
     load_unresolved,
     robots_argument,
     robots_named,
 )
-from deploy.interrupt import Interrupt
+from deploy.console.interrupt import Interrupt
 from deploy.placing import is_simulated
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130

@@ -7,8 +7,8 @@ import time
 from typing import Final
 
 from agent.messages import key_expressions
+from deploy.console.interrupt import Interrupt
 from deploy.followed import Followed
-from deploy.interrupt import Interrupt
 from deploy.live import View
 from deploy.readiness import stands
 from deploy.recorder import RecordingError

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Final
 
-from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
+from deploy.console.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:

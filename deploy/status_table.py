@@ -15,9 +15,9 @@ from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from agent.messages.types import Status
 from deploy import units
+from deploy.console.wording import robots
 from deploy.host_connection import Clock, HostError
 from deploy.live import STYLES
-from deploy.wording import robots
 
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240

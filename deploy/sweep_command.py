@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import FleetError
-from deploy.arguments import InputError, change_arguments, fleet_path, fleet_text, overrides, scenario_path
+from deploy.console.arguments import (
+    InputError,
+    change_arguments,
+    fleet_path,
+    fleet_text,
+    overrides,
+    scenario_path,
+)
 
 if TYPE_CHECKING:
     from deploy.sweep import Plan, Question
@@ -86,7 +93,7 @@ def sweep(options: argparse.Namespace) -> int:
 
 
 def _sweep(options: argparse.Namespace) -> int:
-    from deploy.interrupt import Interrupt
+    from deploy.console.interrupt import Interrupt
     from deploy.pool import cores
     from deploy.sweep import SweepError, make_plan
     from deploy.sweep_folder import SweepFolder
@@ -214,8 +221,8 @@ def _write(folder: SweepFolder, run: int) -> int:
 
 def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
+    from deploy.console.progress import make_progress
     from deploy.pool import Pool
-    from deploy.progress import make_progress
     from deploy.sweep_run import Runs
 
     missing = folder.missing

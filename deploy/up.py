@@ -19,13 +19,13 @@ from agent.supervision.state_machine import DRIVING
 from deploy import units
 from deploy.arrivals import Arrivals
 from deploy.bundle import program_archive
+from deploy.console.interrupt import Interrupt
+from deploy.console.wording import robots as robots_words
 from deploy.host_connection import HostConnection, HostError
 from deploy.host_jobs import LOOK_S, HostJobs
 from deploy.host_setup import Keys, Prepared, prepare
 from deploy.hosts import robots_text
 from deploy.hosts_view import DONE, HostsView, Row
-from deploy.interrupt import Interrupt
-from deploy.wording import robots as robots_words
 
 LISTEN_S: Final = 1.5
 """A fleet that is up is heard within this: whether it drives decides how its robots start again."""

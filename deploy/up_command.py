@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from agent.fleet.fleet import Fleet
-from deploy.arguments import InputError, fleet_path, host_argument, load, no_changes
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
+from deploy.console.interrupt import Interrupt
 from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:

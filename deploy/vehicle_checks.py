@@ -13,7 +13,7 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import LEVELS, Checks, Message
-from deploy.wording import robots
+from deploy.console.wording import robots
 from plant.backend import WAITING
 
 SETTLE_NS: Final = 5 * NS_PER_S

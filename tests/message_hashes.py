@@ -71,7 +71,9 @@ def fleet_of(name: str) -> Any:
             module("deploy.chaos.draw", "deploy.chaos_draw").draw(int(name.removeprefix("chaos-")))
         )
     else:
-        arguments = module("deploy.console.arguments", "deploy.inventory.arguments", "deploy.arguments")
+        arguments = module(
+            "deploy.console.arguments", "deploy.inventory.arguments", "deploy.console.arguments"
+        )
         text = arguments.fleet_path(name).read_text(encoding="utf-8")
         if name == "reserve":
             text += ORDERS

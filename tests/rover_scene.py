@@ -19,7 +19,7 @@ from bridges.mavlink.session.signing import Signing
 from bridges.mavlink.simulator.in_memory import LATENCY_NS, STEP_NS
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import Settings, settings_of
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from plant.backend import Check, Command, Reading
 
 START_NS = 1_800_000_000 * NS_PER_S

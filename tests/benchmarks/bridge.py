@@ -36,7 +36,7 @@ from agent.formation.geometry import resolved
 from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.streams import wanted_messages
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 from deploy.placing import ADDRESS, Vehicle, place
 from deploy.ports import Reservation
 from deploy.processes import MODULES, VEHICLE, VEHICLE_MODULE

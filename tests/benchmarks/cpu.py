@@ -22,7 +22,7 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
 from agent.node import Node
 from agent.runtime import bus
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 from tests.benchmarks.figures import Figure, Options, Result, spread, table

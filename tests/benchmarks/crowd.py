@@ -16,8 +16,8 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from deploy import judged
 from deploy.analysis import analyse
-from deploy.arguments import fleet_path, fleet_text
 from deploy.balance import caught
+from deploy.console.arguments import fleet_path, fleet_text
 from deploy.pool import GoOn
 from deploy.sweep import Plan, Question, make_plan
 from deploy.sweep_run import Row, Runs, execute

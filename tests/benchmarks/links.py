@@ -20,7 +20,7 @@ from agent.links.link_emulator import Links
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import TOPICS, HandState
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 
 ROBOT: Final = 2

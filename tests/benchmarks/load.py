@@ -8,7 +8,7 @@ from statistics import median
 
 from agent.fleet.fleet import load_fleet
 from agent.formation.geometry import resolved
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result
 from tests.benchmarks.processes import ROLES, measure, start_handfast
 

@@ -28,7 +28,7 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages.codec import decode
 from deploy.analysis import Analysis, analyse
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 from deploy.drawing import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
 from deploy.recording import Recording, RunData
 from deploy.simulation import Simulation

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from deploy.arguments import fleet_path, fleet_text
+from deploy.console.arguments import fleet_path, fleet_text
 from deploy.sweep import Question, make_plan
 from deploy.sweep_run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table

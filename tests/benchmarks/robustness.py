@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from deploy.arguments import fleet_path, fleet_text
-from deploy.data_files import SCENARIOS
+from deploy.console.arguments import fleet_path, fleet_text
+from deploy.console.data_files import SCENARIOS
 from deploy.sweep import Plan, Question, make_plan
 from deploy.sweep_run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table

@@ -11,7 +11,7 @@ from typing import Final
 
 from agent.fleet.fleet import load_fleet
 from agent.formation.geometry import resolved
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 from deploy.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError, environment, handfast

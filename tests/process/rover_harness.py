@@ -18,7 +18,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Checks, Resume
 from bridges.mavlink.transport.transport import open_transport
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.placing import Vehicle, place, vehicle
 from deploy.ports import Reservation
 from deploy.processes import MODULES, VEHICLE, VEHICLE_MODULE

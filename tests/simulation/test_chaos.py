@@ -9,11 +9,11 @@ import pytest
 
 from agent.control import controller
 from agent.supervision.state_machine import TRANSITIONS
-from deploy.arguments import fleet_path, fleet_text
 from deploy.chaos import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text
 from deploy.chaos_draw import draw
 from deploy.chaos_report import NOT_DRAWN, parts
 from deploy.chaos_shrink import shrink
+from deploy.console.arguments import fleet_path, fleet_text
 
 SEEDS = range(100)
 FOUND = sorted((Path(__file__).parent / "chaos").glob("*.toml"))

@@ -19,7 +19,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Mission
 from agent.node import Node, Outgoing
 from agent.supervision.state_machine import State
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.random_starts import random_fleet
 from deploy.simulation import Simulation
 from plant.node import PlantNode

@@ -11,7 +11,7 @@ import pytest
 
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop
 

@@ -14,7 +14,7 @@ from agent.common.clock import NS_PER_S
 from agent.control import hand
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.simulation import Simulation
 from plant.unicycle import Unicycle
 

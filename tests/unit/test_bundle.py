@@ -13,7 +13,7 @@ import pytest
 
 from deploy import bundle
 from deploy.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
-from deploy.data_files import ROBOT_REQUIREMENTS
+from deploy.console.data_files import ROBOT_REQUIREMENTS
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
 

@@ -11,7 +11,7 @@ from deploy import judged
 from deploy.analysis import analyse
 from deploy.check import check
 from deploy.check_braking import check_braking
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.finding import Finding
 from tests.unit.agent.fleet.fleet_texts import small
 

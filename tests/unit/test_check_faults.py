@@ -14,7 +14,7 @@ from agent.messages.codec import encode
 from agent.messages.types import HandState
 from deploy.check import Finding, check
 from deploy.check_faults import silences
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.description import describe
 from tests.unit.simulated_run import driven
 

@@ -7,7 +7,7 @@ import pytest
 from agent.fleet.fleet import Fleet, load_fleet
 from deploy.check import check
 from deploy.check_vehicles import check_vehicles
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.description import describe
 from deploy.finding import Finding
 

@@ -12,7 +12,7 @@ import pytest
 from agent.fleet.fleet import load_fleet
 from deploy.check import check
 from deploy.cli import main
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 
 ROOT = Path(__file__).parents[2]
 OPERATORS = ("matplotlib", "mcap", "pyarrow", "rich", "tomli_w")

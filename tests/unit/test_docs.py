@@ -15,7 +15,7 @@ from agent.formation.geometry import resolve, resolved
 from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli
 from deploy.check import check
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.oracles import ORACLES
 
 ROOT = Path(__file__).parents[2]

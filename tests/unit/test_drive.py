@@ -20,8 +20,8 @@ from agent.node import FIRST_ROUND
 from agent.runtime.bus import Bus
 from deploy.attached import Attached
 from deploy.before_drive import BROKEN_OFF, OVER, refusal
+from deploy.console.interrupt import Interrupt
 from deploy.drive import Drive
-from deploy.interrupt import Interrupt
 from deploy.live import Lines
 from deploy.operating import Known
 from deploy.recorder import RecordingError

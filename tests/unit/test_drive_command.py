@@ -12,9 +12,9 @@ import pytest
 
 from agent.runtime.bus import BusError
 from agent.runtime.runtime_folder import NotPrivateError
-from deploy.arguments import InputError
 from deploy.cli import main
-from deploy.data_files import FLEETS
+from deploy.console.arguments import InputError
+from deploy.console.data_files import FLEETS
 from deploy.ports import Reservation
 from deploy.recorder import RecordingError
 from deploy.recording import Recording

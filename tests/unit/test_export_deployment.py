@@ -22,7 +22,7 @@ from agent.fleet.host_sections import HostSection
 from agent.formation.geometry import resolved
 from deploy import export_deployment_command
 from deploy.bundle import Bundle, Platform
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platform, texts
 from deploy.finding import Finding
 from deploy.host_connection import Clock

@@ -18,7 +18,7 @@ from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.fault_words import end_of, lasts, next_begin, window, words
 from deploy.faults_command import add_parser
 from deploy.faults_putting import NothingToClearError, Putting, clear, names

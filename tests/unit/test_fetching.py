@@ -13,7 +13,7 @@ import tomli_w
 
 from agent.fleet.fleet import to_dict
 from deploy import fetch_command, fetching
-from deploy.arguments import InputError, no_changes
+from deploy.console.arguments import InputError, no_changes
 from deploy.fetching import SHARE_MAX, Fetching
 from deploy.host_connection import HostError
 from deploy.hosts_view import Row

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.fleet import Fleet, FleetError, parse_fleet
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 from deploy.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, RIGHT, fleet
 

@@ -11,7 +11,7 @@ from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Mission, Status, Stop
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.live import Lines, Watch, faults_line, summary
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S

@@ -17,8 +17,8 @@ import tomli_w
 
 from agent.fleet.fleet import to_dict
 from deploy import logs_command, ssh
-from deploy.arguments import InputError, no_changes
-from deploy.interrupt import Interrupt
+from deploy.console.arguments import InputError, no_changes
+from deploy.console.interrupt import Interrupt
 from deploy.logs_command import Line, Reader
 from tests.unit.agent.fleet.test_hosts import fleet
 

@@ -18,10 +18,10 @@ from agent.fleet.safety_sections import AvoidanceSection
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
+from deploy.console.wording import robots
 from deploy.metrics import compute, write
 from deploy.recorder import RecordingError
 from deploy.recording import Recording, RunData
-from deploy.wording import robots
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
 from tests.unit.synthetic_run import Path as Way
 

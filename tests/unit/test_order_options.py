@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from deploy.arguments import InputError
+from deploy.console.arguments import InputError
 from deploy.order_options import order_of_options, shape_tables
 from tests.unit.order_fleets import after, first_plan, order, square
 

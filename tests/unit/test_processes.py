@@ -11,7 +11,7 @@ import pytest
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from deploy import processes
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.placing import Vehicle
 from deploy.process_faults import Action
 from deploy.processes import Processes

@@ -9,7 +9,7 @@ import pytest
 
 from agent.fleet.host_sections import HostSection
 from deploy import registry, ssh
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.registry import NotRunningError, Registration, find, running
 from deploy.running import running_fleet
 

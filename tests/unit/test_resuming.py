@@ -12,8 +12,8 @@ from agent.messages import key_expressions
 from agent.messages.types import PlantState, Resume, Status
 from agent.supervision.state_machine import MISSION_OVER
 from agent.supervision.stop_latch import AWAITED
-from deploy.arguments import InputError, robots_named
-from deploy.data_files import FLEETS
+from deploy.console.arguments import InputError, robots_named
+from deploy.console.data_files import FLEETS
 from deploy.resuming import Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")

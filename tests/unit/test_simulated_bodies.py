@@ -12,7 +12,7 @@ from agent.formation.geometry import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.simulated_bodies import Bodies
 from deploy.simulation import Simulation
 from plant.backend import Command

@@ -10,7 +10,7 @@ import tomli_w
 
 from agent.fleet.fleet import to_dict
 from deploy import down_command, status_command
-from deploy.arguments import no_changes
+from deploy.console.arguments import no_changes
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
 

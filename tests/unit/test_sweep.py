@@ -19,8 +19,8 @@ from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.formation.geometry import resolve, start_hands
 from agent.messages.codec import decode
 from deploy import judged, metrics
-from deploy.arguments import fleet_text
-from deploy.data_files import FLEETS
+from deploy.console.arguments import fleet_text
+from deploy.console.data_files import FLEETS
 from deploy.pool import Abandoned, GoOn
 from deploy.recording import Recording, RunData
 from deploy.run_tables import Table

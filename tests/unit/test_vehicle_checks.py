@@ -10,7 +10,7 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import load_fleet
 from agent.messages import key_expressions
 from agent.messages.types import Checks, PlantState, Status
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from deploy.preflight import Found, columns, death, passed, show, summary, to_json
 from deploy.readiness import in_words, waits
 from deploy.vehicle_checks import SETTLE_NS, Line, VehicleChecks

@@ -13,7 +13,7 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from plant import server
 from plant.__main__ import place
 from plant.unicycle import from_fleet

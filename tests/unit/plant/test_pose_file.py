@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.fleet import parse_fleet
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 from plant.__main__ import main as plant
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.pose_file import Standing, StandingBody, StandingError

@@ -12,7 +12,7 @@ from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import load_fleet, parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 
 S = 1_000_000_000
 T0 = 1000 * S

@@ -18,7 +18,7 @@ from agent.recorder.recorder import BLOCK_BYTES, BLOCK_NS, KNOWN_BYTES, RETRY_NS
 from agent.recorder.segment_folder import FolderInUseError, SegmentFolder, segment_paths
 from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Block, Received, Segment
 from agent.runtime.bus import BusError
-from deploy.data_files import FLEETS
+from deploy.console.data_files import FLEETS
 
 BEGUN_NS = 1_763_600_000_000_000_000
 TOLD = key_expressions.told("delta", 3)

@@ -12,7 +12,7 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.runtime import sealed_bus
 from agent.runtime.bus import LINK_TIMEOUT_S, Bus, settings_of
 from agent.runtime.sealed_bus import bus_for
-from deploy.arguments import fleet_path
+from deploy.console.arguments import fleet_path
 
 
 def delta(*sets: str) -> Fleet:

@@ -12,9 +12,9 @@ from typing import TextIO
 import pytest
 
 from deploy import hosts_view, live
+from deploy.console.views import TerminalView
 from deploy.hosts_view import Row, make_hosts_view
 from deploy.live import Picture, RobotPicture, make_view
-from deploy.views import TerminalView
 
 EVIL = "[/x] [bold]a\x1b[2Jb\nc"
 SAFE = "[/x] [bold]a\\x1b[2Jb\\nc"

@@ -15,7 +15,7 @@ from typing import Final
 import pytest
 
 from deploy import cli
-from deploy.interrupt import Interrupt, remembered
+from deploy.console.interrupt import Interrupt, remembered
 
 
 @pytest.fixture(autouse=True)
@@ -81,7 +81,7 @@ def test_the_exit_status_is_one_wherever_it_came(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "loads"],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
         capture_output=True,
         text=True,
         check=False,

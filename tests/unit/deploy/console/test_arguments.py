@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.arguments import InputError, fleet_path, scenario_path
-from deploy.data_files import FLEETS
+from deploy.console.arguments import InputError, fleet_path, scenario_path
+from deploy.console.data_files import FLEETS
 
 
 def test_a_file_goes_before_a_bundled_fleet_and_a_folder_does_not(

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from agent.fleet.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.sections import LAWS
-from deploy.data_files import FLEETS, SCENARIOS
-from deploy.wording import some
+from deploy.console.data_files import FLEETS, SCENARIOS
+from deploy.console.wording import some
 
 
 class InputError(Exception):

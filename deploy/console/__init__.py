@@ -1,0 +1,1 @@
+"""What every command line needs: options, exit statuses, Ctrl-C, progress, wording."""
