@@ -102,7 +102,7 @@ def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool) -> str:
     """Why no drive of a fleet that is up may begin (`deploy.before_drive.refusal`), "" when it may.
 
     Raises:
-        deploy.running.NoAnswerError: nobody is there.
+        deploy.inventory.running.NoAnswerError: nobody is there.
         agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(OperatorSession(fleet), interrupt) as session:

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from agent.runtime.version import handfast_version
 from deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
-from deploy.folders import cache_folder
+from deploy.inventory.folders import cache_folder
 
 PACKAGES: Final = ("agent", "plant", "bridges")
 """What a robot runs; `deploy` is the operator's."""

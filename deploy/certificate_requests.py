@@ -10,9 +10,9 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
 from agent.security.private_files import reason
-from deploy.authority import Authority
 from deploy.console.arguments import InputError
-from deploy.hosts import located
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.hosts import located
 
 REQUESTS_BYTES_MAX: Final = 4_000_000
 SHAPE: Final = 'must be JSON, a certificate request (PEM) by robot: {"1": "-----BEGIN ..."}'
@@ -53,7 +53,7 @@ def answer(fleet: Fleet, authority: Authority, requests: dict[int, str], now_s: 
     A certificate holds for the address of the robot's host.
 
     Raises:
-        deploy.authority.AuthorityError: a request is not one of its robot.
+        deploy.inventory.certificate_authority.AuthorityError: a request is not one of its robot.
     """
     hosts = {host.name: host for host in located(fleet).hosts}
     signed = {}

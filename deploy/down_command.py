@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.fleet.fleet import Fleet
 from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
-from deploy.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled
 
 if TYPE_CHECKING:
     from deploy.host_connection import HostConnection
@@ -35,9 +35,9 @@ def add_parser(commands: Any) -> None:
 
 def _down(options: argparse.Namespace) -> int:
     from deploy.host_jobs import HostJobs
-    from deploy.hosts import hosts_of, located
     from deploy.hosts_view import DONE as HOST_DONE
     from deploy.hosts_view import make_hosts_view
+    from deploy.inventory.hosts import hosts_of, located
 
     interrupt = Interrupt()
     with interrupt.caught():

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import Fleet, load_fleet
 from deploy.console.arguments import InputError, fleet_path
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 from deploy.outcome import finish, refuse_errors, run_folder
-from deploy.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from deploy.console.interrupt import Interrupt
-    from deploy.registry import Registration
+    from deploy.inventory.registry import Registration
     from deploy.runfolder import RunFolder
 
 ROBOTS_FILE: Final = "robots.toml"
@@ -109,7 +109,7 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
     fleet = resolved(load_fleet(path))
     driven = resolved(load_fleet(path, changes, orders=options.orders))
     if any(robot.host is not None for robot in fleet.robots):
-        from deploy.hosts import located
+        from deploy.inventory.hosts import located
 
         fleet = located(fleet)
     return fleet, driven
@@ -186,7 +186,7 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
     from agent.fleet.fleet import to_dict
     from agent.runtime.runtime_folder import NotPrivateError
-    from deploy.registry import Registration
+    from deploy.inventory.registry import Registration
 
     path = folder / ROBOTS_FILE
     try:

@@ -26,8 +26,8 @@ from deploy.host_connection import NO_PYTHON, bootstrap
 from deploy.host_keys import MODULE
 from deploy.host_places import fleet_file, places
 from deploy.host_setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
-from deploy.hosts import hosts_of, robots_on
-from deploy.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
+from deploy.inventory.hosts import hosts_of, robots_on
+from deploy.inventory.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
 
 GROUP: Final = "handfast_robots"
 OPERATORS_FLEET: Final = "fleet.toml"
@@ -187,7 +187,7 @@ def _run(arguments: Sequence[str], text: str) -> dict[str, Any]:
 
 
 def _reached(host: HostSection) -> Mapping[str, Any]:
-    """How Ansible reaches a host: as `deploy.ssh` does, by its name in ssh's own configuration."""
+    """How Ansible reaches a host: as `deploy.inventory.ssh` does, by its name in ssh's own configuration."""
     options = ["-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}"]
     # Else a connection that Ansible keeps, to a host that is gone by now, has it wait for minutes.
     options += ["-o", f"ServerAliveInterval={ALIVE_INTERVAL_S}", "-o", f"ServerAliveCountMax={ALIVE_COUNT}"]

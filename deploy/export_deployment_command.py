@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deploy.console.arguments import InputError, fleet_path, load, no_changes
-from deploy.running import DONE, handled
+from deploy.inventory.running import DONE, handled
 
 if TYPE_CHECKING:
     from deploy.bundle import Platform
@@ -53,8 +53,8 @@ def _export(options: argparse.Namespace) -> int:
     from agent.fleet.fleet import to_dict
     from deploy.bundle import BundleError
     from deploy.export_deployment import DeploymentError, texts
-    from deploy.folders import refuse_full
-    from deploy.hosts import hosts_of, located, refuse_simulated, robots_text
+    from deploy.inventory.folders import refuse_full
+    from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_text
     from deploy.outcome import refuse_errors
 
     fleet = load(options)

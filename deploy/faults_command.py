@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, read_text
 from deploy.console.arguments import InputError, scenario_path
-from deploy.running import DONE, FAILED, INTERRUPTED, MEANING, handled, running_fleet
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from agent.common.schema import Entry

@@ -11,7 +11,7 @@ from typing import Any
 from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
-from deploy.running import DONE, FAILED, INTERRUPTED, handled
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 
 
 def add_parser(commands: Any) -> None:
@@ -36,11 +36,11 @@ def add_parser(commands: Any) -> None:
 
 def _fetch(options: argparse.Namespace) -> int:
     from deploy.fetching import Fetching
-    from deploy.folders import refuse_full
     from deploy.host_jobs import HostJobs
-    from deploy.hosts import hosts_of, located
     from deploy.hosts_view import FAILED as HOST_FAILED
     from deploy.hosts_view import make_hosts_view
+    from deploy.inventory.folders import refuse_full
+    from deploy.inventory.hosts import hosts_of, located
     from deploy.merging import Choice, merge
     from deploy.outcome import say_verdict
     from deploy.recorder import RecordingError

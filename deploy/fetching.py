@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
 from agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
-from deploy.folders import cache_folder
 from deploy.host_connection import HostConnection, HostError
-from deploy.hosts import robots_on
 from deploy.hosts_view import Row
+from deploy.inventory.folders import cache_folder
+from deploy.inventory.hosts import robots_on
 
 PART_BYTES: Final = 1 << 20
 SHARE_MAX: Final = 10

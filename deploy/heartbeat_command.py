@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from deploy.console.arguments import InputError
-from deploy.running import DONE, MEANING, handled, running_fleet
+from deploy.inventory.running import DONE, MEANING, handled, running_fleet
 
 
 def add_parser(commands: Any) -> None:

@@ -53,7 +53,7 @@ def beat(fleet: Fleet, interrupt: Interrupt, stream: TextIO) -> None:
     """Sends heartbeats to a running fleet until interrupted.
 
     Raises:
-        deploy.running.NoAnswerError: nobody is there.
+        deploy.inventory.running.NoAnswerError: nobody is there.
         agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(HeartbeatSession(fleet), interrupt) as session:

@@ -14,7 +14,8 @@ from typing import IO, Any, Final, NamedTuple
 
 from agent.common.schema import printable
 from agent.fleet.host_sections import HostSection
-from deploy import host_program, ssh
+from deploy import host_program
+from deploy.inventory import ssh
 
 PROGRAM: Final = Path(host_program.__file__)
 PYTHONS: Final = ("python3", "python3.14", "python3.13", "python3.12", "python3.11")

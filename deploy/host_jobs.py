@@ -14,8 +14,8 @@ from agent.fleet.host_sections import HostSection
 from deploy.bundle import end_downloads
 from deploy.console.interrupt import Interrupt
 from deploy.host_connection import HostConnection, HostError
-from deploy.hosts import robots_on
 from deploy.hosts_view import DOING, HostsView, Row
+from deploy.inventory.hosts import robots_on
 
 AT_ONCE_MAX: Final = 32
 """Hosts that are worked on at a time."""

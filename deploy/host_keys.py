@@ -9,9 +9,9 @@ from typing import Final
 
 from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
-from deploy.authority import Authority, AuthorityError
 from deploy.host_connection import HostConnection, HostError
-from deploy.hosts import robots_on
+from deploy.inventory.certificate_authority import Authority, AuthorityError
+from deploy.inventory.hosts import robots_on
 
 MODULE: Final = "agent.security.credentials"
 

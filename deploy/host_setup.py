@@ -11,7 +11,7 @@ from agent.fleet.host_sections import HostSection
 from deploy import host_places, units
 from deploy.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.host_connection import Clock, HostConnection, HostError
-from deploy.hosts import robots_on
+from deploy.inventory.hosts import robots_on
 
 INSTALL_TIMEOUT_S: Final = 400.0
 INSTALL_BYTES: Final = 500_000_000

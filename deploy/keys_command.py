@@ -24,9 +24,9 @@ from agent.security.identity import (
     parse,
 )
 from agent.security.private_files import KeyFileError
-from deploy.authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
 from deploy.certificate_requests import answer, read_requests
 from deploy.console.arguments import InputError, fleet_arguments, load_unresolved
+from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
 
 DONE: Final = 0
 NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"

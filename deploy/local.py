@@ -8,11 +8,11 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from deploy.console.interrupt import Interrupt
 from deploy.drive import Drive
+from deploy.inventory.registry import Registration
 from deploy.live import View
 from deploy.operator_bus import operator_bus
 from deploy.placing import Vehicle
 from deploy.processes import Processes
-from deploy.registry import Registration
 from deploy.runfolder import RunFolder
 
 END_TIMEOUT_S: Final = 0.4

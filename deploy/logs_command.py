@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
-from deploy import ssh, units
+from deploy import units
 from deploy.console.arguments import (
     InputError,
     fleet_path,
@@ -30,8 +30,9 @@ from deploy.console.arguments import (
 )
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
-from deploy.hosts import hosts_of, located, robots_on
-from deploy.running import DONE, FAILED, INTERRUPTED, handled
+from deploy.inventory import ssh
+from deploy.inventory.hosts import hosts_of, located, robots_on
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 
 FOLLOWED_LINES: Final = 20
 """Lines of each host that are shown before those that are followed."""

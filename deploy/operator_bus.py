@@ -14,8 +14,8 @@ from agent.runtime.bus import Bus
 from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator
-from deploy.authority import keys_folder
 from deploy.console.arguments import InputError
+from deploy.inventory.certificate_authority import keys_folder
 from deploy.live_faults import receivers
 
 OPERATOR: Final = "HANDFAST_OPERATOR"

@@ -8,10 +8,10 @@ from typing import Final
 from agent.fleet.order_sections import OrderSection
 from agent.formation.mission_plan import Plan
 from agent.messages.types import Message, Mission
+from deploy.inventory.running import NoAnswerError
 from deploy.operating import NO_MISSION
 from deploy.operator_session import OperatorSession
 from deploy.ordering import Ordering
-from deploy.running import NoAnswerError
 
 TAKE_S: Final = 3.0
 """Agents that do not say that they know a mission by then are named."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import Fleet, fleet_tables, read_text
 from deploy.console.arguments import InputError, fleet_path
+from deploy.inventory.running import DONE, FAILED, MEANING, handled, running_fleet
 from deploy.order_options import OPTIONS, order_of_options, shape_tables
-from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
     from agent.fleet.order_sections import OrderSection

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from deploy.console.arguments import InputError
-from deploy.running import DONE, FAILED, INTERRUPTED
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED
 
 if TYPE_CHECKING:
     from deploy.runfolder import RunFolder

@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from deploy.console.arguments import robots_argument, robots_named
-from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
+from deploy.inventory.running import DONE, FAILED, MEANING, handled, running_fleet
 
 
 def add_parser(commands: Any) -> None:

@@ -46,7 +46,7 @@ def resume(fleet: Fleet, robots: Sequence[int]) -> Resuming:
     """What became of leave for these robots of a running fleet, none: all.
 
     Raises:
-        deploy.running.NoAnswerError: nobody is there.
+        deploy.inventory.running.NoAnswerError: nobody is there.
         agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:

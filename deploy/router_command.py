@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from deploy.console.arguments import InputError, fleet_path, load, no_changes
 from deploy.console.interrupt import Interrupt
-from deploy.running import DONE, INTERRUPTED, handled
+from deploy.inventory.running import DONE, INTERRUPTED, handled
 
 if TYPE_CHECKING:
     from agent.fleet.fleet import Fleet
@@ -108,7 +108,7 @@ def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
     from agent.runtime.sealed_bus import secured
     from agent.security.credentials import CredentialsError, MissingError, load
     from agent.security.identity import IdentityError, of_router
-    from deploy.authority import keys_folder
+    from deploy.inventory.certificate_authority import keys_folder
 
     name = fleet.fleet.name
     folder = keys_folder(name) if options.keys is None else Path(options.keys).expanduser()

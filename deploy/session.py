@@ -14,9 +14,9 @@ from agent.messages.codec import decode
 from agent.messages.types import Message
 from agent.messages.validation import Malformed
 from deploy.console.interrupt import Interrupt
+from deploy.inventory.running import NoAnswerError
 from deploy.live_faults import Receiver, receivers
 from deploy.operator_bus import operator_bus
-from deploy.running import NoAnswerError
 
 CONNECT_S: Final = 3.0
 """Processes that are not there by then are named and left out."""

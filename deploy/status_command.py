@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
-from deploy.running import DONE, FAILED, INTERRUPTED, handled
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
     from agent.messages.types import Status
@@ -54,9 +54,9 @@ def _status(options: argparse.Namespace) -> int:
     from deploy import units
     from deploy.host_connection import HostConnection
     from deploy.host_jobs import HostJobs
-    from deploy.hosts import hosts_of, located
     from deploy.hosts_view import FAILED as HOST_FAILED
     from deploy.hosts_view import Row
+    from deploy.inventory.hosts import hosts_of, located
     from deploy.operator_session import OperatorSession
     from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
 

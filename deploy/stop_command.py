@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from deploy.running import DONE, FAILED, MEANING, handled, running_fleet
+from deploy.inventory.running import DONE, FAILED, MEANING, handled, running_fleet
 
 
 def add_parser(commands: Any) -> None:

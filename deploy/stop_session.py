@@ -51,7 +51,7 @@ class StopSession(Session):
         """Says it again, at once to every process that comes, until all brake; gives up after a while.
 
         Raises:
-            deploy.running.NoAnswerError: nobody is there.
+            deploy.inventory.running.NoAnswerError: nobody is there.
         """
         stopping, deadline = self._stopping, time.monotonic() + ANSWER_S
         while not stopping.done and time.monotonic() < deadline:

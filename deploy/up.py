@@ -24,8 +24,8 @@ from deploy.console.wording import robots as robots_words
 from deploy.host_connection import HostConnection, HostError
 from deploy.host_jobs import LOOK_S, HostJobs
 from deploy.host_setup import Keys, Prepared, prepare
-from deploy.hosts import robots_text
 from deploy.hosts_view import DONE, HostsView, Row
+from deploy.inventory.hosts import robots_text
 
 LISTEN_S: Final = 1.5
 """A fleet that is up is heard within this: whether it drives decides how its robots start again."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from agent.fleet.fleet import Fleet
 from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
-from deploy.running import DONE, FAILED, INTERRUPTED, handled
+from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
     from deploy.host_keys import HostKeys
@@ -45,8 +45,8 @@ def add_parser(commands: Any) -> None:
 
 
 def _up(options: argparse.Namespace) -> int:
-    from deploy.hosts import hosts_of, located, refuse_simulated
     from deploy.hosts_view import make_hosts_view
+    from deploy.inventory.hosts import hosts_of, located, refuse_simulated
     from deploy.outcome import refuse_errors
     from deploy.up import BringUp
 
@@ -69,8 +69,8 @@ def _up(options: argparse.Namespace) -> int:
 @contextmanager
 def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
     """What gives robots their certificates; needs the authority that `handfast keys` has made."""
-    from deploy.authority import Authority, AuthorityError, keys_folder
     from deploy.host_keys import HostKeys
+    from deploy.inventory.certificate_authority import Authority, AuthorityError, keys_folder
 
     folder = keys_folder(fleet.fleet.name)
     if not (folder / "authority.pem").exists():

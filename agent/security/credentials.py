@@ -1,7 +1,8 @@
 """What one process proves with who it is: a private key, the certificate for it, the fleet's authority.
 
 Three files in a folder that only one user can look into. The private key is made where it is used and never
-leaves; a request for a certificate goes to the operator's authority (`deploy.authority`), which signs it.
+leaves; a request for a certificate goes to the operator's authority
+(`deploy.inventory.certificate_authority`), which signs it.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from agent.runtime.sealed_bus import gate_of
 from agent.security.access_control import Security
 from agent.security.credentials import Files, load
 from agent.security.identity import MAIN, Identity, of_operator, of_robot
-from deploy.authority import Authority
+from deploy.inventory.certificate_authority import Authority
 from tests.process.fleet_harness import Robots, placed
 from tests.process.harness import ADDRESS
 from tests.process.small_fleets import TRIANGLE

@@ -19,8 +19,8 @@ from agent.messages.codec import encode
 from agent.messages.types import Stop
 from deploy.before_drive import OVER
 from deploy.drive_command import ROBOTS_FILE
+from deploy.inventory.registry import find, running
 from deploy.recording import Recording
-from deploy.registry import find, running
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
 from tests.process.small_fleets import triangle

@@ -16,8 +16,8 @@ from agent.fleet.fleet import to_dict
 from agent.security.credentials import load, make_request, store
 from agent.security.identity import of_robot
 from deploy import keys_command
-from deploy.authority import keys_folder
 from deploy.console.arguments import InputError
+from deploy.inventory.certificate_authority import keys_folder
 from tests.unit.test_export_deployment import fleet
 
 Sign = Callable[..., dict[str, Any]]

@@ -161,7 +161,9 @@ def test_a_drive_that_cannot_begin_leaves_a_complete_recording(
         raise error
 
     place = (
-        "deploy.operator_bus.operator_bus" if type(error) is InputError else "deploy.registry.Registration"
+        "deploy.operator_bus.operator_bus"
+        if type(error) is InputError
+        else "deploy.inventory.registry.Registration"
     )
     monkeypatch.setattr(place, fails)
     assert refused(capsys, "pair", "--out", "out", "--quiet").startswith(says)

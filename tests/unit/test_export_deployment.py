@@ -27,7 +27,7 @@ from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platfor
 from deploy.finding import Finding
 from deploy.host_connection import Clock
 from deploy.host_setup import prepare
-from deploy.hosts import located, robots_on, robots_text
+from deploy.inventory.hosts import located, robots_on, robots_text
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
 ROOT = "/home/pi/.local/share/handfast"

@@ -15,8 +15,8 @@ from agent.fleet.host_sections import HostSection
 from agent.security import __main__
 from agent.security.credentials import load
 from agent.security.identity import of_robot
-from deploy.authority import Authority
 from deploy.host_keys import HostKeys
+from deploy.inventory.certificate_authority import Authority
 from tests.unit.agent.security.test_credentials import Standard
 from tests.unit.test_export_deployment import fleet
 

@@ -15,8 +15,8 @@ from agent.fleet.host_sections import HostSection
 from agent.security.credentials import RENEW_DAYS, load, make_request
 from agent.security.identity import of_operator, of_robot, of_router
 from deploy import keys_command
-from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
 from deploy.console.arguments import InputError
+from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
 from tests.unit.order_fleets import square
 
 Run = Callable[..., list[str]]

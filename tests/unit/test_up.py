@@ -21,8 +21,8 @@ from deploy.arrivals import Arrivals
 from deploy.bundle import Bundle
 from deploy.console.interrupt import Interrupt
 from deploy.host_connection import Clock, HostError
-from deploy.hosts import hosts_of
 from deploy.hosts_view import DONE, FAILED, Row
+from deploy.inventory.hosts import hosts_of
 from deploy.units import roles, unit_name
 from deploy.up import BringUp
 from deploy.up_command import _say

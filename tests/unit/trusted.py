@@ -7,7 +7,7 @@ from pathlib import Path
 from agent.security.access_control import Security
 from agent.security.credentials import Credentials, Files, make_request, store
 from agent.security.identity import Identity
-from deploy.authority import Authority
+from deploy.inventory.certificate_authority import Authority
 
 NOW_S = 1_790_000_000.0
 FLEET = "guarded"

@@ -25,7 +25,7 @@ from agent.security.sealed_order import (
     Order,
     Sealer,
 )
-from deploy.authority import CERTIFICATE_DAYS, Authority
+from deploy.inventory.certificate_authority import CERTIFICATE_DAYS, Authority
 from tests.unit.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))

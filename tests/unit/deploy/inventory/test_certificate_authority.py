@@ -11,8 +11,14 @@ import pytest
 from agent.security.certificates import pem_of_key
 from agent.security.credentials import CredentialsError, load, make_request, store
 from agent.security.identity import of_operator, of_robot, of_router
-from deploy import authority as module
-from deploy.authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, AuthorityError, keys_folder
+from deploy.inventory import certificate_authority as module
+from deploy.inventory.certificate_authority import (
+    AUTHORITY_DAYS,
+    CERTIFICATE_DAYS,
+    Authority,
+    AuthorityError,
+    keys_folder,
+)
 from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 DAY_S = 86_400

@@ -26,14 +26,14 @@ def running_fleet(what: str) -> Fleet:
     """The fleet that is meant, as its processes read it, with the addresses of its hosts.
 
     Raises:
-        deploy.registry.NotRunningError, agent.fleet.fleet.FleetError: see `deploy.registry.find`.
-        InputError: nobody knows where a host is.
+        deploy.inventory.registry.NotRunningError, agent.fleet.fleet.FleetError: see
+        `deploy.inventory.registry.find`. InputError: nobody knows where a host is.
     """
-    from deploy.registry import find
+    from deploy.inventory.registry import find
 
     fleet = load_fleet(find(what))
     if any(robot.host is not None for robot in fleet.robots):
-        from deploy.hosts import located
+        from deploy.inventory.hosts import located
 
         return located(fleet)
     return fleet
@@ -46,7 +46,7 @@ def handled(command: Command) -> Command:
         # Here: opening the bus takes its time, and most commands do not.
         from agent.runtime.bus import BusError
         from agent.runtime.runtime_folder import NotPrivateError
-        from deploy.registry import NotRunningError
+        from deploy.inventory.registry import NotRunningError
 
         try:
             return command(options)

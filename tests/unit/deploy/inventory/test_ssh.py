@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.fleet.host_sections import HostSection
-from deploy import ssh
+from deploy.inventory import ssh
 
 
 def test_what_the_fleet_file_leaves_out_is_left_to_the_configuration():

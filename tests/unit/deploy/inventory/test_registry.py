@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.host_sections import HostSection
-from deploy import registry, ssh
 from deploy.console.data_files import FLEETS
-from deploy.registry import NotRunningError, Registration, find, running
-from deploy.running import running_fleet
+from deploy.inventory import registry, ssh
+from deploy.inventory.registry import NotRunningError, Registration, find, running
+from deploy.inventory.running import running_fleet
 
 
 @pytest.fixture(autouse=True)

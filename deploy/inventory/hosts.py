@@ -8,9 +8,9 @@ from dataclasses import replace
 from agent.common.schema import Problem
 from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.fleet.host_sections import HostSection
-from deploy import ssh
 from deploy.console.arguments import InputError
 from deploy.console.wording import some
+from deploy.inventory import ssh
 from deploy.placing import is_simulated
 
 

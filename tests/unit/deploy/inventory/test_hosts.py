@@ -8,7 +8,7 @@ import pytest
 
 from agent.fleet.fleet import Fleet, FleetError, parse_fleet
 from deploy.console.arguments import InputError
-from deploy.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
+from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, RIGHT, fleet
 
 NAMED = '[host.left]\n[host.right]\naddress = "10.0.0.2"\n[host.spare]\n'

@@ -1,0 +1,2 @@
+"""What there is: hosts and how they are reached, fleets that run on this machine, the certificate
+authority."""
