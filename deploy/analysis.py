@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from agent.formation.geometry import Geometry
 from deploy.desired import MissionChange, desired
-from deploy.link_data import Floats
 from deploy.presence import away, downs
-from deploy.recording import Recording
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
 from deploy.stability import SETTLED
 
 Flags = NDArray[np.bool_]

@@ -24,7 +24,7 @@ from deploy.balance import caught
 from deploy.judged import drive as simulate
 from deploy.oracles_drive import RECOVERED_S, last_trouble_s
 from deploy.pool import Abandoned, GoOn
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from deploy.violations import Violation
 
 CRASH: Final = "crash"

@@ -94,7 +94,7 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.console.progress import make_progress
     from deploy.pool import Pool, PoolError, cores
     from deploy.ports import NoPortsError
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.runfolder import FolderError
 
     jobs = cores() if options.jobs is None else options.jobs

@@ -25,7 +25,7 @@ from deploy.fault_times import windows
 from deploy.fault_words import acts_on_links, words
 from deploy.finding import Finding, Level
 from deploy.link_audit import links_of
-from deploy.link_data import Link
+from deploy.recording.link_table import Link
 
 CONTRADICTIONS_MAX: Final = 12
 """So many are said one by one."""

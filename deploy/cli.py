@@ -151,7 +151,7 @@ def _run(options: argparse.Namespace) -> int:
     from deploy.local import LocalRun
     from deploy.placing import place
     from deploy.ports import NoPortsError
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -180,7 +180,7 @@ def _run(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from agent.formation.geometry import resolve
     from deploy.live import Watch, make_view
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.simulation import Simulation
 
     interrupt = Interrupt()
@@ -237,7 +237,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.report import rebuild
 
     try:
@@ -250,7 +250,7 @@ def _report(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     from deploy.export import ExportError, export
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
 
     try:
         for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):

@@ -15,8 +15,8 @@ from agent.formation.reference import Course
 from agent.formation.trajectory import make_trajectory
 from agent.messages.codec import newer
 from agent.messages.types import Mission
-from deploy.link_data import Floats
-from deploy.recording import Recording
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
 
 
 class MissionChange(NamedTuple):

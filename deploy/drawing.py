@@ -21,7 +21,7 @@ from matplotlib.patches import Polygon as CornerPatch
 from numpy.typing import NDArray
 
 from agent.control.boundaries import Circle, Polygon
-from deploy.recorder import RecordingError
+from deploy.recording.recorder import RecordingError
 
 Floats = NDArray[np.float64]
 

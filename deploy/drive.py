@@ -92,7 +92,8 @@ class Drive:
         """From the wait for the fleet to its standstill, or, with `detach`, until all know what to drive.
 
         Raises:
-            deploy.recorder.RecordingError: the recording cannot be written (the fleet is stopped first).
+            deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
+            first).
         """
         try:
             if self._wait_until_ready() and self._begin():

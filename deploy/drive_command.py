@@ -151,7 +151,7 @@ def _attend(
     from deploy.drive import Drive
     from deploy.live import make_view
     from deploy.operator_bus import operator_bus
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
 
     view, processes = make_view(quiet=options.quiet), Attached(fleet)
     try:

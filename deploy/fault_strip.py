@@ -15,7 +15,7 @@ from deploy.drawing import GREY, INK, PALETTE, RED
 from deploy.fault_times import spans
 from deploy.fault_words import defaults, words
 from deploy.process_faults import WORDS
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 
 LANES_MAX: Final = 9
 """Rules with a bar of their own; further ones share the last."""

@@ -15,7 +15,7 @@ from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.links.fault_plan import FaultPlan, named
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.fault_words import lasts
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 
 WINDOWS_MAX: Final = 2000
 """A rule that comes again more often than this is taken to hold all the time."""

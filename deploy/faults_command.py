@@ -85,7 +85,7 @@ def _dest(key: str) -> str:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.replay import write_scenario
 
     try:

@@ -43,7 +43,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from deploy.inventory.hosts import hosts_of, located
     from deploy.merging import Choice, merge
     from deploy.outcome import say_verdict
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.robot_recording import MergeError
     from deploy.runfolder import FolderError
 

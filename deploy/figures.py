@@ -38,8 +38,8 @@ from deploy.drawing import (
     write,
 )
 from deploy.fault_strip import time_axes
-from deploy.link_data import Floats
-from deploy.recording import Recording
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
 from deploy.stability import SETTLED
 
 _NOTE_MAX: Final = 60

@@ -20,7 +20,7 @@ from deploy.live import Watch, fleet_time_s
 from deploy.operating import Operator, Order
 from deploy.process_faults import Process
 from deploy.readiness import in_words, is_ready, waits
-from deploy.recorder import RecordingError
+from deploy.recording.recorder import RecordingError
 from deploy.session import valid
 from deploy.vehicle_checks import VehicleChecks
 

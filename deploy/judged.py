@@ -6,7 +6,7 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from deploy.pool import Abandoned, GoOn
-from deploy.recording import Recording, RunData
+from deploy.recording.recording import Recording, RunData
 from deploy.simulation import Simulation
 
 

@@ -28,8 +28,8 @@ from agent.links.link_emulator import TRACE_PERIOD_NS, Links
 from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from deploy.analysis import Analysis
 from deploy.fault_words import gives_link_effects
-from deploy.link_data import Link, LinkTable
-from deploy.recording import LiveFaults, Recording
+from deploy.recording.link_table import Link, LinkTable
+from deploy.recording.recording import LiveFaults, Recording
 
 DIFFERENCES_MAX: Final = 20
 """So many differences are kept one by one."""

@@ -15,10 +15,10 @@ from deploy.console.wording import robots
 from deploy.fault_times import LiveSet, live_sets, windows
 from deploy.fault_words import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.link_audit import audit, links_of
-from deploy.link_data import Floats, Ints, Link, LinkTable
-from deploy.recording import Recording
+from deploy.recording.link_table import Floats, Ints, Link, LinkTable
+from deploy.recording.recording import Recording
+from deploy.recording.tables import StatusTable
 from deploy.rounding import largest, mean, number, percentile
-from deploy.run_tables import StatusTable
 
 _RECEIVED, _LOST, _OFFSET, _ERROR = 2, 3, 4, 5  # columns of StatusTable.neighbours
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from agent.supervision.state_machine import State
 from deploy.page import figure, shown, table
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 
 ROWS_MAX: Final = 40
 """Links in the table; of more, the worst."""

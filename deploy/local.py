@@ -46,7 +46,8 @@ class LocalRun:
 
         Raises:
             agent.runtime.bus.BusError: the operator's session cannot be opened.
-            deploy.recorder.RecordingError: the recording cannot be written (the fleet is stopped first).
+            deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
+            first).
         """
         try:
             self._start()

@@ -22,7 +22,7 @@ from agent.formation.geometry import resolved
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from agent.recorder.segments import Received
-from deploy.recorder import RecordingError
+from deploy.recording.recorder import RecordingError
 from deploy.robot_recording import (
     GAP_NS,
     Damage,
@@ -89,7 +89,7 @@ def merge(
         MergeError: there is nothing to make it of, or something cannot be read.
         agent.fleet.fleet.FleetError: the fleet file in the recordings is none that this version can read.
         deploy.runfolder.FolderError: `out` is not empty or cannot be written.
-        deploy.recorder.RecordingError: the recording cannot be written.
+        deploy.recording.recorder.RecordingError: the recording cannot be written.
     """
     there_is = recordings(folders)
     plan = _plan(there_is.segments, choice or Choice())

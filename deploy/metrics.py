@@ -21,9 +21,9 @@ from agent.supervision.state_machine import DRIVING, State
 from deploy import link_metrics, oracles, oracles_apart
 from deploy.analysis import Analysis, Approach, analyse, norm
 from deploy.console.wording import robots
-from deploy.link_data import Floats
-from deploy.recorder import RecordingError
-from deploy.recording import Recording
+from deploy.recording.link_table import Floats
+from deploy.recording.recorder import RecordingError
+from deploy.recording.recording import Recording
 from deploy.rounding import largest, number, percentile
 from deploy.stability import SETTLED
 

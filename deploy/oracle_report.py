@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from deploy.oracles import ORACLES
 from deploy.page import shown, table
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 
 TRANSITIONS_MAX: Final = 400
 """Changes of state that are listed; of more, the first."""

@@ -14,7 +14,7 @@ from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis import Analysis, Approaches
 from deploy.clearances import distances
 from deploy.presence import Flags, said
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from deploy.violations import Violation, lasting
 from plant.unicycle import BRAKE_DECELERATION_MAX
 

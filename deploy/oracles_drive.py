@@ -20,7 +20,7 @@ from deploy.analysis import Analysis, norm
 from deploy.balance import last_caught_s
 from deploy.clearances import distances
 from deploy.presence import downs, said
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from deploy.violations import Violation, is_constant, lasting, windows
 
 SPEED_SHARE: Final = 1.1

@@ -11,9 +11,9 @@ from agent.fleet.fleet import Fleet
 from agent.messages.types import TOPICS
 from agent.supervision.state_machine import DRIVING, REST_SPEED
 from deploy.analysis import Analysis
-from deploy.link_data import Floats
 from deploy.presence import Down, Flags, downs
-from deploy.recording import Recording, RobotData
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording, RobotData
 from deploy.violations import REACTION_S, Violation, reaction_s, windows
 from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 

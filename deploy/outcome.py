@@ -24,7 +24,7 @@ def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolde
     Raises:
         InputError: it cannot be made.
     """
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.runfolder import FolderError, RunFolder
 
     stamp = time.strftime("%Y%m%d-%H%M%S")
@@ -62,7 +62,7 @@ def finish(
     warnings: Sequence[str] = (),
 ) -> int:
     """Completes the folder, says the verdict, gives the exit status."""
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
 
     try:
         metrics = folder.finish(reasons, interrupted=interrupted, warnings=warnings, report=options.report)

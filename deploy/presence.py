@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.supervision.state_machine import State
-from deploy.link_data import Floats
-from deploy.recording import Recording
-from deploy.run_tables import StatusTable
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
+from deploy.recording.tables import StatusTable
 
 Flags = NDArray[np.bool_]
 

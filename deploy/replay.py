@@ -13,9 +13,9 @@ from agent.impairments.recorded_fates import DELAY_US_MAX, FATES_MAX, UNTOUCHED,
 from agent.impairments.recorded_fates import LOST as FATE_LOST
 from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
-from deploy.link_data import Ints, Link, LinkTable
-from deploy.recorder import RecordingError
-from deploy.recording import Recording
+from deploy.recording.link_table import Ints, Link, LinkTable
+from deploy.recording.recorder import RecordingError
+from deploy.recording.recording import Recording
 
 _ROUNDS_BEFORE: Final = FIRST_ROUND // 2
 """Lesser numbers are from before the mission was known: they count from 0, and the next run begins anew."""

@@ -20,8 +20,8 @@ from agent.supervision.state_machine import State
 from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
 from deploy.analysis import Analysis, analyse
 from deploy.page import CSS, bullets, figure, shown, table
-from deploy.recorder import RecordingError
-from deploy.recording import FLEET_NAME, MCAP_NAME, Recording
+from deploy.recording.recorder import RecordingError
+from deploy.recording.recording import FLEET_NAME, MCAP_NAME, Recording
 from deploy.rounding import largest, number, percentile
 
 METRICS_NAME: Final = "metrics.json"

@@ -12,8 +12,8 @@ from agent.fleet.fleet import Fleet, to_dict
 from agent.formation.geometry import resolve
 from agent.messages.types import Message
 from deploy import metrics
-from deploy.recorder import Recorder
-from deploy.recording import RunData
+from deploy.recording.recorder import Recorder
+from deploy.recording.recording import RunData
 
 FLEET_FILE: Final = "fleet.toml"
 RECORDING_FILE: Final = "run.mcap"
@@ -35,7 +35,7 @@ class RunFolder:
 
     Raises:
         FolderError: the folder is not empty or cannot be written.
-        deploy.recorder.RecordingError: the recording cannot be opened.
+        deploy.recording.recorder.RecordingError: the recording cannot be opened.
     """
 
     def __init__(self, path: Path, fleet: Fleet, mode: str) -> None:
@@ -87,7 +87,7 @@ class RunFolder:
         Returns the metrics.
 
         Raises:
-            deploy.recorder.RecordingError: something cannot be written.
+            deploy.recording.recorder.RecordingError: something cannot be written.
         """
         self.close(reasons, interrupted=interrupted, warnings=warnings)
         recording = self._data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings)

@@ -11,7 +11,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.followed import Followed
 from deploy.live import View
 from deploy.readiness import stands
-from deploy.recorder import RecordingError
+from deploy.recording.recorder import RecordingError
 from deploy.stopping import has_heard
 
 LOOK_S: Final = 0.02

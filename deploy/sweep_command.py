@@ -82,7 +82,7 @@ def add_parser(commands: Any) -> None:
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.pool import PoolError
-    from deploy.recorder import RecordingError
+    from deploy.recording.recorder import RecordingError
     from deploy.sweep import SweepError
 
     try:

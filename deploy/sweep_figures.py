@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from deploy.drawing import INK, PALETTE, RED, new_figure, write
-from deploy.link_data import Floats
+from deploy.recording.link_table import Floats
 from deploy.sweep import Axis, Plan
 from deploy.sweep_summary import CLOSEST, Cell, Margin
 

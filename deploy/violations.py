@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from agent.fleet.fault_rules import Rule
 from deploy.fault_times import Span, live_sets, spans
-from deploy.link_data import Floats
-from deploy.recording import Recording
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
 
 REACTION_S: Final = 0.1
 """A process may need so long to act on what it must act on: ticks, and the way of a message."""

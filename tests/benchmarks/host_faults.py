@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.control.peers import UNSURE_NS
 from agent.supervision.state_machine import State
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.benchmarks.processes import BenchmarkError
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 

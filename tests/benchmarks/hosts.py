@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.benchmarks import host_cost
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.host_faults import (

@@ -30,7 +30,7 @@ from agent.messages.codec import decode
 from deploy.analysis import Analysis, analyse
 from deploy.console.arguments import fleet_path
 from deploy.drawing import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
-from deploy.recording import Recording, RunData
+from deploy.recording.recording import Recording, RunData
 from deploy.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
 

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from agent.formation.geometry import resolve
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.benchmarks.figures import Figure, Options, Result
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
 

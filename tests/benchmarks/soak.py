@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent.supervision.state_machine import State
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.benchmarks.figures import Figure, Options, Result, number
 from tests.benchmarks.processes import BenchmarkError, end, environment, handfast, state_of
 from tests.benchmarks.startup import children_of

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts

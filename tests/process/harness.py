@@ -19,7 +19,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 
 ROOT: Final = Path(__file__).parents[2]
 ADDRESS: Final = "127.0.0.1"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
 NETWORK = ("--set", "network.base_port=21120")

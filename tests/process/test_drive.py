@@ -20,7 +20,7 @@ from agent.messages.types import Stop
 from deploy.before_drive import OVER
 from deploy.drive_command import ROBOTS_FILE
 from deploy.inventory.registry import find, running
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
 from tests.process.small_fleets import triangle

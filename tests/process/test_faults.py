@@ -14,8 +14,8 @@ import numpy as np
 from agent.common.clock import NS_PER_S
 from agent.messages.types import LOST
 from agent.node import FIRST_ROUND
-from deploy.link_data import Link, LinkTable
-from deploy.recording import Recording
+from deploy.recording.link_table import Link, LinkTable
+from deploy.recording.recording import Recording
 from tests.process.harness import (
     Command,
     assert_same_way,

@@ -12,7 +12,7 @@ from pathlib import Path
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Ask, Mission, Status
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
 from tests.process.small_fleets import triangle

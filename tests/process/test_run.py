@@ -21,7 +21,7 @@ import pytest
 from mcap.reader import make_reader
 
 from agent.supervision.state_machine import State
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.process.harness import (
     Command,
     assert_same_way,

@@ -18,7 +18,7 @@ from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
 from deploy.analysis import Analysis, analyse
 from deploy.metrics import compute
 from deploy.presence import downs
-from deploy.recording import Recording, RunData
+from deploy.recording.recording import Recording, RunData
 from tests.unit.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 
 ROBOTS = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.5, 1.0))

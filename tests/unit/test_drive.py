@@ -24,7 +24,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.drive import Drive
 from deploy.live import Lines
 from deploy.operating import Known
-from deploy.recorder import RecordingError
+from deploy.recording.recorder import RecordingError
 from deploy.session import valid
 from tests.unit.order_fleets import order
 

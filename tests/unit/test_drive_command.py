@@ -16,8 +16,8 @@ from deploy.cli import main
 from deploy.console.arguments import InputError
 from deploy.console.data_files import FLEETS
 from deploy.ports import Reservation
-from deploy.recorder import RecordingError
-from deploy.recording import Recording
+from deploy.recording.recorder import RecordingError
+from deploy.recording.recording import Recording
 from tests.process.fleet_harness import BASE_PORT
 
 PAIR = (FLEETS / "pair.toml").read_text()

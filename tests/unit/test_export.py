@@ -13,8 +13,8 @@ import pytest
 
 from agent.messages.codec import encode
 from deploy.export import ExportError, export, tabulate
-from deploy.recorder import Recorder, RecordingError
-from deploy.recording import Recording
+from deploy.recording.recorder import Recorder, RecordingError
+from deploy.recording.recording import Recording
 from tests.unit.simulated_run import driven, leave_run, trio
 from tests.unit.synthetic_run import in_formation, make_fleet, messages, standing, triangle
 

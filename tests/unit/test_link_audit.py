@@ -15,7 +15,7 @@ from deploy.analysis import analyse
 from deploy.fault_times import live_sets, spans
 from deploy.link_audit import AuditResult
 from deploy.link_audit import audit as audit_of
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from tests.unit.simulated_run import Sent, driven, recorded, trio
 
 ALL = """

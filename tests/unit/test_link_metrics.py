@@ -13,7 +13,7 @@ from deploy import link_metrics
 from deploy.analysis import analyse
 from deploy.link_metrics import ages, clock_offsets, clock_warnings
 from deploy.metrics import compute
-from deploy.recording import Recording, RunData
+from deploy.recording.recording import Recording, RunData
 from tests.unit.simulated_run import driven, recorded, trio
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 

@@ -14,14 +14,14 @@ import pytest
 from agent.fleet.fault_rules import Rule
 from agent.messages.types import Event
 from deploy import fault_strip, link_figures
-from deploy.columns import Store
 from deploy.drawing import write
 from deploy.fault_times import WINDOWS_MAX, windows
-from deploy.link_data import EXACT
 from deploy.link_report import ROWS_MAX, advice, section
-from deploy.recording import Recording
+from deploy.recording.columns import Store
+from deploy.recording.link_table import EXACT
+from deploy.recording.recording import Recording
+from deploy.recording.tables import StatusRows
 from deploy.report import finish, rebuild
-from deploy.run_tables import StatusRows
 from tests.unit.simulated_run import driven, leave_run, recorded, trio
 
 FAULTS = """

@@ -20,7 +20,7 @@ from agent.recorder.recorder import RobotRecorder, order_keys
 from agent.recorder.segment_folder import SegmentFolder, segment_paths
 from agent.recorder.segments import About, Received
 from deploy.merging import MARGIN_NS, Choice, Merged, merge
-from deploy.recording import Recording
+from deploy.recording.recording import Recording
 from deploy.report import rebuild
 from deploy.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
 from deploy.runfolder import FolderError, RunFolder

@@ -20,8 +20,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
 from deploy.console.wording import robots
 from deploy.metrics import compute, write
-from deploy.recorder import RecordingError
-from deploy.recording import Recording, RunData
+from deploy.recording.recorder import RecordingError
+from deploy.recording.recording import Recording, RunData
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
 from tests.unit.synthetic_run import Path as Way
 

@@ -25,8 +25,8 @@ from agent.messages.types import Mission, Status
 from deploy import figures
 from deploy.analysis import analyse
 from deploy.metrics import compute
-from deploy.recorder import Recorder, RecordingError
-from deploy.recording import Recording, RunData
+from deploy.recording.recorder import Recorder, RecordingError
+from deploy.recording.recording import Recording, RunData
 from deploy.report import finish, rebuild, write_report
 from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 

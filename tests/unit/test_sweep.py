@@ -22,8 +22,8 @@ from deploy import judged, metrics
 from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
 from deploy.pool import Abandoned, GoOn
-from deploy.recording import Recording, RunData
-from deploy.run_tables import Table
+from deploy.recording.recording import Recording, RunData
+from deploy.recording.tables import Table
 from deploy.simulation import Simulation
 from deploy.sweep import Axis, Plan, Question, SweepError, make_plan, parse_axis
 from deploy.sweep_figures import PANELS_MAX, write_sweep_figures

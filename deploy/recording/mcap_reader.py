@@ -21,10 +21,10 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
 from agent.messages.types import Message
-from deploy.foxglove import SCHEMA_PREFIX
-from deploy.message_json import CLASSES, reader, schema_name
-from deploy.recorder import FLEET_ATTACHMENT, OUTCOME_METADATA, RUN_METADATA, RecordingError
-from deploy.recording import Recording, RunData
+from deploy.recording.foxglove import SCHEMA_PREFIX
+from deploy.recording.message_json import CLASSES, reader, schema_name
+from deploy.recording.recorder import FLEET_ATTACHMENT, OUTCOME_METADATA, RUN_METADATA, RecordingError
+from deploy.recording.recording import Recording, RunData
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _PREFIX: Final = struct.Struct("<BQ")  # opcode, length

@@ -38,10 +38,10 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.columns import Store
-from deploy.link_data import Floats, LinkRows, LinkTable
-from deploy.recorder import RecordingError
-from deploy.run_tables import (
+from deploy.recording.columns import Store
+from deploy.recording.link_table import Floats, LinkRows, LinkTable
+from deploy.recording.recorder import RecordingError
+from deploy.recording.tables import (
     PLANT_COLUMNS,
     WRENCH_COLUMNS,
     HandRows,
@@ -239,7 +239,7 @@ class Recording:
         Raises:
             RecordingError, FleetError: as `from_folder`.
         """
-        from deploy.mcap_file import read_mcap  # here: that module builds on this one
+        from deploy.recording.mcap_reader import read_mcap  # here: that module builds on this one
 
         return read_mcap(Path(path), None if fleet_path is None else Path(fleet_path))
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.messages.types import DUPLICATED, LOST, TOPICS, LinkTrace
-from deploy.columns import Store
+from deploy.recording.columns import Store
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

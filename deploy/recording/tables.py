@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.messages.types import HandState, Message, Status
-from deploy.columns import Store
-from deploy.link_data import Clock, Floats, Ints, true_ns
+from deploy.recording.columns import Store
+from deploy.recording.link_table import Clock, Floats, Ints, true_ns
 
 PLANT_COLUMNS: Final = (
     "x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy", "obeying",

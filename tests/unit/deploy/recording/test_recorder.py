@@ -39,10 +39,10 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.foxglove import Scene
-from deploy.mcap_file import MAGIC
-from deploy.message_json import CLASSES, DESCRIPTIONS, reader, schema, to_json
-from deploy.recorder import (
+from deploy.recording.foxglove import Scene
+from deploy.recording.mcap_reader import MAGIC
+from deploy.recording.message_json import CLASSES, DESCRIPTIONS, reader, schema, to_json
+from deploy.recording.recorder import (
     CHANNELS_MAX,
     FLEET_ATTACHMENT,
     OUTCOME_METADATA,

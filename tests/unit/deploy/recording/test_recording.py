@@ -37,11 +37,11 @@ from agent.messages.types import (
     Wrench,
 )
 from deploy.export import tabulate
-from deploy.mcap_file import MAGIC
-from deploy.message_json import to_json
-from deploy.recorder import Recorder, RecordingError
-from deploy.recording import Recording, RunData
-from deploy.run_tables import Table
+from deploy.recording.mcap_reader import MAGIC
+from deploy.recording.message_json import to_json
+from deploy.recording.recorder import Recorder, RecordingError
+from deploy.recording.recording import Recording, RunData
+from deploy.recording.tables import Table
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=1.6)
@@ -424,7 +424,9 @@ def test_what_bodies_say_and_who_may_drive_again_is_kept_and_changes_nothing(tmp
 def test_a_recording_of_version_2_is_read_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its plant states do not say whether a body obeys."""
     sent = list(messages(FLEET, in_formation(FLEET)))
-    monkeypatch.setattr("deploy.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b""))
+    monkeypatch.setattr(
+        "deploy.recording.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b"")
+    )
     folder = write_run(tmp_path / "run", FLEET, sent)
     assert_same(Recording.from_folder(folder), fed(FLEET, sent))
 

@@ -24,8 +24,8 @@ from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, PlantState
 from agent.messages.validation import Malformed
 from agent.runtime.version import handfast_version
-from deploy.foxglove import SCHEMAS, Scene
-from deploy.message_json import schema, schema_name, to_json
+from deploy.recording.foxglove import SCHEMAS, Scene
+from deploy.recording.message_json import schema, schema_name, to_json
 
 FLEET_ATTACHMENT: Final = "fleet.toml"
 RUN_METADATA: Final = "handfast.run"
