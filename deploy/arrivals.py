@@ -9,7 +9,7 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING, State
-from deploy.live_faults import Receiver
+from deploy.faults.live import Receiver
 from deploy.operator_session import OperatorSession
 from deploy.readiness import is_ready
 

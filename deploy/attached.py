@@ -11,8 +11,8 @@ from agent.messages.key_expressions import ROLES
 from deploy.before_drive import refusal
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
+from deploy.faults.process_actions import Action, Process
 from deploy.operator_session import OperatorSession
-from deploy.process_faults import Action, Process
 from deploy.session import connected
 
 NAMED_MAX: Final = 6

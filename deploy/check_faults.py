@@ -21,8 +21,8 @@ from agent.messages.codec import encode
 from agent.messages.types import HandState
 from agent.node import FIRST_ROUND
 from deploy.console.wording import NAMES_SHOWN, robots
-from deploy.fault_times import windows
-from deploy.fault_words import acts_on_links, words
+from deploy.faults.windows import windows
+from deploy.faults.wording import acts_on_links, words
 from deploy.finding import Finding, Level
 from deploy.link_audit import links_of
 from deploy.recording.link_table import Link

@@ -18,7 +18,7 @@ from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
 from deploy.check_safety import parting
 from deploy.console.wording import robots, some
-from deploy.fault_words import defaults, described, words
+from deploy.faults.wording import defaults, described, words
 from deploy.stability import SETTLED, guaranteed_distance, settling_time
 
 FAULTS_SHOWN: Final = 12

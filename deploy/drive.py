@@ -21,11 +21,11 @@ from agent.runtime.bus import Bus
 from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
+from deploy.faults.process_actions import WORDS, Action, actions
 from deploy.fleet_processes import FleetProcesses
 from deploy.followed import Followed, Record
 from deploy.live import View
 from deploy.operating import HEARTBEAT_PERIOD_NS, refused
-from deploy.process_faults import WORDS, Action, actions
 from deploy.standstill import Standstill
 
 POLL_S: Final = 0.04

@@ -118,7 +118,7 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
 def _refuse_what_cannot_be(options: argparse.Namespace, driven: Fleet) -> None:
     """`InputError` for what only `run` can do, and for what nobody would do after `--detach`."""
     from agent.links.fault_plan import FaultPlan
-    from deploy.process_faults import actions
+    from deploy.faults.process_actions import actions
 
     plan = actions(FaultPlan(driven).file_rules(), driven.ids, driven.fleet.duration_s)
     if plan:

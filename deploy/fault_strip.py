@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from deploy.drawing import GREY, INK, PALETTE, RED
-from deploy.fault_times import spans
-from deploy.fault_words import defaults, words
-from deploy.process_faults import WORDS
+from deploy.faults.process_actions import WORDS
+from deploy.faults.windows import spans
+from deploy.faults.wording import defaults, words
 from deploy.recording.recording import Recording
 
 LANES_MAX: Final = 9

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Adds the command to those of ``handfast``."""
-    from deploy.live_rules import NOT_LIVE, live_entries, option
+    from deploy.faults.live_rules import NOT_LIVE, live_entries, option
 
     text = "let links of a running fleet fail on purpose, and heal them"
     parser = commands.add_parser(
@@ -85,8 +85,8 @@ def _dest(key: str) -> str:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    from deploy.faults.replay_scenario import write_scenario
     from deploy.recording.recorder import RecordingError
-    from deploy.replay import write_scenario
 
     try:
         print(write_scenario(options.folder), end="")
@@ -99,7 +99,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _set(options: argparse.Namespace) -> int:
-    from deploy.live_rules import rule_of_options
+    from deploy.faults.live_rules import rule_of_options
 
     fleet = running_fleet(options.fleet)
     given = {
@@ -111,7 +111,7 @@ def _set(options: argparse.Namespace) -> int:
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from deploy.live_rules import rules_of_scenario
+    from deploy.faults.live_rules import rules_of_scenario
 
     fleet = running_fleet(options.fleet)
     path = scenario_path(options.file)
@@ -122,8 +122,8 @@ def _apply(options: argparse.Namespace) -> int:
 def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     """Sends the rules, and keeps them in force until they end."""
     from deploy.console.interrupt import Interrupt
+    from deploy.faults.live_rules import text_of
     from deploy.faults_putting import Putting, names
-    from deploy.live_rules import text_of
 
     text = text_of(rules)
     interrupt = Interrupt()
@@ -154,7 +154,7 @@ def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSessio
 
 def _show(options: argparse.Namespace) -> int:
     from agent.links.fault_plan import FaultPlan
-    from deploy.fault_words import defaults
+    from deploy.faults.wording import defaults
     from deploy.faults_putting import ECHO_S, names
 
     fleet = running_fleet(options.fleet)
@@ -189,7 +189,7 @@ def _show(options: argparse.Namespace) -> int:
 
 def _line_of(rule: Rule, time_s: float | None) -> str:
     """A rule and how it stands at the time that its `at` counts in; None before that is known."""
-    from deploy.fault_words import next_begin, window, words
+    from deploy.faults.wording import next_begin, window, words
 
     if time_s is None:
         always = rule.at is None and rule.duration is None

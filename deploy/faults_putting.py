@@ -11,8 +11,8 @@ from agent.fleet.fault_rules import Rule
 from agent.fleet.fleet import Fleet
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.console.wording import some
-from deploy.fault_words import end_of, words
-from deploy.live_faults import Held, Receiver
+from deploy.faults.live import Held, Receiver
+from deploy.faults.wording import end_of, words
 
 ORIGIN_AHEAD_NS: Final = 3 * NS_PER_S // 10
 """The rules are everywhere this long before they begin: all receivers begin at the same stamps."""

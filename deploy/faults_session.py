@@ -10,7 +10,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Faults, Message, PlantState
 from agent.node import FIRST_ROUND
 from deploy.author import author
-from deploy.live_faults import Held, Receiver
+from deploy.faults.live import Held, Receiver
 from deploy.session import Session
 
 INBOX: Final = 4096

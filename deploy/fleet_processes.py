@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
 from agent.control.hand import Pose
-from deploy.process_faults import Action, Process
+from deploy.faults.process_actions import Action, Process
 
 
 class Ended(Protocol):

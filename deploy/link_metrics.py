@@ -12,8 +12,8 @@ from agent.links.fault_plan import FaultPlan, link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis import Analysis
 from deploy.console.wording import robots
-from deploy.fault_times import LiveSet, live_sets, windows
-from deploy.fault_words import acts_on_links, described, effects_text, gives_link_effects, when, words
+from deploy.faults.windows import LiveSet, live_sets, windows
+from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.link_audit import audit, links_of
 from deploy.recording.link_table import Floats, Ints, Link, LinkTable
 from deploy.recording.recording import Recording

@@ -21,8 +21,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
 from agent.supervision.state_machine import State
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
-from deploy.fault_words import defaults, held, lasts, words
-from deploy.live_faults import Held, shown
+from deploy.faults.live import Held, shown
+from deploy.faults.wording import defaults, held, lasts, words
 from deploy.news import News
 from deploy.operating import Known
 

@@ -15,8 +15,8 @@ from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator
 from deploy.console.arguments import InputError
+from deploy.faults.live import receivers
 from deploy.inventory.certificate_authority import keys_folder
-from deploy.live_faults import receivers
 
 OPERATOR: Final = "HANDFAST_OPERATOR"
 KEYS: Final = "HANDFAST_KEYS"

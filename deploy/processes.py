@@ -11,8 +11,8 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
 from deploy.children import Child, end_all
+from deploy.faults.process_actions import Action, Process
 from deploy.placing import Vehicle
-from deploy.process_faults import Action, Process
 
 MODULES: Final = {"unicycle": "plant", "mavlink": "bridges.mavlink"}
 """Kind of plant -> module that hosts it."""

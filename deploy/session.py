@@ -14,8 +14,8 @@ from agent.messages.codec import decode
 from agent.messages.types import Message
 from agent.messages.validation import Malformed
 from deploy.console.interrupt import Interrupt
+from deploy.faults.live import Receiver, receivers
 from deploy.inventory.running import NoAnswerError
-from deploy.live_faults import Receiver, receivers
 from deploy.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0

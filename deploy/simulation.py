@@ -31,8 +31,8 @@ from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.orders import OrderError
 from agent.supervision.state_machine import State
+from deploy.faults.process_actions import Action, Process, actions
 from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from deploy.process_faults import Action, Process, actions
 from deploy.readiness import is_ready
 from deploy.simulated_bodies import Bodies
 from plant.node import PlantNode

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.fleet.fault_rules import Rule
-from deploy.fault_times import Span, live_sets, spans
+from deploy.faults.windows import Span, live_sets, spans
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
 
@@ -45,7 +45,7 @@ def lasting(bad: NDArray[np.bool_], t: Floats, least_s: float) -> float | None:
 
 
 def windows(recording: Recording) -> list[Span]:
-    """The times of rules within the drive (`deploy.fault_times.spans`)."""
+    """The times of rules within the drive (`deploy.faults.windows.spans`)."""
     return spans(recording, recording.end_s)
 
 

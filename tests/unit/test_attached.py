@@ -8,7 +8,7 @@ import pytest
 
 from agent.messages.key_expressions import ROLES
 from deploy.attached import NAMED_MAX, Attached
-from deploy.process_faults import Action
+from deploy.faults.process_actions import Action
 from tests.unit.agent.fleet.test_hosts import fleet as hosts_fleet
 from tests.unit.order_fleets import square
 

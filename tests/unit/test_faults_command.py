@@ -19,11 +19,11 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults
 from deploy.console.data_files import FLEETS
-from deploy.fault_words import end_of, lasts, next_begin, window, words
+from deploy.faults.live import Held, Receiver, receivers, shown
+from deploy.faults.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
+from deploy.faults.wording import end_of, lasts, next_begin, window, words
 from deploy.faults_command import add_parser
 from deploy.faults_putting import NothingToClearError, Putting, clear, names
-from deploy.live_faults import Held, Receiver, receivers, shown
-from deploy.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 IDS = (1, 2, 3)

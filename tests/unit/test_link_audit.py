@@ -12,7 +12,7 @@ from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message
 from deploy.analysis import analyse
-from deploy.fault_times import live_sets, spans
+from deploy.faults.windows import live_sets, spans
 from deploy.link_audit import AuditResult
 from deploy.link_audit import audit as audit_of
 from deploy.recording.recording import Recording

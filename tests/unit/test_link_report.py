@@ -15,7 +15,7 @@ from agent.fleet.fault_rules import Rule
 from agent.messages.types import Event
 from deploy import fault_strip, link_figures
 from deploy.drawing import write
-from deploy.fault_times import WINDOWS_MAX, windows
+from deploy.faults.windows import WINDOWS_MAX, windows
 from deploy.link_report import ROWS_MAX, advice, section
 from deploy.recording.columns import Store
 from deploy.recording.link_table import EXACT

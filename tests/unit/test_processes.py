@@ -12,8 +12,8 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from deploy import processes
 from deploy.console.data_files import FLEETS
+from deploy.faults.process_actions import Action
 from deploy.placing import Vehicle
-from deploy.process_faults import Action
 from deploy.processes import Processes
 
 POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)

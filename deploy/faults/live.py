@@ -13,7 +13,7 @@ from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
 from agent.messages import key_expressions
 from agent.messages.types import Faults, Message
-from deploy.fault_words import held, words
+from deploy.faults.wording import held, words
 
 Receiver = tuple[int, str]
 """(robot, role) of a process that live rules are for."""

@@ -14,7 +14,7 @@ from agent.fleet.fault_rules import Rule
 from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.links.fault_plan import FaultPlan, named
 from agent.messages.types import EVERY_AUTHOR, Faults
-from deploy.fault_words import lasts
+from deploy.faults.wording import lasts
 from deploy.recording.recording import Recording
 
 WINDOWS_MAX: Final = 2000

@@ -15,10 +15,10 @@ from agent.impairments import recorded_fates
 from agent.impairments.recorded_fates import DELAY_US_MAX, UNTOUCHED, decode_fates, encode_fates
 from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
+from deploy.faults.replay_scenario import write_scenario
 from deploy.recording.link_table import Link
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
-from deploy.replay import write_scenario
 from tests.unit.simulated_run import driven, leave_run, recorded, trio
 
 

@@ -12,7 +12,7 @@ from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.links.fault_plan import named
 from agent.messages.types import RULES_MAX
 from deploy.console.arguments import InputError
-from deploy.fault_words import defaults
+from deploy.faults.wording import defaults
 
 NOT_LIVE: Final = (*ACTION_FIELDS, *CLOCK_FIELDS)
 """Fields of a rule that a running fleet cannot take."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.fleet.scenario import parse_scenario
-from deploy.process_faults import Action, actions
+from deploy.faults.process_actions import Action, actions
 
 IDS = (1, 2, 3)
 
