@@ -9,7 +9,7 @@ from agent.common.clock import NS_PER_S
 from agent.common.schema import printable
 from agent.fleet.fleet import digest
 from agent.messages.types import Stop
-from deploy.operating import Known
+from deploy.orders.operator import Known
 
 OVER: Final = "the run is over"
 """Reason of the stop at the regular end of a drive. The next drive lifts it; any other was said by somebody

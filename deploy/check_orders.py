@@ -9,10 +9,10 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry, components
 from agent.formation.mission_plan import Plan
-from agent.orders import OrderError
 from deploy.console.wording import some
 from deploy.finding import Finding
-from deploy.operating import Operator
+from deploy.orders.mission_editing import OrderError
+from deploy.orders.operator import Operator
 
 _EPOCH_NS: Final = 1_000 * NS_PER_S
 

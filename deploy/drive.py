@@ -16,7 +16,6 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
 from agent.node import next_tick_ns
-from agent.orders import OrderError
 from agent.runtime.bus import Bus
 from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.console.interrupt import Interrupt
@@ -25,7 +24,8 @@ from deploy.faults.process_actions import WORDS, Action, actions
 from deploy.fleet_processes import FleetProcesses
 from deploy.followed import Followed, Record
 from deploy.live import View
-from deploy.operating import HEARTBEAT_PERIOD_NS, refused
+from deploy.orders.mission_editing import OrderError
+from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
 from deploy.standstill import Standstill
 
 POLL_S: Final = 0.04

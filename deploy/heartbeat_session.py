@@ -12,7 +12,7 @@ from deploy.author import author
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.faults_putting import Line
-from deploy.operating import HEARTBEAT_PERIOD_NS
+from deploy.orders.operator import HEARTBEAT_PERIOD_NS
 from deploy.session import Session, connected
 
 PERIOD_S: Final = HEARTBEAT_PERIOD_NS / 1e9

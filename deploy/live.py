@@ -24,7 +24,7 @@ from deploy.console.views import LinesView, Speaker, TerminalView, plain
 from deploy.faults.live import Held, shown
 from deploy.faults.wording import defaults, held, lasts, words
 from deploy.news import News
-from deploy.operating import Known
+from deploy.orders.operator import Known
 
 STYLES: Final = {
     State.RUNNING.value: "green",

@@ -10,7 +10,7 @@ from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, Status
 from deploy.author import author
-from deploy.operating import Operator, Order
+from deploy.orders.operator import Operator, Order
 from deploy.session import Session
 
 ASK_S: Final = 1.0

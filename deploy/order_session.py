@@ -9,9 +9,9 @@ from agent.fleet.order_sections import OrderSection
 from agent.formation.mission_plan import Plan
 from agent.messages.types import Message, Mission
 from deploy.inventory.running import NoAnswerError
-from deploy.operating import NO_MISSION
 from deploy.operator_session import OperatorSession
-from deploy.ordering import Ordering
+from deploy.orders.mission_outcome import Ordering
+from deploy.orders.operator import NO_MISSION
 
 TAKE_S: Final = 3.0
 """Agents that do not say that they know a mission by then are named."""
@@ -37,7 +37,7 @@ class OrderSession(OperatorSession):
 
         Raises:
             NoAnswerError: the fleet has no mission yet.
-            agent.orders.OrderError: the order cannot be carried out.
+            deploy.orders.mission_editing.OrderError: the order cannot be carried out.
         """
         self.ask()
         operator = self.operator

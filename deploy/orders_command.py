@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.fleet.fleet import Fleet, fleet_tables, read_text
 from deploy.console.arguments import InputError, fleet_path
 from deploy.inventory.running import DONE, FAILED, MEANING, handled, running_fleet
-from deploy.order_options import OPTIONS, order_of_options, shape_tables
+from deploy.orders.options import OPTIONS, order_of_options, shape_tables
 
 if TYPE_CHECKING:
     from agent.fleet.order_sections import OrderSection
@@ -118,9 +118,9 @@ def _tables(source: str | None) -> Mapping[str, Any] | None:
 
 def _order(fleet: Fleet, make: Callable[[Plan], OrderSection]) -> int:
     """Gives the order, and says what becomes of it."""
-    from agent.orders import OrderError
     from deploy.order_session import OrderSession
-    from deploy.ordering import words
+    from deploy.orders.mission_editing import OrderError
+    from deploy.orders.mission_outcome import words
     from deploy.session import connected
 
     with connected(OrderSession(fleet)) as session:

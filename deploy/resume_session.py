@@ -9,7 +9,7 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message
 from deploy.operator_session import INBOX, OperatorSession
-from deploy.resuming import Resuming
+from deploy.orders.resume_outcome import Resuming
 from deploy.session import connected
 
 ANSWER_S: Final = 3.0

@@ -29,10 +29,10 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
-from agent.orders import OrderError
 from agent.supervision.state_machine import State
 from deploy.faults.process_actions import Action, Process, actions
-from deploy.operating import HEARTBEAT_PERIOD_NS, Operator, Order, refused
+from deploy.orders.mission_editing import OrderError
+from deploy.orders.operator import HEARTBEAT_PERIOD_NS, Operator, Order, refused
 from deploy.readiness import is_ready
 from deploy.simulated_bodies import Bodies
 from plant.node import PlantNode
@@ -371,7 +371,7 @@ class Simulation:
         """Gives an order now, whatever its time.
 
         Raises:
-            agent.orders.OrderError: it cannot be carried out.
+            deploy.orders.mission_editing.OrderError: it cannot be carried out.
         """
         self._say(self._operator.give(order, self.now_ns))
 

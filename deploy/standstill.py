@@ -10,9 +10,9 @@ from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
 from deploy.followed import Followed
 from deploy.live import View
+from deploy.orders.stop_outcome import has_heard
 from deploy.readiness import stands
 from deploy.recording.recorder import RecordingError
-from deploy.stopping import has_heard
 
 LOOK_S: Final = 0.02
 STOP_AGAIN_S: Final = 0.25

@@ -9,8 +9,8 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Message
+from deploy.orders.stop_outcome import Stopping
 from deploy.session import Session
-from deploy.stopping import Stopping
 
 ANSWER_S: Final = 3.0
 SEND_PERIOD_S: Final = 0.05

@@ -1,6 +1,6 @@
 """What is wrong with the ``[[order]]`` of a fleet file: fields that do not fit, unknown robots (PURE).
 
-Whether an order can be carried out depends on those before it: `agent.orders` says so.
+Whether an order can be carried out depends on those before it: `deploy.orders.mission_editing` says so.
 """
 
 from __future__ import annotations

@@ -8,13 +8,13 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.blend import blend_ns_for
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of, trajectory_parts
 from agent.formation.reference import Course
 from agent.formation.trajectory import TrajectorySection
 from agent.messages.types import Mission
-from tests.unit.order_fleets import EPOCH, S, first_plan, square
+from deploy.orders.blend_time import blend_ns_for
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, first_plan, square
 
 FLEET = square("control.max_speed_mps=2.0")
 GEOMETRY = resolve(FLEET)

@@ -10,7 +10,7 @@ from agent.messages.key_expressions import ROLES
 from deploy.attached import NAMED_MAX, Attached
 from deploy.faults.process_actions import Action
 from tests.unit.agent.fleet.test_hosts import fleet as hosts_fleet
-from tests.unit.order_fleets import square
+from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()
 ALL = frozenset((robot, role) for robot in FLEET.ids for role in ROLES)

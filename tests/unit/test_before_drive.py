@@ -11,8 +11,8 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Stop
 from deploy.before_drive import OVER, clock, refusal, stop_in_force
-from deploy.operating import Known
-from tests.unit.order_fleets import EPOCH, S, square
+from deploy.orders.operator import Known
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
 TOLD = key_expressions.told("square", 1)

@@ -6,7 +6,7 @@ import pytest
 
 from deploy.check import check
 from deploy.finding import Finding
-from tests.unit.order_fleets import SQUARE, square
+from tests.unit.deploy.orders.order_fleets import SQUARE, square
 
 JOIN = '[[order]]\nat = {at}\nkind = "join"\nrobot = 7\nedges = [3, 4]\noffset_m = [0.5, 1.9]\n'
 LEAVE = '[[order]]\nat = {at}\nkind = "leave"\nrobot = {robot}\n'

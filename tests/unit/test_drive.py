@@ -23,10 +23,10 @@ from deploy.before_drive import BROKEN_OFF, OVER, refusal
 from deploy.console.interrupt import Interrupt
 from deploy.drive import Drive
 from deploy.live import Lines
-from deploy.operating import Known
+from deploy.orders.operator import Known
 from deploy.recording.recorder import RecordingError
 from deploy.session import valid
-from tests.unit.order_fleets import order
+from tests.unit.deploy.orders.order_fleets import order
 
 S = 1_000_000_000
 FLEET = parse_fleet(

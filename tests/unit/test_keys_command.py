@@ -17,7 +17,7 @@ from agent.security.identity import of_operator, of_robot, of_router
 from deploy import keys_command
 from deploy.console.arguments import InputError
 from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
-from tests.unit.order_fleets import square
+from tests.unit.deploy.orders.order_fleets import square
 
 Run = Callable[..., list[str]]
 DAY_S = 86_400

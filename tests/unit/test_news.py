@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.messages.types import Mission, Resume, Stop
 from deploy.news import SENTENCES_MAX, News
-from tests.unit.order_fleets import EPOCH, S, square
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square("fleet.duration_s=60")
 

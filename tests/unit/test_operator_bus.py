@@ -12,7 +12,7 @@ from agent.fleet.fleet import Fleet
 from agent.security.identity import of_operator
 from deploy.console.arguments import InputError
 from deploy.operator_bus import KEYS, OPERATOR, operator_bus
-from tests.unit.order_fleets import square
+from tests.unit.deploy.orders.order_fleets import square
 from tests.unit.trusted import authority, credentials
 
 ADVICE = "; `handfast keys` makes one"

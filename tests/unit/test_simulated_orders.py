@@ -15,11 +15,11 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.messages.validation import Malformed
-from agent.orders import OrderError
 from agent.supervision.state_machine import State
-from deploy.operating import HEARTBEAT_PERIOD_NS
+from deploy.orders.mission_editing import OrderError
+from deploy.orders.operator import HEARTBEAT_PERIOD_NS
 from deploy.simulation import Simulation
-from tests.unit.order_fleets import SQUARE, order, square
+from tests.unit.deploy.orders.order_fleets import SQUARE, order, square
 
 Heard = list[tuple[int, str, Message]]
 DRIVE_NS = 60 * NS_PER_S

@@ -8,7 +8,7 @@ from agent.common.schema import entries
 from agent.fleet.fleet import FleetError, parse_fleet
 from agent.fleet.order_sections import ORDER_FIELDS, OrderSection
 from agent.fleet.sections import TrajectorySection
-from tests.unit.order_fleets import SQUARE, square
+from tests.unit.deploy.orders.order_fleets import SQUARE, square
 
 
 def problems(*orders: str) -> list[str]:

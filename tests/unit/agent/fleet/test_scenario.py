@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from agent.fleet.fleet import FleetError, load_fleet, parse_fleet, to_dict
-from tests.unit.order_fleets import SQUARE, square
+from tests.unit.deploy.orders.order_fleets import SQUARE, square
 
 LEAVES = '[[order]]\nat = "5s"\nkind = "leave"\nrobot = 2\n'
 JOINS = '[[order]]\nat = 2\nkind = "join"\nrobot = 7\nedges = [2, 3]\n'

@@ -10,7 +10,7 @@ from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, mission_parts, plan_of
 from agent.messages.codec import decode, encode
 from agent.messages.types import NEIGHBOURS_MAX, Mission
-from tests.unit.order_fleets import EPOCH, SQUARE, S, first_plan, square
+from tests.unit.deploy.orders.order_fleets import EPOCH, SQUARE, S, first_plan, square
 
 ROBOTS = ((4, 0.0, 1.0), (1, 0.0, 0.0), (7, 2.0, 0.0))
 EDGES = ((4, 1, 1.0), (7, 1, 2.0))

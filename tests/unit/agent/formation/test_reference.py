@@ -12,7 +12,7 @@ from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
 from agent.formation.reference import LEAVE_FADE_NS, Course, Edge
 from agent.messages.types import Mission
-from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()
 GEOMETRY = resolve(FLEET)

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from agent.blend import BLEND_MAX_S, blend_ns_for
 from agent.fleet.fleet import Fleet, digest
 from agent.fleet.order_sections import OrderSection, ShapeSection
 from agent.fleet.sections import TrajectorySection
@@ -16,8 +15,9 @@ from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts
 from agent.formation.reference import Course
 from agent.messages.codec import decode, encode, newer
-from agent.orders import LEAD_NS, OrderError, first_mission, ordered
-from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
+from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for
+from deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, ordered
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()
 FIRST = first_plan(FLEET)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from agent.messages.codec import newer
 from agent.messages.types import Mission, Status
-from deploy.ordering import Ordering, words
-from tests.unit.order_fleets import EPOCH, S, after, first_plan, order, square
+from deploy.orders.mission_outcome import Ordering, words
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()
 MISSION, _ = after(order("join", robot=7, edges=(2, 3), over_s=2.0), first_plan(FLEET), FLEET, 4.0, 50)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from deploy.console.arguments import InputError
-from deploy.order_options import order_of_options, shape_tables
-from tests.unit.order_fleets import after, first_plan, order, square
+from deploy.orders.options import order_of_options, shape_tables
+from tests.unit.deploy.orders.order_fleets import after, first_plan, order, square
 
 FLEET = square()
 PLAN = first_plan(FLEET)

@@ -9,7 +9,7 @@ from agent.fleet.order_sections import OrderSection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, plan_of
 from agent.messages.types import Mission
-from agent.orders import first_mission, ordered
+from deploy.orders.mission_editing import first_mission, ordered
 
 S = 1_000_000_000
 EPOCH = 1_700_000_000 * S

@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 
-from agent.blend import blend_ns_for
 from agent.common.clock import NS_PER_S
 from agent.common.schema import show
 from agent.fleet.fleet import Fleet, digest
@@ -27,7 +26,8 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, clipped
 from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
-from agent.trilateration import place_apart
+from deploy.orders.blend_time import blend_ns_for
+from deploy.orders.trilateration import place_apart
 
 LEAD_NS: Final = NS_PER_S
 """From an order to its take-over: time for every robot to hear of it, also from a peer's beacon."""

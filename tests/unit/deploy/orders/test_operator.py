@@ -11,10 +11,10 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
-from agent.orders import OrderError
-from deploy.operating import NO_MISSION, Known, Operator, refused
-from deploy.order_versions import AHEAD_US_MAX
-from tests.unit.order_fleets import EPOCH, S, order, square
+from deploy.orders.mission_editing import OrderError
+from deploy.orders.operator import NO_MISSION, Known, Operator, refused
+from deploy.orders.versions import AHEAD_US_MAX
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, order, square
 
 FLEET = square()
 US = EPOCH // 1_000

@@ -8,7 +8,7 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
 from agent.supervision.state_machine import State
-from deploy.order_versions import AHEAD_US_MAX
+from deploy.orders.versions import AHEAD_US_MAX
 
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)

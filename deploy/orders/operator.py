@@ -28,9 +28,9 @@ from agent.messages.types import (
     clipped,
 )
 from agent.node import Numbers, Outgoing
-from agent.orders import OrderError, first_mission, ordered
 from agent.supervision.state_machine import DRIVING
-from deploy.order_versions import can_be
+from deploy.orders.mission_editing import OrderError, first_mission, ordered
+from deploy.orders.versions import can_be
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
 NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"

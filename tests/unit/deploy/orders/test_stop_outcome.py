@@ -6,8 +6,8 @@ import pytest
 
 from agent.messages import key_expressions
 from agent.messages.types import PlantState, Status
-from deploy.stopping import Stopping
-from tests.unit.order_fleets import EPOCH, S, square
+from deploy.orders.stop_outcome import Stopping
+from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
 MS = S // 1000

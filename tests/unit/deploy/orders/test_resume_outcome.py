@@ -14,7 +14,7 @@ from agent.supervision.state_machine import MISSION_OVER
 from agent.supervision.stop_latch import AWAITED
 from deploy.console.arguments import InputError, robots_named
 from deploy.console.data_files import FLEETS
-from deploy.resuming import Resuming
+from deploy.orders.resume_outcome import Resuming
 
 ROVERS = load_fleet(FLEETS / "rovers.toml")
 T0 = 1_800_000_000 * NS_PER_S
