@@ -19,8 +19,8 @@ import tomli_w
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve, resolved
 from deploy import oracles
-from deploy.analysis import Analysis, analyse
-from deploy.balance import caught
+from deploy.analysis.analysis import Analysis, analyse
+from deploy.analysis.balance import caught
 from deploy.judged import drive as simulate
 from deploy.oracles_drive import RECOVERED_S, last_trouble_s
 from deploy.pool import Abandoned, GoOn
@@ -46,7 +46,8 @@ class Outcome:
         checked: oracles that had something to look at.
         states, transitions: how often robots came into each state, and by which row of the table.
         limits: ticks in which the last stage changed what the law asked for.
-        ended: `IN_FORMATION`, `CAUGHT` (at rest in another shape, `deploy.balance`), `SOON` (within 20 s of
+        ended: `IN_FORMATION`, `CAUGHT` (at rest in another shape, `deploy.analysis.balance`), `SOON` (within
+        20 s of
             the last fault or change, or of the start without one: on the way, stopped) or `ELSEWHERE` (held
             up).
         driven_s: of fleet time.

@@ -35,13 +35,7 @@ from agent.formation.geometry import (
     start_hands,
 )
 from agent.formation.trajectory import make_trajectory
-from deploy.check_faults import check_faults
-from deploy.check_orders import check_orders
-from deploy.check_safety import check_safety, start_points
-from deploy.check_vehicles import check_vehicles
-from deploy.console.wording import NAMES_SHOWN, counted, robots, some
-from deploy.finding import Finding
-from deploy.stability import (
+from deploy.analysis.stability import (
     SETTLED,
     Mode,
     at_start,
@@ -50,6 +44,12 @@ from deploy.stability import (
     settling_time,
     sweep_radius,
 )
+from deploy.check_faults import check_faults
+from deploy.check_orders import check_orders
+from deploy.check_safety import check_safety, start_points
+from deploy.check_vehicles import check_vehicles
+from deploy.console.wording import NAMES_SHOWN, counted, robots, some
+from deploy.finding import Finding
 
 __all__ = ["Finding", "check"]
 

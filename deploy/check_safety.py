@@ -15,8 +15,8 @@ from agent.control.hand import Pose, hand
 from agent.control.safety_distances import avoidance_distance, clearance, least_apart
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
+from deploy.analysis.clearances import distances
 from deploy.check_braking import check_braking, check_room
-from deploy.clearances import distances
 from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.finding import Finding, Level
 from deploy.ways import Ways

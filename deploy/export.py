@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from agent.formation.geometry import resolve
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
-from deploy.analysis import analyse
+from deploy.analysis.analysis import analyse
 from deploy.metrics import MESSAGES
 from deploy.recording.link_table import LinkTable
 from deploy.recording.recorder import RecordingError

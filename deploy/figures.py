@@ -20,7 +20,8 @@ from matplotlib.figure import Figure
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.fleet.fleet import Fleet
 from deploy import link_figures
-from deploy.analysis import Analysis
+from deploy.analysis.analysis import Analysis
+from deploy.analysis.stability import SETTLED
 from deploy.drawing import (
     DASHED,
     DOTTED,
@@ -40,7 +41,6 @@ from deploy.drawing import (
 from deploy.fault_strip import time_axes
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
-from deploy.stability import SETTLED
 
 _NOTE_MAX: Final = 60
 """Characters of a note that are drawn."""

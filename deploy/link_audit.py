@@ -26,7 +26,7 @@ from agent.common.clock import NS_PER_S
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import TRACE_PERIOD_NS, Links
 from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
-from deploy.analysis import Analysis
+from deploy.analysis.analysis import Analysis
 from deploy.faults.wording import gives_link_effects
 from deploy.recording.link_table import Link, LinkTable
 from deploy.recording.recording import LiveFaults, Recording

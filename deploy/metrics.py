@@ -19,13 +19,13 @@ from agent.fleet.fleet import Fleet, law_name
 from agent.formation.geometry import Geometry
 from agent.supervision.state_machine import DRIVING, State
 from deploy import link_metrics, oracles, oracles_apart
-from deploy.analysis import Analysis, Approach, analyse, norm
+from deploy.analysis.analysis import Analysis, Approach, analyse, norm
+from deploy.analysis.rounding import largest, number, percentile
+from deploy.analysis.stability import SETTLED
 from deploy.console.wording import robots
 from deploy.recording.link_table import Floats
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
-from deploy.rounding import largest, number, percentile
-from deploy.stability import SETTLED
 
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from agent.fleet.fleet import Fleet
 from deploy import oracles_apart, oracles_drive, oracles_reaction
-from deploy.analysis import Analysis
+from deploy.analysis.analysis import Analysis
 from deploy.recording.recording import Recording
 from deploy.violations import Violation
 

@@ -11,9 +11,9 @@ from agent.control.boundaries import fence_of, obstacles_of
 from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fleet import Fleet
 from agent.supervision.state_machine import DRIVING, State
-from deploy.analysis import Analysis, Approaches
-from deploy.clearances import distances
-from deploy.presence import Flags, said
+from deploy.analysis.analysis import Analysis, Approaches
+from deploy.analysis.clearances import distances
+from deploy.analysis.presence import Flags, said
 from deploy.recording.recording import Recording
 from deploy.violations import Violation, lasting
 from plant.unicycle import BRAKE_DECELERATION_MAX

@@ -16,10 +16,10 @@ from agent.fleet.fleet import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING, State
-from deploy.analysis import Analysis, norm
-from deploy.balance import last_caught_s
-from deploy.clearances import distances
-from deploy.presence import downs, said
+from deploy.analysis.analysis import Analysis, norm
+from deploy.analysis.balance import last_caught_s
+from deploy.analysis.clearances import distances
+from deploy.analysis.presence import downs, said
 from deploy.recording.recording import Recording
 from deploy.violations import Violation, is_constant, lasting, windows
 
@@ -78,8 +78,8 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     Where links fail all the time a robot may hold now and then, as long as it drives in between.
 
     Who was held up by an obstacle, or by a robot that it shares no edge with, gets as long after that. So
-    do edges where the formation has come to rest in another shape (`deploy.balance`): that is no matter of
-    recovery.
+    do edges where the formation has come to rest in another shape (`deploy.analysis.balance`): that is no
+    matter of recovery.
     """
     end_s = recording.end_s
     last_s = last_trouble_s(recording, a)

@@ -10,8 +10,8 @@ from agent.fleet.fault_rules import Impairments, Rule
 from agent.fleet.fleet import Fleet
 from agent.messages.types import TOPICS
 from agent.supervision.state_machine import DRIVING, REST_SPEED
-from deploy.analysis import Analysis
-from deploy.presence import Down, Flags, downs
+from deploy.analysis.analysis import Analysis
+from deploy.analysis.presence import Down, Flags, downs
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording, RobotData
 from deploy.violations import REACTION_S, Violation, reaction_s, windows

@@ -18,11 +18,11 @@ from agent.formation.geometry import Geometry, resolve
 from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
 from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
-from deploy.analysis import Analysis, analyse
+from deploy.analysis.analysis import Analysis, analyse
+from deploy.analysis.rounding import largest, number, percentile
 from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import FLEET_NAME, MCAP_NAME, Recording
-from deploy.rounding import largest, number, percentile
 
 METRICS_NAME: Final = "metrics.json"
 REPORT_NAME: Final = "report.html"

@@ -13,7 +13,7 @@ from agent.fleet.fleet import Fleet
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
 from agent.formation.trajectory import make_trajectory
-from deploy.clearances import distances
+from deploy.analysis.clearances import distances
 
 Floats = NDArray[np.float64]
 

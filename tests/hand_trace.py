@@ -15,8 +15,8 @@ from agent.formation.trajectory import make_trajectory
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import PlantState
+from deploy.analysis.stability import SETTLED
 from deploy.simulation import Simulation
-from deploy.stability import SETTLED
 
 Floats = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import numpy as np
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from deploy import judged
-from deploy.analysis import analyse
-from deploy.balance import caught
+from deploy.analysis.analysis import analyse
+from deploy.analysis.balance import caught
 from deploy.console.arguments import fleet_path, fleet_text
 from deploy.pool import GoOn
 from deploy.sweep import Plan, Question, make_plan

@@ -27,7 +27,7 @@ from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages.codec import decode
-from deploy.analysis import Analysis, analyse
+from deploy.analysis.analysis import Analysis, analyse
 from deploy.console.arguments import fleet_path
 from deploy.drawing import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
 from deploy.recording.recording import Recording, RunData

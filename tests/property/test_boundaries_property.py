@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from agent.control.boundaries import Circle, Polygon
-from deploy.clearances import distances
+from deploy.analysis.clearances import distances
 
 COORDINATE = st.floats(-20.0, 20.0)
 

@@ -8,7 +8,7 @@ from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve
 from deploy import judged
-from deploy.analysis import analyse
+from deploy.analysis.analysis import analyse
 from deploy.check import check
 from deploy.check_braking import check_braking
 from deploy.console.data_files import FLEETS

@@ -11,7 +11,7 @@ from agent.fleet.fleet import parse_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message
-from deploy.analysis import analyse
+from deploy.analysis.analysis import analyse
 from deploy.faults.windows import live_sets, spans
 from deploy.link_audit import AuditResult
 from deploy.link_audit import audit as audit_of

@@ -10,7 +10,7 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
 from deploy import link_metrics
-from deploy.analysis import analyse
+from deploy.analysis.analysis import analyse
 from deploy.link_metrics import ages, clock_offsets, clock_warnings
 from deploy.metrics import compute
 from deploy.recording.recording import Recording, RunData

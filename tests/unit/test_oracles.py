@@ -17,7 +17,7 @@ from agent.impairments.impairments import Delay
 from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions
 from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
-from deploy.analysis import analyse
+from deploy.analysis.analysis import analyse
 from deploy.oracles import ORACLES, examine, judge
 from deploy.recording.recording import Recording, RunData
 from deploy.violations import Violation

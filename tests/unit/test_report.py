@@ -23,7 +23,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Status
 from deploy import figures
-from deploy.analysis import analyse
+from deploy.analysis.analysis import analyse
 from deploy.metrics import compute
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording, RunData

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.control.boundaries import Circle, Near, Polygon, fence_of, obstacles_of
-from deploy.clearances import distances
+from deploy.analysis.clearances import distances
 from tests.unit.agent.fleet.fleet_texts import SMALL, small
 
 BOX = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0))

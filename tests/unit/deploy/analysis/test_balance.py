@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 from agent.control import law
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
-from deploy.analysis import Analysis, analyse
-from deploy.balance import STILL_S, caught, last_caught_s
+from deploy.analysis.analysis import Analysis, analyse
+from deploy.analysis.balance import STILL_S, caught, last_caught_s
 from deploy.recording.recording import RunData
 from tests.unit.synthetic_run import make_fleet, messages, standing
 

@@ -15,9 +15,9 @@ from agent.formation.mission_plan import plan_of
 from agent.formation.reference import Course
 from agent.messages import key_expressions
 from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
-from deploy.analysis import Analysis, analyse
+from deploy.analysis.analysis import Analysis, analyse
+from deploy.analysis.presence import downs
 from deploy.metrics import compute
-from deploy.presence import downs
 from deploy.recording.recording import Recording, RunData
 from tests.unit.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agent.control import law
 from agent.control.prediction import approach
 from agent.fleet.fleet import Fleet
-from deploy.analysis import Analysis
+from deploy.analysis.analysis import Analysis
 
 STILL_S: Final = 2.0
 STILL_M: Final = 0.1

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.formation.geometry import Geometry
-from deploy.desired import MissionChange, desired
-from deploy.presence import away, downs
+from deploy.analysis.desired import MissionChange, desired
+from deploy.analysis.presence import away, downs
+from deploy.analysis.stability import SETTLED
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
-from deploy.stability import SETTLED
 
 Flags = NDArray[np.bool_]
 
@@ -70,7 +70,7 @@ class Analysis:
     off: Flags
     """(k, m): it counts, and is further than `SETTLED` from its distance."""
     away: Flags
-    """(k, n): the robot could not follow (`deploy.presence.away`)."""
+    """(k, n): the robot could not follow (`deploy.analysis.presence.away`)."""
     settling_s: float | None
     """Last time that any edge was off, 0 when none was, None when one is at the end (or nothing is known)."""
     changes: tuple[Settled, ...]

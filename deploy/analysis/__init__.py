@@ -1,0 +1,1 @@
+"""What a recording says of the motion: distances, errors, presence, stability."""
