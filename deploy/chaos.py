@@ -18,14 +18,14 @@ import tomli_w
 
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve, resolved
-from deploy import oracles
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.balance import caught
 from deploy.judged import drive as simulate
-from deploy.oracles_drive import RECOVERED_S, last_trouble_s
 from deploy.pool import Abandoned, GoOn
 from deploy.recording.recording import Recording
-from deploy.violations import Violation
+from deploy.verdict import oracles
+from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
+from deploy.verdict.violations import Violation
 
 CRASH: Final = "crash"
 READY: Final = "ready"

@@ -79,7 +79,7 @@ class Scenarios:
         from deploy.chaos import CRASH, Outcome
         from deploy.chaos_draw import draw
         from deploy.chaos_report import Driven
-        from deploy.violations import Violation
+        from deploy.verdict.violations import Violation
 
         failed = Violation(CRASH, 0.0, f"The scenario was not driven to its end: {reason}.")
         return Driven(number, draw(number), Outcome((failed,), wall_s=wall_s))

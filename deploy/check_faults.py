@@ -24,8 +24,8 @@ from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.faults.windows import windows
 from deploy.faults.wording import acts_on_links, words
 from deploy.finding import Finding, Level
-from deploy.link_audit import links_of
 from deploy.recording.link_table import Link
+from deploy.verdict.link_audit import links_of
 
 CONTRADICTIONS_MAX: Final = 12
 """So many are said one by one."""

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from agent.formation.geometry import resolve
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
 from deploy.analysis.analysis import analyse
-from deploy.metrics import MESSAGES
 from deploy.recording.link_table import LinkTable
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable, Table
+from deploy.verdict.metrics import MESSAGES
 
 FORMATS: Final = ("csv", "parquet", "json")
 FOLDER: Final = "export"

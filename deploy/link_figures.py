@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from agent.messages.types import LOST
 from deploy.drawing import GREY, PALETTE, RED, new_figure, note
 from deploy.fault_strip import time_axes
-from deploy.link_metrics import Ages, ages
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
+from deploy.verdict.link_metrics import Ages, ages
 
 NAME: Final = "links"
 PERIODS_OLD: Final = 2.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import Any, Final
 
-from deploy.oracles import ORACLES
 from deploy.page import shown, table
 from deploy.recording.recording import Recording
+from deploy.verdict.oracles import ORACLES
 
 TRANSITIONS_MAX: Final = 400
 """Changes of state that are listed; of more, the first."""

@@ -17,12 +17,13 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry, resolve
 from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
-from deploy import fault_strip, figures, link_figures, link_report, metrics, oracle_report
+from deploy import fault_strip, figures, link_figures, link_report, oracle_report
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import FLEET_NAME, MCAP_NAME, Recording
+from deploy.verdict import metrics
 
 METRICS_NAME: Final = "metrics.json"
 REPORT_NAME: Final = "report.html"
@@ -67,7 +68,7 @@ def write_report(
 ) -> Path:
     """Draw the figures and write ``report.html`` into `folder`; returns the page's path.
 
-    found: the metrics, as `deploy.metrics.compute` gives them.
+    found: the metrics, as `deploy.verdict.metrics.compute` gives them.
 
     Raises:
         RecordingError: when something cannot be written.

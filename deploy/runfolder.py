@@ -11,9 +11,9 @@ import tomli_w
 from agent.fleet.fleet import Fleet, to_dict
 from agent.formation.geometry import resolve
 from agent.messages.types import Message
-from deploy import metrics
 from deploy.recording.recorder import Recorder
 from deploy.recording.recording import RunData
+from deploy.verdict import metrics
 
 FLEET_FILE: Final = "fleet.toml"
 RECORDING_FILE: Final = "run.mcap"

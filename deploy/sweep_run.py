@@ -10,9 +10,10 @@ from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
-from deploy import judged, metrics
+from deploy import judged
 from deploy.pool import Abandoned
 from deploy.sweep import Plan
+from deploy.verdict import metrics
 
 PASSED: Final = "passed"
 FAILED: Final = "failed"
@@ -29,7 +30,7 @@ NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "age_p99_ms": ("age_of_information_ms", "p99"),
     "age_max_ms": ("age_of_information_ms", "max"),
 }
-"""Columns of a row -> where `deploy.metrics.compute` has them."""
+"""Columns of a row -> where `deploy.verdict.metrics.compute` has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +79,8 @@ class Runs:
 
 
 def measure(fleet: Fleet, go_on: Callable[[], bool]) -> dict[str, Any]:
-    """Drives `fleet` (resolved); its metrics (`deploy.metrics.compute`) but for what they say of links. The
-    verdict among them is that of `run` and `simulate`.
+    """Drives `fleet` (resolved); its metrics (`deploy.verdict.metrics.compute`) but for what they say of
+    links. The verdict among them is that of `run` and `simulate`.
 
     Raises:
         Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.

@@ -2,7 +2,7 @@
 
 The whole chain (plants, messages, agents) in virtual time, on all cores. Slots are not assigned, so the
 robots have to cross the whole crowd. Safe means that no two hands, neighbours or not, were ever nearer than
-the safe distance (`deploy.oracles`). Who did not settle is listed with the reason.
+the safe distance (`deploy.verdict.oracles`). Who did not settle is listed with the reason.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from deploy.chaos import Outcome, scenario_text
 from deploy.chaos_draw import draw
 from deploy.chaos_report import NOT_DRAWN, Driven, Tally, conclusion, lines
 from deploy.cli import main
-from deploy.violations import Violation
+from deploy.verdict.violations import Violation
 
 TOO_CLOSE = Violation("separation", 9.0, "Robots 1 and 2 came too close.")
 ALL = {row.name: 1 for row in TRANSITIONS if row.name not in NOT_DRAWN}

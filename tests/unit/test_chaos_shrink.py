@@ -13,7 +13,7 @@ from deploy.chaos_draw import draw
 from deploy.chaos_report import parts
 from deploy.chaos_shrink import shrink, without_robot
 from deploy.pool import Abandoned, GoOn
-from deploy.violations import Violation
+from deploy.verdict.violations import Violation
 
 SEED = 66
 """Many robots, orders and rules."""

@@ -16,7 +16,7 @@ from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli
 from deploy.check import check
 from deploy.console.data_files import FLEETS
-from deploy.oracles import ORACLES
+from deploy.verdict.oracles import ORACLES
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])

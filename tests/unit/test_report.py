@@ -24,10 +24,10 @@ from agent.messages.codec import encode
 from agent.messages.types import Mission, Status
 from deploy import figures
 from deploy.analysis.analysis import analyse
-from deploy.metrics import compute
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording, RunData
 from deploy.report import finish, rebuild, write_report
+from deploy.verdict.metrics import compute
 from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)

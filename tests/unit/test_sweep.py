@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.formation.geometry import resolve, start_hands
 from agent.messages.codec import decode
-from deploy import judged, metrics
+from deploy import judged
 from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
 from deploy.pool import Abandoned, GoOn
@@ -30,6 +30,7 @@ from deploy.sweep_figures import PANELS_MAX, write_sweep_figures
 from deploy.sweep_folder import SweepFolder, read_question
 from deploy.sweep_run import CRASHED, FAILED, NUMBERS, PASSED, Row, execute, measure, unfinished
 from deploy.sweep_summary import Share, margin_axis, margins, summarise, summary_json, summary_table
+from deploy.verdict import metrics
 
 DELTA = FLEETS / "delta.toml"
 SHORT = "fleet.duration_s=0.5"

@@ -17,8 +17,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.presence import downs
-from deploy.metrics import compute
 from deploy.recording.recording import Recording, RunData
+from deploy.verdict.metrics import compute
 from tests.unit.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 
 ROBOTS = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.5, 1.0))

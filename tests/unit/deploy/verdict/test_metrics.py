@@ -19,9 +19,9 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
 from deploy.console.wording import robots
-from deploy.metrics import compute, write
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording, RunData
+from deploy.verdict.metrics import compute, write
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
 from tests.unit.synthetic_run import Path as Way
 

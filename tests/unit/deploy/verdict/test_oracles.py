@@ -18,9 +18,9 @@ from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions
 from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from deploy.analysis.analysis import analyse
-from deploy.oracles import ORACLES, examine, judge
 from deploy.recording.recording import Recording, RunData
-from deploy.violations import Violation
+from deploy.verdict.oracles import ORACLES, examine, judge
+from deploy.verdict.violations import Violation
 from tests.unit.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 from tests.unit.synthetic_run import Path as Way
 

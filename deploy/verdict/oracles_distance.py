@@ -15,7 +15,7 @@ from deploy.analysis.analysis import Analysis, Approaches
 from deploy.analysis.clearances import distances
 from deploy.analysis.presence import Flags, said
 from deploy.recording.recording import Recording
-from deploy.violations import Violation, lasting
+from deploy.verdict.violations import Violation, lasting
 from plant.unicycle import BRAKE_DECELERATION_MAX
 
 CLEARANCE_TOLERANCE_M: Final = 0.01

@@ -21,7 +21,7 @@ from deploy.analysis.balance import last_caught_s
 from deploy.analysis.clearances import distances
 from deploy.analysis.presence import downs, said
 from deploy.recording.recording import Recording
-from deploy.violations import Violation, is_constant, lasting, windows
+from deploy.verdict.violations import Violation, is_constant, lasting, windows
 
 SPEED_SHARE: Final = 1.1
 SPEED_MORE_MPS: Final = 0.1

@@ -13,9 +13,9 @@ from agent.messages import key_expressions
 from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message
 from deploy.analysis.analysis import analyse
 from deploy.faults.windows import live_sets, spans
-from deploy.link_audit import AuditResult
-from deploy.link_audit import audit as audit_of
 from deploy.recording.recording import Recording
+from deploy.verdict.link_audit import AuditResult
+from deploy.verdict.link_audit import audit as audit_of
 from tests.unit.simulated_run import Sent, driven, recorded, trio
 
 ALL = """

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from agent.fleet.fleet import Fleet
-from deploy import oracles_apart, oracles_drive, oracles_reaction
 from deploy.analysis.analysis import Analysis
 from deploy.recording.recording import Recording
-from deploy.violations import Violation
+from deploy.verdict import oracles_distance, oracles_drive, oracles_reaction
+from deploy.verdict.violations import Violation
 
 
 class Oracle(NamedTuple):
@@ -28,10 +28,12 @@ ORACLES: Final[tuple[Oracle, ...]] = (
     Oracle(
         "separation",
         "No two hands come nearer to each other than the safe distance.",
-        oracles_apart.separation,
+        oracles_distance.separation,
     ),
-    Oracle("clearance", "No hand comes nearer to an obstacle than the clearance.", oracles_apart.clearance),
-    Oracle("geofence", "A robot outside the geofence holds, as soon as it can.", oracles_apart.geofence),
+    Oracle(
+        "clearance", "No hand comes nearer to an obstacle than the clearance.", oracles_distance.clearance
+    ),
+    Oracle("geofence", "A robot outside the geofence holds, as soon as it can.", oracles_distance.geofence),
     Oracle(
         "agent_dead",
         "A plant brakes within the wrench timeout when its agent is gone.",

@@ -14,7 +14,7 @@ from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import Down, Flags, downs
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording, RobotData
-from deploy.violations import REACTION_S, Violation, reaction_s, windows
+from deploy.verdict.violations import REACTION_S, Violation, reaction_s, windows
 from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
 STOP_S: Final = 0.2

@@ -18,7 +18,6 @@ import numpy as np
 from agent.fleet.fleet import Fleet, law_name
 from agent.formation.geometry import Geometry
 from agent.supervision.state_machine import DRIVING, State
-from deploy import link_metrics, oracles, oracles_apart
 from deploy.analysis.analysis import Analysis, Approach, analyse, norm
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.analysis.stability import SETTLED
@@ -26,6 +25,7 @@ from deploy.console.wording import robots
 from deploy.recording.link_table import Floats
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
+from deploy.verdict import link_metrics, oracles, oracles_distance
 
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
@@ -82,7 +82,7 @@ def compute(
     warnings = [f"{warning}." for warning in recording.warnings] + _releases(recording)
     if not fleet.avoidance.enabled:
         # The bare law keeps neighbours apart and says nothing of others: not its failure, nor to be hidden.
-        for violation in oracles_apart.too_close(a.without_edge, a.safe_m, "share no edge"):
+        for violation in oracles_distance.too_close(a.without_edge, a.safe_m, "share no edge"):
             warnings.append(f"{violation.message} The law keeps apart only robots that share an edge.")
     for gap in _gaps(recording):
         if gap.rule:

@@ -9,11 +9,11 @@ import pytest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
-from deploy import link_metrics
 from deploy.analysis.analysis import analyse
-from deploy.link_metrics import ages, clock_offsets, clock_warnings
-from deploy.metrics import compute
 from deploy.recording.recording import Recording, RunData
+from deploy.verdict import link_metrics
+from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings
+from deploy.verdict.metrics import compute
 from tests.unit.simulated_run import driven, recorded, trio
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
