@@ -95,7 +95,7 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.pool import Pool, PoolError, cores
     from deploy.ports import NoPortsError
     from deploy.recording.recorder import RecordingError
-    from deploy.runfolder import FolderError
+    from deploy.report.run_folder import FolderError
 
     jobs = cores() if options.jobs is None else options.jobs
     for name, value, least in (("seed", options.seed, 0), ("count", options.count, 1), ("jobs", jobs, 1)):

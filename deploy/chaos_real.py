@@ -18,7 +18,7 @@ from deploy.live import make_view
 from deploy.local import LocalRun
 from deploy.placing import place
 from deploy.recording.recording import Recording
-from deploy.runfolder import RunFolder
+from deploy.report.run_folder import RunFolder
 
 
 def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Iterator[Driven]:
@@ -27,8 +27,9 @@ def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Itera
     The run of one that fails is kept below `out`, as `handfast run` leaves it but without a report.
 
     Raises:
-        deploy.ports.NoPortsError, deploy.runfolder.FolderError, deploy.recording.recorder.RecordingError,
-        agent.runtime.bus.BusError: as `deploy.local.LocalRun` and what it needs do.
+        deploy.ports.NoPortsError, deploy.report.run_folder.FolderError,
+        deploy.recording.recorder.RecordingError, agent.runtime.bus.BusError: as `deploy.local.LocalRun` and
+        what it needs do.
     """
     for seed in seeds:
         tables = draw(seed)

@@ -238,7 +238,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _report(options: argparse.Namespace) -> int:
     from deploy.recording.recorder import RecordingError
-    from deploy.report import rebuild
+    from deploy.report.report import rebuild
 
     try:
         metrics = rebuild(Path(options.folder))
@@ -249,8 +249,8 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from deploy.export import ExportError, export
     from deploy.recording.recorder import RecordingError
+    from deploy.report.export import ExportError, export
 
     try:
         for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):

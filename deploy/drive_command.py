@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from deploy.console.interrupt import Interrupt
     from deploy.inventory.registry import Registration
-    from deploy.runfolder import RunFolder
+    from deploy.report.run_folder import RunFolder
 
 ROBOTS_FILE: Final = "robots.toml"
 """The fleet as its robots read it, for commands such as `handfast stop`. The folder's ``fleet.toml`` is what

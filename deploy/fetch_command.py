@@ -44,8 +44,8 @@ def _fetch(options: argparse.Namespace) -> int:
     from deploy.merging import Choice, merge
     from deploy.outcome import say_verdict
     from deploy.recording.recorder import RecordingError
+    from deploy.report.run_folder import FolderError
     from deploy.robot_recording import MergeError
-    from deploy.runfolder import FolderError
 
     now_s = time.time()
     since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))

@@ -13,7 +13,7 @@ from deploy.live import View
 from deploy.operator_bus import operator_bus
 from deploy.placing import Vehicle
 from deploy.processes import Processes
-from deploy.runfolder import RunFolder
+from deploy.report.run_folder import RunFolder
 
 END_TIMEOUT_S: Final = 0.4
 VEHICLES_END_TIMEOUT_S: Final = 2.0

@@ -23,6 +23,7 @@ from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from agent.recorder.segments import Received
 from deploy.recording.recorder import RecordingError
+from deploy.report.run_folder import RunFolder
 from deploy.robot_recording import (
     GAP_NS,
     Damage,
@@ -32,7 +33,6 @@ from deploy.robot_recording import (
     by_time,
     recordings,
 )
-from deploy.runfolder import RunFolder
 
 MARGIN_NS: Final = 5 * NS_PER_S
 """Of the last mission so much before and after is taken as well."""
@@ -88,7 +88,7 @@ def merge(
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
         agent.fleet.fleet.FleetError: the fleet file in the recordings is none that this version can read.
-        deploy.runfolder.FolderError: `out` is not empty or cannot be written.
+        deploy.report.run_folder.FolderError: `out` is not empty or cannot be written.
         deploy.recording.recorder.RecordingError: the recording cannot be written.
     """
     there_is = recordings(folders)

@@ -15,7 +15,7 @@ from deploy.console.arguments import InputError
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED
 
 if TYPE_CHECKING:
-    from deploy.runfolder import RunFolder
+    from deploy.report.run_folder import RunFolder
 
 
 def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:
@@ -25,7 +25,7 @@ def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolde
         InputError: it cannot be made.
     """
     from deploy.recording.recorder import RecordingError
-    from deploy.runfolder import FolderError, RunFolder
+    from deploy.report.run_folder import FolderError, RunFolder
 
     stamp = time.strftime("%Y%m%d-%H%M%S")
     path = Path(options.out) if options.out else Path("runs") / f"{fleet.fleet.name}-{stamp}"

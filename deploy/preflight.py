@@ -23,7 +23,7 @@ from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.placing import Vehicle
 from deploy.processes import VEHICLE, Processes
-from deploy.runfolder import FLEET_FILE
+from deploy.report.run_folder import FLEET_FILE
 from deploy.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 
 TIMEOUT_S: Final = 20.0

@@ -22,8 +22,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from deploy.drawing import INK, PALETTE, RED, new_figure, write
 from deploy.recording.link_table import Floats
+from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
 from deploy.sweep import Axis, Plan
 from deploy.sweep_summary import CLOSEST, Cell, Margin
 

@@ -20,8 +20,8 @@ from agent.messages.validation import Malformed
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Received, Segment
 from deploy.merging import merge
-from deploy.report import rebuild
-from deploy.runfolder import RunFolder
+from deploy.report.report import rebuild
+from deploy.report.run_folder import RunFolder
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed
 from tests.process.harness import measured, no_trouble_in_logs, wait_for
 

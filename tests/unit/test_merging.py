@@ -21,9 +21,9 @@ from agent.recorder.segment_folder import SegmentFolder, segment_paths
 from agent.recorder.segments import About, Received
 from deploy.merging import MARGIN_NS, Choice, Merged, merge
 from deploy.recording.recording import Recording
-from deploy.report import rebuild
+from deploy.report.report import rebuild
+from deploy.report.run_folder import FolderError, RunFolder
 from deploy.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
-from deploy.runfolder import FolderError, RunFolder
 from tests.unit.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=2.0)

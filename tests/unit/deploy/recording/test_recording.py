@@ -36,12 +36,12 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.export import tabulate
 from deploy.recording.mcap_reader import MAGIC
 from deploy.recording.message_json import to_json
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording, RunData
 from deploy.recording.tables import Table
+from deploy.report.export import tabulate
 from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=1.6)

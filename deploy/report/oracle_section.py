@@ -5,8 +5,8 @@ from __future__ import annotations
 from html import escape
 from typing import Any, Final
 
-from deploy.page import shown, table
 from deploy.recording.recording import Recording
+from deploy.report.html import shown, table
 from deploy.verdict.oracles import ORACLES
 
 TRANSITIONS_MAX: Final = 400

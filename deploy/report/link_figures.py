@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.messages.types import LOST
-from deploy.drawing import GREY, PALETTE, RED, new_figure, note
-from deploy.fault_strip import time_axes
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
+from deploy.report.fault_strip import time_axes
+from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note
 from deploy.verdict.link_metrics import Ages, ages
 
 NAME: Final = "links"

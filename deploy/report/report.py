@@ -17,12 +17,12 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry, resolve
 from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
-from deploy import fault_strip, figures, link_figures, link_report, oracle_report
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.rounding import largest, number, percentile
-from deploy.page import CSS, bullets, figure, shown, table
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import FLEET_NAME, MCAP_NAME, Recording
+from deploy.report import fault_strip, figures, link_figures, link_section, oracle_section
+from deploy.report.html import CSS, bullets, figure, shown, table
 from deploy.verdict import metrics
 
 METRICS_NAME: Final = "metrics.json"
@@ -101,7 +101,7 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
     """What to try after a run that failed or has warnings: sentences (HTML, escaped)."""
     out = []
     if found["verdict"]["passed"]:
-        return [*_advice_apart(fleet, found), *link_report.advice(recording, found)]
+        return [*_advice_apart(fleet, found), *link_section.advice(recording, found)]
     safe = fleet.formation.safe_distance_m
     least = found["min_distance_m"]
     ends = [robot.status.at(recording.end_s) for robot in recording.robots.values()]
@@ -141,7 +141,7 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
                 "distance (<code>handfast check</code>) and that the plants can follow (limits, lag)."
             )
     out += _advice_apart(fleet, found)
-    out += link_report.advice(recording, found)
+    out += link_section.advice(recording, found)
     if found["settling_time_s"] is None and found["final_distance_error_m"] is not None:
         out.append(
             "If distances were still changing at the end, drive for longer (<code>--duration</code>). If "
@@ -256,8 +256,8 @@ def _page(
         _metrics_table(found),
         "<h2>Robots</h2>",
         _robots_table(recording, a),
-        oracle_report.section(recording, found),
-        link_report.section(recording, found, pictures.get(link_figures.NAME)),
+        oracle_section.section(recording, found),
+        link_section.section(recording, found, pictures.get(link_figures.NAME)),
         "<h2>Forces and timing</h2>",
         *(figure(name, pictures[name], _CAPTIONS[name]) for name in ("forces", "timing")),
         "<h2>Do it again</h2>",

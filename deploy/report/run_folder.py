@@ -102,7 +102,7 @@ class RunFolder:
         metrics.write(self.path / METRICS_FILE, result)
         if report:
             # Drawing needs matplotlib, which is slow to load: a run starts without it.
-            from deploy.report import write_report
+            from deploy.report.report import write_report
 
             write_report(self.path, recording, self._fleet, result)
         return result

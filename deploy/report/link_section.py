@@ -7,8 +7,8 @@ from html import escape
 from typing import Any, Final
 
 from agent.supervision.state_machine import State
-from deploy.page import figure, shown, table
 from deploy.recording.recording import Recording
+from deploy.report.html import figure, shown, table
 
 ROWS_MAX: Final = 40
 """Links in the table; of more, the worst."""

@@ -7,7 +7,7 @@ from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
 from agent.control.boundaries import Circle, Polygon
-from deploy.drawing import draw_boundary, new_figure, view
+from deploy.report.plotting import draw_boundary, new_figure, view
 
 LOW, HIGH = np.array([0.0, 0.0]), np.array([10.0, 4.0])
 SQUARE = [(-1.0, -1.0), (11.0, -1.0), (11.0, 11.0), (-1.0, 11.0)]

@@ -19,10 +19,13 @@ from matplotlib.figure import Figure
 
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.fleet.fleet import Fleet
-from deploy import link_figures
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.stability import SETTLED
-from deploy.drawing import (
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
+from deploy.report import link_figures
+from deploy.report.fault_strip import time_axes
+from deploy.report.plotting import (
     DASHED,
     DOTTED,
     GREY,
@@ -38,14 +41,11 @@ from deploy.drawing import (
     view,
     write,
 )
-from deploy.fault_strip import time_axes
-from deploy.recording.link_table import Floats
-from deploy.recording.recording import Recording
 
 _NOTE_MAX: Final = 60
 """Characters of a note that are drawn."""
 NAMES: Final = ("trajectories", "distances", "forces", "timing")
-"""Pictures of every run; `deploy.link_figures.NAME` comes with links that are worth one."""
+"""Pictures of every run; `deploy.report.link_figures.NAME` comes with links that are worth one."""
 
 
 def write_figures(

@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from agent.messages.codec import encode
-from deploy.export import ExportError, export, tabulate
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording
+from deploy.report.export import ExportError, export, tabulate
 from tests.unit.simulated_run import driven, leave_run, trio
 from tests.unit.synthetic_run import in_formation, make_fleet, messages, standing, triangle
 

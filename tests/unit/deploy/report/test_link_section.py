@@ -13,15 +13,15 @@ import pytest
 
 from agent.fleet.fault_rules import Rule
 from agent.messages.types import Event
-from deploy import fault_strip, link_figures
-from deploy.drawing import write
 from deploy.faults.windows import WINDOWS_MAX, windows
-from deploy.link_report import ROWS_MAX, advice, section
 from deploy.recording.columns import Store
 from deploy.recording.link_table import EXACT
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusRows
-from deploy.report import finish, rebuild
+from deploy.report import fault_strip, link_figures
+from deploy.report.link_section import ROWS_MAX, advice, section
+from deploy.report.plotting import write
+from deploy.report.report import finish, rebuild
 from tests.unit.simulated_run import driven, leave_run, recorded, trio
 
 FAULTS = """

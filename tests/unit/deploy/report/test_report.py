@@ -22,11 +22,11 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Status
-from deploy import figures
 from deploy.analysis.analysis import analyse
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording, RunData
-from deploy.report import finish, rebuild, write_report
+from deploy.report import figures
+from deploy.report.report import finish, rebuild, write_report
 from deploy.verdict.metrics import compute
 from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 

@@ -11,11 +11,11 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from deploy.drawing import GREY, INK, PALETTE, RED
 from deploy.faults.process_actions import WORDS
 from deploy.faults.windows import spans
 from deploy.faults.wording import defaults, words
 from deploy.recording.recording import Recording
+from deploy.report.plotting import GREY, INK, PALETTE, RED
 
 LANES_MAX: Final = 9
 """Rules with a bar of their own; further ones share the last."""

@@ -1,0 +1,1 @@
+"""A run for people: figures, the HTML report, tables to export."""
