@@ -18,7 +18,7 @@ from deploy.chaos_faults import draw_faults
 from deploy.chaos_orders import draw_orders
 from deploy.chaos_shapes import Shape, draw_shape
 from deploy.chaos_space import draw_obstacles, fence_round
-from deploy.check_braking import MARGIN_M
+from deploy.check.braking import MARGIN_M
 from deploy.dice import Dice
 
 Tables = dict[str, Any]

@@ -225,8 +225,8 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from deploy.check import check
-    from deploy.description import describe
+    from deploy.check.check import check
+    from deploy.check.description import describe
 
     fleet = load_unresolved(options)
     print(describe(fleet))

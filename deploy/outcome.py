@@ -41,7 +41,7 @@ def refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:
     Raises:
         InputError: there are errors, and the options do not say to drive all the same.
     """
-    from deploy.check import check
+    from deploy.check.check import check
 
     findings = [finding for finding in check(fleet) if finding.level in ("error", "warning")]
     for finding in findings:

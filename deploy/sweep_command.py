@@ -172,7 +172,7 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     """Says what `check` finds wrong in any cell; errors end the command unless told otherwise."""
-    from deploy.check import check
+    from deploy.check.check import check
     from deploy.sweep import SweepError
 
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}

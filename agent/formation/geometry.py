@@ -95,7 +95,7 @@ def resolve(fleet: Fleet) -> Geometry:
     """The formation that the fleet drives: offsets found, distances written out, slots assigned.
 
     Offsets and distances that the file gives are taken as they are, also where they contradict each
-    other (`deploy.check` says so); what it does not give comes from the other.
+    other (`deploy.check.check` says so); what it does not give comes from the other.
 
     Raises:
         FormationError: fields that do not fit together (an edge names an unknown robot or joins a robot

@@ -20,7 +20,7 @@ from deploy.chaos import scenario_text
 from deploy.chaos_draw import QUIET_S, draw
 from deploy.chaos_report import parts
 from deploy.chaos_shapes import APART_FACTOR
-from deploy.check import check
+from deploy.check.check import check
 from deploy.dice import Dice
 
 SEEDS = range(60)

@@ -14,7 +14,7 @@ from agent.fleet.safety_sections import AvoidanceSection, SupervisionSection
 from agent.formation.geometry import resolve, resolved
 from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli
-from deploy.check import check
+from deploy.check.check import check
 from deploy.console.data_files import FLEETS
 from deploy.verdict.oracles import ORACLES
 

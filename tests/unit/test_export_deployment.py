@@ -22,9 +22,9 @@ from agent.fleet.host_sections import HostSection
 from agent.formation.geometry import resolved
 from deploy import export_deployment_command
 from deploy.bundle import Bundle, Platform
+from deploy.check.finding import Finding
 from deploy.console.data_files import FLEETS
 from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platform, texts
-from deploy.finding import Finding
 from deploy.host_connection import Clock
 from deploy.host_setup import prepare
 from deploy.inventory.hosts import located, robots_on, robots_text
@@ -206,7 +206,7 @@ def test_what_check_finds_wrong_is_refused_as_by_up(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    monkeypatch.setattr("deploy.check.check", lambda _: [Finding("error", "x", "too near")])
+    monkeypatch.setattr("deploy.check.check.check", lambda _: [Finding("error", "x", "too near")])
     assert export("--out", str(tmp_path / "out")) == 2
     assert not (tmp_path / "out").exists()
     assert "because of the errors above" in capsys.readouterr().err

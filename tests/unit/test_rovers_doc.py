@@ -7,7 +7,7 @@ from pathlib import Path
 
 from agent.fleet.fleet import Fleet, parse_fleet
 from bridges.mavlink.session.parameters import AUDITED
-from deploy.check import check
+from deploy.check.check import check
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "rovers.md").read_text(encoding="utf-8")

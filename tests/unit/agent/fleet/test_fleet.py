@@ -13,7 +13,7 @@ import tomli_w
 
 from agent.fleet.fleet import FILE_BYTES_MAX, FleetError, digest, law_name, load_fleet, parse_fleet, to_dict
 from agent.fleet.sections import LAWS, ControlSection
-from deploy import fleet_reference
+from deploy.check import fleet_reference
 from deploy.console.data_files import FLEETS, TEMPLATE
 from tests.unit.agent.fleet.fleet_texts import MIXED, SMALL, problems, small
 

@@ -12,10 +12,10 @@ from agent.formation.geometry import resolved
 from agent.impairments.impairments import Loss
 from agent.messages.codec import encode
 from agent.messages.types import HandState
-from deploy.check import Finding, check
-from deploy.check_faults import silences
+from deploy.check.check import Finding, check
+from deploy.check.description import describe
+from deploy.check.faults import silences
 from deploy.console.data_files import FLEETS
-from deploy.description import describe
 from tests.unit.simulated_run import driven
 
 DELTA = FLEETS / "delta.toml"

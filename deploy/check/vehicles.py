@@ -13,8 +13,8 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
 from agent.formation import trajectory
 from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
+from deploy.check.finding import Finding, Level
 from deploy.console.wording import robots
-from deploy.finding import Finding, Level
 
 RATE_MAX_HZ: Final = 50.0
 """ArduPilot Rover's own loop: it takes nothing faster."""
@@ -155,7 +155,7 @@ def _limits(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
     try:
         speed = trajectory.maximum_speed(fleet.trajectory)
     except ValueError:
-        return  # said by deploy.check
+        return  # said by deploy.check.check
     slowest = min(vehicles, key=lambda vehicle: vehicle.link.max_speed_mps)
     limit = slowest.link.max_speed_mps
     if speed >= SPEED_SHARE * limit:

@@ -12,8 +12,8 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
+from deploy.check.finding import Finding
 from deploy.console.wording import robots
-from deploy.finding import Finding
 
 _ROUNDING: Final = 1e-9
 MARGIN_M: Final = 0.05

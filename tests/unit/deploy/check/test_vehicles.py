@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from agent.fleet.fleet import Fleet, load_fleet
-from deploy.check import check
-from deploy.check_vehicles import check_vehicles
+from deploy.check.check import check
+from deploy.check.description import describe
+from deploy.check.finding import Finding
+from deploy.check.vehicles import check_vehicles
 from deploy.console.data_files import FLEETS
-from deploy.description import describe
-from deploy.finding import Finding
 
 
 def rovers(*overrides: str) -> Fleet:

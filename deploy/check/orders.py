@@ -9,8 +9,8 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry, components
 from agent.formation.mission_plan import Plan
+from deploy.check.finding import Finding
 from deploy.console.wording import some
-from deploy.finding import Finding
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import Operator
 

@@ -13,8 +13,8 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation.geometry import resolve, start_hands
 from deploy.analysis.stability import Mode, modes, sampled_radius, settling_time, sweep_radius
-from deploy.check import Finding, check
-from deploy.description import describe
+from deploy.check.check import Finding, check
+from deploy.check.description import describe
 
 H = sqrt(3.0) / 2.0
 EDGES = ((1, 2), (1, 3), (2, 3), (2, 4), (2, 5), (3, 5), (3, 6), (4, 5), (5, 6))

@@ -17,7 +17,7 @@ from agent.formation.geometry import Geometry, is_rigid, resolve, start_hands
 from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
-from deploy.check_safety import parting
+from deploy.check.safety import parting
 from deploy.console.wording import robots, some
 from deploy.faults.wording import defaults, described, words
 

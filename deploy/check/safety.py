@@ -16,10 +16,10 @@ from agent.control.safety_distances import avoidance_distance, clearance, least_
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
 from deploy.analysis.clearances import distances
-from deploy.check_braking import check_braking, check_room
+from deploy.check.braking import check_braking, check_room
+from deploy.check.finding import Finding, Level
+from deploy.check.paths import Ways
 from deploy.console.wording import NAMES_SHOWN, robots
-from deploy.finding import Finding, Level
-from deploy.ways import Ways
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def check_safety(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
     try:
         ways = Ways(fleet, geometry)
     except ValueError:
-        return  # a trajectory that cannot be made: `deploy.check` says so
+        return  # a trajectory that cannot be made: `deploy.check.check` says so
     yield from check_room(fleet, geometry)
     for number, obstacle in enumerate(obstacles, 1):
         yield from _way_past(fleet, ways, number, obstacle, keep)

@@ -44,12 +44,12 @@ from deploy.analysis.stability import (
     settling_time,
     sweep_radius,
 )
-from deploy.check_faults import check_faults
-from deploy.check_orders import check_orders
-from deploy.check_safety import check_safety, start_points
-from deploy.check_vehicles import check_vehicles
+from deploy.check.faults import check_faults
+from deploy.check.finding import Finding
+from deploy.check.orders import check_orders
+from deploy.check.safety import check_safety, start_points
+from deploy.check.vehicles import check_vehicles
 from deploy.console.wording import NAMES_SHOWN, counted, robots, some
-from deploy.finding import Finding
 
 __all__ = ["Finding", "check"]
 

@@ -9,10 +9,10 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve
 from deploy import judged
 from deploy.analysis.analysis import analyse
-from deploy.check import check
-from deploy.check_braking import check_braking
+from deploy.check.braking import check_braking
+from deploy.check.check import check
+from deploy.check.finding import Finding
 from deploy.console.data_files import FLEETS
-from deploy.finding import Finding
 from tests.unit.agent.fleet.fleet_texts import small
 
 SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")

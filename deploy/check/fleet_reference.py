@@ -1,7 +1,7 @@
 """Writes ``docs/fleet-file.md`` from the models of the fleet file, so that it says what they say.
 
-``python -m deploy.fleet_reference`` prints the page; with ``--check`` it compares the page in docs with it
-(exit status 1 when they differ).
+``python -m deploy.check.fleet_reference`` prints the page; with ``--check`` it compares the page in docs
+with it (exit status 1 when they differ).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _HEAD: Final = """\
 # The fleet file
 
 <!-- Made of agent/*_sections.py and agent/fleet/fault_rules.py: change it there, then
-     python -m deploy.fleet_reference > docs/fleet-file.md -->
+     python -m deploy.check.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
 same file. `handfast new NAME` writes one to start from, `handfast check FLEET` says what is wrong with one
@@ -179,11 +179,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(render())
         return 0
     if list(arguments) != ["--check"]:
-        print("usage: python -m deploy.fleet_reference [--check]", file=sys.stderr)
+        print("usage: python -m deploy.check.fleet_reference [--check]", file=sys.stderr)
         return 2
     if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == render():
         return 0
-    print(f"{PAGE} is out of date: python -m deploy.fleet_reference > docs/fleet-file.md", file=sys.stderr)
+    print(
+        f"{PAGE} is out of date: python -m deploy.check.fleet_reference > docs/fleet-file.md", file=sys.stderr
+    )
     return 1
 
 

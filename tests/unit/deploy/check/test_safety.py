@@ -10,10 +10,10 @@ import pytest
 from agent.control.boundaries import Circle, Polygon
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve
-from deploy.check_safety import check_safety, parting, start_points
-from deploy.description import describe
-from deploy.finding import Finding
-from deploy.ways import Ways
+from deploy.check.description import describe
+from deploy.check.finding import Finding
+from deploy.check.paths import Ways
+from deploy.check.safety import check_safety, parting, start_points
 
 # Three robots in a row from west to east, 1 m apart, 0.1 m ahead of their axles; they drive east.
 ROW = """

@@ -20,10 +20,10 @@ from agent.links.fault_plan import FaultPlan, LinkEffects
 from agent.messages.codec import encode
 from agent.messages.types import HandState
 from agent.node import FIRST_ROUND
+from deploy.check.finding import Finding, Level
 from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.faults.windows import windows
 from deploy.faults.wording import acts_on_links, words
-from deploy.finding import Finding, Level
 from deploy.recording.link_table import Link
 from deploy.verdict.link_audit import links_of
 

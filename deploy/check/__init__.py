@@ -1,0 +1,1 @@
+"""What a fleet file will do and what is wrong with it, before anything moves."""
