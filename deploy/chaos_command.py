@@ -93,7 +93,7 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
     from deploy.pool import Pool, PoolError, cores
-    from deploy.ports import NoPortsError
+    from deploy.processes.ports import NoPortsError
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
 

@@ -16,7 +16,7 @@ from deploy.chaos_report import Driven
 from deploy.console.interrupt import Interrupt
 from deploy.live import make_view
 from deploy.local import LocalRun
-from deploy.placing import place
+from deploy.processes.placement import place
 from deploy.recording.recording import Recording
 from deploy.report.run_folder import RunFolder
 
@@ -27,7 +27,7 @@ def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Itera
     The run of one that fails is kept below `out`, as `handfast run` leaves it but without a report.
 
     Raises:
-        deploy.ports.NoPortsError, deploy.report.run_folder.FolderError,
+        deploy.processes.ports.NoPortsError, deploy.report.run_folder.FolderError,
         deploy.recording.recorder.RecordingError, agent.runtime.bus.BusError: as `deploy.local.LocalRun` and
         what it needs do.
     """

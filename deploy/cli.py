@@ -149,8 +149,8 @@ def _run(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
     from deploy.live import make_view
     from deploy.local import LocalRun
-    from deploy.placing import place
-    from deploy.ports import NoPortsError
+    from deploy.processes.placement import place
+    from deploy.processes.ports import NoPortsError
     from deploy.recording.recorder import RecordingError
 
     interrupt = Interrupt()

@@ -21,11 +21,11 @@ from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force,
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.faults.process_actions import WORDS, Action, actions
-from deploy.fleet_processes import FleetProcesses
 from deploy.followed import Followed, Record
 from deploy.live import View
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
+from deploy.processes.protocol import FleetProcesses
 from deploy.standstill import Standstill
 
 POLL_S: Final = 0.04

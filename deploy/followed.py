@@ -16,9 +16,9 @@ from agent.supervision.state_machine import State
 from deploy.author import author
 from deploy.console.wording import robots
 from deploy.faults.process_actions import Process
-from deploy.fleet_processes import FleetProcesses
 from deploy.live import Watch, fleet_time_s
 from deploy.orders.operator import Operator, Order
+from deploy.processes.protocol import FleetProcesses
 from deploy.readiness import in_words, is_ready, waits
 from deploy.recording.recorder import RecordingError
 from deploy.session import valid

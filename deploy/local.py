@@ -11,8 +11,8 @@ from deploy.drive import Drive
 from deploy.inventory.registry import Registration
 from deploy.live import View
 from deploy.operator_bus import operator_bus
-from deploy.placing import Vehicle
-from deploy.processes import Processes
+from deploy.processes.local import Processes
+from deploy.processes.placement import Vehicle
 from deploy.report.run_folder import RunFolder
 
 END_TIMEOUT_S: Final = 0.4

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Any, Final, Generic, Protocol, TypeVar
 
-from deploy.children import ONE_THREAD
+from deploy.processes.child import ONE_THREAD
 
 POLL_S: Final = 0.2
 """How often the pool asks whether it is to go on."""

@@ -21,8 +21,8 @@ from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
-from deploy.placing import Vehicle
-from deploy.processes import VEHICLE, Processes
+from deploy.processes.local import VEHICLE, Processes
+from deploy.processes.placement import Vehicle
 from deploy.report.run_folder import FLEET_FILE
 from deploy.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 

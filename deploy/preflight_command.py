@@ -28,9 +28,9 @@ def add_parser(commands: Any) -> None:
 
 def _preflight(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
-    from deploy.placing import place
-    from deploy.ports import NoPortsError
     from deploy.preflight import Preflight, passed, show, to_json
+    from deploy.processes.placement import place
+    from deploy.processes.ports import NoPortsError
 
     interrupt = Interrupt()
     with interrupt.caught():

@@ -19,7 +19,7 @@ from deploy.console.arguments import (
     robots_named,
 )
 from deploy.console.interrupt import Interrupt
-from deploy.placing import is_simulated
+from deploy.processes.placement import is_simulated
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 IN_CLEAR: Final = (

@@ -14,8 +14,8 @@ from typing import Final
 
 from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
-from deploy.children import ONE_THREAD
-from deploy.processes import MODULES
+from deploy.processes.child import ONE_THREAD
+from deploy.processes.local import MODULES
 
 RECORDER: Final = "recorder"
 RECORDER_MODULE: Final = "agent.recorder.__main__"

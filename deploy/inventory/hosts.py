@@ -11,7 +11,7 @@ from agent.fleet.host_sections import HostSection
 from deploy.console.arguments import InputError
 from deploy.console.wording import some
 from deploy.inventory import ssh
-from deploy.placing import is_simulated
+from deploy.processes.placement import is_simulated
 
 
 def located(fleet: Fleet) -> Fleet:

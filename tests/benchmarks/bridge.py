@@ -37,9 +37,9 @@ from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.streams import wanted_messages
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.console.arguments import fleet_path
-from deploy.placing import ADDRESS, Vehicle, place
-from deploy.ports import Reservation
-from deploy.processes import MODULES, VEHICLE, VEHICLE_MODULE
+from deploy.processes.local import MODULES, VEHICLE, VEHICLE_MODULE
+from deploy.processes.placement import ADDRESS, Vehicle, place
+from deploy.processes.ports import Reservation
 from plant.backend import Command
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import ROOT, BenchmarkError, Group, Observer, cpu_s

@@ -25,8 +25,8 @@ from agent.messages.validation import Malformed
 from agent.node import next_tick_ns
 from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
-from deploy.children import ONE_THREAD
-from deploy.placing import place
+from deploy.processes.child import ONE_THREAD
+from deploy.processes.placement import place
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ROLES: Final = ("agent", "plant")

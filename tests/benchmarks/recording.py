@@ -22,7 +22,7 @@ from agent.formation.geometry import resolved
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Segment
 from deploy.console.arguments import fleet_path
-from deploy.placing import place
+from deploy.processes.placement import place
 from tests.benchmarks.figures import Figure, Options, Result, spread, table
 from tests.benchmarks.processes import ROLES, Group, Observer, cpu_s, mean, pss_mb, start_handfast
 

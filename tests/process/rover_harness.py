@@ -19,9 +19,9 @@ from agent.messages.codec import encode
 from agent.messages.types import Checks, Resume
 from bridges.mavlink.transport.transport import open_transport
 from deploy.console.data_files import FLEETS
-from deploy.placing import Vehicle, place, vehicle
-from deploy.ports import Reservation
-from deploy.processes import MODULES, VEHICLE, VEHICLE_MODULE
+from deploy.processes.local import MODULES, VEHICLE, VEHICLE_MODULE
+from deploy.processes.placement import Vehicle, place, vehicle
+from deploy.processes.ports import Reservation
 from tests.ground_station import Operator
 from tests.process.fleet_harness import Robots
 from tests.process.harness import ADDRESS, PATIENCE_S

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.ports import Reservation
+from deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, ROOT, environment, last_lines, no_trouble
 
 BASE_PORT = 26_368

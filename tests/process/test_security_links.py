@@ -28,7 +28,7 @@ from agent.security.credentials import Files, load
 from agent.security.identity import Identity, of_operator, of_robot, of_router
 from agent.security.sealed_order import Sealer
 from deploy.inventory.certificate_authority import Authority
-from deploy.ports import Reservation
+from deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, environment, measured, no_trouble, wait_for
 from tests.unit.trusted import FLEET, authority, credentials, security
 

@@ -40,7 +40,9 @@ def test_a_rover_can_be_simulated_without_the_operators_packages() -> None:
 def test_what_is_missing_for_a_command_is_named_with_what_brings_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith(("bridges", "pymap3d", "deploy.placing"))]:
+    for name in [
+        name for name in sys.modules if name.startswith(("bridges", "pymap3d", "deploy.processes.placement"))
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pymap3d", None)
     assert main(["rover-simulator", "--help"]) == 2

@@ -15,7 +15,7 @@ from agent.runtime.runtime_folder import NotPrivateError
 from deploy.cli import main
 from deploy.console.arguments import InputError
 from deploy.console.data_files import FLEETS
-from deploy.ports import Reservation
+from deploy.processes.ports import Reservation
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from tests.process.fleet_harness import BASE_PORT

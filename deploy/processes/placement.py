@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import NetworkSection
 from agent.fleet.sections import SIMULATOR, Robot
-from deploy.ports import Reservation
+from deploy.processes.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
 
@@ -47,7 +47,7 @@ def place(fleet: Fleet) -> Placed:
     so a bridge knows of no simulators.
 
     Raises:
-        deploy.ports.NoPortsError: when there are none.
+        deploy.processes.ports.NoPortsError: when there are none.
     """
     simulated = [robot.id for robot in fleet.robots if is_simulated(robot)]
     of_processes = 2 * len(fleet.robots)

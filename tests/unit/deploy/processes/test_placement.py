@@ -10,9 +10,9 @@ import pytest
 from agent.fleet.fleet import Fleet, digest, load_fleet, parse_fleet, to_dict
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.simulator.settings import parse_home
-from deploy import ports
 from deploy.console.data_files import FLEETS
-from deploy.placing import place, vehicle
+from deploy.processes import ports
+from deploy.processes.placement import place, vehicle
 
 
 @pytest.fixture

@@ -10,11 +10,11 @@ import pytest
 
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet, load_fleet
-from deploy import processes
 from deploy.console.data_files import FLEETS
 from deploy.faults.process_actions import Action
-from deploy.placing import Vehicle
-from deploy.processes import Processes
+from deploy.processes import local
+from deploy.processes.local import Processes
+from deploy.processes.placement import Vehicle
 
 POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)
 
@@ -51,8 +51,8 @@ def no_real_processes(monkeypatch: pytest.MonkeyPatch) -> None:
         ended.append([child.name for child in children])
         return []
 
-    monkeypatch.setattr(processes, "Child", Child)
-    monkeypatch.setattr(processes, "end_all", end_all)
+    monkeypatch.setattr(local, "Child", Child)
+    monkeypatch.setattr(local, "end_all", end_all)
 
 
 def mixed() -> Fleet:

@@ -10,9 +10,9 @@ from typing import Final
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
-from deploy.children import Child, end_all
 from deploy.faults.process_actions import Action, Process
-from deploy.placing import Vehicle
+from deploy.processes.child import Child, end_all
+from deploy.processes.placement import Vehicle
 
 MODULES: Final = {"unicycle": "plant", "mavlink": "bridges.mavlink"}
 """Kind of plant -> module that hosts it."""

@@ -1,0 +1,1 @@
+"""The processes of a fleet on this machine: placed on ports, started, watched, ended."""
