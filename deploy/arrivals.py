@@ -10,8 +10,8 @@ from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING, State
 from deploy.faults.live import Receiver
-from deploy.operator_session import OperatorSession
 from deploy.readiness import is_ready
+from deploy.session.operator_session import OperatorSession
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 _SETTLED: Final = _DRIVING | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}

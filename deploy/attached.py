@@ -12,8 +12,8 @@ from deploy.before_drive import refusal
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.faults.process_actions import Action, Process
-from deploy.operator_session import OperatorSession
-from deploy.session import connected
+from deploy.session.operator_session import OperatorSession
+from deploy.session.session import connected
 
 NAMED_MAX: Final = 6
 """Of processes that go at one time, as when this machine is cut off, so many are named."""

@@ -59,7 +59,7 @@ def _down(options: argparse.Namespace) -> int:
 def _brake(fleet: Fleet, view: HostsView) -> None:
     """Stops all robots at once, before their processes end one by one."""
     from agent.runtime.bus import BusError
-    from deploy.stop_session import stop
+    from deploy.session.stop import stop
 
     try:
         stopping = stop(fleet, REASON)

@@ -150,8 +150,8 @@ def _attend(
     from deploy.before_drive import BROKEN_OFF
     from deploy.drive import Drive
     from deploy.live import make_view
-    from deploy.operator_bus import operator_bus
     from deploy.recording.recorder import RecordingError
+    from deploy.session.operator_bus import operator_bus
 
     view, processes = make_view(quiet=options.quiet), Attached(fleet)
     try:
@@ -205,8 +205,8 @@ def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt:
     from deploy.before_drive import clock
     from deploy.drive import Drive
     from deploy.live import make_view
-    from deploy.operator_bus import operator_bus
-    from deploy.session import valid
+    from deploy.session.operator_bus import operator_bus
+    from deploy.session.session import valid
 
     view = make_view(quiet=options.quiet)
     with view, operator_bus(fleet) as bus:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from agent.common.schema import Entry
     from agent.fleet.fault_rules import Rule
     from deploy.console.interrupt import Interrupt
-    from deploy.faults_session import FaultsSession
+    from deploy.session.faults import FaultsSession
 
 
 def add_parser(commands: Any) -> None:
@@ -123,7 +123,7 @@ def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
     """Sends the rules, and keeps them in force until they end."""
     from deploy.console.interrupt import Interrupt
     from deploy.faults.live_rules import text_of
-    from deploy.faults_putting import Putting, names
+    from deploy.session.fault_injection import Putting, names
 
     text = text_of(rules)
     interrupt = Interrupt()
@@ -143,8 +143,8 @@ def _put(fleet: Fleet, rules: Sequence[Rule], *, stay: bool) -> int:
 
 def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSession:
     """A session in which all receivers are there, or as many as came; raises as `connected`."""
-    from deploy.faults_session import FaultsSession
-    from deploy.session import connected
+    from deploy.session.faults import FaultsSession
+    from deploy.session.session import connected
 
     return connected(FaultsSession(fleet), interrupt)
 
@@ -155,7 +155,7 @@ def _connected(fleet: Fleet, interrupt: Interrupt | None = None) -> FaultsSessio
 def _show(options: argparse.Namespace) -> int:
     from agent.links.fault_plan import FaultPlan
     from deploy.faults.wording import defaults
-    from deploy.faults_putting import ECHO_S, names
+    from deploy.session.fault_injection import ECHO_S, names
 
     fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:
@@ -203,7 +203,7 @@ def _line_of(rule: Rule, time_s: float | None) -> str:
 
 
 def _clear(options: argparse.Namespace) -> int:
-    from deploy.faults_putting import NothingToClearError, clear, names
+    from deploy.session.fault_injection import NothingToClearError, clear, names
 
     fleet = running_fleet(options.fleet)
     with _connected(fleet) as session:

@@ -13,7 +13,6 @@ from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
 from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
-from deploy.author import author
 from deploy.console.wording import robots
 from deploy.faults.process_actions import Process
 from deploy.live import Watch, fleet_time_s
@@ -21,7 +20,8 @@ from deploy.orders.operator import Operator, Order
 from deploy.processes.protocol import FleetProcesses
 from deploy.readiness import in_words, is_ready, waits
 from deploy.recording.recorder import RecordingError
-from deploy.session import valid
+from deploy.session.author import author
+from deploy.session.session import valid
 from deploy.vehicle_checks import VehicleChecks
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2

@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
 
 def _heartbeat(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
-    from deploy.heartbeat_session import beat
+    from deploy.session.heartbeat import beat
 
     fleet = running_fleet(options.fleet)
     deadman_s = fleet.supervision.deadman_s

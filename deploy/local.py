@@ -10,10 +10,10 @@ from deploy.console.interrupt import Interrupt
 from deploy.drive import Drive
 from deploy.inventory.registry import Registration
 from deploy.live import View
-from deploy.operator_bus import operator_bus
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle
 from deploy.report.run_folder import RunFolder
+from deploy.session.operator_bus import operator_bus
 
 END_TIMEOUT_S: Final = 0.4
 VEHICLES_END_TIMEOUT_S: Final = 2.0

@@ -118,10 +118,10 @@ def _tables(source: str | None) -> Mapping[str, Any] | None:
 
 def _order(fleet: Fleet, make: Callable[[Plan], OrderSection]) -> int:
     """Gives the order, and says what becomes of it."""
-    from deploy.order_session import OrderSession
     from deploy.orders.mission_editing import OrderError
     from deploy.orders.mission_outcome import words
-    from deploy.session import connected
+    from deploy.session.order import OrderSession
+    from deploy.session.session import connected
 
     with connected(OrderSession(fleet)) as session:
         try:

@@ -24,7 +24,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _resume(options: argparse.Namespace) -> int:
-    from deploy.resume_session import resume
+    from deploy.session.resume import resume
 
     fleet = running_fleet(options.fleet)
     resuming = resume(fleet, robots_named(fleet, options))

@@ -40,7 +40,7 @@ def add_parser(commands: Any) -> None:
 
 
 def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
-    """As `deploy.session.Session.wait`, without a session."""
+    """As `deploy.session.session.Session.wait`, without a session."""
     deadline = time.monotonic() + timeout_s
     while not look():
         if time.monotonic() >= deadline:
@@ -57,7 +57,7 @@ def _status(options: argparse.Namespace) -> int:
     from deploy.hosts_view import FAILED as HOST_FAILED
     from deploy.hosts_view import Row
     from deploy.inventory.hosts import hosts_of, located
-    from deploy.operator_session import OperatorSession
+    from deploy.session.operator_session import OperatorSession
     from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
 
     interrupt = Interrupt()

@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _stop(options: argparse.Namespace) -> int:
-    from deploy.stop_session import stop
+    from deploy.session.stop import stop
 
     fleet = running_fleet(options.fleet)
     stopping = stop(fleet, options.reason)

@@ -17,8 +17,8 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
 from deploy.before_drive import OVER
-from deploy.operator_bus import KEYS
 from deploy.recording.recording import Recording
+from deploy.session.operator_bus import KEYS
 from tests.process import attackers
 from tests.process.harness import Command, assert_same_way, hands, measured, no_trouble_in_logs
 from tests.process.secured_fleet import EAR, TAKEN, SecuredRobots, secured_robots, three

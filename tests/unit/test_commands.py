@@ -100,7 +100,7 @@ def test_a_fleet_without_a_switch_needs_no_heartbeats(capsys: pytest.CaptureFixt
 def test_orders_need_no_numerics_before_they_are_sent() -> None:
     """A stop must be quick: the command line loads no numpy until something needs it."""
     code = (
-        "import sys, deploy.cli, deploy.stop_session; deploy.cli._parser(); sys.exit('numpy' in sys.modules)"
+        "import sys, deploy.cli, deploy.session.stop; deploy.cli._parser(); sys.exit('numpy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
 

@@ -25,7 +25,7 @@ from deploy.drive import Drive
 from deploy.live import Lines
 from deploy.orders.operator import Known
 from deploy.recording.recorder import RecordingError
-from deploy.session import valid
+from deploy.session.session import valid
 from tests.unit.deploy.orders.order_fleets import order
 
 S = 1_000_000_000

@@ -121,7 +121,7 @@ def drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A fleet that is up and lets itself be driven; its folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("deploy.attached.refused", lambda *_, **__: "")
-    monkeypatch.setattr("deploy.operator_bus.operator_bus", lambda _: nullcontext())
+    monkeypatch.setattr("deploy.session.operator_bus.operator_bus", lambda _: nullcontext())
     monkeypatch.setattr("deploy.drive.Drive", Drives)
     return tmp_path
 
@@ -161,7 +161,7 @@ def test_a_drive_that_cannot_begin_leaves_a_complete_recording(
         raise error
 
     place = (
-        "deploy.operator_bus.operator_bus"
+        "deploy.session.operator_bus.operator_bus"
         if type(error) is InputError
         else "deploy.inventory.registry.Registration"
     )

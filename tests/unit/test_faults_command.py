@@ -23,7 +23,7 @@ from deploy.faults.live import Held, Receiver, receivers, shown
 from deploy.faults.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
 from deploy.faults.wording import end_of, lasts, next_begin, window, words
 from deploy.faults_command import add_parser
-from deploy.faults_putting import NothingToClearError, Putting, clear, names
+from deploy.session.fault_injection import NothingToClearError, Putting, clear, names
 
 FLEET = load_fleet(FLEETS / "pair.toml")
 IDS = (1, 2, 3)
@@ -206,7 +206,7 @@ class World:
 
 
 class Somebody:
-    """One operator in the world, a `deploy.faults_putting.Operator`."""
+    """One operator in the world, a `deploy.session.fault_injection.Operator`."""
 
     fleet = FLEET
 

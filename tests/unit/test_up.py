@@ -197,7 +197,7 @@ class View:
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     there = World(fleet({"rover1": {"address": "10.0.0.1"}, "rover2": {}}, network={"security": "off"}))
-    monkeypatch.setattr("deploy.session.operator_bus", lambda _: there)
+    monkeypatch.setattr("deploy.session.session.operator_bus", lambda _: there)
     monkeypatch.setattr("deploy.host_jobs.HostConnection", there.host)
     monkeypatch.setattr("deploy.host_setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
     monkeypatch.setattr("deploy.up.program_archive", lambda: b"program")

@@ -9,9 +9,9 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, Status
-from deploy.author import author
 from deploy.orders.operator import Operator, Order
-from deploy.session import Session
+from deploy.session.author import author
+from deploy.session.session import Session
 
 ASK_S: Final = 1.0
 SEND_PERIOD_S: Final = 0.25

@@ -11,7 +11,7 @@ import pytest
 from agent.fleet.fleet import Fleet
 from agent.security.identity import of_operator
 from deploy.console.arguments import InputError
-from deploy.operator_bus import KEYS, OPERATOR, operator_bus
+from deploy.session.operator_bus import KEYS, OPERATOR, operator_bus
 from tests.unit.deploy.orders.order_fleets import square
 from tests.unit.trusted import authority, credentials
 

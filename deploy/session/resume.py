@@ -8,9 +8,9 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message
-from deploy.operator_session import INBOX, OperatorSession
 from deploy.orders.resume_outcome import Resuming
-from deploy.session import connected
+from deploy.session.operator_session import INBOX, OperatorSession
+from deploy.session.session import connected
 
 ANSWER_S: Final = 3.0
 

@@ -8,12 +8,12 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Heartbeat
-from deploy.author import author
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
-from deploy.faults_putting import Line
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS
-from deploy.session import Session, connected
+from deploy.session.author import author
+from deploy.session.fault_injection import Line
+from deploy.session.session import Session, connected
 
 PERIOD_S: Final = HEARTBEAT_PERIOD_NS / 1e9
 

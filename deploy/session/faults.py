@@ -9,9 +9,9 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Faults, Message, PlantState
 from agent.node import FIRST_ROUND
-from deploy.author import author
 from deploy.faults.live import Held, Receiver
-from deploy.session import Session
+from deploy.session.author import author
+from deploy.session.session import Session
 
 INBOX: Final = 4096
 

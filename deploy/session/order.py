@@ -9,9 +9,9 @@ from agent.fleet.order_sections import OrderSection
 from agent.formation.mission_plan import Plan
 from agent.messages.types import Message, Mission
 from deploy.inventory.running import NoAnswerError
-from deploy.operator_session import OperatorSession
 from deploy.orders.mission_outcome import Ordering
 from deploy.orders.operator import NO_MISSION
+from deploy.session.operator_session import OperatorSession
 
 TAKE_S: Final = 3.0
 """Agents that do not say that they know a mission by then are named."""

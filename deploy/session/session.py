@@ -16,7 +16,7 @@ from agent.messages.validation import Malformed
 from deploy.console.interrupt import Interrupt
 from deploy.faults.live import Receiver, receivers
 from deploy.inventory.running import NoAnswerError
-from deploy.operator_bus import operator_bus
+from deploy.session.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0
 """Processes that are not there by then are named and left out."""

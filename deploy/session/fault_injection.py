@@ -35,7 +35,7 @@ class NothingToClearError(LookupError):
 
 
 class Operator(Protocol):
-    """What is needed of a session with a fleet (`deploy.faults_session.FaultsSession`)."""
+    """What is needed of a session with a fleet (`deploy.session.faults.FaultsSession`)."""
 
     @property
     def fleet(self) -> Fleet: ...

@@ -1,0 +1,1 @@
+"""An operator on the bus, for as long as one command lasts."""
