@@ -9,8 +9,8 @@ from typing import Final
 from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING, State
+from deploy.drive.readiness import is_ready
 from deploy.faults.live import Receiver
-from deploy.readiness import is_ready
 from deploy.session.operator_session import OperatorSession
 
 _DRIVING: Final = frozenset(state.value for state in DRIVING)

@@ -14,8 +14,8 @@ from deploy.chaos import Outcome, judged, scenario_text
 from deploy.chaos_draw import draw, name_of
 from deploy.chaos_report import Driven
 from deploy.console.interrupt import Interrupt
-from deploy.live import make_view
-from deploy.local import LocalRun
+from deploy.drive.live_view import make_view
+from deploy.drive.local import LocalRun
 from deploy.processes.placement import place
 from deploy.recording.recording import Recording
 from deploy.report.run_folder import RunFolder
@@ -28,8 +28,8 @@ def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Itera
 
     Raises:
         deploy.processes.ports.NoPortsError, deploy.report.run_folder.FolderError,
-        deploy.recording.recorder.RecordingError, agent.runtime.bus.BusError: as `deploy.local.LocalRun` and
-        what it needs do.
+        deploy.recording.recorder.RecordingError, agent.runtime.bus.BusError: as
+        `deploy.drive.local.LocalRun` and what it needs do.
     """
     for seed in seeds:
         tables = draw(seed)

@@ -37,7 +37,7 @@ from deploy import (
 )
 from deploy.console.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
 from deploy.console.interrupt import Interrupt, remembered
-from deploy.outcome import finish, refuse_errors, run_folder, say_verdict
+from deploy.drive.outcome import finish, refuse_errors, run_folder, say_verdict
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 ROVER_SIMULATOR: Final = "rover-simulator"
@@ -147,8 +147,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
-    from deploy.live import make_view
-    from deploy.local import LocalRun
+    from deploy.drive.live_view import make_view
+    from deploy.drive.local import LocalRun
     from deploy.processes.placement import place
     from deploy.processes.ports import NoPortsError
     from deploy.recording.recorder import RecordingError
@@ -179,7 +179,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _simulate(options: argparse.Namespace) -> int:
     from agent.formation.geometry import resolve
-    from deploy.live import Watch, make_view
+    from deploy.drive.live_view import Watch, make_view
     from deploy.recording.recorder import RecordingError
     from deploy.simulation import Simulation
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.fleet.fleet import Fleet, load_fleet
 from deploy.console.arguments import InputError, fleet_path
+from deploy.drive.outcome import finish, refuse_errors, run_folder
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
-from deploy.outcome import finish, refuse_errors, run_folder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,8 +77,8 @@ class _Fixed(argparse.Action):
 
 
 def _drive(options: argparse.Namespace) -> int:
-    from deploy.attached import refused
     from deploy.console.interrupt import Interrupt
+    from deploy.drive.attached import refused
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -146,10 +146,10 @@ def _attend(
 ) -> int:
     """Drives it to the end, and reports."""
     from agent.runtime.bus import BusError
-    from deploy.attached import Attached
-    from deploy.before_drive import BROKEN_OFF
-    from deploy.drive import Drive
-    from deploy.live import make_view
+    from deploy.drive.attached import Attached
+    from deploy.drive.drive import Drive
+    from deploy.drive.live_view import make_view
+    from deploy.drive.preconditions import BROKEN_OFF
     from deploy.recording.recorder import RecordingError
     from deploy.session.operator_bus import operator_bus
 
@@ -201,10 +201,10 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
 def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt: Interrupt) -> int:
     """Gives the mission and leaves."""
-    from deploy.attached import Attached
-    from deploy.before_drive import clock
-    from deploy.drive import Drive
-    from deploy.live import make_view
+    from deploy.drive.attached import Attached
+    from deploy.drive.drive import Drive
+    from deploy.drive.live_view import make_view
+    from deploy.drive.preconditions import clock
     from deploy.session.operator_bus import operator_bus
     from deploy.session.session import valid
 

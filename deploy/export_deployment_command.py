@@ -52,10 +52,10 @@ def _export(options: argparse.Namespace) -> int:
 
     from agent.fleet.fleet import to_dict
     from deploy.bundle import BundleError
+    from deploy.drive.outcome import refuse_errors
     from deploy.export_deployment import DeploymentError, texts
     from deploy.inventory.folders import refuse_full
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_text
-    from deploy.outcome import refuse_errors
 
     fleet = load(options)
     source = str(fleet_path(options.fleet))

@@ -35,6 +35,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _fetch(options: argparse.Namespace) -> int:
+    from deploy.drive.outcome import say_verdict
     from deploy.fetching import Fetching
     from deploy.host_jobs import HostJobs
     from deploy.hosts_view import FAILED as HOST_FAILED
@@ -42,7 +43,6 @@ def _fetch(options: argparse.Namespace) -> int:
     from deploy.inventory.folders import refuse_full
     from deploy.inventory.hosts import hosts_of, located
     from deploy.merging import Choice, merge
-    from deploy.outcome import say_verdict
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
     from deploy.robot_recording import MergeError

@@ -28,7 +28,7 @@ def add_parser(commands: Any) -> None:
 
 def _preflight(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
-    from deploy.preflight import Preflight, passed, show, to_json
+    from deploy.drive.preflight import Preflight, passed, show, to_json
     from deploy.processes.placement import place
     from deploy.processes.ports import NoPortsError
 

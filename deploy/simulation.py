@@ -30,10 +30,10 @@ from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
 from agent.supervision.state_machine import State
+from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from deploy.readiness import is_ready
 from deploy.simulated_bodies import Bodies
 from plant.node import PlantNode
 

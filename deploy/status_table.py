@@ -16,8 +16,8 @@ from agent.fleet.fleet import Fleet
 from agent.messages.types import Status
 from deploy import units
 from deploy.console.wording import robots
+from deploy.drive.live_view import STYLES
 from deploy.host_connection import Clock, HostError
-from deploy.live import STYLES
 
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240

@@ -45,9 +45,9 @@ def add_parser(commands: Any) -> None:
 
 
 def _up(options: argparse.Namespace) -> int:
+    from deploy.drive.outcome import refuse_errors
     from deploy.hosts_view import make_hosts_view
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated
-    from deploy.outcome import refuse_errors
     from deploy.up import BringUp
 
     interrupt = Interrupt()

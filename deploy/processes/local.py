@@ -83,7 +83,7 @@ class Processes:
         return (robot, role) not in self._killed | self._dead
 
     def look(self, present: Collection[Process], time_s: float | None) -> list[str]:
-        """Nothing is to be said of tokens: how its children end is known better (`deploy.drive`)."""
+        """Nothing is to be said of tokens: how its children end is known better (`deploy.drive.drive`)."""
         return []
 
     def lacking(self) -> list[str]:

@@ -16,7 +16,7 @@ from agent.common.clock import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
-from deploy.before_drive import OVER
+from deploy.drive.preconditions import OVER
 from deploy.recording.recording import Recording
 from deploy.session.operator_bus import KEYS
 from tests.process import attackers

@@ -120,9 +120,9 @@ class Drives:
 def drives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A fleet that is up and lets itself be driven; its folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deploy.attached.refused", lambda *_, **__: "")
+    monkeypatch.setattr("deploy.drive.attached.refused", lambda *_, **__: "")
     monkeypatch.setattr("deploy.session.operator_bus.operator_bus", lambda _: nullcontext())
-    monkeypatch.setattr("deploy.drive.Drive", Drives)
+    monkeypatch.setattr("deploy.drive.drive.Drive", Drives)
     return tmp_path
 
 

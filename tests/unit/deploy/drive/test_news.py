@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agent.messages.types import Mission, Resume, Stop
-from deploy.news import SENTENCES_MAX, News
+from deploy.drive.news import SENTENCES_MAX, News
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square("fleet.duration_s=60")

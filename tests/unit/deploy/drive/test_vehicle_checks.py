@@ -11,9 +11,9 @@ from agent.fleet.fleet import load_fleet
 from agent.messages import key_expressions
 from agent.messages.types import Checks, PlantState, Status
 from deploy.console.data_files import FLEETS
-from deploy.preflight import Found, columns, death, passed, show, summary, to_json
-from deploy.readiness import in_words, waits
-from deploy.vehicle_checks import SETTLE_NS, Line, VehicleChecks
+from deploy.drive.preflight import Found, columns, death, passed, show, summary, to_json
+from deploy.drive.readiness import in_words, waits
+from deploy.drive.vehicle_checks import SETTLE_NS, Line, VehicleChecks
 
 ROVERS = load_fleet(FLEETS / "rovers.toml", ["robot.6.plant=unicycle"])
 T0 = 1_800_000_000 * NS_PER_S

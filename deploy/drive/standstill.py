@@ -8,10 +8,10 @@ from typing import Final
 
 from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
-from deploy.followed import Followed
-from deploy.live import View
+from deploy.drive.fleet_state import Followed
+from deploy.drive.live_view import View
+from deploy.drive.readiness import stands
 from deploy.orders.stop_outcome import has_heard
-from deploy.readiness import stands
 from deploy.recording.recorder import RecordingError
 
 LOOK_S: Final = 0.02

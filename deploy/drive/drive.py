@@ -17,16 +17,16 @@ from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
 from agent.node import next_tick_ns
 from agent.runtime.bus import Bus
-from deploy.before_drive import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
+from deploy.drive.fleet_state import Followed, Record
+from deploy.drive.live_view import View
+from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
+from deploy.drive.standstill import Standstill
 from deploy.faults.process_actions import WORDS, Action, actions
-from deploy.followed import Followed, Record
-from deploy.live import View
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
 from deploy.processes.protocol import FleetProcesses
-from deploy.standstill import Standstill
 
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4

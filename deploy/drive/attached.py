@@ -8,9 +8,9 @@ from typing import Final
 from agent.control.hand import Pose
 from agent.fleet.fleet import Fleet
 from agent.messages.key_expressions import ROLES
-from deploy.before_drive import refusal
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
+from deploy.drive.preconditions import refusal
 from deploy.faults.process_actions import Action, Process
 from deploy.session.operator_session import OperatorSession
 from deploy.session.session import connected
@@ -99,7 +99,7 @@ def _named(names: Sequence[str]) -> str:
 
 
 def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool) -> str:
-    """Why no drive of a fleet that is up may begin (`deploy.before_drive.refusal`), "" when it may.
+    """Why no drive of a fleet that is up may begin (`deploy.drive.preconditions.refusal`), "" when it may.
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.

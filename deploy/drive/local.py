@@ -1,4 +1,5 @@
-"""A fleet on this machine: one process for each agent and each plant, driven to the end (`deploy.drive`)."""
+"""A fleet on this machine: one process for each agent and each plant, driven to the end
+(`deploy.drive.drive`)."""
 
 from __future__ import annotations
 
@@ -7,9 +8,9 @@ from typing import Final
 
 from agent.fleet.fleet import Fleet
 from deploy.console.interrupt import Interrupt
-from deploy.drive import Drive
+from deploy.drive.drive import Drive
+from deploy.drive.live_view import View
 from deploy.inventory.registry import Registration
-from deploy.live import View
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle
 from deploy.report.run_folder import RunFolder

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.messages.types import PlantState, Status
-from deploy.readiness import is_ready, stands, waits
+from deploy.drive.readiness import is_ready, stands, waits
 
 
 def status(state: str, reason: str = "") -> Status:

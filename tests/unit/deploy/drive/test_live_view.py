@@ -12,7 +12,7 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Mission, Status, Stop
 from deploy.console.data_files import FLEETS
-from deploy.live import Lines, Watch, faults_line, summary
+from deploy.drive.live_view import Lines, Watch, faults_line, summary
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from agent.messages.key_expressions import ROLES
-from deploy.attached import NAMED_MAX, Attached
+from deploy.drive.attached import NAMED_MAX, Attached
 from deploy.faults.process_actions import Action
 from tests.unit.agent.fleet.test_hosts import fleet as hosts_fleet
 from tests.unit.deploy.orders.order_fleets import square

@@ -21,10 +21,10 @@ from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
+from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 from deploy.processes.local import VEHICLE, Processes
 from deploy.processes.placement import Vehicle
 from deploy.report.run_folder import FLEET_FILE
-from deploy.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 
 TIMEOUT_S: Final = 20.0
 """A vehicle that has said nothing by then is not there."""

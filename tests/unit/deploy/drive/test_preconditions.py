@@ -10,7 +10,7 @@ from agent.fleet.fleet import digest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Stop
-from deploy.before_drive import OVER, clock, refusal, stop_in_force
+from deploy.drive.preconditions import OVER, clock, refusal, stop_in_force
 from deploy.orders.operator import Known
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 

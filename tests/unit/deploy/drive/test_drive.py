@@ -18,11 +18,11 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.node import FIRST_ROUND
 from agent.runtime.bus import Bus
-from deploy.attached import Attached
-from deploy.before_drive import BROKEN_OFF, OVER, refusal
 from deploy.console.interrupt import Interrupt
-from deploy.drive import Drive
-from deploy.live import Lines
+from deploy.drive.attached import Attached
+from deploy.drive.drive import Drive
+from deploy.drive.live_view import Lines
+from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from deploy.orders.operator import Known
 from deploy.recording.recorder import RecordingError
 from deploy.session.session import valid
@@ -394,8 +394,8 @@ def test_a_robot_that_boasts_of_what_cannot_be_keeps_no_drive_from_starting() ->
 
 
 def test_a_robot_that_tells_of_what_nobody_says_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deploy.drive.READY_TIMEOUT_S", 1.2)
-    monkeypatch.setattr("deploy.drive.READY_TIMEOUT_PER_PROCESS_S", 0.0)
+    monkeypatch.setattr("deploy.drive.drive.READY_TIMEOUT_S", 1.2)
+    monkeypatch.setattr("deploy.drive.drive.READY_TIMEOUT_PER_PROCESS_S", 0.0)
     robots = Robots("ready")
     robots.boasts = {2: (0, time.time_ns() // 1_000)}
     drive, _ = driven(robots)
@@ -407,7 +407,7 @@ def test_a_robot_that_tells_of_what_nobody_says_is_named(monkeypatch: pytest.Mon
 
 
 def test_a_plant_that_is_gone_knows_no_mission(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deploy.drive.HAND_OVER_NS", 0)
+    monkeypatch.setattr("deploy.drive.drive.HAND_OVER_NS", 0)
     robots = Robots("ready")
     robots.gone = {2}
     robots.late_s = {1: 0.3, 2: 0.0}

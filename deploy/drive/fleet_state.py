@@ -14,15 +14,15 @@ from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
 from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
 from deploy.console.wording import robots
+from deploy.drive.live_view import Watch, fleet_time_s
+from deploy.drive.readiness import in_words, is_ready, waits
+from deploy.drive.vehicle_checks import VehicleChecks
 from deploy.faults.process_actions import Process
-from deploy.live import Watch, fleet_time_s
 from deploy.orders.operator import Operator, Order
 from deploy.processes.protocol import FleetProcesses
-from deploy.readiness import in_words, is_ready, waits
 from deploy.recording.recorder import RecordingError
 from deploy.session.author import author
 from deploy.session.session import valid
-from deploy.vehicle_checks import VehicleChecks
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
 """How often something is said again that a process has not heard."""

@@ -21,9 +21,9 @@ from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
 from agent.supervision.state_machine import State
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
+from deploy.drive.news import News
 from deploy.faults.live import Held, shown
 from deploy.faults.wording import defaults, held, lasts, words
-from deploy.news import News
 from deploy.orders.operator import Known
 
 STYLES: Final = {
