@@ -1,7 +1,7 @@
 """What one process on the bus is made of: the contract between a sans-IO core and whatever drives it.
 
 Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers use it,
-`agent.runtime.process.loop` (real time, Zenoh) and `deploy.simulation` (virtual time).
+`agent.runtime.process.loop` (real time, Zenoh) and `deploy.simulate.simulation` (virtual time).
 """
 
 from __future__ import annotations

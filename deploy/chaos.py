@@ -20,9 +20,9 @@ from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve, resolved
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.balance import caught
-from deploy.judged import drive as simulate
-from deploy.pool import Abandoned, GoOn
 from deploy.recording.recording import Recording
+from deploy.simulate.judged import drive as simulate
+from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.verdict import oracles
 from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
 from deploy.verdict.violations import Violation

@@ -14,7 +14,7 @@ from deploy.console.arguments import InputError
 
 if TYPE_CHECKING:
     from deploy.chaos_report import Driven
-    from deploy.pool import GoOn
+    from deploy.simulate.worker_pool import GoOn
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 130
 COUNT: Final = 100
@@ -60,7 +60,7 @@ def add_parser(commands: Any) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Scenarios:
-    """The scenario of every seed, as `deploy.pool.Pool` drives them."""
+    """The scenario of every seed, as `deploy.simulate.worker_pool.Pool` drives them."""
 
     shrink: bool
 
@@ -92,10 +92,10 @@ def chaos(options: argparse.Namespace) -> int:
     from deploy.chaos_report import Tally, conclusion, lines
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
-    from deploy.pool import Pool, PoolError, cores
     from deploy.processes.ports import NoPortsError
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
+    from deploy.simulate.worker_pool import Pool, PoolError, cores
 
     jobs = cores() if options.jobs is None else options.jobs
     for name, value, least in (("seed", options.seed, 0), ("count", options.count, 1), ("jobs", jobs, 1)):

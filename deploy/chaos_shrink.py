@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from agent.fleet.fleet import FleetError
 from deploy.chaos import CRASH, Outcome, drive, scenario_text
-from deploy.pool import GoOn
+from deploy.simulate.worker_pool import GoOn
 
 Tables = dict[str, Any]
 
@@ -36,7 +36,7 @@ def shrink(tables: Tables, first: Outcome, go_on: GoOn, runs_max: int = RUNS_MAX
         first: what came of that.
 
     Raises:
-        deploy.pool.Abandoned: `go_on` said no.
+        deploy.simulate.worker_pool.Abandoned: `go_on` said no.
     """
     search = _Search(tables, first, go_on, runs_max)
     before = None

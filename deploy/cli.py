@@ -181,7 +181,7 @@ def _simulate(options: argparse.Namespace) -> int:
     from agent.formation.geometry import resolve
     from deploy.drive.live_view import Watch, make_view
     from deploy.recording.recorder import RecordingError
-    from deploy.simulation import Simulation
+    from deploy.simulate.simulation import Simulation
 
     interrupt = Interrupt()
     with interrupt.caught():

@@ -18,7 +18,7 @@ from agent.common.quantities import UNITS, quantity
 from agent.common.schema import Problem, entries, printable, show
 from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
 from agent.formation.geometry import resolved
-from deploy.random_starts import random_fleet
+from deploy.simulate.random_starts import random_fleet
 
 RUNS_MAX: Final = 1_000_000
 SIDE_M: Final = 4.0

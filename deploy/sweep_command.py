@@ -81,8 +81,8 @@ def add_parser(commands: Any) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from deploy.pool import PoolError
     from deploy.recording.recorder import RecordingError
+    from deploy.simulate.worker_pool import PoolError
     from deploy.sweep import SweepError
 
     try:
@@ -94,7 +94,7 @@ def sweep(options: argparse.Namespace) -> int:
 
 def _sweep(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
-    from deploy.pool import cores
+    from deploy.simulate.worker_pool import cores
     from deploy.sweep import SweepError, make_plan
     from deploy.sweep_folder import SweepFolder
     from deploy.sweep_summary import margin_axis
@@ -222,7 +222,7 @@ def _write(folder: SweepFolder, run: int) -> int:
 def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
     """Drives what is missing, until all is done or somebody says stop."""
     from deploy.console.progress import make_progress
-    from deploy.pool import Pool
+    from deploy.simulate.worker_pool import Pool
     from deploy.sweep_run import Runs
 
     missing = folder.missing

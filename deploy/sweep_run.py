@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
-from deploy import judged
-from deploy.pool import Abandoned
+from deploy.simulate import judged
+from deploy.simulate.worker_pool import Abandoned
 from deploy.sweep import Plan
 from deploy.verdict import metrics
 
@@ -67,7 +67,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """The runs of a plan, as `deploy.pool.Pool` drives them."""
+    """The runs of a plan, as `deploy.simulate.worker_pool.Pool` drives them."""
 
     plan: Plan
 

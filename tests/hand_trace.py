@@ -16,7 +16,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import PlantState
 from deploy.analysis.stability import SETTLED
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Trace(NamedTuple):
 
 
 class HandTrace:
-    """A sink for `deploy.simulation.Simulation` that keeps where every hand really was."""
+    """A sink for `deploy.simulate.simulation.Simulation` that keeps where every hand really was."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet

@@ -98,7 +98,7 @@ def without_texts(decode: Callable[[bytes], Any], payload: bytes) -> bytes:
 
 def digest_of(name: str, texts: bool) -> str:
     """The line of one drive."""
-    simulation = module("deploy.simulate.simulation", "deploy.simulation")
+    simulation = module("deploy.simulate.simulation", "deploy.simulate.simulation")
     decode = module("agent.messages.types.codec", "agent.messages.codec").decode
     sha, count = hashlib.sha256(), 0
 

@@ -1,7 +1,7 @@
 """What the rules of a scenario do to processes and when: the plan of kills, pauses and restarts (PURE).
 
-`deploy.drive.drive` carries it out on real processes (`deploy.processes.local`), `deploy.simulation` on
-nodes in virtual time.
+`deploy.drive.drive` carries it out on real processes (`deploy.processes.local`),
+`deploy.simulate.simulation` on nodes in virtual time.
 """
 
 from __future__ import annotations

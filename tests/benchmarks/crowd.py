@@ -14,11 +14,11 @@ import numpy as np
 
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
-from deploy import judged
 from deploy.analysis.analysis import analyse
 from deploy.analysis.balance import caught
 from deploy.console.arguments import fleet_path, fleet_text
-from deploy.pool import GoOn
+from deploy.simulate import judged
+from deploy.simulate.worker_pool import GoOn
 from deploy.sweep import Plan, Question, make_plan
 from deploy.sweep_run import Row, Runs, execute
 from tests.benchmarks.figures import Figure, Options, Result, table

@@ -31,7 +31,7 @@ from deploy.analysis.analysis import Analysis, analyse
 from deploy.console.arguments import fleet_path
 from deploy.recording.recording import Recording, RunData
 from deploy.report.plotting import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
 
 ORDERS: Final = Path(__file__).parents[2] / "docs" / "orders"

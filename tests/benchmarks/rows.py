@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Final, TypeVar
 
-from deploy.pool import Pool, Work, cores
+from deploy.simulate.worker_pool import Pool, Work, cores
 from deploy.sweep import Plan
 from deploy.sweep_run import Row, Runs
 

@@ -28,9 +28,9 @@ from agent.formation.geometry import resolved
 from agent.node import Node, Outgoing
 from agent.supervision.neighbour_trust import Reliance
 from agent.supervision.state_machine import State
-from deploy import simulation
 from deploy.console.arguments import fleet_path
 from deploy.recording.recording import Recording
+from deploy.simulate import simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.processes import BenchmarkError, end, environment, handfast
 

@@ -12,7 +12,7 @@ from typing import Final
 from agent.fleet.fleet import load_fleet
 from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, spread
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
 

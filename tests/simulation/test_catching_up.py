@@ -13,7 +13,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, Status, Wrench
 from agent.supervision.state_machine import State
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 
 SQUARE = """
 [fleet]

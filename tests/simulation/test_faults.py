@@ -16,7 +16,7 @@ from agent.messages.types import Event, Mission, PlantState, Status
 from agent.node import INBOX_SIZE
 from agent.supervision.state_machine import DRIVING, State
 from deploy.console.data_files import FLEETS
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace
 

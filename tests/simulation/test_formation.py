@@ -20,8 +20,8 @@ from agent.messages.types import Mission
 from agent.node import Node, Outgoing
 from agent.supervision.state_machine import State
 from deploy.console.data_files import FLEETS
-from deploy.random_starts import random_fleet
-from deploy.simulation import Simulation
+from deploy.simulate.random_starts import random_fleet
+from deploy.simulate.simulation import Simulation
 from plant.node import PlantNode
 from tests.hand_trace import Floats, HandTrace, drive
 

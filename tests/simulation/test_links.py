@@ -9,7 +9,7 @@ from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import SCENARIOS
-from deploy.random_starts import random_fleet
+from deploy.simulate.random_starts import random_fleet
 from deploy.sweep_run import measure
 from tests.hand_trace import Floats, drive
 

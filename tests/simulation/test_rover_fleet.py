@@ -21,7 +21,7 @@ from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from bridges.mavlink.simulator.rover import Rover
 from deploy.console.data_files import FLEETS
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 
 BRAKES_S = 0.3
 FORMATION = (

@@ -15,7 +15,7 @@ from agent.control import hand
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve, resolved
 from deploy.console.data_files import FLEETS
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 from plant.unicycle import Unicycle
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Faults, Message
 from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording, RunData
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 
 Sent = tuple[int, str, Message]
 

@@ -11,11 +11,12 @@ import pytest
 
 from agent.fleet.fleet import load_fleet
 from agent.supervision.state_machine import TRANSITIONS
-from deploy import chaos_command, pool
+from deploy import chaos_command
 from deploy.chaos import Outcome, scenario_text
 from deploy.chaos_draw import draw
 from deploy.chaos_report import NOT_DRAWN, Driven, Tally, conclusion, lines
 from deploy.cli import main
+from deploy.simulate import worker_pool
 from deploy.verdict.violations import Violation
 
 TOO_CLOSE = Violation("separation", 9.0, "Robots 1 and 2 came too close.")
@@ -46,7 +47,7 @@ class Instead:
 
 @pytest.fixture(autouse=True)
 def no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "Pool", Instead)
+    monkeypatch.setattr(worker_pool, "Pool", Instead)
 
 
 def test_without_a_violation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

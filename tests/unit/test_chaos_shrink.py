@@ -12,7 +12,7 @@ from deploy.chaos import Outcome, scenario_text
 from deploy.chaos_draw import draw
 from deploy.chaos_report import parts
 from deploy.chaos_shrink import shrink, without_robot
-from deploy.pool import Abandoned, GoOn
+from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.verdict.violations import Violation
 
 SEED = 66

@@ -18,13 +18,13 @@ from scipy.stats import binomtest
 from agent.fleet.fleet import Fleet, FleetError, to_dict
 from agent.formation.geometry import resolve, start_hands
 from agent.messages.codec import decode
-from deploy import judged
 from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
-from deploy.pool import Abandoned, GoOn
 from deploy.recording.recording import Recording, RunData
 from deploy.recording.tables import Table
-from deploy.simulation import Simulation
+from deploy.simulate import judged
+from deploy.simulate.simulation import Simulation
+from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.sweep import Axis, Plan, Question, SweepError, make_plan, parse_axis
 from deploy.sweep_figures import PANELS_MAX, write_sweep_figures
 from deploy.sweep_folder import SweepFolder, read_question

@@ -7,12 +7,12 @@ import pytest
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolve
-from deploy import judged
 from deploy.analysis.analysis import analyse
 from deploy.check.braking import check_braking
 from deploy.check.check import check
 from deploy.check.finding import Finding
 from deploy.console.data_files import FLEETS
+from deploy.simulate import judged
 from tests.unit.agent.fleet.fleet_texts import small
 
 SLOW = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")

@@ -34,7 +34,7 @@ from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, Operator, Order, refused
-from deploy.simulated_bodies import Bodies
+from deploy.simulate.bodies import Bodies
 from plant.node import PlantNode
 
 LATENCY_NS: Final = 100_000

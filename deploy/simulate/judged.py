@@ -5,9 +5,9 @@ from __future__ import annotations
 from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
-from deploy.pool import Abandoned, GoOn
 from deploy.recording.recording import Recording, RunData
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
+from deploy.simulate.worker_pool import Abandoned, GoOn
 
 
 def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:

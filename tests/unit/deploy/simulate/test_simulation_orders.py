@@ -18,7 +18,7 @@ from agent.messages.validation import Malformed
 from agent.supervision.state_machine import State
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS
-from deploy.simulation import Simulation
+from deploy.simulate.simulation import Simulation
 from tests.unit.deploy.orders.order_fleets import SQUARE, order, square
 
 Heard = list[tuple[int, str, Message]]

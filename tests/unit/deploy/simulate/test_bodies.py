@@ -13,8 +13,8 @@ from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.console.data_files import FLEETS
-from deploy.simulated_bodies import Bodies
-from deploy.simulation import Simulation
+from deploy.simulate.bodies import Bodies
+from deploy.simulate.simulation import Simulation
 from plant.backend import Command
 
 RESTART = """
