@@ -21,8 +21,8 @@ from deploy.console.arguments import (
 )
 
 if TYPE_CHECKING:
-    from deploy.sweep import Plan, Question
-    from deploy.sweep_folder import SweepFolder
+    from deploy.sweep.folder import SweepFolder
+    from deploy.sweep.plan import Plan, Question
 
 DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 TIMEOUT: Final = "10min"
@@ -83,7 +83,7 @@ def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.recording.recorder import RecordingError
     from deploy.simulate.worker_pool import PoolError
-    from deploy.sweep import SweepError
+    from deploy.sweep.plan import SweepError
 
     try:
         return _sweep(options)
@@ -95,9 +95,9 @@ def sweep(options: argparse.Namespace) -> int:
 def _sweep(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
     from deploy.simulate.worker_pool import cores
-    from deploy.sweep import SweepError, make_plan
-    from deploy.sweep_folder import SweepFolder
-    from deploy.sweep_summary import margin_axis
+    from deploy.sweep.folder import SweepFolder
+    from deploy.sweep.plan import SweepError, make_plan
+    from deploy.sweep.summary import margin_axis
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -133,8 +133,8 @@ def _sweep(options: argparse.Namespace) -> int:
 
 def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
     """What is asked, and the folder of the sweep that asks it when one is gone on with."""
-    from deploy.sweep import Question, SweepError, parse_axis
-    from deploy.sweep_folder import SWEEP_FILE, read_question
+    from deploy.sweep.folder import SWEEP_FILE, read_question
+    from deploy.sweep.plan import Question, SweepError, parse_axis
 
     folder = Path(options.fleet)
     if folder.is_dir():
@@ -162,7 +162,7 @@ def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
 
 
 def _quantity(text: str, unit: str, option: str, example: str) -> float:
-    from deploy.sweep import SweepError, number
+    from deploy.sweep.plan import SweepError, number
 
     value = number(text, unit)
     if value is None or value <= 0.0:
@@ -173,7 +173,7 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
     """Says what `check` finds wrong in any cell; errors end the command unless told otherwise."""
     from deploy.check.check import check
-    from deploy.sweep import SweepError
+    from deploy.sweep.plan import SweepError
 
     found: dict[tuple[str, str], tuple[str, list[int]]] = {}
     for cell in range(len(plan.cells)):
@@ -202,7 +202,7 @@ def _write(folder: SweepFolder, run: int) -> int:
     import tomli_w
 
     from agent.fleet.fleet import to_dict
-    from deploy.sweep import SweepError
+    from deploy.sweep.plan import SweepError
 
     plan = folder.plan
     if not 0 <= run < plan.runs:
@@ -223,7 +223,7 @@ def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, 
     """Drives what is missing, until all is done or somebody says stop."""
     from deploy.console.progress import make_progress
     from deploy.simulate.worker_pool import Pool
-    from deploy.sweep_run import Runs
+    from deploy.sweep.run import Runs
 
     missing = folder.missing
     if not missing:
@@ -248,10 +248,10 @@ def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, 
 
 def _conclude(folder: SweepFolder, margin: int | None) -> None:
     """Writes summary and pictures, and says what was found."""
-    from deploy.sweep import SweepError
-    from deploy.sweep_figures import write_sweep_figures
-    from deploy.sweep_folder import csv_bytes, replace_file
-    from deploy.sweep_summary import margins, summarise, summary_json, summary_table
+    from deploy.sweep.figures import write_sweep_figures
+    from deploy.sweep.folder import csv_bytes, replace_file
+    from deploy.sweep.plan import SweepError
+    from deploy.sweep.summary import margins, summarise, summary_json, summary_table
 
     plan = folder.plan
     cells = summarise(plan, folder.rows)

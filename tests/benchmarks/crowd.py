@@ -19,8 +19,8 @@ from deploy.analysis.balance import caught
 from deploy.console.arguments import fleet_path, fleet_text
 from deploy.simulate import judged
 from deploy.simulate.worker_pool import GoOn
-from deploy.sweep import Plan, Question, make_plan
-from deploy.sweep_run import Row, Runs, execute
+from deploy.sweep.plan import Plan, Question, make_plan
+from deploy.sweep.run import Row, Runs, execute
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.random_starts import HEADING, line
 from tests.benchmarks.rows import results

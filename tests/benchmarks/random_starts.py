@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from deploy.console.arguments import fleet_path, fleet_text
-from deploy.sweep import Question, make_plan
-from deploy.sweep_run import Row
+from deploy.sweep.plan import Question, make_plan
+from deploy.sweep.run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.rows import drive, share
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from deploy.console.arguments import fleet_path, fleet_text
 from deploy.console.data_files import SCENARIOS
-from deploy.sweep import Plan, Question, make_plan
-from deploy.sweep_run import Row
+from deploy.sweep.plan import Plan, Question, make_plan
+from deploy.sweep.run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.rows import drive, share
 

@@ -7,8 +7,8 @@ import time
 from typing import Final, TypeVar
 
 from deploy.simulate.worker_pool import Pool, Work, cores
-from deploy.sweep import Plan
-from deploy.sweep_run import Row, Runs
+from deploy.sweep.plan import Plan
+from deploy.sweep.run import Row, Runs
 
 TIMEOUT_S: Final = 300.0
 TELL_S: Final = 20.0

@@ -10,7 +10,7 @@ from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import SCENARIOS
 from deploy.simulate.random_starts import random_fleet
-from deploy.sweep_run import measure
+from deploy.sweep.run import measure
 from tests.hand_trace import Floats, drive
 
 SAFE_M = 0.22

@@ -25,11 +25,11 @@ from deploy.recording.tables import Table
 from deploy.simulate import judged
 from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
-from deploy.sweep import Axis, Plan, Question, SweepError, make_plan, parse_axis
-from deploy.sweep_figures import PANELS_MAX, write_sweep_figures
-from deploy.sweep_folder import SweepFolder, read_question
-from deploy.sweep_run import CRASHED, FAILED, NUMBERS, PASSED, Row, execute, measure, unfinished
-from deploy.sweep_summary import Share, margin_axis, margins, summarise, summary_json, summary_table
+from deploy.sweep.figures import PANELS_MAX, write_sweep_figures
+from deploy.sweep.folder import SweepFolder, read_question
+from deploy.sweep.plan import Axis, Plan, Question, SweepError, make_plan, parse_axis
+from deploy.sweep.run import CRASHED, FAILED, NUMBERS, PASSED, Row, execute, measure, unfinished
+from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
 from deploy.verdict import metrics
 
 DELTA = FLEETS / "delta.toml"
@@ -279,7 +279,7 @@ def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judged, "Simulation", broken)
     row = execute(make_plan(ask(repeat=2)), 1)
     assert (row.run, row.verdict, row.safe, row.settled, row.numbers) == (1, CRASHED, None, None, {})
-    assert row.reason.startswith("ZeroDivisionError: some thing (test_sweep.py, line ")
+    assert row.reason.startswith("ZeroDivisionError: some thing (test_plan.py, line ")
 
 
 def test_a_start_without_room_is_a_row() -> None:

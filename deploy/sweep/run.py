@@ -12,7 +12,7 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from deploy.simulate import judged
 from deploy.simulate.worker_pool import Abandoned
-from deploy.sweep import Plan
+from deploy.sweep.plan import Plan
 from deploy.verdict import metrics
 
 PASSED: Final = "passed"

@@ -24,8 +24,8 @@ from matplotlib.patches import Rectangle
 
 from deploy.recording.link_table import Floats
 from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
-from deploy.sweep import Axis, Plan
-from deploy.sweep_summary import CLOSEST, Cell, Margin
+from deploy.sweep.plan import Axis, Plan
+from deploy.sweep.summary import CLOSEST, Cell, Margin
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""

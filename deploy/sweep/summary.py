@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import ceil, floor, inf, isfinite, sqrt
 from typing import Any, Final
 
-from deploy.sweep import Axis, Plan, SweepError
-from deploy.sweep_run import CRASHED, TIMED_OUT, Row
+from deploy.sweep.plan import Axis, Plan, SweepError
+from deploy.sweep.run import CRASHED, TIMED_OUT, Row
 
 Z_95: Final = 1.959963984540054
 DEFAULT_MARGIN: Final = "faults.delay"

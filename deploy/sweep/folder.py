@@ -21,8 +21,8 @@ from typing import Any, Final
 import tomli_w
 
 from agent.runtime.version import handfast_version
-from deploy.sweep import Plan, Question, SweepError, parse_axis
-from deploy.sweep_run import NUMBERS, Row
+from deploy.sweep.plan import Plan, Question, SweepError, parse_axis
+from deploy.sweep.run import NUMBERS, Row
 
 FORMAT: Final = 1
 SWEEP_FILE: Final = "sweep.toml"

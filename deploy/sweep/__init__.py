@@ -1,0 +1,1 @@
+"""A grid of simulated runs over any fields of the fleet file, and its figures."""
