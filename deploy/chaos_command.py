@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from deploy.console.arguments import InputError
 
 if TYPE_CHECKING:
-    from deploy.chaos_report import Driven
+    from deploy.chaos.report import Driven
     from deploy.simulate.worker_pool import GoOn
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 130
@@ -65,10 +65,10 @@ class Scenarios:
     shrink: bool
 
     def execute(self, number: int, go_on: GoOn) -> Driven:
-        from deploy.chaos import drive, scenario_text
-        from deploy.chaos_draw import draw
-        from deploy.chaos_report import Driven
-        from deploy.chaos_shrink import shrink
+        from deploy.chaos.draw import draw
+        from deploy.chaos.report import Driven
+        from deploy.chaos.run import drive, scenario_text
+        from deploy.chaos.shrink import shrink
 
         tables = draw(number)
         outcome = drive(scenario_text(tables), go_on)
@@ -76,9 +76,9 @@ class Scenarios:
         return Driven(number, tables, outcome, small)
 
     def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Driven:
-        from deploy.chaos import CRASH, Outcome
-        from deploy.chaos_draw import draw
-        from deploy.chaos_report import Driven
+        from deploy.chaos.draw import draw
+        from deploy.chaos.report import Driven
+        from deploy.chaos.run import CRASH, Outcome
         from deploy.verdict.violations import Violation
 
         failed = Violation(CRASH, 0.0, f"The scenario was not driven to its end: {reason}.")
@@ -88,8 +88,8 @@ class Scenarios:
 def chaos(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from agent.runtime.bus import BusError
-    from deploy.chaos_real import real_results
-    from deploy.chaos_report import Tally, conclusion, lines
+    from deploy.chaos.report import Tally, conclusion, lines
+    from deploy.chaos.run_real import real_results
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
     from deploy.processes.ports import NoPortsError
@@ -137,8 +137,8 @@ def chaos(options: argparse.Namespace) -> int:
 
 def _write_all(out: Path, seeds: range) -> int:
     """Writes the scenarios as they are drawn."""
-    from deploy.chaos import scenario_text
-    from deploy.chaos_draw import draw, name_of
+    from deploy.chaos.draw import draw, name_of
+    from deploy.chaos.run import scenario_text
 
     for seed in seeds:
         path = out / f"{name_of(seed)}.toml"
@@ -149,8 +149,8 @@ def _write_all(out: Path, seeds: range) -> int:
 
 def _keep(out: Path, driven: Driven) -> Path:
     """Writes a scenario that failed, the smallest that was found, with what was violated in it."""
-    from deploy.chaos import scenario_text
-    from deploy.chaos_draw import name_of
+    from deploy.chaos.draw import name_of
+    from deploy.chaos.run import scenario_text
 
     tables, outcome = driven.small or (driven.tables, driven.outcome)
     path = out / f"{name_of(driven.seed)}.toml"

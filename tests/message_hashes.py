@@ -67,8 +67,8 @@ def fleet_of(name: str) -> Any:
     fleet = module("agent.fleet.fleet.loading", "agent.fleet.fleet")
     geometry = module("agent.formation.geometry.geometry", "agent.formation.geometry")
     if name.startswith("chaos-"):
-        text = module("deploy.chaos.run", "deploy.chaos").scenario_text(
-            module("deploy.chaos.draw", "deploy.chaos_draw").draw(int(name.removeprefix("chaos-")))
+        text = module("deploy.chaos.run.run", "deploy.chaos.run").scenario_text(
+            module("deploy.chaos.run.draw", "deploy.chaos.draw").draw(int(name.removeprefix("chaos-")))
         )
     else:
         arguments = module(

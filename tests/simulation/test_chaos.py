@@ -9,10 +9,10 @@ import pytest
 
 from agent.control import controller
 from agent.supervision.state_machine import TRANSITIONS
-from deploy.chaos import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text
-from deploy.chaos_draw import draw
-from deploy.chaos_report import NOT_DRAWN, parts
-from deploy.chaos_shrink import shrink
+from deploy.chaos.draw import draw
+from deploy.chaos.report import NOT_DRAWN, parts
+from deploy.chaos.run import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text
+from deploy.chaos.shrink import shrink
 from deploy.console.arguments import fleet_path, fleet_text
 
 SEEDS = range(100)

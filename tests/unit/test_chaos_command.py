@@ -12,9 +12,9 @@ import pytest
 from agent.fleet.fleet import load_fleet
 from agent.supervision.state_machine import TRANSITIONS
 from deploy import chaos_command
-from deploy.chaos import Outcome, scenario_text
-from deploy.chaos_draw import draw
-from deploy.chaos_report import NOT_DRAWN, Driven, Tally, conclusion, lines
+from deploy.chaos.draw import draw
+from deploy.chaos.report import NOT_DRAWN, Driven, Tally, conclusion, lines
+from deploy.chaos.run import Outcome, scenario_text
 from deploy.cli import main
 from deploy.simulate import worker_pool
 from deploy.verdict.violations import Violation

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.dice import Dice
+from deploy.chaos.dice import Dice
 
 
 def test_the_same_key_is_the_same_stream_and_another_is_another() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from agent.supervision.state_machine import TRANSITIONS, State
-from deploy.chaos import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
+from deploy.chaos.run import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
 
 Tables = dict[str, Any]
 

@@ -12,7 +12,7 @@ from copy import deepcopy
 from typing import Any, Final
 
 from agent.fleet.fleet import FleetError
-from deploy.chaos import CRASH, Outcome, drive, scenario_text
+from deploy.chaos.run import CRASH, Outcome, drive, scenario_text
 from deploy.simulate.worker_pool import GoOn
 
 Tables = dict[str, Any]

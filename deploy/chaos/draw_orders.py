@@ -16,9 +16,9 @@ from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.formation.mission_plan import Plan
-from deploy.chaos_shapes import APART_FACTOR, apart_m, draw_shape, near_shape
-from deploy.chaos_space import Pair, Reach, hands
-from deploy.dice import Dice
+from deploy.chaos.dice import Dice
+from deploy.chaos.draw_formation import APART_FACTOR, apart_m, draw_shape, near_shape
+from deploy.chaos.draw_obstacles import Pair, Reach, hands
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import Operator
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from deploy.chaos_space import Reach
-from deploy.dice import Dice
+from deploy.chaos.dice import Dice
+from deploy.chaos.draw_obstacles import Reach
 
 Tables = dict[str, Any]
 

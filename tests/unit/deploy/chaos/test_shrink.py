@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from agent.fleet.fleet import parse_fleet
-from deploy import chaos_shrink
-from deploy.chaos import Outcome, scenario_text
-from deploy.chaos_draw import draw
-from deploy.chaos_report import parts
-from deploy.chaos_shrink import shrink, without_robot
+from deploy.chaos import shrink as shrinking
+from deploy.chaos.draw import draw
+from deploy.chaos.report import parts
+from deploy.chaos.run import Outcome, scenario_text
+from deploy.chaos.shrink import shrink, without_robot
 from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.verdict.violations import Violation
 
@@ -38,7 +38,7 @@ class Bug:
 
 
 def small(monkeypatch: pytest.MonkeyPatch, bug: Bug, **options: Any) -> dict[str, Any]:
-    monkeypatch.setattr(chaos_shrink, "drive", bug)
+    monkeypatch.setattr(shrinking, "drive", bug)
     tables, outcome = shrink(draw(SEED), FAILED, lambda: True, **options)
     assert outcome == FAILED
     return tables
@@ -66,13 +66,13 @@ def test_no_more_is_driven_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_another_fault_is_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     other = Outcome((Violation("clearance", 1.0, "into a wall"),))
-    monkeypatch.setattr(chaos_shrink, "drive", lambda text, go_on: other)
+    monkeypatch.setattr(shrinking, "drive", lambda text, go_on: other)
     tables, outcome = shrink(draw(SEED), FAILED, lambda: True)
     assert (tables, outcome) == (draw(SEED), FAILED)
 
 
 def test_it_stops_when_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chaos_shrink, "drive", Bug())
+    monkeypatch.setattr(shrinking, "drive", Bug())
     with pytest.raises(Abandoned):
         shrink(draw(SEED), FAILED, lambda: False)
 

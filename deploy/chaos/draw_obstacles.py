@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import ceil, cos, dist, hypot, pi, sin
 from typing import Any, Final, NamedTuple
 
-from deploy.dice import Dice
+from deploy.chaos.dice import Dice
 
 Tables = dict[str, Any]
 Pair = tuple[float, float]

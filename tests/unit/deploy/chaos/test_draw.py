@@ -16,15 +16,15 @@ import pytest
 from agent.control.boundaries import obstacles_of
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolved, start_hands
-from deploy.chaos import scenario_text
-from deploy.chaos_draw import QUIET_S, draw
-from deploy.chaos_report import parts
-from deploy.chaos_shapes import APART_FACTOR
+from deploy.chaos.dice import Dice
+from deploy.chaos.draw import QUIET_S, draw
+from deploy.chaos.draw_formation import APART_FACTOR
+from deploy.chaos.report import parts
+from deploy.chaos.run import scenario_text
 from deploy.check.check import check
-from deploy.dice import Dice
 
 SEEDS = range(60)
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def drawn() -> dict[int, tuple[dict[str, Any], Fleet]]:
 
 def test_one_seed_is_one_text_also_in_another_process(drawn: dict[int, tuple[dict[str, Any], Fleet]]) -> None:
     script = (
-        "from deploy.chaos import scenario_text; from deploy.chaos_draw import draw\n"
+        "from deploy.chaos.run import scenario_text; from deploy.chaos.draw import draw\n"
         "print(''.join(scenario_text(draw(seed)) for seed in range(8)), end='')"
     )
     environment = os.environ | {"PYTHONHASHSEED": "7", "PYTHONPATH": str(ROOT)}

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.formation.geometry import assign_slots
-from deploy.dice import Dice
+from deploy.chaos.dice import Dice
 
 APART_FACTOR: Final = 2.2
 """Least distance of two places, in safe distances: room for robots that share no edge to keep apart."""

@@ -1,7 +1,7 @@
 """One scenario driven in virtual time, and what the oracles say of it.
 
 A scenario is the text of a fleet file, with its faults and orders. Whether somebody wrote it, it was drawn
-from a seed (`deploy.chaos_draw`) or made smaller (`deploy.chaos_shrink`) makes no difference.
+from a seed (`deploy.chaos.draw`) or made smaller (`deploy.chaos.shrink`) makes no difference.
 """
 
 from __future__ import annotations

@@ -14,12 +14,12 @@ import tomli_w
 
 from agent.fleet.fleet import parse_fleet
 from agent.formation.trajectory import make_trajectory
-from deploy.chaos_faults import draw_faults
-from deploy.chaos_orders import draw_orders
-from deploy.chaos_shapes import Shape, draw_shape
-from deploy.chaos_space import draw_obstacles, fence_round
+from deploy.chaos.dice import Dice
+from deploy.chaos.draw_faults import draw_faults
+from deploy.chaos.draw_formation import Shape, draw_shape
+from deploy.chaos.draw_obstacles import draw_obstacles, fence_round
+from deploy.chaos.draw_orders import draw_orders
 from deploy.check.braking import MARGIN_M
-from deploy.dice import Dice
 
 Tables = dict[str, Any]
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from agent.fleet.fleet import parse_fleet
 from agent.formation.geometry import resolved
-from deploy.chaos import Outcome, judged, scenario_text
-from deploy.chaos_draw import draw, name_of
-from deploy.chaos_report import Driven
+from deploy.chaos.draw import draw, name_of
+from deploy.chaos.report import Driven
+from deploy.chaos.run import Outcome, judged, scenario_text
 from deploy.console.interrupt import Interrupt
 from deploy.drive.live_view import make_view
 from deploy.drive.local import LocalRun
