@@ -11,8 +11,8 @@ from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled
 
 if TYPE_CHECKING:
-    from deploy.host_connection import HostConnection
-    from deploy.hosts_view import HostsView, Row
+    from deploy.hosts.connection import HostConnection
+    from deploy.hosts.view import HostsView, Row
 
 REASON: Final = "the fleet goes down"
 
@@ -34,9 +34,9 @@ def add_parser(commands: Any) -> None:
 
 
 def _down(options: argparse.Namespace) -> int:
-    from deploy.host_jobs import HostJobs
-    from deploy.hosts_view import DONE as HOST_DONE
-    from deploy.hosts_view import make_hosts_view
+    from deploy.hosts.jobs import HostJobs
+    from deploy.hosts.view import DONE as HOST_DONE
+    from deploy.hosts.view import make_hosts_view
     from deploy.inventory.hosts import hosts_of, located
 
     interrupt = Interrupt()
@@ -75,7 +75,7 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
 
 
 def _end(connection: HostConnection, row: Row, fleet: Fleet) -> None:
-    from deploy.host_connection import HostError
+    from deploy.hosts.connection import HostError
 
     row.step = "ending"
     told = connection.ask("down", fleet=fleet.fleet.name)

@@ -14,8 +14,8 @@ from deploy.console.arguments import InputError, fleet_path, load, no_changes
 from deploy.inventory.running import DONE, handled
 
 if TYPE_CHECKING:
-    from deploy.bundle import Platform
-    from deploy.export_deployment import Pack
+    from deploy.hosts.ansible import Pack
+    from deploy.hosts.bundle import Platform
 
 
 def add_parser(commands: Any) -> None:
@@ -51,9 +51,9 @@ def _export(options: argparse.Namespace) -> int:
     import tomli_w
 
     from agent.fleet.fleet import to_dict
-    from deploy.bundle import BundleError
     from deploy.drive.outcome import refuse_errors
-    from deploy.export_deployment import DeploymentError, texts
+    from deploy.hosts.ansible import DeploymentError, texts
+    from deploy.hosts.bundle import BundleError
     from deploy.inventory.folders import refuse_full
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_text
 
@@ -80,8 +80,8 @@ def _export(options: argparse.Namespace) -> int:
 
 def _packs(asked: list[str]) -> list[Pack]:
     """What hosts of each platform get; raises `BundleError` and `DeploymentError`."""
-    from deploy.bundle import bundle_for, program_archive
-    from deploy.export_deployment import Pack, parse_platform
+    from deploy.hosts.ansible import Pack, parse_platform
+    from deploy.hosts.bundle import bundle_for, program_archive
 
     program = program_archive()
     platforms = list(dict.fromkeys(map(parse_platform, asked))) or [_this_machine()]
@@ -89,7 +89,7 @@ def _packs(asked: list[str]) -> list[Pack]:
 
 
 def _this_machine() -> Platform:
-    from deploy.bundle import BundleError, Platform
+    from deploy.hosts.bundle import BundleError, Platform
 
     try:
         return Platform.of(

@@ -36,16 +36,16 @@ def add_parser(commands: Any) -> None:
 
 def _fetch(options: argparse.Namespace) -> int:
     from deploy.drive.outcome import say_verdict
-    from deploy.fetching import Fetching
-    from deploy.host_jobs import HostJobs
-    from deploy.hosts_view import FAILED as HOST_FAILED
-    from deploy.hosts_view import make_hosts_view
+    from deploy.hosts.fetch import Fetching
+    from deploy.hosts.jobs import HostJobs
+    from deploy.hosts.merge import Choice, merge
+    from deploy.hosts.robot_recording import MergeError
+    from deploy.hosts.view import FAILED as HOST_FAILED
+    from deploy.hosts.view import make_hosts_view
     from deploy.inventory.folders import refuse_full
     from deploy.inventory.hosts import hosts_of, located
-    from deploy.merging import Choice, merge
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
-    from deploy.robot_recording import MergeError
 
     now_s = time.time()
     since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))

@@ -18,7 +18,6 @@ from typing import Any, Final, NamedTuple
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
-from deploy import units
 from deploy.console.arguments import (
     InputError,
     fleet_path,
@@ -30,6 +29,7 @@ from deploy.console.arguments import (
 )
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
+from deploy.hosts import units
 from deploy.inventory import ssh
 from deploy.inventory.hosts import hosts_of, located, robots_on
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled

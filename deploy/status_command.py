@@ -51,14 +51,14 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 
 def _status(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
-    from deploy import units
-    from deploy.host_connection import HostConnection
-    from deploy.host_jobs import HostJobs
-    from deploy.hosts_view import FAILED as HOST_FAILED
-    from deploy.hosts_view import Row
+    from deploy.hosts import units
+    from deploy.hosts.connection import HostConnection
+    from deploy.hosts.jobs import HostJobs
+    from deploy.hosts.status import HostStatus, host_rows, host_status, print_table, process_row
+    from deploy.hosts.view import FAILED as HOST_FAILED
+    from deploy.hosts.view import Row
     from deploy.inventory.hosts import hosts_of, located
     from deploy.session.operator_session import OperatorSession
-    from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
 
     interrupt = Interrupt()
     with interrupt.caught():

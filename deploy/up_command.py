@@ -15,8 +15,8 @@ from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
-    from deploy.host_keys import HostKeys
-    from deploy.up import BringUp
+    from deploy.hosts.host_keys import HostKeys
+    from deploy.hosts.up import BringUp
 
 
 def add_parser(commands: Any) -> None:
@@ -46,9 +46,9 @@ def add_parser(commands: Any) -> None:
 
 def _up(options: argparse.Namespace) -> int:
     from deploy.drive.outcome import refuse_errors
-    from deploy.hosts_view import make_hosts_view
+    from deploy.hosts.up import BringUp
+    from deploy.hosts.view import make_hosts_view
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated
-    from deploy.up import BringUp
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -69,7 +69,7 @@ def _up(options: argparse.Namespace) -> int:
 @contextmanager
 def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
     """What gives robots their certificates; needs the authority that `handfast keys` has made."""
-    from deploy.host_keys import HostKeys
+    from deploy.hosts.host_keys import HostKeys
     from deploy.inventory.certificate_authority import Authority, AuthorityError, keys_folder
 
     folder = keys_folder(fleet.fleet.name)
@@ -87,7 +87,7 @@ def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
 
 def _say(work: BringUp, interrupt: Interrupt) -> int:
     """Says what became of each robot; the exit status."""
-    from deploy.hosts_view import DONE as HOST_DONE
+    from deploy.hosts.view import DONE as HOST_DONE
 
     for row in work.rows.values():
         for robot in row.robots:

@@ -114,9 +114,7 @@ def test_status_tells_of_every_process(fleet: FleetOnHosts) -> None:
 
 
 def test_units_watch_their_processes_and_hold_no_secret(fleet: FleetOnHosts) -> None:
-    text = (
-        fleet.hosts[0].home / ".config/systemd/user/handfast-delta-robot-1-agent.runtime.systemd_notify"
-    ).read_text()
+    text = (fleet.hosts[0].home / ".config/systemd/user/handfast-delta-robot-1-agent.service").read_text()
     assert "WatchdogSec=" in text
     keys = fleet.hosts[0].home / ".local/share/handfast/fleets/delta/keys"
     assert (keys.stat().st_mode & 0o777, len(list(keys.glob("*.key")))) == (0o700, 2)

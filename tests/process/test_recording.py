@@ -19,7 +19,7 @@ from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Received, Segment
-from deploy.merging import merge
+from deploy.hosts.merge import merge
 from deploy.report.report import rebuild
 from deploy.report.run_folder import RunFolder
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed

@@ -72,7 +72,7 @@ def test_down_goes_on_over_ssh_where_it_may_not_stop(
             asked.append((what, about))
             return {"stopped": ["a", "b"], "left": []}
 
-    monkeypatch.setattr("deploy.host_jobs.HostConnection", Connection)
+    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
     assert down_command._down(options(secured)) == 0
     assert asked == [("down", {"fleet": "two"})]
     err = capsys.readouterr().err

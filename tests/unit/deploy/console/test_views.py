@@ -11,11 +11,11 @@ from typing import TextIO
 
 import pytest
 
-from deploy import hosts_view
 from deploy.console.views import TerminalView
 from deploy.drive import live_view
 from deploy.drive.live_view import Picture, RobotPicture, make_view
-from deploy.hosts_view import Row, make_hosts_view
+from deploy.hosts import view
+from deploy.hosts.view import Row, make_hosts_view
 
 EVIL = "[/x] [bold]a\x1b[2Jb\nc"
 SAFE = "[/x] [bold]a\\x1b[2Jb\\nc"
@@ -86,7 +86,7 @@ def test_texts_are_shown_as_they_are(
     assert "\nc" not in text
 
 
-@pytest.mark.parametrize("make", [live_view.Terminal, hosts_view.Terminal])
+@pytest.mark.parametrize("make", [live_view.Terminal, view.Terminal])
 def test_a_ctrl_c_is_not_echoed_while_something_is_redrawn(make: Callable[[TextIO], TerminalView]) -> None:
     ours, theirs = pty.openpty()
     with open(ours, "wb"), open(theirs, "w") as terminal:

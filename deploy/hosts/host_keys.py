@@ -9,7 +9,7 @@ from typing import Final
 
 from agent.fleet.fleet import Fleet
 from agent.security.identity import of_robot
-from deploy.host_connection import HostConnection, HostError
+from deploy.hosts.connection import HostConnection, HostError
 from deploy.inventory.certificate_authority import Authority, AuthorityError
 from deploy.inventory.hosts import robots_on
 

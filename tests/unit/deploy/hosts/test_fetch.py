@@ -12,11 +12,12 @@ import pytest
 import tomli_w
 
 from agent.fleet.fleet import to_dict
-from deploy import fetch_command, fetching
+from deploy import fetch_command
 from deploy.console.arguments import InputError, no_changes
-from deploy.fetching import SHARE_MAX, Fetching
-from deploy.host_connection import HostError
-from deploy.hosts_view import Row
+from deploy.hosts import fetch
+from deploy.hosts.connection import HostError
+from deploy.hosts.fetch import SHARE_MAX, Fetching
+from deploy.hosts.view import Row
 from tests.unit.agent.fleet.test_hosts import HOSTS, fleet
 
 FLEET = fleet(HOSTS)
@@ -71,7 +72,7 @@ def kept(cache: Path) -> dict[str, bytes]:
 
 
 def test_what_is_here_already_is_not_sent_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fetching, "PART_BYTES", 4)
+    monkeypatch.setattr(fetch, "PART_BYTES", 4)
     there = There(**{name(1): b"one and more", name(2): b"two"})
     work, row = bring(there)
     assert work.folders == {ROBOT: cache}
@@ -183,7 +184,7 @@ def options(file: Path, **given: Any) -> argparse.Namespace:
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "two.toml"
     path.write_text(tomli_w.dumps(to_dict(FLEET)))
-    monkeypatch.setattr("deploy.host_jobs.HostJobs.__enter__", lambda _: pytest.fail("hosts are asked"))
+    monkeypatch.setattr("deploy.hosts.jobs.HostJobs.__enter__", lambda _: pytest.fail("hosts are asked"))
     return path
 
 
@@ -214,8 +215,8 @@ def test_ctrl_c_ends_the_merging(file: Path, monkeypatch: pytest.MonkeyPatch) ->
 
         def wait(self, *_: object) -> None: ...
 
-    monkeypatch.setattr("deploy.host_jobs.HostJobs", Jobs)
-    monkeypatch.setattr("deploy.merging.merge", merging)
+    monkeypatch.setattr("deploy.hosts.jobs.HostJobs", Jobs)
+    monkeypatch.setattr("deploy.hosts.merge.merge", merging)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` leaves it ignored
     try:
         with pytest.raises(KeyboardInterrupt):

@@ -1,8 +1,8 @@
 """A fleet as a folder for Ansible, which brings it up on its hosts as `handfast up` does: its texts.
 
 What is the same for every fleet lies in ``deployment/``: a playbook, whose tasks have the host's part of
-`handfast up` (`deploy.host_program`) decide. What a fleet adds is here: who and where its hosts are, what to
-bring them, and what their units are.
+`handfast up` (`deploy.hosts.remote_program`) decide. What a fleet adds is here: who and where its hosts are,
+what to bring them, and what their units are.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from typing import Any, Final
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
 from agent.supervision.state_machine import DRIVING
-from deploy import host_program, units
-from deploy.bundle import Bundle, Platform
 from deploy.console.data_files import ANSIBLE
-from deploy.host_connection import NO_PYTHON, bootstrap
-from deploy.host_keys import MODULE
-from deploy.host_places import fleet_file, places
-from deploy.host_setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
+from deploy.hosts import remote_program, units
+from deploy.hosts.bundle import Bundle, Platform
+from deploy.hosts.connection import NO_PYTHON, bootstrap
+from deploy.hosts.host_keys import MODULE
+from deploy.hosts.host_places import fleet_file, places
+from deploy.hosts.setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
 from deploy.inventory.hosts import hosts_of, robots_on
 from deploy.inventory.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
 
 GROUP: Final = "handfast_robots"
 OPERATORS_FLEET: Final = "fleet.toml"
-PROGRAM: Final = Path(host_program.__file__)
+PROGRAM: Final = Path(remote_program.__file__)
 ROOT: Final = "{{handfast_root}}"
 VERSION: Final = "{{handfast_version}}"
 _PLATFORM: Final = re.compile(r"3\.(\d{1,2}) ([a-z0-9_]{1,20}) (?:glibc2\.(\d{1,2})|musl)", re.ASCII)
@@ -117,7 +117,7 @@ def _of_all(fleet: Fleet, robots_text: str, packs: Sequence[Pack]) -> dict[str, 
         "handfast_secured": fleet.is_secured,
         "handfast_fleet_path": fleet_file(fleet, robots_text),
         "handfast_program_bytes": PROGRAM.stat().st_size,
-        "handfast_greeting": host_program.GREETING.decode("ascii").strip(),
+        "handfast_greeting": remote_program.GREETING.decode("ascii").strip(),
         "handfast_no_python": NO_PYTHON,
         "handfast_bundles": [_bundle(pack) for pack in packs],
         "handfast_install_bytes": INSTALL_BYTES,

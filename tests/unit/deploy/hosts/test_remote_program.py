@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.host_sections import HostSection
-from deploy import host_program
-from deploy.host_connection import HostConnection, HostError
+from deploy.hosts import remote_program
+from deploy.hosts.connection import HostConnection, HostError
 from tests.process.harness import wait_for
 
 FAKE_SSH = '#!/bin/sh\nfor last; do :; done\nexec /bin/sh -c "$last"\n'
@@ -73,9 +73,9 @@ def told(home: Path) -> list[str]:
     return [line.removeprefix("--user --no-pager ") for line in lines]
 
 
-AGENT = "handfast-two-robot-1-agent.runtime.systemd_notify"
-OTHER = "handfast-two-robot-2-agent.runtime.systemd_notify"
-STRANGER = "handfast-two-robotics-robot-1-agent.runtime.systemd_notify"
+AGENT = "handfast-two-robot-1-agent.service"
+OTHER = "handfast-two-robot-2-agent.service"
+STRANGER = "handfast-two-robotics-robot-1-agent.service"
 
 
 def units(home: Path) -> Path:
@@ -256,7 +256,7 @@ def installs(home: Path, tmp_path: Path) -> list[str]:
     (root / "wheels").mkdir(parents=True)
     with zipfile.ZipFile(root / "wheels/program.zip", "w"):
         pass
-    source = Path(host_program.__file__).read_text().replace("sys.executable", repr(str(fake)))
+    source = Path(remote_program.__file__).read_text().replace("sys.executable", repr(str(fake)))
     asked = {
         "do": "install",
         "version": "1-aa",

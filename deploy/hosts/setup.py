@@ -8,9 +8,9 @@ from typing import Any, Final, NamedTuple
 
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
-from deploy import host_places, units
-from deploy.bundle import Bundle, BundleError, Platform, bundle_for
-from deploy.host_connection import Clock, HostConnection, HostError
+from deploy.hosts import host_places, units
+from deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for
+from deploy.hosts.connection import Clock, HostConnection, HostError
 from deploy.inventory.hosts import robots_on
 
 INSTALL_TIMEOUT_S: Final = 400.0
@@ -22,7 +22,7 @@ CLOCK_ERROR_MAX_S: Final = 1.0
 Say = Callable[[str], None]
 """Told what is being done, in a few words."""
 Keys = Callable[[HostConnection, str, str], None]
-"""Gives the robots of a host their certificates, see `deploy.host_keys.HostKeys`."""
+"""Gives the robots of a host their certificates, see `deploy.hosts.host_keys.HostKeys`."""
 
 
 class Prepared(NamedTuple):
@@ -58,7 +58,7 @@ def prepare(
     Args:
         fleet: resolved and located.
         text: of the fleet file that robots read.
-        program: `deploy.bundle.program_archive`.
+        program: `deploy.hosts.bundle.program_archive`.
         keys: gives the robots of a secured fleet their certificates.
         before_changes: called when all is there, before the robots' files and units change; may raise.
 

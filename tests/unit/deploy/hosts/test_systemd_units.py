@@ -11,8 +11,8 @@ import pytest
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
-from deploy import units
-from deploy.units import Places, arguments, roles, unit, unit_name
+from deploy.hosts import units
+from deploy.hosts.units import Places, arguments, roles, unit, unit_name
 from tests.unit.agent.fleet.test_hosts import FLEET
 
 PLACES = Places(
@@ -96,4 +96,4 @@ def test_the_keys_are_named_not_shown():
 
 
 def test_names_tell_fleet_robot_and_process():
-    assert unit_name("two", 12, "agent") == "handfast-two-robot-12-agent.runtime.systemd_notify"
+    assert unit_name("two", 12, "agent") == "handfast-two-robot-12-agent.service"

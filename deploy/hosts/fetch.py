@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from agent.fleet.fleet import Fleet
 from agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
-from deploy.host_connection import HostConnection, HostError
-from deploy.hosts_view import Row
+from deploy.hosts.connection import HostConnection, HostError
+from deploy.hosts.view import Row
 from deploy.inventory.folders import cache_folder
 from deploy.inventory.hosts import robots_on
 
@@ -43,10 +43,10 @@ class Fetching:
         self.folders: dict[int, Path] = {}
 
     def __call__(self, connection: HostConnection, row: Row) -> None:
-        """Brings those of one host; see `deploy.host_jobs.Work`.
+        """Brings those of one host; see `deploy.hosts.jobs.Work`.
 
         Raises:
-            deploy.host_connection.HostError: the connection was lost, a file cannot be read or kept, or the
+            deploy.hosts.connection.HostError: the connection was lost, a file cannot be read or kept, or the
                 host says what cannot be.
         """
         got = 0

@@ -22,9 +22,7 @@ from agent.formation.geometry import resolved
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from agent.recorder.segments import Received
-from deploy.recording.recorder import RecordingError
-from deploy.report.run_folder import RunFolder
-from deploy.robot_recording import (
+from deploy.hosts.robot_recording import (
     GAP_NS,
     Damage,
     MergeError,
@@ -33,6 +31,8 @@ from deploy.robot_recording import (
     by_time,
     recordings,
 )
+from deploy.recording.recorder import RecordingError
+from deploy.report.run_folder import RunFolder
 
 MARGIN_NS: Final = 5 * NS_PER_S
 """Of the last mission so much before and after is taken as well."""

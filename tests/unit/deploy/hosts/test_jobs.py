@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy import host_jobs
-from deploy.host_connection import HostConnection
-from deploy.host_jobs import HostJobs
+from deploy.hosts.connection import HostConnection
+from deploy.hosts.jobs import HostJobs
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
 
@@ -27,7 +26,7 @@ def test_a_host_that_does_not_answer_yet_is_reached_by_ctrl_c(
             connecting.set()
             return super().__enter__()
 
-    monkeypatch.setattr(host_jobs, "HostConnection", Connection)
+    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
     there = fleet(HOSTS, LEFT, LEFT)
     begun = time.monotonic()
     with HostJobs(there, there.hosts[:1], lambda *_: pytest.fail("it answered")) as jobs:

@@ -15,10 +15,10 @@ from agent.fleet.host_sections import HostSection
 from agent.security import __main__
 from agent.security.credentials import load
 from agent.security.identity import of_robot
-from deploy.host_keys import HostKeys
+from deploy.hosts.host_keys import HostKeys
 from deploy.inventory.certificate_authority import Authority
 from tests.unit.agent.security.test_credentials import Standard
-from tests.unit.test_export_deployment import fleet
+from tests.unit.deploy.hosts.test_ansible import fleet
 
 
 class There:

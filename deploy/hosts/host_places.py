@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 
 from agent.fleet.fleet import Fleet
-from deploy.units import Places
+from deploy.hosts.units import Places
 
 
 def fleet_file(fleet: Fleet, text: str) -> str:

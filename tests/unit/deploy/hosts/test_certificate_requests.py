@@ -18,7 +18,7 @@ from agent.security.identity import of_robot
 from deploy import keys_command
 from deploy.console.arguments import InputError
 from deploy.inventory.certificate_authority import keys_folder
-from tests.unit.test_export_deployment import fleet
+from tests.unit.deploy.hosts.test_ansible import fleet
 
 Sign = Callable[..., dict[str, Any]]
 

@@ -16,17 +16,17 @@ from agent.fleet.host_sections import HostSection
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Status
-from deploy import up
-from deploy.arrivals import Arrivals
-from deploy.bundle import Bundle
 from deploy.console.interrupt import Interrupt
-from deploy.host_connection import Clock, HostError
-from deploy.hosts_view import DONE, FAILED, Row
+from deploy.hosts import up
+from deploy.hosts.arrivals import Arrivals
+from deploy.hosts.bundle import Bundle
+from deploy.hosts.connection import Clock, HostError
+from deploy.hosts.units import roles, unit_name
+from deploy.hosts.up import BringUp
+from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of
-from deploy.units import roles, unit_name
-from deploy.up import BringUp
 from deploy.up_command import _say
-from tests.unit.test_export_deployment import ROOT, WHEELS, fleet
+from tests.unit.deploy.hosts.test_ansible import ROOT, WHEELS, fleet
 
 PATIENCE_S = 20.0
 
@@ -105,7 +105,7 @@ class World:
 
 
 class There:
-    """One host of the world, as `deploy.host_connection.HostConnection` shows it."""
+    """One host of the world, as `deploy.hosts.connection.HostConnection` shows it."""
 
     def __init__(self, world: World, host: HostSection) -> None:
         self.world, self.host = world, host
@@ -198,11 +198,11 @@ class View:
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     there = World(fleet({"rover1": {"address": "10.0.0.1"}, "rover2": {}}, network={"security": "off"}))
     monkeypatch.setattr("deploy.session.session.operator_bus", lambda _: there)
-    monkeypatch.setattr("deploy.host_jobs.HostConnection", there.host)
-    monkeypatch.setattr("deploy.host_setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
-    monkeypatch.setattr("deploy.up.program_archive", lambda: b"program")
-    for module in ("up", "host_jobs"):
-        monkeypatch.setattr(f"deploy.{module}.LOOK_S", 0.005)
+    monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
+    monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
+    monkeypatch.setattr("deploy.hosts.up.program_archive", lambda: b"program")
+    for module in ("up", "jobs"):
+        monkeypatch.setattr(f"deploy.hosts.{module}.LOOK_S", 0.005)
     monkeypatch.setattr(up, "UNITS_PERIOD_S", 0.02)
     monkeypatch.setattr(up, "LISTEN_S", 0.2)
     monkeypatch.setattr(up, "IDLE_S", 0.05)
@@ -241,7 +241,7 @@ def test_with_nothing_to_do_it_ends_as_soon_as_all_are_heard(
 
 def test_while_none_drives_robots_of_a_host_start_together(world: World) -> None:
     world.everybody("ready")
-    world.stale, world.unwanted = {1, 3}, ["handfast-delta-robot-9-agent.runtime.systemd_notify"]
+    world.stale, world.unwanted = {1, 3}, ["handfast-delta-robot-9-agent.service"]
     world.after = {1: "ready", 3: "ready"}
     work = bring(world)
     assert ends(work)["rover1"] == (DONE, "up, robots 1 and 3 started")
@@ -308,7 +308,7 @@ def test_a_stop_during_an_upgrade_does_not_halt_it(world: World) -> None:
 def test_a_robot_that_drives_but_is_not_heard_is_not_touched(world: World) -> None:
     world.says = {3: "degraded: slower"}
     world.stale = {1, 3, 5}
-    world.unwanted = ["handfast-delta-robot-9-agent.runtime.systemd_notify"]
+    world.unwanted = ["handfast-delta-robot-9-agent.service"]
     work = bring(world)
     for name in ("rover1", "rover2"):
         state, step = ends(work)[name]

@@ -1,6 +1,6 @@
 """Brings a fleet up on its hosts: all of them side by side, and none waits for another.
 
-Each host is made ready (`deploy.host_setup`), and what is not as it should be starts again there. While the
+Each host is made ready (`deploy.hosts.setup`), and what is not as it should be starts again there. While the
 fleet drives, robots start again one at a time, each only when the one before is back in its place. Who is
 there, and in what state, is heard over the bus and not from ssh.
 """
@@ -16,15 +16,15 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING
-from deploy import units
-from deploy.arrivals import Arrivals
-from deploy.bundle import program_archive
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
-from deploy.host_connection import HostConnection, HostError
-from deploy.host_jobs import LOOK_S, HostJobs
-from deploy.host_setup import Keys, Prepared, prepare
-from deploy.hosts_view import DONE, HostsView, Row
+from deploy.hosts import units
+from deploy.hosts.arrivals import Arrivals
+from deploy.hosts.bundle import program_archive
+from deploy.hosts.connection import HostConnection, HostError
+from deploy.hosts.jobs import LOOK_S, HostJobs
+from deploy.hosts.setup import Keys, Prepared, prepare
+from deploy.hosts.view import DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
 
 LISTEN_S: Final = 1.5

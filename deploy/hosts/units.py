@@ -91,7 +91,8 @@ def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
 
 def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Sequence[str]) -> Iterator[str]:
     name = fleet.fleet.name
-    # Read again by deploy.host_program: tells whether what runs is what is meant, and has read what is there.
+    # Read again by deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
+    # is there.
     yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
     yield f"# runs: {json.dumps(words)}"
     yield f"# reads: {json.dumps(reads)}"

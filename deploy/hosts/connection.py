@@ -1,4 +1,5 @@
-"""A conversation with the program that runs on a host (`deploy.host_program`), over one ssh connection."""
+"""A conversation with the program that runs on a host (`deploy.hosts.remote_program`), over one ssh
+connection."""
 
 from __future__ import annotations
 
@@ -14,10 +15,10 @@ from typing import IO, Any, Final, NamedTuple
 
 from agent.common.schema import printable
 from agent.fleet.host_sections import HostSection
-from deploy import host_program
+from deploy.hosts import remote_program
 from deploy.inventory import ssh
 
-PROGRAM: Final = Path(host_program.__file__)
+PROGRAM: Final = Path(remote_program.__file__)
 PYTHONS: Final = ("python3", "python3.14", "python3.13", "python3.12", "python3.11")
 GREETING_TIMEOUT_S: Final = 20.0
 ANSWER_TIMEOUT_S: Final = 60.0
@@ -75,7 +76,7 @@ class HostConnection:
         accept_new: takes the key of a host that was never met before for its own.
 
     Attributes:
-        about: what the program says of the computer (`host_program.hello`), once it has answered.
+        about: what the program says of the computer (`remote_program.hello`), once it has answered.
 
     Raises:
         HostError: there is no ssh here.
@@ -244,7 +245,7 @@ def _greeting(stream: IO[bytes]) -> dict[str, Any] | None:
     read = 0
     while read < NOISE_BYTES_MAX and (line := stream.readline(4096)):
         read += len(line)
-        if line == host_program.GREETING:
+        if line == remote_program.GREETING:
             return {}
         if line.startswith(NO_PYTHON.encode()):
             return {"no_python": line.decode(errors="replace").partition(":")[2].strip(" ;\n")}

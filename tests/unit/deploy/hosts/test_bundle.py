@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from deploy import bundle
-from deploy.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
 from deploy.console.data_files import ROBOT_REQUIREMENTS
+from deploy.hosts import bundle
+from deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for, program_archive
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from agent.messages.types import Status
-from deploy.host_connection import Clock, HostError
-from deploy.hosts_view import Lines, Row
-from deploy.status_table import HostStatus, host_rows, host_status, print_table, process_row
+from deploy.hosts.connection import Clock, HostError
+from deploy.hosts.status import HostStatus, host_rows, host_status, print_table, process_row
+from deploy.hosts.view import Lines, Row
 from tests.unit.agent.fleet.test_hosts import fleet
 
 FLEET = fleet()
@@ -31,7 +31,7 @@ def rows(
 ) -> tuple[list[dict[str, Any]], dict[str, HostStatus]]:
     found = {}
     for robot, (name, version) in enumerate(zip(("left", "right"), versions, strict=True), 1):
-        unit = {f"handfast-two-robot-{robot}-agent.runtime.systemd_notify": UNIT | {"version": version}}
+        unit = {f"handfast-two-robot-{robot}-agent.service": UNIT | {"version": version}}
         found[name] = host_status({"units": unit, "load": 1.5}, Clock(0.002, 0.001))
     told = [
         process_row(FLEET, robot, role, found[name], status(robot) if robot == 1 else None)

@@ -11,10 +11,10 @@ from typing import Final
 
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
-from deploy.bundle import end_downloads
 from deploy.console.interrupt import Interrupt
-from deploy.host_connection import HostConnection, HostError
-from deploy.hosts_view import DOING, HostsView, Row
+from deploy.hosts.bundle import end_downloads
+from deploy.hosts.connection import HostConnection, HostError
+from deploy.hosts.view import DOING, HostsView, Row
 from deploy.inventory.hosts import robots_on
 
 AT_ONCE_MAX: Final = 32

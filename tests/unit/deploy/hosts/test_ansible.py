@@ -21,12 +21,12 @@ from agent.fleet.fleet import Fleet, load_fleet, parse_fleet, to_dict
 from agent.fleet.host_sections import HostSection
 from agent.formation.geometry import resolved
 from deploy import export_deployment_command
-from deploy.bundle import Bundle, Platform
 from deploy.check.finding import Finding
 from deploy.console.data_files import FLEETS
-from deploy.export_deployment import GROUP, DeploymentError, Pack, parse_platform, texts
-from deploy.host_connection import Clock
-from deploy.host_setup import prepare
+from deploy.hosts.ansible import GROUP, DeploymentError, Pack, parse_platform, texts
+from deploy.hosts.bundle import Bundle, Platform
+from deploy.hosts.connection import Clock
+from deploy.hosts.setup import prepare
 from deploy.inventory.hosts import located, robots_on, robots_text
 
 PI = Platform((3, 11), "aarch64", ("glibc", "2.36"))
@@ -76,7 +76,7 @@ class UpsHost:
 def ups(fleet: Fleet, host: HostSection, monkeypatch: pytest.MonkeyPatch) -> UpsHost:
     """What `handfast up` brings to a host."""
     there = UpsHost(host)
-    monkeypatch.setattr("deploy.host_setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
+    monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
     keys = (lambda *_: None) if fleet.is_secured else None
     prepare(there, fleet, robots_text(fleet), b"program", lambda _: None, keys, lambda: None)  # type: ignore[arg-type]
     return there
@@ -186,7 +186,7 @@ def export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int
     wheels.mkdir()
     for name in WHEELS:
         (wheels / name).write_text(name)
-    monkeypatch.setattr("deploy.bundle.bundle_for", lambda _, program: Bundle(wheels, WHEELS, program))
+    monkeypatch.setattr("deploy.hosts.bundle.bundle_for", lambda _, program: Bundle(wheels, WHEELS, program))
     file = tmp_path / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet())))
     parser = argparse.ArgumentParser()

@@ -19,11 +19,11 @@ from agent.messages.types import Mission, PlantState, Resume, Stop
 from agent.recorder.recorder import RobotRecorder, order_keys
 from agent.recorder.segment_folder import SegmentFolder, segment_paths
 from agent.recorder.segments import About, Received
-from deploy.merging import MARGIN_NS, Choice, Merged, merge
+from deploy.hosts.merge import MARGIN_NS, Choice, Merged, merge
+from deploy.hosts.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
 from deploy.recording.recording import Recording
 from deploy.report.report import rebuild
 from deploy.report.run_folder import FolderError, RunFolder
-from deploy.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
 from tests.unit.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=2.0)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.host_sections import HostSection
-from deploy import host_connection, host_program
-from deploy.host_connection import HostConnection, HostError
+from deploy.hosts import connection, remote_program
+from deploy.hosts.connection import HostConnection, HostError
 
 HOST = HostSection("rover1", "10.0.0.1")
 FAKE = """#!/bin/sh
@@ -117,11 +117,11 @@ def test_what_was_said_before_the_end_is_the_reason(here: Path, monkeypatch: pyt
     """The program there may be gone before all of ours is written."""
     say(
         here.parent / "tools",
-        f"#!/bin/sh\nexec <&-; echo '{host_connection.NO_PYTHON}: python3 is Python 3.9.2;'",
+        f"#!/bin/sh\nexec <&-; echo '{connection.NO_PYTHON}: python3 is Python 3.9.2;'",
     )
     program = here / "program"
     program.write_bytes(b"#" * 1_000_000)  # more than a pipe takes
-    monkeypatch.setattr(host_connection, "PROGRAM", program)
+    monkeypatch.setattr(connection, "PROGRAM", program)
     with pytest.raises(HostError, match=r"there is no Python of 3\.11 or later"):
         connect()
 
@@ -143,7 +143,7 @@ def test_what_ssh_says_is_the_reason(here: Path):
 def test_a_program_there_that_ends_is_not_taken_for_ssh(
     here: Path, monkeypatch: pytest.MonkeyPatch, script: str, why: str
 ):
-    monkeypatch.setattr(host_connection, "END_S", 0.2)
+    monkeypatch.setattr(connection, "END_S", 0.2)
     say(here.parent / "tools", f"#!/bin/sh\n{script}\n")
     with pytest.raises(HostError, match=why):
         connect()
@@ -154,7 +154,7 @@ def test_a_program_there_that_ends_is_not_taken_for_ssh(
     ['{"ok": 1, "blob": 99999999999}', '{"ok": 1, "blob": -1}', "[1]", "x", '{"blob": {}}', "[" * 9999],
 )
 def test_an_answer_that_is_none_ends_the_conversation(here: Path, answer: str):
-    text = f"echo; printf %s {shlex.quote(host_program.GREETING.decode())}; echo '{answer}'; exit 0"
+    text = f"echo; printf %s {shlex.quote(remote_program.GREETING.decode())}; echo '{answer}'; exit 0"
     say(here.parent / "tools", f"#!/bin/sh\n{text}\n")
     with pytest.raises(HostError, match="the program there ended"):
         connect()

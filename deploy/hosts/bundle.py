@@ -54,7 +54,7 @@ class Platform:
 
     @classmethod
     def of(cls, about: Mapping[str, Any]) -> Platform:
-        """That of a computer, from what `deploy.host_program.hello` says of it.
+        """That of a computer, from what `deploy.hosts.remote_program.hello` says of it.
 
         Raises:
             BundleError: it is no Linux.

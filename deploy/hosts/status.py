@@ -14,10 +14,10 @@ from rich.text import Text
 from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from agent.messages.types import Status
-from deploy import units
 from deploy.console.wording import robots
 from deploy.drive.live_view import STYLES
-from deploy.host_connection import Clock, HostError
+from deploy.hosts import units
+from deploy.hosts.connection import Clock, HostError
 
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240
@@ -27,7 +27,7 @@ _NUMBERS: Final = ("cpu_s", "age_s", "memory_bytes")
 
 @dataclass
 class HostStatus:
-    """What a host says: of its units (`deploy.host_program.status`), its clock and load."""
+    """What a host says: of its units (`deploy.hosts.remote_program.status`), its clock and load."""
 
     units: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     clock: Clock | None = None
