@@ -14,26 +14,26 @@ from typing import Final
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import FleetError
 from agent.runtime.version import handfast_version
-from deploy import (
-    chaos_command,
-    down_command,
-    drive_command,
-    export_deployment_command,
-    faults_command,
-    fetch_command,
-    heartbeat_command,
-    keys_command,
-    logs_command,
-    new_command,
-    orders_command,
-    preflight_command,
-    resume_command,
-    router_command,
-    signing_command,
-    status_command,
-    stop_command,
-    sweep_command,
-    up_command,
+from deploy.commands import (
+    chaos,
+    down,
+    drive,
+    export_deployment,
+    faults,
+    fetch,
+    heartbeat,
+    keys,
+    logs,
+    new,
+    orders,
+    preflight,
+    resume,
+    router,
+    signing,
+    status,
+    stop,
+    sweep,
+    up,
 )
 from deploy.console.arguments import InputError, bundled, fleet_arguments, load, load_unresolved
 from deploy.console.interrupt import Interrupt, remembered
@@ -112,24 +112,24 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
     sub = add("check", _check, "say what the fleet will do and all that is wrong with it")
     fleet_arguments(sub)
-    preflight_command.add_parser(commands)
-    keys_command.add_parser(commands)
-    router_command.add_parser(commands)
-    up_command.add_parser(commands)
-    status_command.add_parser(commands)
-    logs_command.add_parser(commands)
-    fetch_command.add_parser(commands)
-    down_command.add_parser(commands)
-    export_deployment_command.add_parser(commands)
-    drive_command.add_parser(commands)
-    stop_command.add_parser(commands)
-    resume_command.add_parser(commands)
-    orders_command.add_parser(commands)
-    heartbeat_command.add_parser(commands)
-    faults_command.add_parser(commands)
-    signing_command.add_parser(commands)
-    sweep_command.add_parser(commands)
-    chaos_command.add_parser(commands)
+    preflight.add_parser(commands)
+    keys.add_parser(commands)
+    router.add_parser(commands)
+    up.add_parser(commands)
+    status.add_parser(commands)
+    logs.add_parser(commands)
+    fetch.add_parser(commands)
+    down.add_parser(commands)
+    export_deployment.add_parser(commands)
+    drive.add_parser(commands)
+    stop.add_parser(commands)
+    resume.add_parser(commands)
+    orders.add_parser(commands)
+    heartbeat.add_parser(commands)
+    faults.add_parser(commands)
+    signing.add_parser(commands)
+    sweep.add_parser(commands)
+    chaos.add_parser(commands)
     # Its options are its own: `main` hands them on before they are looked at here.
     commands.add_parser(ROVER_SIMULATOR, help="an ArduPilot Rover to try bridges with, over UDP and TCP")
     sub = add("report", _report, "rebuild figures, metrics and report of a run from its recording")
@@ -138,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", metavar="RUN", help="the run's folder")
     sub.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), parquet or json")
     sub.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
-    new_command.add_parser(commands)
+    new.add_parser(commands)
     return parser
 
 

@@ -17,8 +17,8 @@ from agent.common.clock import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Stop
+from deploy.commands.drive import ROBOTS_FILE
 from deploy.drive.preconditions import OVER
-from deploy.drive_command import ROBOTS_FILE
 from deploy.inventory.registry import find, running
 from deploy.recording.recording import Recording
 from tests.process.fleet_harness import Robots, all_ready

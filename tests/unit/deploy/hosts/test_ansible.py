@@ -20,8 +20,8 @@ import tomli_w
 from agent.fleet.fleet import Fleet, load_fleet, parse_fleet, to_dict
 from agent.fleet.host_sections import HostSection
 from agent.formation.geometry import resolved
-from deploy import export_deployment_command
 from deploy.check.finding import Finding
+from deploy.commands import export_deployment
 from deploy.console.data_files import FLEETS
 from deploy.hosts.ansible import GROUP, DeploymentError, Pack, parse_platform, texts
 from deploy.hosts.bundle import Bundle, Platform
@@ -190,7 +190,7 @@ def export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int
     file = tmp_path / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet())))
     parser = argparse.ArgumentParser()
-    export_deployment_command.add_parser(parser.add_subparsers())
+    export_deployment.add_parser(parser.add_subparsers())
 
     def run(*arguments: str) -> int:
         options = parser.parse_args(["export-deployment", str(file), *arguments])
@@ -253,7 +253,7 @@ def test_a_folder_that_is_not_empty_is_left_alone(
 
 def test_a_fleet_for_one_machine_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     parser = argparse.ArgumentParser()
-    export_deployment_command.add_parser(parser.add_subparsers())
+    export_deployment.add_parser(parser.add_subparsers())
     options = parser.parse_args(["export-deployment", "delta", "--out", str(tmp_path / "x")])
     assert options.command(options) == 2
     assert "no robot has a host" in capsys.readouterr().err

@@ -15,7 +15,7 @@ import tomli_w
 from agent.fleet.fleet import to_dict
 from agent.security.credentials import load, make_request, store
 from agent.security.identity import of_robot
-from deploy import keys_command
+from deploy.commands import keys as keys_command
 from deploy.console.arguments import InputError
 from deploy.inventory.certificate_authority import keys_folder
 from tests.unit.deploy.hosts.test_ansible import fleet

@@ -12,9 +12,8 @@ import pytest
 import tomli_w
 
 from agent.fleet.fleet import to_dict
-from deploy import fetch_command
+from deploy.commands import fetch as fetch_command
 from deploy.console.arguments import InputError, no_changes
-from deploy.hosts import fetch
 from deploy.hosts.connection import HostError
 from deploy.hosts.fetch import SHARE_MAX, Fetching
 from deploy.hosts.view import Row
@@ -72,7 +71,7 @@ def kept(cache: Path) -> dict[str, bytes]:
 
 
 def test_what_is_here_already_is_not_sent_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fetch, "PART_BYTES", 4)
+    monkeypatch.setattr(fetch_command, "PART_BYTES", 4)
     there = There(**{name(1): b"one and more", name(2): b"two"})
     work, row = bring(there)
     assert work.folders == {ROBOT: cache}

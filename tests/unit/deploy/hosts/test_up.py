@@ -16,6 +16,7 @@ from agent.fleet.host_sections import HostSection
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Status
+from deploy.commands.up import _say
 from deploy.console.interrupt import Interrupt
 from deploy.hosts import up
 from deploy.hosts.arrivals import Arrivals
@@ -25,7 +26,6 @@ from deploy.hosts.units import roles, unit_name
 from deploy.hosts.up import BringUp
 from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of
-from deploy.up_command import _say
 from tests.unit.deploy.hosts.test_ansible import ROOT, WHEELS, fleet
 
 PATIENCE_S = 20.0

@@ -10,7 +10,7 @@ import pytest
 
 from bridges.mavlink.session.signing import load_key
 from deploy.cli import main
-from deploy.signing_command import prepare_keys
+from deploy.commands.signing import prepare_keys
 from tests.rover_scene import rovers
 
 Run = Callable[..., tuple[int, str, str]]

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from agent.fleet.fleet import to_dict
-from deploy import down_command, status_command
+from deploy.commands import down, status
 from deploy.console.arguments import no_changes
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
@@ -19,7 +19,7 @@ def secured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A fleet whose operator has no certificate here; its file. Its host is what the ssh beside it says."""
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     monkeypatch.setenv("HANDFAST_KEYS", str(tmp_path / "none"))
-    monkeypatch.setattr(status_command, "LISTEN_S", 0.0)
+    monkeypatch.setattr(status, "LISTEN_S", 0.0)
     file = tmp_path / "two.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet(HOSTS, LEFT, LEFT))))
     return file
@@ -39,7 +39,7 @@ def test_hosts_are_asked_though_the_bus_cannot_be_opened(
     secured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ssh(secured, "echo 'ssh: connect to host a port 22: Connection refused' >&2; exit 255")
-    assert status_command._status(options(secured)) == 1
+    assert status._status(options(secured)) == 1
     out, err = capsys.readouterr()
     assert "left: it is there, but no ssh server answers on that port" in out
     assert err.startswith("handfast: agents are not heard, only hosts are asked: ")
@@ -48,9 +48,9 @@ def test_hosts_are_asked_though_the_bus_cannot_be_opened(
 def test_a_slow_host_is_not_told_as_interrupted(
     secured: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(status_command, "HOSTS_TIMEOUT_S", 0.0)
+    monkeypatch.setattr(status, "HOSTS_TIMEOUT_S", 0.0)
     ssh(secured, "exec sleep 60")
-    assert status_command._status(options(secured)) == 1
+    assert status._status(options(secured)) == 1
     assert "left: it has not said all within 0 s" in capsys.readouterr().out
 
 
@@ -73,7 +73,7 @@ def test_down_goes_on_over_ssh_where_it_may_not_stop(
             return {"stopped": ["a", "b"], "left": []}
 
     monkeypatch.setattr("deploy.hosts.jobs.HostConnection", Connection)
-    assert down_command._down(options(secured)) == 0
+    assert down._down(options(secured)) == 0
     assert asked == [("down", {"fleet": "two"})]
     err = capsys.readouterr().err
     assert "not stopped over the bus, robots brake as their processes end: " in err

@@ -18,11 +18,11 @@ from agent.links.ingress import Reception
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults
+from deploy.commands.faults import add_parser
 from deploy.console.data_files import FLEETS
 from deploy.faults.live import Held, Receiver, receivers, shown
 from deploy.faults.live_rules import LiveRulesError, rule_of_options, rules_of_scenario, text_of
 from deploy.faults.wording import end_of, lasts, next_begin, window, words
-from deploy.faults_command import add_parser
 from deploy.session.fault_injection import NothingToClearError, Putting, clear, names
 
 FLEET = load_fleet(FLEETS / "pair.toml")

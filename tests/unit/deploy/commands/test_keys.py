@@ -14,7 +14,7 @@ import pytest
 from agent.fleet.host_sections import HostSection
 from agent.security.credentials import RENEW_DAYS, load, make_request
 from agent.security.identity import of_operator, of_robot, of_router
-from deploy import keys_command
+from deploy.commands import keys as keys_command
 from deploy.console.arguments import InputError
 from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
 from tests.unit.deploy.orders.order_fleets import square

@@ -16,11 +16,11 @@ import pytest
 import tomli_w
 
 from agent.fleet.fleet import to_dict
-from deploy import logs_command
+from deploy.commands import logs as logs_command
+from deploy.commands.logs import Line, Reader
 from deploy.console.arguments import InputError, no_changes
 from deploy.console.interrupt import Interrupt
 from deploy.inventory import ssh
-from deploy.logs_command import Line, Reader
 from tests.unit.agent.fleet.test_hosts import fleet
 
 

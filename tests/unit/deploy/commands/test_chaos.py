@@ -11,11 +11,11 @@ import pytest
 
 from agent.fleet.fleet import load_fleet
 from agent.supervision.state_machine import TRANSITIONS
-from deploy import chaos_command
 from deploy.chaos.draw import draw
 from deploy.chaos.report import NOT_DRAWN, Driven, Tally, conclusion, lines
 from deploy.chaos.run import Outcome, scenario_text
 from deploy.cli import main
+from deploy.commands import chaos
 from deploy.simulate import worker_pool
 from deploy.verdict.violations import Violation
 
@@ -26,7 +26,7 @@ ALL = {row.name: 1 for row in TRANSITIONS if row.name not in NOT_DRAWN}
 class Instead:
     """A pool that drives nothing: seed 7 fails, seed 9 is never reached."""
 
-    def __init__(self, work: chaos_command.Scenarios, jobs: int, timeout_s: float) -> None:
+    def __init__(self, work: chaos.Scenarios, jobs: int, timeout_s: float) -> None:
         self.shrink = work.shrink
 
     def __enter__(self) -> Instead:
@@ -110,7 +110,7 @@ def test_a_folder_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_a_scenario_whose_process_died_is_a_failure() -> None:
-    driven = chaos_command.Scenarios(shrink=True).unfinished(5, "killed by SIGKILL", 2.0, timed_out=False)
+    driven = chaos.Scenarios(shrink=True).unfinished(5, "killed by SIGKILL", 2.0, timed_out=False)
     assert driven.tables == draw(5)
     (failed,) = driven.outcome.violations
     assert failed.oracle == "crash"
