@@ -26,7 +26,7 @@ from agent.security.credentials import load
 from agent.security.identity import Identity, parse
 from agent.security.refusals import FILTER
 from tests.process.fleet_harness import make_fleet
-from tests.unit.trusted import FLEET
+from tests.trusted import FLEET
 
 PERIOD_S = 0.02
 SPOKEN = b"x" * 150

@@ -24,7 +24,7 @@ from deploy.inventory.certificate_authority import Authority
 from tests.process.fleet_harness import Robots, placed
 from tests.process.harness import ADDRESS
 from tests.process.small_fleets import TRIANGLE
-from tests.unit.trusted import authority, credentials
+from tests.trusted import authority, credentials
 
 EAR: Final = "anna"
 """The operator that the tests listen as; `handfast drive` is of the main one."""

@@ -30,7 +30,7 @@ from agent.security.sealed_order import Sealer
 from deploy.inventory.certificate_authority import Authority
 from deploy.processes.ports import Reservation
 from tests.process.harness import ADDRESS, environment, measured, no_trouble, wait_for
-from tests.unit.trusted import FLEET, authority, credentials, security
+from tests.trusted import FLEET, authority, credentials, security
 
 BASE_PORT = 21_600
 GAP_S = 1.0

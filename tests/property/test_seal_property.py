@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from agent.security import sealed_order
 from agent.security.identity import of_operator
 from agent.security.sealed_order import Forged, Opener, Sealer
-from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOADS = (b"drive", b"\x00" * 200, bytes(range(256)))
 

@@ -15,7 +15,7 @@ from agent.runtime.sealed_bus import SealedBus
 from agent.security.identity import of_robot
 from agent.security.refusals import Refusals
 from tests.process.guarded import guarded_fleet
-from tests.unit.trusted import FLEET, authority, credentials
+from tests.trusted import FLEET, authority, credentials
 
 LINE = (
     b"DEBUG ThreadId(02) zenoh::net::runtime::orchestrator: Unable to connect to configured router "

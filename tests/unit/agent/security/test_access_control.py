@@ -11,7 +11,7 @@ import zenoh
 from agent.messages import key_expressions
 from agent.security.access_control import access_settings
 from agent.security.identity import IdentityError, of_operator, of_robot
-from tests.unit.trusted import security
+from tests.trusted import security
 
 FLEET = "delta"
 

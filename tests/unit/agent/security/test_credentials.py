@@ -24,7 +24,7 @@ from agent.security.credentials import (
 )
 from agent.security.identity import of_operator, of_robot
 from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
-from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+from tests.trusted import FLEET, NOW_S, authority, credentials
 
 DAY_S = 86_400
 ME = of_robot(FLEET, 2)

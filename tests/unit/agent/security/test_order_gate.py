@@ -12,7 +12,7 @@ from agent.messages.types import MISSION_BYTES_MAX, Ask, Faults, Heartbeat, Miss
 from agent.security.identity import of_operator
 from agent.security.order_gate import AGE_NS_MAX, SEALS_BYTES_MAX, OrderGate
 from agent.security.sealed_order import Opener, Sealer
-from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
+from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 TIME_NS = NOW_NS = int(NOW_S * 1e9)
 ORDERS = {

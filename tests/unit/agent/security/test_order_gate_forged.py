@@ -13,7 +13,7 @@ from agent.messages.types import Stop
 from agent.security.identity import of_operator
 from agent.security.order_gate import NEW_MAX, NEW_PERIOD_NS, OrderGate
 from agent.security.sealed_order import Opener, Order, Sealer
-from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
+from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 NOW_NS = int(NOW_S * 1e9)
 TOLD = key_expressions.told(FLEET, 2)

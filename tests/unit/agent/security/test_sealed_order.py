@@ -26,7 +26,7 @@ from agent.security.sealed_order import (
     Sealer,
 )
 from deploy.inventory.certificate_authority import CERTIFICATE_DAYS, Authority
-from tests.unit.trusted import FLEET, NOW_S, authority, credentials
+from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))
 NOW_NS = int(NOW_S * 1e9)

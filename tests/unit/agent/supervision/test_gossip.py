@@ -14,7 +14,7 @@ from agent.node import FIRST_ROUND
 from agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from agent.supervision.state_machine import DRIVING, State
 from plant.node import PlantNode
-from tests.unit.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
+from tests.unit.agent.fleet_bench import ASK, MISSION, PERIOD, RESUME, STOP, FleetBench, three
 
 T0 = 1000 * NS_PER_S
 

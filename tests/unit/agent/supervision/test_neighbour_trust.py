@@ -14,7 +14,7 @@ from agent.control.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.messages.types import HandState, Status, Stop, Wrench
 from agent.supervision.neighbour_trust import SLOWEST
 from agent.supervision.state_machine import State
-from tests.unit.fleet_bench import PERIOD, FleetBench, three
+from tests.unit.agent.fleet_bench import PERIOD, FleetBench, three
 
 HORIZON_S, SLOW_S = 2.0, 1.5  # control.prediction_horizon_s, and three quarters of it
 PERIOD_S = PERIOD / NS_PER_S

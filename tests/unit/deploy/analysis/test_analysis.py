@@ -19,7 +19,7 @@ from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.presence import downs
 from deploy.recording.recording import Recording, RunData
 from deploy.verdict.metrics import compute
-from tests.unit.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
+from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 
 ROBOTS = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.5, 1.0))
 EDGES = ((1, 2, 1.0), (1, 3, 1.25**0.5), (2, 3, 1.25**0.5))

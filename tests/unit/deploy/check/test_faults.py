@@ -16,7 +16,7 @@ from deploy.check.check import Finding, check
 from deploy.check.description import describe
 from deploy.check.faults import silences
 from deploy.console.data_files import FLEETS
-from tests.unit.simulated_run import driven
+from tests.unit.deploy.simulated_run import driven
 
 DELTA = FLEETS / "delta.toml"
 

@@ -19,7 +19,7 @@ from deploy.faults.replay_scenario import write_scenario
 from deploy.recording.link_table import Link
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
-from tests.unit.simulated_run import driven, leave_run, recorded, trio
+from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
 
 
 def test_fates_come_back_as_they_were() -> None:

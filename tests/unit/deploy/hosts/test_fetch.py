@@ -71,7 +71,7 @@ def kept(cache: Path) -> dict[str, bytes]:
 
 
 def test_what_is_here_already_is_not_sent_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fetch_command, "PART_BYTES", 4)
+    monkeypatch.setattr("deploy.hosts.fetch.PART_BYTES", 4)
     there = There(**{name(1): b"one and more", name(2): b"two"})
     work, row = bring(there)
     assert work.folders == {ROBOT: cache}

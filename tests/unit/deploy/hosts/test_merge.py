@@ -24,7 +24,7 @@ from deploy.hosts.robot_recording import Damage, MergeError, SegmentFile, by_tim
 from deploy.recording.recording import Recording
 from deploy.report.report import rebuild
 from deploy.report.run_folder import FolderError, RunFolder
-from tests.unit.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=2.0)
 NAME = FLEET.fleet.name

@@ -19,7 +19,7 @@ from deploy.inventory.certificate_authority import (
     AuthorityError,
     keys_folder,
 )
-from tests.unit.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
+from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 DAY_S = 86_400
 ME = of_robot(FLEET, 2)

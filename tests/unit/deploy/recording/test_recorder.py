@@ -50,7 +50,7 @@ from deploy.recording.recorder import (
     Recorder,
     RecordingError,
 )
-from tests.unit.synthetic_run import (
+from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
     in_formation,
     make_fleet,

@@ -42,7 +42,15 @@ from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording, RunData
 from deploy.recording.tables import Table
 from deploy.report.export import tabulate
-from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
+from tests.unit.deploy.synthetic_run import (
+    EPOCH_NS,
+    Sent,
+    in_formation,
+    make_fleet,
+    messages,
+    standing,
+    triangle,
+)
 
 FLEET = make_fleet(*triangle(2), duration_s=1.6)
 NAME = FLEET.fleet.name

@@ -15,8 +15,8 @@ from agent.messages.codec import encode
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording
 from deploy.report.export import ExportError, export, tabulate
-from tests.unit.simulated_run import driven, leave_run, trio
-from tests.unit.synthetic_run import in_formation, make_fleet, messages, standing, triangle
+from tests.unit.deploy.simulated_run import driven, leave_run, trio
+from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=0.4)
 TABLES = ("hands", "plants", "wrenches", "multipliers", "distances", "statuses")

@@ -22,7 +22,7 @@ from deploy.report import fault_strip, link_figures
 from deploy.report.link_section import ROWS_MAX, advice, section
 from deploy.report.plotting import write
 from deploy.report.report import finish, rebuild
-from tests.unit.simulated_run import driven, leave_run, recorded, trio
+from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
 
 FAULTS = """
 [faults]

@@ -28,7 +28,7 @@ from deploy.recording.recording import Recording, RunData
 from deploy.report import figures
 from deploy.report.report import finish, rebuild, write_report
 from deploy.verdict.metrics import compute
-from tests.unit.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
+from tests.unit.deploy.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)
 FILES = ("metrics.json", "report.html", *(f"{name}.png" for name in figures.NAMES))

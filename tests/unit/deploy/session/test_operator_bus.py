@@ -12,8 +12,8 @@ from agent.fleet.fleet import Fleet
 from agent.security.identity import of_operator
 from deploy.console.arguments import InputError
 from deploy.session.operator_bus import KEYS, OPERATOR, operator_bus
+from tests.trusted import authority, credentials
 from tests.unit.deploy.orders.order_fleets import square
-from tests.unit.trusted import authority, credentials
 
 ADVICE = "; `handfast keys` makes one"
 

@@ -16,7 +16,7 @@ from deploy.faults.windows import live_sets, spans
 from deploy.recording.recording import Recording
 from deploy.verdict.link_audit import AuditResult
 from deploy.verdict.link_audit import audit as audit_of
-from tests.unit.simulated_run import Sent, driven, recorded, trio
+from tests.unit.deploy.simulated_run import Sent, driven, recorded, trio
 
 ALL = """
 [faults]

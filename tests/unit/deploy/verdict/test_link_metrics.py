@@ -14,8 +14,8 @@ from deploy.recording.recording import Recording, RunData
 from deploy.verdict import link_metrics
 from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings
 from deploy.verdict.metrics import compute
-from tests.unit.simulated_run import driven, recorded, trio
-from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
+from tests.unit.deploy.simulated_run import driven, recorded, trio
+from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
 TRIANGLE = make_fleet(*triangle(2))
 NAME = TRIANGLE.fleet.name

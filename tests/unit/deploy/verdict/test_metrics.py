@@ -22,8 +22,16 @@ from deploy.console.wording import robots
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording, RunData
 from deploy.verdict.metrics import compute, write
-from tests.unit.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, standing, triangle
-from tests.unit.synthetic_run import Path as Way
+from tests.unit.deploy.synthetic_run import (
+    EPOCH_NS,
+    Sent,
+    in_formation,
+    make_fleet,
+    messages,
+    standing,
+    triangle,
+)
+from tests.unit.deploy.synthetic_run import Path as Way
 
 PAIR = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)])
 NAME = PAIR.fleet.name

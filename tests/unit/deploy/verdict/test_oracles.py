@@ -21,8 +21,8 @@ from deploy.analysis.analysis import analyse
 from deploy.recording.recording import Recording, RunData
 from deploy.verdict.oracles import ORACLES, examine, judge
 from deploy.verdict.violations import Violation
-from tests.unit.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
-from tests.unit.synthetic_run import Path as Way
+from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
+from tests.unit.deploy.synthetic_run import Path as Way
 
 PAIR = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=4.0)
 LONG = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=30.0, rate_hz=10.0)

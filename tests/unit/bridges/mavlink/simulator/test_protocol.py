@@ -11,7 +11,7 @@ from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.simulator.settings import Settings, SettingsError, parse_home, parse_parameter
-from tests.unit.rover_bench import ACCEPTED, START_NS, Bench, ready
+from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, START_NS, Bench, ready
 
 # Parameters
 

@@ -13,7 +13,7 @@ from agent.common.random_streams import bits, stream
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import Settings
-from tests.unit.rover_bench import ACCEPTED, START_NS, Bench, ready
+from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, START_NS, Bench, ready
 
 # Setpoints
 

@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from bridges.mavlink.ardupilot import constants
-from tests.unit.rover_bench import ACCEPTED, DENIED, FAILED, Bench, ready
+from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, DENIED, FAILED, Bench, ready
 
 # Modes and arming
 

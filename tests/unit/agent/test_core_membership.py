@@ -13,7 +13,7 @@ from agent.formation.reference import Edge
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
 from agent.supervision.state_machine import DRIVING, State
-from tests.unit.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
+from tests.unit.agent.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
 
 PLACES = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))
 EDGES = ((1, 2, 1.0), (2, 3, sqrt(2.0)), (1, 3, 1.0))

@@ -14,7 +14,7 @@ from deploy.check.check import check
 from deploy.cli import main
 from deploy.console.data_files import FLEETS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 OPERATORS = ("matplotlib", "mcap", "pyarrow", "rich", "tomli_w")
 WITHOUT = f"""
 import sys

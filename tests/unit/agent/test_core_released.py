@@ -18,7 +18,7 @@ from agent.supervision.state_machine import State
 from plant.backend import Command, PlantBackend, Reading
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
-from tests.unit.agent_bench import (
+from tests.unit.agent.agent_bench import (
     LISTEN_TICKS,
     MISSION,
     PERIOD,

@@ -14,7 +14,7 @@ from agent.fleet.fleet import Fleet, parse_fleet
 from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
 from agent.supervision.state_machine import State
 from plant.node import PlantNode
-from tests.unit.agent_bench import (
+from tests.unit.agent.agent_bench import (
     ALIVE,
     HEARTBEAT,
     OTHER,
@@ -24,7 +24,7 @@ from tests.unit.agent_bench import (
     Out,
     brakes,
 )
-from tests.unit.fleet_bench import RESUME, STOP, FleetBench, three
+from tests.unit.agent.fleet_bench import RESUME, STOP, FleetBench, three
 
 # ---------------------------------------------------------------------- stop
 

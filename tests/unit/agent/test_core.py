@@ -33,7 +33,7 @@ from agent.messages.types import (
 from agent.supervision.state_machine import State
 from plant.backend import Command
 from plant.unicycle import from_fleet
-from tests.unit.agent_bench import (
+from tests.unit.agent.agent_bench import (
     ASK,
     BEACON,
     HAND,
