@@ -18,7 +18,7 @@ from agent.control.prediction import BRAKING_TIME_S
 from agent.fleet.fleet import Fleet, digest
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, plan_of
-from agent.links.ingress import Reception
+from agent.links.ingress import Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode, newer
 from agent.messages.types import (
@@ -39,11 +39,11 @@ from agent.messages.types import (
     clipped,
 )
 from agent.messages.validation import Malformed
-from agent.node import Numbers, Outgoing
-from agent.supervision.neighbour_trust import Reliance
-from agent.supervision.order_relay import Telling
+from agent.node import Outgoing, SequenceNumbers
+from agent.supervision.neighbour_trust import NeighbourTrust
+from agent.supervision.order_relay import OrderRelay
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
-from agent.supervision.stop_latch import AWAITED, Latch
+from agent.supervision.stop_latch import AWAITED, StopLatch
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 HEARD_ROUNDS: Final = 7
@@ -82,9 +82,9 @@ class Agent:
 
         self._fleet, self._geometry = fleet, resolve(fleet)
         self._controller = Controller(fleet, self._geometry, robot)
-        self._peers, self._course = self._controller.peers, self._controller.course
-        self._around = self._controller.around
-        self._reliance = Reliance(fleet, self._controller)
+        self._peers, self._reference = self._controller.peers, self._controller.reference
+        self._proximity = self._controller.proximity
+        self._trust = NeighbourTrust(fleet, self._controller)
         self._plant_timeout_ns = round(control.plant_timeout_s * NS_PER_S)
         self._digest = digest(fleet)
 
@@ -94,15 +94,15 @@ class Agent:
         self._refused_mission = ""
         self._leaving = False
         self._taken = ""
-        self._latch = Latch(robot, self._forget_taking)
-        self._telling = Telling(fleet, robot, self._latch)
+        self._latch = StopLatch(robot, self._forget_taking)
+        self._relay = OrderRelay(fleet, robot, self._latch)
         self._beats_ns = 0
         self._deadman_ns = (
             None if fleet.supervision.deadman_s is None else round(fleet.supervision.deadman_s * NS_PER_S)
         )
         self._numbers = ""
-        self._hand_numbers = Numbers(self.period_ns, self.phase_ns)
-        self._wrench_numbers = Numbers(self.period_ns, self.phase_ns)
+        self._hand_numbers = SequenceNumbers(self.period_ns, self.phase_ns)
+        self._wrench_numbers = SequenceNumbers(self.period_ns, self.phase_ns)
         self._status_sequence = self._status_due_ns = 0
         self._beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
         self._sent_hands = self._corrupted = 0
@@ -131,20 +131,20 @@ class Agent:
         self.alive_key: Final = key_expressions.alive(name, robot, "agent")
         self.watched: Final = key_expressions.alive(name, "*", "agent")
         sources = {"hand": others, "beacon": others, "state": (robot,)}
-        self._reception = Reception(fleet, robot, "agent", sources)
-        self.plan: Final = self._reception.plan
+        self._ingress = Ingress(fleet, robot, "agent", sources)
+        self.plan: Final = self._ingress.plan
         self._always = (
             # A stop is taken before a mission: who catches up must not drive first. What robots tell comes
             # on one key, and so in the order in which it is said: there too the stop first.
             key_expressions.stop(name),
             key_expressions.resume(name),
-            self._telling.subscription,
+            self._relay.subscription,
             self._key_plant,
             key_expressions.mission(name),
             self._key_heartbeat,
             self._key_ask,
             key_expressions.beacon(name, "*"),
-            *self._reception.subscriptions,
+            *self._ingress.subscriptions,
         )
         self.subscriptions: tuple[str, ...] = self._always
         self.publications: Final = (
@@ -152,8 +152,8 @@ class Agent:
             self._key_hand,
             self._key_status,
             self._key_beacon,
-            self._telling.key,
-            *self._reception.publications,
+            self._relay.key,
+            *self._ingress.publications,
         )
         self._controller.look(0)
         self._listen()
@@ -180,19 +180,19 @@ class Agent:
             elif self._beacons.get(key) == message.robot:
                 reason = self._through(now_ns, key, payload, _BEACON, message)
         elif type(message) is Mission or type(message) is Stop or type(message) is Resume:
-            if key == self._telling.key:
+            if key == self._relay.key:
                 reason = None  # its own
-            elif self._telling.is_source(key, message):
+            elif self._relay.is_source(key, message):
                 reason = self._accept_order(message, now_ns)
         elif type(message) is Heartbeat:
             if key == self._key_heartbeat:
                 self._beats_ns, reason = now_ns, None
         elif type(message) is Ask:
             if key == self._key_ask:
-                self._telling.asked(now_ns)
+                self._relay.asked(now_ns)
                 reason = None
-        elif type(message) is Faults and key == self._reception.key_faults:
-            reason = self._reception.accept(message, now_ns)
+        elif type(message) is Faults and key == self._ingress.key_faults:
+            reason = self._ingress.accept(message, now_ns)
         if reason is not None:
             self._reject(reason)
 
@@ -206,8 +206,8 @@ class Agent:
         self, now_ns: int, key: str, payload: bytes, topic: int, message: HandState | PlantState | Beacon
     ) -> str | None:
         """Takes what came over a link that may fail."""
-        reception = self._reception
-        if reception.idle or reception.take(now_ns, key, payload, topic, message, self._position):
+        ingress = self._ingress
+        if ingress.idle or ingress.take(now_ns, key, payload, topic, message, self._position):
             return self._accept(message, now_ns)
         return None
 
@@ -215,7 +215,7 @@ class Agent:
         if type(message) is HandState:
             return self._peers.accept(message, now_ns)
         if type(message) is Beacon:
-            self._telling.compare(now_ns, message)
+            self._relay.compare(now_ns, message)
             if message.silent:
                 self._peers.accept_silent(message, now_ns)
             return self._peers.accept_beacon(message, now_ns)
@@ -224,7 +224,7 @@ class Agent:
 
     def _arrive(self, now_ns: int) -> None:
         """Takes the messages that failing links let through at this tick."""
-        for key, payload, whole in self._reception.arrivals(now_ns):
+        for key, payload, whole in self._ingress.arrivals(now_ns):
             try:
                 message = whole or decode(payload)  # damaged bytes are what the codec must find
             except Malformed as error:
@@ -256,7 +256,7 @@ class Agent:
     def _accept_order(self, order: Mission | Stop | Resume, now_ns: int) -> str | None:
         if isinstance(order, Mission):
             return self._accept_mission(order, now_ns)
-        return self._telling.accept(now_ns, order)
+        return self._relay.accept(now_ns, order)
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         if mission.digest != self._digest:
@@ -265,7 +265,7 @@ class Agent:
                 f"this agent's is {self._digest}"
             )
             return "digest"
-        self._telling.heard(now_ns, mission)
+        self._relay.heard(now_ns, mission)
         before = self._mission
         if not newer(mission, before):
             return None
@@ -275,12 +275,12 @@ class Agent:
             self._refused_mission = f"the mission cannot be driven: {error}"
             return "mission"
         self._mission = mission
-        self._telling.take(mission)
+        self._relay.take(mission)
         self._refused_mission = ""
         self._controller.plan(plan)
         if before is None or before.epoch_ns != mission.epoch_ns:
             self._taken = ""
-            self._reception.begin(mission.epoch_ns)
+            self._ingress.begin(mission.epoch_ns)
             self._hand_numbers.begin(mission.epoch_ns)
             self._wrench_numbers.begin(mission.epoch_ns)
         return None
@@ -313,11 +313,11 @@ class Agent:
         if self._listened_ns is None:
             self._listened_ns = now_ns + LISTEN_ROUNDS * self._beacon_rounds * self.period_ns
         self._peers.begin(now_ns)
-        if not self._reception.idle:
+        if not self._ingress.idle:
             self._arrive(now_ns)
         self._controller.look(now_ns)
         here = self._here(now_ns)
-        self._ages_us.extend(self._reliance.update(now_ns, self.state, here))
+        self._ages_us.extend(self._trust.update(now_ns, self.state, here))
         self._listen()
         was = self.state
         if was is State.RELEASED and self._plant_trouble:
@@ -339,10 +339,10 @@ class Agent:
             out.append(self._status(now_ns))
         if told is not None:
             self._beacon(now_ns, told, out)
-        self._telling.look(now_ns, self._plant, drives=drives)
-        out += self._telling.due(now_ns)
+        self._relay.look(now_ns, self._plant, drives=drives)
+        out += self._relay.due(now_ns)
         stopping = self._leaving or self.state in (State.STOPPING, State.STOPPED)
-        out += self._reception.outgoing(now_ns, flush=stopping)
+        out += self._ingress.outgoing(now_ns, flush=stopping)
         return out
 
     def _here(self, now_ns: int) -> hand.Hand | None:
@@ -377,13 +377,13 @@ class Agent:
 
     def _listen(self) -> None:
         """Changes the subscriptions when other robots are to be listened to."""
-        if self._reliance.changed:
-            self._reliance.changed = False
+        if self._trust.changed:
+            self._trust.changed = False
             wanted = sorted({peer.robot for _, peer in self._controller.edges} | set(self._close()))
             self.subscriptions = (*self._always, *(self._hand_of[other] for other in wanted))
 
     def _close(self) -> tuple[int, ...]:
-        return tuple(peer.robot for peer in self._around.close)
+        return tuple(peer.robot for peer in self._proximity.close)
 
     def _check_plant(self, now_ns: int) -> str:
         plant = self._plant
@@ -410,19 +410,19 @@ class Agent:
             or self._leaving
             or self._numbers
             or self._body_trouble
-            or self._reliance.hold
-            or self._reliance.degraded
+            or self._trust.hold
+            or self._trust.degraded
             or self._latch.stopped
             or self._deadman(now_ns)
             or mission is None
             or now_ns >= mission.epoch_ns + mission.duration_ns
             or self._controller.acts_from_ns(now_ns) < mission.epoch_ns
-            or not self._course.is_member(self.robot, self._controller.acting_ns(now_ns))
+            or not self._reference.is_member(self.robot, self._controller.acting_ns(now_ns))
         )
 
     def _listening(self, now_ns: int, started: bool) -> str:
         """Why a robot that comes into a drive must wait: it cannot know yet who is near."""
-        alone = not self._around.enabled or not self._beacons
+        alone = not self._proximity.enabled or not self._beacons
         return "" if alone or not started or now_ns >= (self._listened_ns or 0) else "hears who is near"
 
     def _deadman(self, now_ns: int) -> str:
@@ -446,18 +446,18 @@ class Agent:
         elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
             stop = MISSION_OVER
         place = ""
-        if not self._course.is_member(self.robot, self._controller.acting_ns(now_ns)):
+        if not self._reference.is_member(self.robot, self._controller.acting_ns(now_ns)):
             place = "in reserve" if self._fleet.robot(self.robot).reserve else "it has left the formation"
         return Conditions(
             plant=self._plant_trouble,
             body=self._body_trouble,
             numbers=self._numbers,
             place=place,
-            neighbours=self._reliance.missing(now_ns, started=started) or self._listening(now_ns, started),
+            neighbours=self._trust.missing(now_ns, started=started) or self._listening(now_ns, started),
             mission="" if mission is not None else self._refused_mission or "for a mission",
             stop=stop,
-            hold=self._deadman(now_ns) or self._reliance.hold,
-            degraded=self._reliance.degraded,
+            hold=self._deadman(now_ns) or self._trust.hold,
+            degraded=self._trust.degraded,
             started=started,
             at_rest=self._at_rest,
         )
@@ -469,7 +469,7 @@ class Agent:
 
     def _drive(self, now_ns: int, here: hand.Hand) -> list[Outgoing]:
         assert self._plant is not None
-        drive = self._controller.drive(self._plant, now_ns, self._reliance.slower)
+        drive = self._controller.drive(self._plant, now_ns, self._trust.slower)
         multipliers = self._controller.multipliers()
         numbers = (drive.force, drive.torque, *drive.forces, *(value for _, value in multipliers))
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
@@ -535,7 +535,7 @@ class Agent:
             self._follows,
             *here,
             self._doubt,
-            *self._telling.mission_mark,
+            *self._relay.mission_mark,
             *self._latch.mark,
             self._peers.silent(now_ns, here.x, here.y),
         )

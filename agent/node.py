@@ -25,7 +25,7 @@ FIRST_ROUND: Final = 1 << 20
 """Number of the message of the mission's first round."""
 
 
-class Numbers:
+class SequenceNumbers:
     """Sequence numbers of one topic, which say when: they count rounds from the mission's epoch.
 
     So the messages of a run and of its simulation bear the same numbers, a process that starts again goes on

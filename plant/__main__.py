@@ -18,7 +18,7 @@ from agent.fleet.fleet import Fleet
 from agent.messages.types import FLOAT_MAX
 from agent.runtime.process import FAILED, Log, StartError
 from plant.backend import PlantBackend
-from plant.pose_file import Place, Standing, StandingBody, StandingError
+from plant.pose_file import Place, PoseFile, StandingBody, StandingError
 from plant.server import main as serve
 from plant.unicycle import from_fleet
 
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.pose_file is None:
             return from_fleet(fleet, robot, options.pose)
         try:
-            standing = Standing(options.pose_file)
+            standing = PoseFile(options.pose_file)
         except StandingError as error:
             if error.passes:
                 raise

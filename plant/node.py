@@ -13,7 +13,7 @@ from agent.common.clock import NS_PER_S
 from agent.control.hand import Pose
 from agent.control.peers import FUTURE_NS_MAX
 from agent.fleet.fleet import Fleet, digest
-from agent.links.ingress import Reception
+from agent.links.ingress import Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
@@ -33,9 +33,9 @@ from agent.messages.types import (
     clipped,
 )
 from agent.messages.validation import Malformed
-from agent.node import Numbers, Outgoing
+from agent.node import Outgoing, SequenceNumbers
 from agent.supervision.state_machine import at_rest
-from agent.supervision.stop_latch import Latch
+from agent.supervision.stop_latch import StopLatch
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 
@@ -62,19 +62,19 @@ class PlantNode:
         self._key_wrench = key_expressions.wrench(name, robot)
         self.alive_key: Final = key_expressions.alive(name, robot, "plant")
         # Its agent passes on what operators order; that of another robot has no say here.
-        self._key_told = key_expressions.told(name, robot)
+        self._key_told = key_expressions.relayed(name, robot)
         self._missions_from = key_expressions.mission(name), self._key_told
         self._stops_from = key_expressions.stop(name), self._key_told
         self._resumes_from = key_expressions.resume(name), self._key_told
         self._key_checks = key_expressions.checks(name, robot)
         self._digest = digest(fleet)
         self._mission_version = self._epoch_ns = -1
-        self._latch = Latch(robot, backend.go_ahead)
+        self._latch = StopLatch(robot, backend.go_ahead)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
         self._checks_due_ns = self._checks_sequence = 0
-        self._reception = Reception(fleet, robot, "plant", {"wrench": (robot,)})
-        self.plan: Final = self._reception.plan
+        self._ingress = Ingress(fleet, robot, "plant", {"wrench": (robot,)})
+        self.plan: Final = self._ingress.plan
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self.subscriptions: Final = (
             key_expressions.stop(name),
@@ -82,21 +82,21 @@ class PlantNode:
             self._key_told,
             self._key_wrench,
             key_expressions.mission(name),
-            *self._reception.subscriptions,
+            *self._ingress.subscriptions,
         )
         self.watched: Final = ""
         self.publications: Final = (
             self._key_state,
             self._key_truth,
             self._key_checks,
-            *self._reception.publications,
+            *self._ingress.publications,
         )
         self.rejected: Counter[str] = Counter()
         self.overruns = 0
         self._wrench: Wrench | None = None
         self._leaving = False
         self._at_rest = self._obeying = True
-        self._numbers = Numbers(self.period_ns)
+        self._numbers = SequenceNumbers(self.period_ns)
         self._condition = ("braking", "no wrench yet")
 
     @property
@@ -132,7 +132,7 @@ class PlantNode:
         reason: str | None = "wrong_key"
         if type(message) is Wrench:
             if key == self._key_wrench and message.robot == self.robot:
-                if self._reception.idle or self._reception.take(now_ns, key, payload, _WRENCH, message):
+                if self._ingress.idle or self._ingress.take(now_ns, key, payload, _WRENCH, message):
                     reason = self._accept(message, now_ns)
                 else:
                     reason = None
@@ -145,8 +145,8 @@ class PlantNode:
         elif type(message) is Stop:
             if key in self._stops_from:
                 reason = self._latch.accept_stop(message)
-        elif type(message) is Faults and key == self._reception.key_faults:
-            reason = self._reception.accept(message, now_ns)
+        elif type(message) is Faults and key == self._ingress.key_faults:
+            reason = self._ingress.accept(message, now_ns)
         if reason is not None:
             self.rejected[reason] += 1
 
@@ -167,13 +167,13 @@ class PlantNode:
             if mission.epoch_ns != self._epoch_ns:
                 self._epoch_ns = mission.epoch_ns
                 self._numbers.begin(mission.epoch_ns)
-                self._reception.begin(mission.epoch_ns)
+                self._ingress.begin(mission.epoch_ns)
                 self._backend.go_ahead()
         return None
 
     def _arrive(self, now_ns: int) -> None:
         """Takes the wrenches that a failing link lets through at this tick."""
-        for _, payload, whole in self._reception.arrivals(now_ns):
+        for _, payload, whole in self._ingress.arrivals(now_ns):
             try:
                 message = whole or decode(payload)  # damaged bytes are what the codec must find
             except Malformed as error:
@@ -203,7 +203,7 @@ class PlantNode:
         return None
 
     def tick(self, now_ns: int) -> list[Outgoing]:
-        if not self._reception.idle:
+        if not self._ingress.idle:
             self._arrive(now_ns)
         command = self._command(now_ns)
         reading = self._backend.step(now_ns, command)
@@ -219,7 +219,7 @@ class PlantNode:
         checks = self._backend.checks(now_ns)
         if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
             out.append((self._key_checks, self._told(checks, now_ns)))
-        out += self._reception.outgoing(now_ns, flush=command is None)
+        out += self._ingress.outgoing(now_ns, flush=command is None)
         return out
 
     def _changed(self, checks: Sequence[Check]) -> bool:

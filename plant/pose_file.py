@@ -40,7 +40,7 @@ class StandingError(RuntimeError):
         self.passes = passes
 
 
-class Standing:
+class PoseFile:
     """The file at `path`, made if need be.
 
     Two records take turns, so that one is whole whenever the process dies.
@@ -97,7 +97,7 @@ def _allocate(handle: int) -> None:
 class StandingBody(PlantBackend):
     """`body`, whose place is noted at every step."""
 
-    def __init__(self, body: PlantBackend, standing: Standing) -> None:
+    def __init__(self, body: PlantBackend, standing: PoseFile) -> None:
         self._body, self._standing = body, standing
 
     def step(self, now_ns: int, command: Command | None) -> Reading:

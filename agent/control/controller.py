@@ -16,12 +16,12 @@ from agent.control import hand, law, safety_filter
 from agent.control.detour import Blocker, Detour
 from agent.control.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
 from agent.control.prediction import Prediction, approach, constraint_decay
-from agent.control.proximity import Surroundings
+from agent.control.proximity import Proximity
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan
-from agent.formation.reference import Course, Edge
+from agent.formation.reference import Edge, Reference
 from agent.messages.types import NEIGHBOURS_MAX, PlantState
 from agent.node import next_tick_ns
 
@@ -100,18 +100,18 @@ class Controller:
         body, control = fleet.robot(robot), fleet.control
         self._robot = robot
         self._period_ns = fleet.period_ns
-        self.course: Final = Course(fleet, geometry)
+        self.reference: Final = Reference(fleet, geometry)
         self.peers: Final = Peers(
             robot,
             control.c1,
             control.c2,
             fleet.period_ns,
-            self.course.motion,
+            self.reference.motion,
             decay=constraint_decay(control.kd, control.kp),
             predict=control.prediction,
             most=control.max_speed_mps if fleet.avoidance.enabled else None,
         )
-        self.around: Final = Surroundings(fleet, robot, self.peers)
+        self.proximity: Final = Proximity(fleet, robot, self.peers)
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
         self.detour: Final = Detour(fleet.period_ns / NS_PER_S)
@@ -134,7 +134,7 @@ class Controller:
 
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
-        self.course.take(plan)
+        self.reference.take(plan)
         self.peers.epoch_ns = plan.mission.epoch_ns
 
     def restart(self) -> None:
@@ -154,11 +154,11 @@ class Controller:
     def look(self, now_ns: int) -> None:
         """Finds who shares an edge at the tick `now_ns`."""
         time_ns = self.acting_ns(now_ns)
-        active = self.course.active(time_ns)
+        active = self.reference.active(time_ns)
         if active is not self._planned:
             self._planned = active
-            self.around.plan(active)
-        edges = self.course.edges(self._robot, time_ns)
+            self.proximity.plan(active)
+        edges = self.reference.edges(self._robot, time_ns)
         if edges is not self._course_edges:
             self._course_edges = edges
             self.edges = tuple((edge, self.peers.get(edge.other)) for edge in edges)
@@ -182,12 +182,12 @@ class Controller:
         acting_ns = self.acting_ns(now_ns)
         body = self._pose_at(plant, acting_ns)
         own = hand.hand(body, self._reach)
-        motion = self.course.motion(self._robot, acting_ns)
+        motion = self.reference.motion(self._robot, acting_ns)
         assert motion is not None  # a robot without a place does not drive
         x, y, vx, vy, ax, ay = motion
         ex, ey = own.x - x, own.y - y
         share = 1.0
-        if self.around.enabled:
+        if self.proximity.enabled:
             share = law.saturation(ex, ey, self._c1, self._c2, approach(vx, vy, ex, ey, self._speed_max))
         nx = law.navigation_force(ax, share * ex, own.vx - vx, self._c1, self._c2)
         ny = law.navigation_force(ay, share * ey, own.vy - vy, self._c1, self._c2)
@@ -205,7 +205,7 @@ class Controller:
         cx, cy = self._solve(scene.constraints)
         ux, uy = gx + cx, gy + cy
         causes: tuple[str, ...] = ()
-        if self.around.enabled:
+        if self.proximity.enabled:
             ux, uy, causes = self._last_stage(ux, uy, scene.planes, body, own, (vx, vy), slower)
         else:
             size = hypot(ux, uy)
@@ -261,12 +261,12 @@ class Controller:
                 if weight < 1.0:
                     constraint = law.weighted(constraint, weight)
                 scene.constraints.append(_Constraint(peer.robot, constraint, other, peer.degree, False))
-            if self.around.enabled:
+            if self.proximity.enabled:
                 self._keep_away(scene, peer, time_ns, other, pushes=weight < 1.0)
-        for peer in self.around.close:
+        for peer in self.proximity.close:
             if peer.message is not None:
                 self._keep_away(scene, peer, time_ns, pushes=True)
-        if self.around.enabled:
+        if self.proximity.enabled:
             self._keep_clear(scene)
 
     def _constraint(
@@ -297,15 +297,15 @@ class Controller:
         other = self.peers.whereabouts(peer, time_ns, own.x, own.y, predicted)
         dx, dy = own.x - other.position[0], own.y - other.position[1]
         rho = hypot(dx, dy)
-        if rho > self.around.sensing:
+        if rho > self.proximity.sensing:
             return
         doubt = peer.doubt(now_ns)
         name = f"robot {peer.robot}"
         silent = now_ns + peer.clock.used_ns - peer.time_ns >= UNSURE_NS
         supposed = silent and peer.here
-        if pushes and not supposed and rho - doubt < self.around.distance:
+        if pushes and not supposed and rho - doubt < self.proximity.distance:
             scale = max(rho - doubt, law.DISTANCE_MIN) / max(rho, law.DISTANCE_MIN)
-            constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.around.distance)
+            constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.proximity.distance)
             scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
         gap = self._safe_distance + self._margin + doubt
@@ -338,13 +338,13 @@ class Controller:
 
     def _keep_clear(self, scene: _Scene) -> None:
         """The same against obstacles and the geofence, which have no motion of their own."""
-        around, own = self.around, scene.own
-        band = around.distance - self._safe_distance
-        boundaries = [(each, around.clearance, band) for each in around.obstacles]
-        if around.fence is not None:
-            boundaries.append((around.fence, 0.0, around.warn))
+        proximity, own = self.proximity, scene.own
+        band = proximity.distance - self._safe_distance
+        boundaries = [(each, proximity.clearance, band) for each in proximity.obstacles]
+        if proximity.fence is not None:
+            boundaries.append((proximity.fence, 0.0, proximity.warn))
         for boundary, clearance, band in boundaries:
-            for near in boundary.near(own.x, own.y, around.sensing):
+            for near in boundary.near(own.x, own.y, proximity.sensing):
                 if near.distance < clearance + band and not near.ahead:
                     # Along the boundary no motion changes the distance: only the part across it counts.
                     closing = near.nx * own.vx + near.ny * own.vy

@@ -44,7 +44,7 @@ Silent = tuple[int, int, bool, float, float, float, float]
 """A row of `Beacon.silent`."""
 Motion = Callable[[int, int], Sample | None]
 """(robot, wall time ns) -> its desired motion, None for one without a place:
-`agent.formation.reference.Course.motion`."""
+`agent.formation.reference.Reference.motion`."""
 
 
 class Peer:

@@ -32,7 +32,7 @@ GHOST_NS: Final = 60 * NS_PER_S
 been carried off."""
 
 
-class Surroundings:
+class Proximity:
     """What lies round robot `robot`.
 
     Attributes:

@@ -84,7 +84,7 @@ class _Segment:
         return known
 
 
-class Course:
+class Reference:
     """What the fleet does over time.
 
     Before any mission it is the fleet file's formation, its reference at rest where the trajectory begins.

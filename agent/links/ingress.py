@@ -14,7 +14,7 @@ from agent.common.clock import NS_PER_S
 from agent.control.peers import FUTURE_NS_MAX
 from agent.fleet.fleet import Fleet
 from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import Arrival, Links, Sample
+from agent.links.link_emulator import Arrival, LinkEmulator, Sample
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Faults
@@ -24,7 +24,7 @@ HELD_PERIOD_NS: Final = NS_PER_S
 """Live rules that are held are said again so often."""
 
 
-class Reception:
+class Ingress:
     """The incoming links of the agent or the plant of robot `robot`.
 
     Args:
@@ -40,7 +40,7 @@ class Reception:
     ) -> None:
         name = fleet.fleet.name
         self.plan: Final = FaultPlan(fleet)
-        self._links = Links(self.plan, robot, sources)
+        self._links = LinkEmulator(self.plan, robot, sources)
         self.key_faults: Final = key_expressions.faults(name)
         self._key_trace = (
             key_expressions.links(name, robot)

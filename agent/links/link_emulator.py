@@ -157,7 +157,7 @@ class _Link:
         return self._free_ns - sent_ns
 
 
-class Links:
+class LinkEmulator:
     """All incoming links of one node of robot `robot`.
 
     Give every message of a link to `take`; at every tick deliver what is `due` and publish what is `traced`.

@@ -53,7 +53,7 @@ def resume(fleet: str) -> str:
     return f"{fleet}/resume"
 
 
-def told(fleet: str, robot: int | str) -> str:
+def relayed(fleet: str, robot: int | str) -> str:
     """Operators' missions, stops and leaves as one agent says them again, byte by byte, to everybody.
 
     Only operators publish on `mission`, `stop` and `resume`; a robot has this key, of its own.
@@ -112,7 +112,7 @@ def events(fleet: str) -> str:
 
 def near(fleet: str, robot: int) -> list[str]:
     """What agent and plant of one robot tell each other, directly even where there are routers."""
-    return [plant_state(fleet, robot), wrench(fleet, robot), told(fleet, robot)]
+    return [plant_state(fleet, robot), wrench(fleet, robot), relayed(fleet, robot)]
 
 
 def alive(fleet: str, robot: int | str, role: str) -> str:

@@ -34,7 +34,7 @@ from agent.runtime.process import (
     open_bus,
     robot_arguments,
 )
-from agent.runtime.systemd_notify import Service
+from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.version import handfast_version
 
 POLL_S: Final = 0.05
@@ -101,7 +101,9 @@ def inbox_size(fleet: Fleet) -> int:
     return max(INBOX_MIN, round(INBOX_S * MESSAGES_PER_TICK * fleet.fleet.rate_hz))
 
 
-def record(bus: Bus, inbox: int, thread: RecorderThread, shutdown: Shutdown, service: Service) -> None:
+def record(
+    bus: Bus, inbox: int, thread: RecorderThread, shutdown: Shutdown, systemd: SystemdNotifier
+) -> None:
     """Records what comes until the process is asked to end and all is on the disk.
 
     Args:
@@ -123,19 +125,21 @@ def record(bus: Bus, inbox: int, thread: RecorderThread, shutdown: Shutdown, ser
         hear()
         if thread.error is not None:
             raise thread.error
-        service.lives(time.monotonic_ns())
+        systemd.lives(time.monotonic_ns())
         shutdown.look_for_parent()
-    service.stopping()
+    systemd.stopping()
     hear()
     thread.end()
     while thread.working:  # a disk that stalls
         time.sleep(POLL_S)
-        service.lives(time.monotonic_ns())
+        systemd.lives(time.monotonic_ns())
     if thread.error is not None:
         raise thread.error
 
 
-def _open(path: Path, bytes_max: int, shutdown: Shutdown, service: Service, log: Log) -> SegmentFolder | None:
+def _open(
+    path: Path, bytes_max: int, shutdown: Shutdown, systemd: SystemdNotifier, log: Log
+) -> SegmentFolder | None:
     """The folder, once the disk lets it be made; None when the process is asked to end before."""
     said = False
     while not shutdown.asked:
@@ -150,7 +154,7 @@ def _open(path: Path, bytes_max: int, shutdown: Shutdown, service: Service, log:
         deadline = time.monotonic() + RETRY_NS / NS_PER_S
         while time.monotonic() < deadline and not shutdown.asked:
             time.sleep(POLL_S)
-            service.lives(time.monotonic_ns())
+            systemd.lives(time.monotonic_ns())
             shutdown.look_for_parent()
     return None
 
@@ -173,9 +177,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         fleet = load_fleet(options.fleet)
         told = about(fleet, read_text(options.fleet, "fleet file"), robot)
-        with Service() as service:
-            service.ready()  # it does its work: a disk that is full must not look like a start that fails
-            folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, service, log)
+        with SystemdNotifier() as systemd:
+            systemd.ready()  # it does its work: a disk that is full must not look like a start that fails
+            folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, systemd, log)
             if folder is None:
                 return 0
             with (
@@ -188,7 +192,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 orders = order_keys(told.fleet, robot)
                 recorder = RobotRecorder(folder, told, orders, known(path, orders), log)
                 with RecorderThread(recorder) as thread:
-                    record(bus, inbox, thread, shutdown, service)
+                    record(bus, inbox, thread, shutdown, systemd)
                 log(f"ending ({shutdown.why})")
     except (FleetError, StartError) as error:
         log(str(error))

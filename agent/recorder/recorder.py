@@ -42,7 +42,7 @@ def order_keys(fleet: str, robot: int) -> frozenset[str]:
             key_expressions.mission(fleet),
             key_expressions.stop(fleet),
             key_expressions.resume(fleet),
-            key_expressions.told(fleet, robot),
+            key_expressions.relayed(fleet, robot),
         }
     )
 

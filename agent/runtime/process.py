@@ -20,7 +20,7 @@ from agent.messages import key_expressions
 from agent.node import Node, Ticks
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.sealed_bus import bus_for
-from agent.runtime.systemd_notify import Service
+from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotYetValidError
 from agent.security.identity import of_robot
 
@@ -66,7 +66,7 @@ class Shutdown:
             self.asked, self.why = True, "the process that started it is gone"
 
 
-def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: Service) -> None:
+def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: SystemdNotifier) -> None:
     """Ticks `node` at absolute deadlines (`agent.node.Ticks`) until it has been asked to end and is done.
 
     Wakes at the deadline, drains the bus, ticks, publishes. A tick is told the time of its
@@ -114,7 +114,7 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
         ticks.plan(now_ns)
 
 
-def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: Service) -> None:
+def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: SystemdNotifier) -> None:
     """Puts `node` on the bus and drives it by `clock` until the process is asked to end."""
     for key in node.publications:
         bus.declare(key)
@@ -179,7 +179,7 @@ def _run(
     options: argparse.Namespace,
     start: Callable[[Fleet, int, Clock, Log], Start],
     shutdown: Shutdown,
-    service: Service,
+    service: SystemdNotifier,
     log: Log,
 ) -> None:
     """Serves until the process is asked to end; raises as `open_bus` and `start` do."""
@@ -237,7 +237,7 @@ def main(
     shutdown = Shutdown(with_parent=options.exit_with_parent)
     log = logger(options.robot, role)
     try:
-        with Service() as service:
+        with SystemdNotifier() as service:
             _run(options, start, shutdown, service, log)
     except (FleetError, StartError) as error:
         log(str(error))

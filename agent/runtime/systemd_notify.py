@@ -17,7 +17,7 @@ WAITING_US: Final = 60_000_000
 """That time while somebody else is waited for, in rounds that may take long."""
 
 
-class Service:
+class SystemdNotifier:
     """Notifies the socket that systemd names in the environment; without one, nobody. A context manager.
 
     Args:
@@ -72,7 +72,7 @@ class Service:
         """It was asked to end and is about to."""
         self._tell("STOPPING=1")
 
-    def __enter__(self) -> Service:
+    def __enter__(self) -> SystemdNotifier:
         return self
 
     def __exit__(

@@ -63,8 +63,8 @@ class OrderGate:
                 key_expressions.ask,
             )
         )
-        self._told: Final = frozenset(key_expressions.told(fleet, robot) for robot in robots)
-        self._like_told: Final = tuple(key_expressions.told(fleet, "*").split("*"))
+        self._told: Final = frozenset(key_expressions.relayed(fleet, robot) for robot in robots)
+        self._like_told: Final = tuple(key_expressions.relayed(fleet, "*").split("*"))
         self._opener, self._sealer, self._refused = opener, sealer, refused
         self._sealed: OrderedDict[bytes, bytes] = OrderedDict()
         self._size = 0

@@ -1,7 +1,7 @@
 """What a robot says again so that others catch up: the mission, and the last stop and leave to drive (PURE).
 
 Any robot that knows tells one that does not: there is no coordinator. Who does not know shows in beacons, or
-asks. Each says it on its own key (`agent.messages.key_expressions.told`), and mostly one does, since all
+asks. Each says it on its own key (`agent.messages.key_expressions.relayed`), and mostly one does, since all
 other agents hear that. Who may hear this robot alone, such as its plant, is told in any case, and so is what
 it has just learnt.
 """

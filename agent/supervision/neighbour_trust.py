@@ -23,7 +23,7 @@ BEGUN: Final = 0.01
 """An edge that weighs less is not missed: who has just joined is not heard yet."""
 
 
-class Reliance:
+class NeighbourTrust:
     """Judges the edges of one robot, tick by tick.
 
     Attributes:
@@ -57,7 +57,7 @@ class Reliance:
             self._edges = controller.edges
             self._neighbours = {peer.robot for _, peer in controller.edges}
             self.changed = True
-        if here is not None and controller.around.look(now_ns, here, self._neighbours):
+        if here is not None and controller.proximity.look(now_ns, here, self._neighbours):
             self.changed = True
         ages_us = []
         share = 1.0
@@ -102,7 +102,7 @@ class Reliance:
             self.degraded = f"slower: {', '.join(slow)}"
         if drives and controller.detour.round:
             self.degraded = self.degraded or f"on its way round {controller.detour.round}"
-        if here is not None and controller.around.fence is not None:
+        if here is not None and controller.proximity.fence is not None:
             self._look_at_fence(here)
         return ages_us
 
@@ -123,7 +123,7 @@ class Reliance:
 
         What stopped this one may have stopped those, too: what they said before is no ground to predict them.
         """
-        known = [peer for _, peer in self._controller.edges] + list(self._controller.around.close)
+        known = [peer for _, peer in self._controller.edges] + list(self._controller.proximity.close)
         unheard = [
             self._why(peer, now_ns, heard=False)
             for peer in known
@@ -134,11 +134,11 @@ class Reliance:
         return f"not heard since it stood: {', '.join(unheard)}" if unheard else ""
 
     def _look_at_fence(self, here: Hand) -> None:
-        around = self._controller.around
-        inside = around.fence_distance(here.x, here.y)
+        proximity = self._controller.proximity
+        inside = proximity.fence_distance(here.x, here.y)
         if inside < 0.0:
             self.hold = self.hold or f"{-inside:.2f} m outside the geofence"
-        elif inside < around.warn:
+        elif inside < proximity.warn:
             self.degraded = self.degraded or f"{inside:.2f} m from the geofence"
 
     def _why(self, peer: Peer, now_ns: int, *, heard: bool) -> str:

@@ -12,15 +12,15 @@ from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode, tag
 from agent.messages.types import Beacon, Mission, PlantState, Resume, Stop
-from agent.node import Numbers, Outgoing
+from agent.node import Outgoing, SequenceNumbers
 from agent.supervision.gossip import AGAIN_NS, Gossip, Mark
-from agent.supervision.stop_latch import Latch
+from agent.supervision.stop_latch import StopLatch
 
 UNMOVED_NS: Final = NS_PER_S // 2
 """A plant that brakes for so long while it is asked to drive may have missed a leave to drive."""
 
 
-class Telling:
+class OrderRelay:
     """What robot `robot` of `fleet` tells, of its latch's orders and the mission.
 
     Attributes:
@@ -29,11 +29,11 @@ class Telling:
         mission_mark: of the mission that it knows (`agent.supervision.gossip.Mark`).
     """
 
-    def __init__(self, fleet: Fleet, robot: int, latch: Latch) -> None:
+    def __init__(self, fleet: Fleet, robot: int, latch: StopLatch) -> None:
         name = fleet.fleet.name
-        self.key: Final = key_expressions.told(name, robot)
-        self.subscription: Final = key_expressions.told(name, "*")
-        told = {key_expressions.told(name, other) for other in fleet.ids if other != robot}
+        self.key: Final = key_expressions.relayed(name, robot)
+        self.subscription: Final = key_expressions.relayed(name, "*")
+        told = {key_expressions.relayed(name, other) for other in fleet.ids if other != robot}
         self._sources: Final[dict[type[Mission | Stop | Resume], set[str]]] = {
             Mission: {key_expressions.mission(name), *told},
             Stop: {key_expressions.stop(name), *told},
@@ -44,7 +44,7 @@ class Telling:
         self.mission_mark: Mark = (0, 0)
         self._missions = Gossip(robot, lambda: self.mission_mark)
         self._orders = Gossip(robot, lambda: latch.mark)
-        self._numbers = Numbers(fleet.period_ns)
+        self._numbers = SequenceNumbers(fleet.period_ns)
         """Those of the own plant, if it knows the mission."""
         self._plant_told_ns = -AGAIN_NS
         self._unmoved_since_ns: int | None = None

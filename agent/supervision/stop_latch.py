@@ -13,7 +13,7 @@ AWAITED: Final = "waiting to be told to resume"
 _NEVER: Final = -1
 
 
-class Latch:
+class StopLatch:
     """The last stop and the last leave to drive again. A stop holds until a later leave for this robot.
 
     What comes first does not matter, nor how often: only versions decide. So whoever missed one takes it

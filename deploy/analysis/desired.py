@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import PlanError, plan_of
-from agent.formation.reference import Course
+from agent.formation.reference import Reference
 from agent.formation.trajectory import make_trajectory
 from agent.messages.codec import newer
 from agent.messages.types import Mission
@@ -76,7 +76,7 @@ def _taken(recording: Recording) -> Iterator[Mission]:
 def _by_course(recording: Recording, geometry: Geometry, grid: Floats, missions: list[Mission]) -> Desired:
     fleet, ids, epoch_ns = recording.fleet, recording.ids, recording.epoch_ns or 0
     row = {robot: index for index, robot in enumerate(ids)}
-    course = Course(fleet, geometry)
+    reference = Reference(fleet, geometry)
     pending = missions[::-1]
     changes: list[MissionChange] = []
     version = 0
@@ -91,17 +91,17 @@ def _by_course(recording: Recording, geometry: Geometry, grid: Floats, missions:
                 plan = plan_of(mission, fleet, geometry)
             except PlanError:
                 continue
-            course.take(plan)
+            reference.take(plan)
             if version:
                 changes.append(
                     MissionChange(recording.fleet_time_s(plan.from_ns), mission.version, mission.note)
                 )
             version = mission.version
         for robot, index in row.items():
-            motion = course.motion(robot, time_ns)
+            motion = reference.motion(robot, time_ns)
             if motion is not None:
                 places[k, index] = motion[:2]
-            for edge in course.edges(robot, time_ns):
+            for edge in reference.edges(robot, time_ns):
                 if robot < edge.other:
                     column = columns.setdefault((index, row[edge.other]), len(columns))
                     cells.append((k, column, edge.distance, edge.weight >= 1.0))

@@ -25,7 +25,7 @@ _CELLS_MAX: Final = 200_000
 _BISECTIONS: Final = 20
 
 
-class Ways:
+class Paths:
     """Where each member of a fleet is to be, over the whole drive; later orders are not looked at.
 
     Raises:

@@ -18,7 +18,7 @@ from agent.formation.geometry import Geometry
 from deploy.analysis.clearances import distances
 from deploy.check.braking import check_braking, check_room
 from deploy.check.finding import Finding, Level
-from deploy.check.paths import Ways
+from deploy.check.paths import Paths
 from deploy.console.wording import NAMES_SHOWN, robots
 
 Floats = NDArray[np.float64]
@@ -44,7 +44,7 @@ def check_safety(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
         return
     yield from _distances(fleet, geometry)
     try:
-        ways = Ways(fleet, geometry)
+        ways = Paths(fleet, geometry)
     except ValueError:
         return  # a trajectory that cannot be made: `deploy.check.check` says so
     yield from check_room(fleet, geometry)
@@ -191,7 +191,7 @@ def _gap(a: Circle | Polygon, b: Circle | Polygon) -> float:
 
 
 def _way_past(
-    fleet: Fleet, ways: Ways, number: int, obstacle: Circle | Polygon, keep: float
+    fleet: Fleet, ways: Paths, number: int, obstacle: Circle | Polygon, keep: float
 ) -> Iterator[Finding]:
     found = ways.below(obstacle, keep)
     if not found:
@@ -214,7 +214,7 @@ def _way_past(
     yield Finding("warning", f"obstacle[{number}]", message)
 
 
-def _way_inside(fleet: Fleet, ways: Ways, fence: Polygon) -> Iterator[Finding]:
+def _way_inside(fleet: Fleet, ways: Paths, fence: Polygon) -> Iterator[Finding]:
     warn = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
     outside, near = ways.below(fence, 0.0), ways.below(fence, warn)
     if outside:

@@ -49,7 +49,7 @@ def add_parser(commands: Any) -> None:
 def _router(options: argparse.Namespace) -> int:
     from agent.messages.key_expressions import alive, robot_of_alive
     from agent.runtime.bus import Router, init_log, settings_of
-    from agent.runtime.systemd_notify import Service
+    from agent.runtime.systemd_notify import SystemdNotifier
     from agent.runtime.tcp_linger import Lingering
     from agent.runtime.zenoh_log import ZenohLog
     from agent.security.refusals import FILTER
@@ -68,7 +68,7 @@ def _router(options: argparse.Namespace) -> int:
             init_log(FILTER)
             security = _security(options, fleet)
             router = stack.enter_context(Router([listen], [], security))
-            service = stack.enter_context(Service())
+            service = stack.enter_context(SystemdNotifier())
             _say(f"router of {name} on {listen}{', secured' if security else ', not secured'}")
             lingering = Lingering()
             presence = router.watch(alive(name, "*", "*"))

@@ -19,7 +19,7 @@ from agent.node import next_tick_ns
 from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
-from deploy.drive.fleet_state import Followed, Record
+from deploy.drive.fleet_state import FleetState, Record
 from deploy.drive.live_view import View
 from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.drive.standstill import Standstill
@@ -77,9 +77,9 @@ class Drive:
         self._duration_s = fleet.fleet.duration_s if duration_s is None else duration_s
         self._orders = fleet.orders if orders is None else orders
         self._resume = resume
-        self._followed = Followed(fleet, bus, processes, record)
-        self._watch, self._operator = self._followed.watch, self._followed.operator
-        self._clock, self._checks = self._followed.clock, self._followed.checks
+        self._fleet_state = FleetState(fleet, bus, processes, record)
+        self._watch, self._operator = self._fleet_state.watch, self._fleet_state.operator
+        self._clock, self._checks = self._fleet_state.clock, self._fleet_state.checks
         self._todo: list[tuple[float, Callable[[], None]]] = []
         """What rules will do to processes and what the fleet file orders, with its fleet time (s), the next
         one last."""
@@ -102,14 +102,14 @@ class Drive:
                 else:
                     self._drive()
         finally:
-            begun = self._processes.ours or self._followed.epoch_ns is not None
+            begun = self._processes.ours or self._fleet_state.epoch_ns is not None
             if begun and not self._is_left:
                 self._stop()
 
     @property
     def end_ns(self) -> int:
         """When the mission ends (wall clock); 0 when none was given."""
-        epoch_ns = self._followed.epoch_ns
+        epoch_ns = self._fleet_state.epoch_ns
         return 0 if epoch_ns is None else epoch_ns + round(self._duration_s * NS_PER_S)
 
     @property
@@ -120,34 +120,34 @@ class Drive:
     # ------------------------------------------------------------------ phases
 
     def _wait_until_ready(self) -> bool:
-        followed, names = self._followed, self._processes.names
+        fleet_state, names = self._fleet_state, self._processes.names
         begun = time.monotonic()
         timeout_s = READY_TIMEOUT_S + READY_TIMEOUT_PER_PROCESS_S * len(names)
         timeout_s = max(timeout_s, VEHICLES_TIMEOUT_S if self._checks.robots else 0.0)
         alive = False
         say_due_s = WAITS_PERIOD_S
         while self._step():
-            missing = [name for process, name in names.items() if process not in followed.present]
+            missing = [name for process, name in names.items() if process not in fleet_state.present]
             waited_s = time.monotonic() - begun
             if not missing and not alive:
                 alive = True
                 self._view.say(f"all {len(names)} processes alive after {waited_s:.2f} s")
-            followed.ask()
+            fleet_state.ask()
             now_ns = self._clock.now_ns()
             refusals = self._checks.refusals(now_ns)
             if refusals:
                 self._fail(f"Not started: {'; '.join(refusals)}.")
                 return False
-            if alive and followed.is_ready and self._checks.complete(now_ns):
+            if alive and fleet_state.is_ready and self._checks.complete(now_ns):
                 for warning in self._checks.warnings():
                     self._view.say(f"warning: {warning}")
                 return True
             if waited_s > timeout_s:
-                self._fail(f"Not ready within {timeout_s:.0f} s: {followed.waits(missing)}.")
+                self._fail(f"Not ready within {timeout_s:.0f} s: {fleet_state.waits(missing)}.")
                 return False
             if waited_s >= say_due_s:
                 say_due_s += WAITS_PERIOD_S
-                self._view.say(f"waiting after {waited_s:.0f} s: {followed.waits(missing)}")
+                self._view.say(f"waiting after {waited_s:.0f} s: {fleet_state.waits(missing)}")
         return False
 
     def _begin(self) -> bool:
@@ -162,12 +162,12 @@ class Drive:
         ahead_ns = EPOCH_AHEAD_NS if stop is None else STOPPED_AHEAD_NS
         epoch_ns = next_tick_ns(now_ns + ahead_ns, self._fleet.period_ns, 0)
         self._plan(epoch_ns)
-        self._followed.begin(epoch_ns, round(self._duration_s * NS_PER_S))
+        self._fleet_state.begin(epoch_ns, round(self._duration_s * NS_PER_S))
         return stop is None or self._lift(stop, epoch_ns - EPOCH_AHEAD_NS)
 
     def _lift(self, stop: Stop, by_ns: int) -> bool:
         """Gives leave to drive as soon as all know the new mission: nobody may go on with one before it."""
-        while ignorant := self._followed.ignorant:
+        while ignorant := self._fleet_state.ignorant:
             if not self._go_on():
                 return False
             if self._clock.now_ns() >= by_ns:
@@ -180,13 +180,13 @@ class Drive:
         now_ns = self._clock.now_ns()
         if stop.reason != OVER:
             self._view.say(f"lifting the stop that was given at {clock(stop.time_ns, now_ns)}{why(stop)}")
-        self._followed.say(self._operator.order_resume(now_ns, ()))
+        self._fleet_state.say(self._operator.order_resume(now_ns, ()))
         return True
 
     def _hand_over(self) -> bool:
         """Waits until all know what to drive, and leaves them to it; False when not all do."""
-        by_ns = (self._followed.epoch_ns or 0) + HAND_OVER_NS
-        while late := self._followed.ignorant or self._followed.slow:
+        by_ns = (self._fleet_state.epoch_ns or 0) + HAND_OVER_NS
+        while late := self._fleet_state.ignorant or self._fleet_state.slow:
             if not self._go_on():
                 return False
             if self._clock.now_ns() >= by_ns:
@@ -205,13 +205,13 @@ class Drive:
 
     def _go_on(self) -> bool:
         """A step of a fleet that was given its mission: tells who lacks something; False when it ends."""
-        self._followed.say_again()
-        self._followed.ask()
+        self._fleet_state.say_again()
+        self._fleet_state.ask()
         return self._step() and not self._is_refused() and not self._is_overtaken()
 
     def _is_refused(self) -> bool:
         """Whether an agent has refused the mission because it reads another fleet file."""
-        strangers = self._followed.strangers
+        strangers = self._fleet_state.strangers
         if strangers:
             self._fail(f"Not driven: this is not the fleet file that is read by {robots(strangers)}.")
         return bool(strangers)
@@ -219,7 +219,7 @@ class Drive:
     def _is_overtaken(self) -> bool:
         """Whether another operator has begun another drive, which those that were up before go on with."""
         mission = self._operator.mission
-        if self._processes.ours or mission is None or mission.epoch_ns == self._followed.epoch_ns:
+        if self._processes.ours or mission is None or mission.epoch_ns == self._fleet_state.epoch_ns:
             return False
         self._is_left = True
         self._fail("Another operator has begun another drive, and the robots drive that.")
@@ -227,7 +227,7 @@ class Drive:
 
     def _stop(self) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
-        standstill = Standstill(self._followed, self._interrupt)
+        standstill = Standstill(self._fleet_state, self._interrupt)
         standstill.wait(self._view, self._why_stop())
         if standstill.deaf and not self._processes.ours:
             self._fail(f"Not heard to stop: {robots(standstill.deaf)}.")
@@ -248,22 +248,22 @@ class Drive:
 
     def _step(self) -> bool:
         """Waits a moment, takes what came, does what rules order; False when the run has to end."""
-        followed = self._followed
+        fleet_state = self._fleet_state
         time.sleep(min(POLL_S, max(0.0, self._until_next_s())))
-        followed.collect()
-        news = self._watch.news(followed.time_s)
-        if followed.epoch_ns is None and not self._processes.ours:
+        fleet_state.collect()
+        news = self._watch.news(fleet_state.time_s)
+        if fleet_state.epoch_ns is None and not self._processes.ours:
             news = []  # of what was ordered and done before this drive, as agents tell it now
-        for sentence in [*news, *followed.look()]:
+        for sentence in [*news, *fleet_state.look()]:
             self._view.say(sentence)
         while self._until_next_s() <= 0.0:
             _, do = self._todo.pop()
             do()
-            followed.collect()
+            fleet_state.collect()
         now_ns = self._clock.now_ns()
         if self._beats and now_ns >= self._heartbeat_due_ns:
             self._heartbeat_due_ns = now_ns + HEARTBEAT_PERIOD_NS
-            followed.say(Heartbeat(now_ns, followed.author))
+            fleet_state.say(Heartbeat(now_ns, fleet_state.author))
         if now_ns >= self._show_due_ns:
             self._show_due_ns = now_ns + SHOW_PERIOD_NS
             self._show()
@@ -275,13 +275,13 @@ class Drive:
         return self._fleet.supervision.deadman_s is not None
 
     def _show(self) -> None:
-        self._view.show(self._watch.picture(self._followed.time_s))
+        self._view.show(self._watch.picture(self._fleet_state.time_s))
 
     def _deaths(self) -> bool:
         """Reports every child that has ended of its own; True when there was one."""
         deaths = self._processes.deaths()
         for child, how in deaths:
-            at = self._followed.time_s
+            at = self._fleet_state.time_s
             when = "before the start" if at is None or at < 0 else f"at {at:.1f} s"
             self._fail(f"{child.name.capitalize()} ended {when} ({how}).")
             for line in child.last_lines():
@@ -306,7 +306,7 @@ class Drive:
 
     def _until_next_s(self) -> float:
         """Time until something is to be done, s."""
-        epoch_ns = self._followed.epoch_ns
+        epoch_ns = self._fleet_state.epoch_ns
         if not self._todo or epoch_ns is None:
             return float("inf")
         return self._todo[-1][0] - (self._clock.now_ns() - epoch_ns) / NS_PER_S
@@ -316,19 +316,19 @@ class Drive:
         now_ns, due_ns = self._clock.now_ns(), epoch_ns + round(order.at * NS_PER_S)
         try:
             given_ns = due_ns if now_ns - due_ns < ORDER_LATE_NS else now_ns
-            self._followed.say(self._operator.give(order, given_ns))
+            self._fleet_state.say(self._operator.give(order, given_ns))
         except OrderError as error:
             self._fail(refused(order, error))
 
     def _carry_out(self, action: Action) -> None:
-        followed, robot, role = self._followed, action.robot, action.role
-        if not self._processes.carry_out(action, followed.pose(robot)):
+        fleet_state, robot, role = self._fleet_state, action.robot, action.role
+        if not self._processes.carry_out(action, fleet_state.pose(robot)):
             return  # it has died of its own, which ends the run
         now_ns = self._clock.now_ns()
         if action.what == "start" and role == "plant":
-            followed.states.pop(robot, None)
+            fleet_state.states.pop(robot, None)
         event = Event(robot, self._events, now_ns, role, action.what, action.rule)
         self._events += 1
-        followed.record(now_ns, key_expressions.events(self._fleet.fleet.name), encode(event))
+        fleet_state.record(now_ns, key_expressions.events(self._fleet.fleet.name), encode(event))
         name = self._processes.names[robot, role]
-        self._view.say(f"{followed.time_s:.1f} s: rule {action.rule!r} {WORDS[action.what]} {name}")
+        self._view.say(f"{fleet_state.time_s:.1f} s: rule {action.rule!r} {WORDS[action.what]} {name}")

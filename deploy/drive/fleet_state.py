@@ -32,7 +32,7 @@ Record = Callable[[int, str, bytes], Message | None]
 """Takes what came: time of reception (ns), key, payload; gives the message, None when it is none."""
 
 
-class Followed:
+class FleetState:
     """`fleet` (resolved, as its robots read it) on a bus that is connected to all its processes.
 
     Args:

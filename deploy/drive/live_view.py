@@ -15,7 +15,7 @@ from rich.table import Table
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import Geometry
-from agent.formation.reference import Course
+from agent.formation.reference import Reference
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
@@ -88,7 +88,7 @@ class Watch:
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         self._fleet = fleet
-        self._course = Course(fleet, geometry)
+        self._reference = Reference(fleet, geometry)
         self._known = Known(fleet, geometry)
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
@@ -116,7 +116,7 @@ class Watch:
         if self._known.hear(key, message):
             self._news.order(message)
             if type(message) is Mission and self._known.plan is not None:
-                self._course.take(self._known.plan)
+                self._reference.take(self._known.plan)
                 self._epoch_ns = message.epoch_ns
 
     def forget(self, robot: int) -> None:
@@ -143,7 +143,7 @@ class Watch:
         now_ns = (self._epoch_ns or 0) + round((time_s or 0.0) * NS_PER_S) if known else 0
         errors: dict[int, float] = {}
         for robot, here in self.hands.items():
-            for edge in self._course.edges(robot, now_ns):
+            for edge in self._reference.edges(robot, now_ns):
                 there = self.hands.get(edge.other)
                 if there is None or edge.weight < 1.0:
                     continue

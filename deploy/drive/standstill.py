@@ -8,7 +8,7 @@ from typing import Final
 
 from agent.messages import key_expressions
 from deploy.console.interrupt import Interrupt
-from deploy.drive.fleet_state import Followed
+from deploy.drive.fleet_state import FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
 from deploy.orders.stop_outcome import has_heard
@@ -30,49 +30,51 @@ class Standstill:
     from being recorded, None when nothing did.
     """
 
-    def __init__(self, followed: Followed, interrupt: Interrupt) -> None:
-        self._followed, self._interrupt = followed, interrupt
+    def __init__(self, fleet_state: FleetState, interrupt: Interrupt) -> None:
+        self._fleet_state, self._interrupt = fleet_state, interrupt
         self._hurried = interrupt.count > 0
         self.deaf: list[int] = []
         self.lost: RecordingError | None = None
 
     def wait(self, view: View, reason: str) -> None:
         """Says the stop, again and again, until all stand, or gives up after a while."""
-        followed, processes = self._followed, self._followed.processes
+        fleet_state, processes = self._fleet_state, self._fleet_state.processes
         processes.resume_all()
-        stop = followed.operator.order_stop(followed.clock.now_ns(), reason)
-        followed.say(stop)
+        stop = fleet_state.operator.order_stop(fleet_state.clock.now_ns(), reason)
+        fleet_state.say(stop)
         if self._hurried:
             view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
         begun = time.monotonic()
         again, deadline = begun + STOP_AGAIN_S, begun + self._timeout_s
-        fleet, statuses = followed.fleet, followed.watch.statuses
+        fleet, statuses = fleet_state.fleet, fleet_state.watch.statuses
         waiting = [
             robot for robot in fleet.ids if all(processes.up(robot, role) for role in key_expressions.ROLES)
         ]
         while (now := time.monotonic()) < deadline and self._interrupt.count < 2:
             self._collect()
-            rest = all(stands(statuses.get(robot), followed.states.get(robot)) for robot in waiting)
+            rest = all(stands(statuses.get(robot), fleet_state.states.get(robot)) for robot in waiting)
             # Those that end now will not drive again; others must have latched the stop.
             if rest and (processes.ours or all(has_heard(statuses.get(robot), stop) for robot in waiting)):
                 break
             if now >= again:
                 again = now + STOP_AGAIN_S
                 if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
-                    followed.say(stop)
+                    fleet_state.say(stop)
             time.sleep(LOOK_S)
         self._collect()
         self.deaf = [robot for robot in fleet.ids if not has_heard(statuses.get(robot), stop)]
 
     @property
     def _timeout_s(self) -> float:
-        if self._followed.checks.robots:
+        if self._fleet_state.checks.robots:
             return VEHICLES_STOP_TIMEOUT_S
-        return INTERRUPT_STOP_TIMEOUT_S if self._hurried and self._followed.processes.ours else STOP_TIMEOUT_S
+        return (
+            INTERRUPT_STOP_TIMEOUT_S if self._hurried and self._fleet_state.processes.ours else STOP_TIMEOUT_S
+        )
 
     def _collect(self) -> None:
         """Takes what came: whether robots stand matters more than that it is recorded."""
         try:
-            self._followed.collect()
+            self._fleet_state.collect()
         except RecordingError as error:
             self.lost = error

@@ -27,7 +27,7 @@ from agent.messages.types import (
     Stop,
     clipped,
 )
-from agent.node import Numbers, Outgoing
+from agent.node import Outgoing, SequenceNumbers
 from agent.supervision.state_machine import DRIVING
 from deploy.orders.mission_editing import OrderError, first_mission, ordered
 from deploy.orders.versions import can_be
@@ -75,7 +75,7 @@ class Known:
             Heartbeat: key_expressions.heartbeat(name),
             Ask: key_expressions.ask(name),
         }
-        self.told: Final = frozenset(key_expressions.told(name, robot) for robot in fleet.ids)
+        self.told: Final = frozenset(key_expressions.relayed(name, robot) for robot in fleet.ids)
 
     def hear(self, key: str, message: Message) -> bool:
         """Takes a message that came on `key`; True for an order that is newer than those before."""
@@ -130,13 +130,13 @@ class Operator(Known):
     def hear(self, key: str, message: Message) -> bool:
         name = self.fleet.fleet.name
         if type(message) is Status and key == key_expressions.status(name, message.robot):
-            self._claim(message.robot, message.mission_version, message.order_version)
+            self._takeover(message.robot, message.mission_version, message.order_version)
         elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
             order_version = max(message.stop_version, message.resume_version)
-            self._claim(message.robot, message.mission_version, order_version)
+            self._takeover(message.robot, message.mission_version, order_version)
         return super().hear(key, message)
 
-    def _claim(self, robot: int, mission_version: int, order_version: int) -> None:
+    def _takeover(self, robot: int, mission_version: int, order_version: int) -> None:
         if robot in self._claims:
             self._claims[robot] = mission_version, order_version
 
@@ -237,7 +237,7 @@ class Operator(Known):
         """Whether a plant knows the mission's epoch. It says so by its numbers: they count from that."""
         if plant is None or self.mission is None:
             return False
-        numbers = Numbers(self.fleet.period_ns)
+        numbers = SequenceNumbers(self.fleet.period_ns)
         numbers.begin(self.mission.epoch_ns)
         return plant.sequence == numbers.at(plant.time_ns)
 

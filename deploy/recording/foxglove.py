@@ -16,7 +16,7 @@ from typing import Any, Final
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, plan_of
-from agent.formation.reference import Course
+from agent.formation.reference import Reference
 from agent.messages.types import Mission, PlantState
 
 PERIOD_NS: Final = 100_000_000
@@ -126,7 +126,7 @@ class Scene:
     def __init__(self, fleet: Fleet) -> None:
         self._offset = {robot.id: robot.hand_offset_m for robot in fleet.robots}
         self._fleet, self._geometry = fleet, resolve(fleet)
-        self._course = Course(fleet, self._geometry)
+        self._reference = Reference(fleet, self._geometry)
         prefix = fleet.fleet.name
         self._shapes, self._poses, self._lines = (
             f"{prefix}/foxglove/{name}" for name in ("robots", "poses", "edges")
@@ -140,7 +140,7 @@ class Scene:
             plan = plan_of(mission, self._fleet, self._geometry)
         except PlanError:
             return
-        self._course.take(plan)
+        self._reference.take(plan)
 
     def update(self, now_ns: int, state: PlantState) -> Iterator[tuple[str, str, bytes]]:
         """Take one pose, if it may be used; yields (key, schema name, JSON) when a picture is due.
@@ -206,7 +206,7 @@ class Scene:
         points = [
             hands[end]
             for robot in hands
-            for edge in self._course.edges(robot, now_ns)
+            for edge in self._reference.edges(robot, now_ns)
             if robot < edge.other and edge.other in hands
             for end in (robot, edge.other)
         ]

@@ -298,7 +298,7 @@ class RunData:
                 key_expressions.wrench(prefix, robot): self._wrench[robot],
                 key_expressions.status(prefix, robot): self._status[robot],
             }
-        told = {key_expressions.told(prefix, robot) for robot in self._plant}
+        told = {key_expressions.relayed(prefix, robot) for robot in self._plant}
         self._missions_from = {key_expressions.mission(prefix), *told}
         self._stops_from = {key_expressions.stop(prefix), *told}
         self._resumes_from = {key_expressions.resume(prefix), *told}

@@ -39,7 +39,7 @@ class OperatorSession(Session):
         for key in self.operator.keys.values():
             self.bus.declare(key)
         orders = (key_expressions.mission(name), key_expressions.stop(name), key_expressions.resume(name))
-        for key in (key_expressions.status(name, "*"), key_expressions.told(name, "*"), *orders):
+        for key in (key_expressions.status(name, "*"), key_expressions.relayed(name, "*"), *orders):
             self.bus.subscribe(key, INBOX)
 
     def feed(self, key: str, message: Message) -> None:

@@ -32,7 +32,7 @@ def drive(fleet: Fleet, go_on: GoOn = lambda: True) -> Recording:
             key_expressions.plant_links(name, robot),
             key_expressions.wrench(name, robot),
             key_expressions.status(name, robot),
-            key_expressions.told(name, robot),
+            key_expressions.relayed(name, robot),
         }
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:

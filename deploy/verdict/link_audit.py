@@ -24,7 +24,7 @@ import numpy as np
 
 from agent.common.clock import NS_PER_S
 from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import TRACE_PERIOD_NS, Links
+from agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
 from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from deploy.analysis.analysis import Analysis
 from deploy.faults.wording import gives_link_effects
@@ -247,7 +247,7 @@ class _Node:
             if rules.idle:
                 continue
             more = any({"rate", "range", "slot"} & effects.keys() for _, effects in rules.asked())
-            links = Links(plan, self._robot, {link.topic: (link.source,)})
+            links = LinkEmulator(plan, self._robot, {link.topic: (link.source,)})
             for k in part:
                 stamp = stamps[k]
                 if more and rules.replayed(sequences[k]) is None:

@@ -24,7 +24,7 @@ from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, world_to_geodetic
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
-from bridges.mavlink.session.session import Link, LinkSettings
+from bridges.mavlink.session.session import Session, SessionSettings
 from bridges.mavlink.transport.transport import Transport, open_transport
 from plant.backend import Command, Reading
 from tests.ground_station import Operator
@@ -189,7 +189,7 @@ class Field:
 
     def _survey(self, transport: Tee, place: Place) -> Geodetic:
         """Where the first one has the origin of its EKF."""
-        link = Link(LinkSettings(set_origin=False))
+        link = Session(SessionSettings(set_origin=False))
         deadline = time.monotonic() + BOOT_S
         while link.origin is None or link.system is None:
             now_ns = self.wait()

@@ -16,7 +16,7 @@ from agent.core import Agent
 from agent.fleet.fleet import Fleet, load_fleet
 from agent.formation.geometry import resolved
 from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import Links
+from agent.links.link_emulator import LinkEmulator
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import TOPICS, HandState
@@ -96,7 +96,7 @@ def decision_cost(overrides: tuple[str, ...], rounds: int) -> float:
     plan = FaultPlan(base)
     plan.begin(0)
     sender = base.neighbours(ROBOT)[0]
-    links = Links(plan, ROBOT, {"hand": base.neighbours(ROBOT), "state": (ROBOT,)})
+    links = LinkEmulator(plan, ROBOT, {"hand": base.neighbours(ROBOT), "state": (ROBOT,)})
     spent = []
     begin_ns = 0
     for _ in range(rounds):
@@ -117,7 +117,7 @@ def pending_cost() -> tuple[float, float, int]:
     plan = FaultPlan(base)
     plan.begin(0)
     sender = base.neighbours(ROBOT)[0]
-    links = Links(plan, ROBOT, {"hand": base.neighbours(ROBOT)})
+    links = LinkEmulator(plan, ROBOT, {"hand": base.neighbours(ROBOT)})
     batch = messages(sender, PENDING + BATCH, base.period_ns, 0)
     begun = time.perf_counter_ns()
     for message, payload in batch:

@@ -26,7 +26,7 @@ from agent.control.peers import Peers
 from agent.fleet.fleet import load_fleet
 from agent.formation.geometry import resolved
 from agent.node import Node, Outgoing
-from agent.supervision.neighbour_trust import Reliance
+from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.state_machine import State
 from deploy.console.arguments import fleet_path
 from deploy.recording.recording import Recording
@@ -46,7 +46,7 @@ COMMAND_TIMEOUT_S: Final = 60.0
 STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
     "decode": ((core, "decode"),),
     "accept": ((Peers, "accept"), (Peers, "accept_beacon"), (core.Agent, "_accept_plant")),
-    "rely": ((Reliance, "update"),),
+    "rely": ((NeighbourTrust, "update"),),
     "predict": ((Peers, "predict"),),
     "law": tuple(
         (law, name)

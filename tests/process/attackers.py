@@ -292,4 +292,4 @@ def say_on_own_keys(
     first = turn % len(kinds)
     for some in zip_longest(*kinds[first:], *kinds[:first]):
         for payload in filter(None, some):
-            say(key_expressions.told(name, TAKEN), payload)
+            say(key_expressions.relayed(name, TAKEN), payload)

@@ -203,7 +203,7 @@ class Hostile:
         of_robot = (
             key_expressions.hand,
             key_expressions.beacon,
-            key_expressions.told,
+            key_expressions.relayed,
             key_expressions.status,
             key_expressions.plant_state,
             key_expressions.plant_truth,

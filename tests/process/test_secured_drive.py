@@ -109,7 +109,7 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
     agents = tuple((robot, "agent") for robot in HONEST)
     both = (*agents, *((robot, "plant") for robot in HONEST))
     endpoints = [fleet.endpoints[process] for process in both]
-    told, hand = key_expressions.told(name, TAKEN), key_expressions.hand(name, TAKEN)
+    told, hand = key_expressions.relayed(name, TAKEN), key_expressions.hand(name, TAKEN)
 
     with drive(fleet, DRIVE_S) as command, ExitStack() as stack:
         command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running", 60.0)

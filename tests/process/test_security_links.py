@@ -316,7 +316,7 @@ def test_a_robot_says_only_what_is_its_own(fleet: Fleet) -> None:
         for key in (
             key_expressions.hand(FLEET, 1),
             key_expressions.hand(FLEET, 3),
-            key_expressions.told(FLEET, 1),
+            key_expressions.relayed(FLEET, 1),
             key_expressions.wrench(FLEET, 1),
             key_expressions.hand(FLEET, "*"),
             f"{FLEET}/robot/**",
@@ -368,7 +368,7 @@ def test_a_robot_tells_again_what_an_operator_said_and_nothing_else(fleet: Fleet
     folder = fleet.make(of_operator(FLEET))
     stop = encode(Stop(1, time.time_ns(), "for a test"))
     sealed = Sealer(load(folder, of_operator(FLEET), time.time())).seal(stop, time.time_ns())
-    told = key_expressions.told(FLEET, 2)
+    told = key_expressions.relayed(FLEET, 2)
     with attacks(fleet.endpoint(), security(fleet.folder / "robot-2", of_robot(FLEET, 2))) as session:
         heard(session, key_expressions.hand(FLEET, 2))
         session.put(told, stop)

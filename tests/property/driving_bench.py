@@ -68,7 +68,7 @@ class _Robot:
         state = PlantState(robot, count, tick_ns, *self.pose, *self.acts, True, True, True, "")
         here = controller.hand_at(state, now_ns)
         controller.look(now_ns)
-        controller.around.look(now_ns, here, ())
+        controller.proximity.look(now_ns, here, ())
         drive = controller.drive(state, now_ns)
         controller.sent(now_ns, drive.force, drive.torque)
         self.asked = drive.force, drive.torque
@@ -97,11 +97,11 @@ def drive(fleet: Fleet, seconds: float) -> Drive:
         said = [robot.think(count, tick_ns, now_ns) for robot in robots]
         hands = [hand(robot.pose, REACH)[:2] for robot in robots]
         pair = min([pair, *(dist(a, b) for n, a in enumerate(hands) for b in hands[:n])])
-        around = robots[0].controller.around.obstacles
+        proximity = robots[0].controller.proximity.obstacles
         obstacle = min(
-            [obstacle, *(near.distance for at in hands for b in around for near in b.near(*at, 1.0))]
+            [obstacle, *(near.distance for at in hands for b in proximity for near in b.near(*at, 1.0))]
         )
-        places = [robot.controller.course.motion(robot.body.id, tick_ns) for robot in robots]
+        places = [robot.controller.reference.motion(robot.body.id, tick_ns) for robot in robots]
         away = max(
             hypot(at[0] - p[0], at[1] - p[1]) for at, p in zip(hands, places, strict=True) if p is not None
         )

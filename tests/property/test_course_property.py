@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of, trajectory_parts
-from agent.formation.reference import Course
+from agent.formation.reference import Reference
 from agent.formation.trajectory import TrajectorySection
 from agent.messages.types import Mission
 from deploy.orders.blend_time import blend_ns_for
@@ -83,8 +83,8 @@ def plans(draw: st.DrawFn, most: int = 3, shortest: int = 0) -> list[Plan]:
     return made
 
 
-def course(given_plans: list[Plan]) -> Course:
-    made = Course(FLEET, GEOMETRY)
+def reference(given_plans: list[Plan]) -> Reference:
+    made = Reference(FLEET, GEOMETRY)
     for plan in given_plans:
         made.take(plan)
     return made
@@ -105,7 +105,7 @@ def turning_points(made: list[Plan]) -> list[int]:
 @settings(max_examples=100, deadline=None)
 def test_motion_has_no_jump_up_to_its_acceleration_and_derivatives_agree(made: list[Plan]):
     """At every beginning and end: differences over a short time are as small as it is."""
-    taken = course(made)
+    taken = reference(made)
     step_ns = 2_000
     step = step_ns / S
     # Third derivative of nested blends: (60 + 33 + 33 + 60) way / T^3 of two, more of three.
@@ -126,7 +126,7 @@ def test_motion_has_no_jump_up_to_its_acceleration_and_derivatives_agree(made: l
 def test_missions_in_any_order_and_repeated_end_in_the_same(made: list[Plan], order: Any, data: Any):
     shuffled = [made[k] for k in order if k < len(made)]
     repeated = shuffled + data.draw(st.lists(st.sampled_from(made), max_size=4))
-    one, other, latest_only = course(made), course(repeated), course(made[-1:])
+    one, other, latest_only = reference(made), reference(repeated), reference(made[-1:])
     last = made[-1]
     assert one.plan is other.plan is latest_only.plan is last
     for time_ns in (last.from_ns + last.blend_ns, last.from_ns + last.blend_ns + 7 * S // 3):
@@ -147,7 +147,7 @@ def test_missions_in_any_order_and_repeated_end_in_the_same(made: list[Plan], or
 @given(plans())
 @settings(max_examples=100, deadline=None)
 def test_edges_come_and_go_without_a_jump_and_are_the_same_from_both_ends(made: list[Plan]):
-    taken = course(made)
+    taken = reference(made)
     step_ns = 20_000
     jumps = [plan.from_ns for plan in made[1:] if plan.blend_ns == 0]
     for time_ns in turning_points(made):
@@ -179,7 +179,7 @@ def test_a_blend_of_the_length_that_is_found_keeps_the_limits(made: list[Plan], 
     blend_ns = blend_ns_for(FIRST, wanted, FLEET)
     assert blend_ns >= S
     plan = plan_of(wanted.mission._replace(blend_ns=blend_ns), FLEET, GEOMETRY)
-    taken = course([FIRST, plan])
+    taken = reference([FIRST, plan])
     own = max(hypot(*p.reference(wanted.from_ns + S)[4:]) for p in (FIRST, plan))
     for robot in set(FIRST.members) & set(plan.members):
         for k in range(1, 400):

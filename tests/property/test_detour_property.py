@@ -50,10 +50,10 @@ def scene(kind: str, seed: int, moving: bool):
     """A robot on one side of obstacles and its place, which may move, on another."""
     draw = Random(f"{kind} {seed} {moving}")
     shapes = obstacles(kind, draw)
-    around = obstacles_of(fleet_of([(0.0, 0.0)], [(0.0, 0.0)], (0.0, 0.0), shapes))
+    proximity = obstacles_of(fleet_of([(0.0, 0.0)], [(0.0, 0.0)], (0.0, 0.0), shapes))
     while True:
         (sx, sy), (x, y) = ((draw.uniform(-SIZE_M, SIZE_M), draw.uniform(-SIZE_M, SIZE_M)) for _ in range(2))
-        room = [min(b.near(*at, inf)[0].distance for b in around) for at in ((sx, sy), (x, y))]
+        room = [min(b.near(*at, inf)[0].distance for b in proximity) for at in ((sx, sy), (x, y))]
         if room[0] > CLEARANCE + 0.07 and room[1] > CLEARANCE + BAND and hypot(sx - x, sy - y) > 2.0:
             break
     speed, way = draw.uniform(0.1, 0.4) * moving, draw.uniform(0.0, 2.0 * pi)

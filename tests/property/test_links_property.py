@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import Links
+from agent.links.link_emulator import LinkEmulator
 from agent.messages.codec import decode, encode
 from agent.messages.types import HELD, LOST, TOPICS, Faults, HandState
 from agent.messages.validation import Malformed
@@ -63,17 +63,17 @@ def fleet(drawn: list[dict[str, Any]]) -> Fleet:
     return parse_fleet(FLEET + tomli_w.dumps({"faults": {"rule": drawn}}), source="here")
 
 
-def links(drawn: list[dict[str, Any]]) -> Links:
+def links(drawn: list[dict[str, Any]]) -> LinkEmulator:
     plan = FaultPlan(fleet(drawn))
     plan.begin(EPOCH)
-    return Links(plan, 2, {"hand": (1, 3)})
+    return LinkEmulator(plan, 2, {"hand": (1, 3)})
 
 
 def message(number: int) -> HandState:
     return HandState(1, number, EPOCH + number * PERIOD, True, 1, 0.1 * (number % 20), *(0.0,) * 10, (), ())
 
 
-def fates(to: Links, order: list[int]) -> dict[int, list[tuple[int, int]]]:
+def fates(to: LinkEmulator, order: list[int]) -> dict[int, list[tuple[int, int]]]:
     """(what, delay us) of each copy by number; nothing where a message came through at once."""
     found: dict[int, list[tuple[int, int]]] = {}
     arrived = 0
@@ -125,7 +125,7 @@ def test_queues_lose_no_message_without_saying_so(drawn: list[dict[str, Any]]) -
 @settings(max_examples=80, deadline=None)
 def test_whatever_operators_send_a_receiver_goes_on(drawn: list[dict[str, Any]], rubbish: bytes) -> None:
     plan = FaultPlan(parse_fleet(FLEET, source="here"))
-    to = Links(plan, 2, {"hand": (1, 3)})
+    to = LinkEmulator(plan, 2, {"hand": (1, 3)})
     texts = [tomli_w.dumps({"faults": {"rule": drawn}}), rubbish.decode(errors="replace")]
     texts.append(texts[0][: len(texts[0]) // 2])
     for version, text in enumerate(texts, 1):

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.session import Link, LinkSettings
+from bridges.mavlink.session.session import Session, SessionSettings
 
 T0 = 1_700_000_000 * NS_PER_S
 READ = (
@@ -32,8 +32,8 @@ READ = (
 )
 
 
-def joined() -> Link:
-    link = Link(LinkSettings(datum=Geodetic(47.0, 8.0), parameters=("FS_ACTION",)))
+def joined() -> Session:
+    link = Session(SessionSettings(datum=Geodetic(47.0, 8.0), parameters=("FS_ACTION",)))
     link.receive(T0, framed(dialect.MAVLink_heartbeat_message, struct.pack("<IBBBBB", 15, 10, 3, 129, 4, 3)))
     assert link.system == 3
     return link
@@ -46,7 +46,7 @@ def framed(kind: type, payload: bytes, system: int = 3, component: int = 1) -> b
     return b"\xfd" + header + payload + struct.pack("<H", crc)
 
 
-def looked_at(link: Link, now_ns: int) -> None:
+def looked_at(link: Session, now_ns: int) -> None:
     """All that a bridge does with a session."""
     link.tick(now_ns)
     for position in link.take_positions():

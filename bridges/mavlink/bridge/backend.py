@@ -19,9 +19,9 @@ from bridges.mavlink.bridge import preflight_checks
 from bridges.mavlink.bridge.authority import Authority, Holder
 from bridges.mavlink.bridge.estimate import Estimate
 from bridges.mavlink.bridge.setpoint import Bounds, MotionCheck, Setpoint
-from bridges.mavlink.bridge.takeover import Claim
-from bridges.mavlink.session.session import Link
-from bridges.mavlink.session.settings import LinkSettings
+from bridges.mavlink.bridge.takeover import Takeover
+from bridges.mavlink.session.session import Session
+from bridges.mavlink.session.settings import SessionSettings
 from bridges.mavlink.session.signing import Signing
 from bridges.mavlink.transport.transport import Transport
 from plant.backend import WAITING, Check, Command, PlantBackend, Reading
@@ -46,15 +46,15 @@ _NUMBER: Final = re.compile(r"[0-9.]+")
 _NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Link:
+def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Session:
     """The session with the vehicle of a robot, as the fleet file describes it.
 
     Args:
-        token: any number that other bridges are not likely to have (`LinkSettings`).
+        token: any number that other bridges are not likely to have (`SessionSettings`).
     """
     section = fleet.robot(robot).mavlink or MavlinkSection()
-    return Link(
-        LinkSettings(
+    return Session(
+        SessionSettings(
             system=section.system,
             own_system=section.own_system,
             own_component=section.own_component,
@@ -88,7 +88,7 @@ class MavlinkPlant(PlantBackend):
     """
 
     def __init__(
-        self, fleet: Fleet, robot: int, link: Link, transport: Transport, log: Log, *, look: bool = False
+        self, fleet: Fleet, robot: int, link: Session, transport: Transport, log: Log, *, look: bool = False
     ) -> None:
         body = fleet.robot(robot)
         self._section = section = body.mavlink or MavlinkSection()
@@ -115,7 +115,7 @@ class MavlinkPlant(PlantBackend):
         self._commanded_ns: int | None = None
         self._refusal = ""
         self._untold = False
-        self._claim = Claim(link, log, wanted=section.arm and not look)
+        self._takeover = Takeover(link, log, wanted=section.arm and not look)
         self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
         self._judged: tuple[object, ...] = ()  # the reports of which `_unfit` and `_unlocated` speak
@@ -136,7 +136,7 @@ class MavlinkPlant(PlantBackend):
         operator = self._operator if self._link.connected(now_ns) else ""
         self.authority.step(trouble, operator or self._interlude, self._refusal)
         self._say_who_has_it()
-        self._claim.step(now_ns, self.authority.holder, trouble)
+        self._takeover.step(now_ns, self.authority.holder, trouble)
         # Whose wrench it is, only a mission tells. Until one does, the agent is told of it.
         self._untold = not self.authority.told and (self._untold or command is not None)
         if self._untold:
@@ -160,7 +160,7 @@ class MavlinkPlant(PlantBackend):
             self._estimate.forget()
             self._yaw = None
             self._known = self._located = False
-            self._claim.begin_again()
+            self._takeover.begin_again()
             self._prearm = ""
         for attitude in link.take_attitudes():
             self._yaw = attitude.yaw
@@ -357,7 +357,7 @@ class MavlinkPlant(PlantBackend):
         now_ns = self._now_ns
         if (
             now_ns is not None
-            and self._claim.armed_here
+            and self._takeover.armed_here
             and self._link.armed
             and self._standing
             and not self._operator

@@ -8,11 +8,11 @@ from typing import Final
 
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants
-from bridges.mavlink.session.session import Link
+from bridges.mavlink.session.session import Session
 from plant.backend import WAITING, Check
 
 
-def parameters(link: Link, section: MavlinkSection) -> Iterator[Check]:
+def parameters(link: Session, section: MavlinkSection) -> Iterator[Check]:
     """Failsafes that are off or risky, and limits that do not go with those of the fleet file."""
     if not link.parameters_done:
         yield Check("parameters", "blocking", f"{WAITING}its parameters")
@@ -59,7 +59,7 @@ _RISKY: Final = (
 _FAILSAFES: Final = tuple(dict.fromkeys(name for name, *_ in _RISKY))
 
 
-def _failsafes(link: Link) -> Iterator[Check]:
+def _failsafes(link: Session) -> Iterator[Check]:
     for name, values, means, advice in _RISKY:
         value = link.parameters.get(name)
         if value in values:
@@ -71,7 +71,7 @@ def _failsafes(link: Link) -> Iterator[Check]:
         )
 
 
-def _limits(link: Link, section: MavlinkSection) -> Iterator[Check]:
+def _limits(link: Session, section: MavlinkSection) -> Iterator[Check]:
     for name, unit, scale, ours, field in (
         (constants.WP_SPEED, "m/s", 1.0, section.max_speed_mps, "max_speed_mps"),
         (constants.ATC_ACCEL_MAX, "m/s2", 1.0, section.max_acceleration, "max_acceleration"),
@@ -83,7 +83,7 @@ def _limits(link: Link, section: MavlinkSection) -> Iterator[Check]:
             yield Check(name, "warning", text, f"the vehicle's limit holds: lower {field}, or raise {name}")
 
 
-def _ids(link: Link, section: MavlinkSection) -> Iterator[Check]:
+def _ids(link: Session, section: MavlinkSection) -> Iterator[Check]:
     own = section.own_system or link.system
     station = link.parameter(constants.GROUND_STATION_ID)
     options = int(link.parameters.get(constants.MAV_OPTIONS) or 0.0)

@@ -18,7 +18,7 @@ from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.bridge import parameter_audit
 from bridges.mavlink.session.reports import Ekf
-from bridges.mavlink.session.session import Link
+from bridges.mavlink.session.session import Session
 from bridges.mavlink.transport.connection_string import BY_ID
 from plant.backend import WAITING, Check
 
@@ -62,7 +62,7 @@ class Found(NamedTuple):
     prearm: str
 
 
-def checks(link: Link, found: Found, section: MavlinkSection, datum: Geodetic) -> tuple[Check, ...]:
+def checks(link: Session, found: Found, section: MavlinkSection, datum: Geodetic) -> tuple[Check, ...]:
     """All lines that can be said now; the first is that of the link, and without one there is no other."""
     first = _link(link, found, section)
     if first.level == "blocking":
@@ -82,7 +82,7 @@ def checks(link: Link, found: Found, section: MavlinkSection, datum: Geodetic) -
     return tuple(lines)
 
 
-def _link(link: Link, found: Found, section: MavlinkSection) -> Check:
+def _link(link: Session, found: Found, section: MavlinkSection) -> Check:
     where = section.connection or ""
     if found.trouble:
         return Check("link", "blocking", found.trouble, f"check {where} and what is behind it")
@@ -98,7 +98,7 @@ def _link(link: Link, found: Found, section: MavlinkSection) -> Check:
     return Check("link", "warning" if found.note else "ok", text, found.note)
 
 
-def _type(link: Link) -> Check:
+def _type(link: Session) -> Check:
     if link.problem:
         return Check(
             "type", "blocking", link.problem, "only ArduPilot Rover can be driven: check the connection"
@@ -106,7 +106,7 @@ def _type(link: Link) -> Check:
     return Check("type", "ok", f"ArduPilot, {constants.TYPE_NAMES.get(link.type, f'MAV_TYPE {link.type}')}")
 
 
-def _firmware(link: Link) -> Check:
+def _firmware(link: Session) -> Check:
     if not link.firmware:
         return Check("firmware", "warning", "does not tell its version")
     numbers = link.firmware.split(" ")[0].split(".")
@@ -116,7 +116,7 @@ def _firmware(link: Link) -> Check:
     return Check("firmware", "ok", link.firmware)
 
 
-def _mode(link: Link, section: MavlinkSection) -> Check:
+def _mode(link: Session, section: MavlinkSection) -> Check:
     name = constants.mode_name(link.mode) if link.mode is not None else "unknown"
     if link.mode == constants.GUIDED:
         return Check("mode", "ok", name)
@@ -128,7 +128,7 @@ def _mode(link: Link, section: MavlinkSection) -> Check:
     return Check("mode", "warning", name, advice)
 
 
-def _arming(link: Link, found: Found, section: MavlinkSection) -> Check:
+def _arming(link: Session, found: Found, section: MavlinkSection) -> Check:
     if link.armed:
         return Check("arming", "ok", "armed")
     if link.prearm_ok is False:
@@ -138,7 +138,7 @@ def _arming(link: Link, found: Found, section: MavlinkSection) -> Check:
     return Check("arming", "warning", "disarmed", advice)
 
 
-def ekf_trouble(link: Link, now_ns: int) -> str:
+def ekf_trouble(link: Session, now_ns: int) -> str:
     """Why the vehicle's own estimate cannot be relied on, by what its EKF says of itself; "" when it can."""
     ekf = link.ekf
     if ekf is None:
@@ -178,7 +178,7 @@ def _inconsistency(ekf: Ekf, most: float) -> str:
     return ""
 
 
-def gps_trouble(link: Link, now_ns: int) -> str:
+def gps_trouble(link: Session, now_ns: int) -> str:
     """Why its GPS is not good enough, "" when it is."""
     if link.gps is None:
         return f"{WAITING}its GPS"
@@ -189,7 +189,7 @@ def gps_trouble(link: Link, now_ns: int) -> str:
     return ""
 
 
-def _ekf(link: Link, now_ns: int) -> Check:
+def _ekf(link: Session, now_ns: int) -> Check:
     trouble = ekf_trouble(link, now_ns)
     if trouble:
         return Check(
@@ -207,7 +207,7 @@ def _ekf(link: Link, now_ns: int) -> Check:
     return Check("EKF", "ok", f"healthy, worst variance {worst:.2f}")
 
 
-def _gps(link: Link, now_ns: int) -> Check:
+def _gps(link: Session, now_ns: int) -> Check:
     trouble = gps_trouble(link, now_ns)
     if trouble or link.gps is None:
         return Check("GPS", "blocking", trouble, "give it open sky; check the antenna")
@@ -226,7 +226,7 @@ def _apart(datum: Geodetic, place: Geodetic) -> float:
     return hypot(*geodetic_to_world(datum, place))
 
 
-def origin_trouble(link: Link, datum: Geodetic) -> str:
+def origin_trouble(link: Session, datum: Geodetic) -> str:
     """Why the vehicle's frame cannot be brought to the world, "" when it can."""
     if link.origin is None:
         return f"{WAITING}the origin of its EKF"
@@ -236,7 +236,7 @@ def origin_trouble(link: Link, datum: Geodetic) -> str:
     return ""
 
 
-def _origin(link: Link, datum: Geodetic) -> Check:
+def _origin(link: Session, datum: Geodetic) -> Check:
     trouble = origin_trouble(link, datum)
     if trouble or link.origin is None:
         waiting = trouble.startswith(WAITING)
@@ -266,7 +266,7 @@ def _place(found: Found) -> Iterator[Check]:
         yield Check("place", "ok", text)
 
 
-def _rates(link: Link, now_ns: int) -> Iterator[Check]:
+def _rates(link: Session, now_ns: int) -> Iterator[Check]:
     for stream in link.streams(now_ns):
         if stream.name not in ("ATTITUDE", "LOCAL_POSITION_NED"):
             continue
@@ -311,7 +311,7 @@ def _round_trip(found: Found) -> Check:
     return Check("round trip", "ok", text)
 
 
-def _battery(link: Link) -> Iterator[Check]:
+def _battery(link: Session) -> Iterator[Check]:
     battery = link.battery
     if battery is None or (battery.voltage is None and battery.percent is None):
         yield Check("battery", "warning", "not measured", "set up its battery monitor (BATT_MONITOR)")
@@ -329,7 +329,7 @@ def _battery(link: Link) -> Iterator[Check]:
         yield Check("battery", "ok", text)
 
 
-def _signing(link: Link, section: MavlinkSection, found: Found) -> Check:
+def _signing(link: Session, section: MavlinkSection, found: Found) -> Check:
     if section.signing_key is None and link.vehicle_signs:
         advice = "name its key in mavlink.signing_key"
         answers = {stream.answer for stream in link.streams(found.now_ns)}
@@ -349,7 +349,7 @@ def _signing(link: Link, section: MavlinkSection, found: Found) -> Check:
     return Check("signing", "ok", "on, the vehicle signs")
 
 
-def _others(link: Link, now_ns: int) -> Iterator[Check]:
+def _others(link: Session, now_ns: int) -> Iterator[Check]:
     other = link.another_bridge(now_ns)
     if other:
         yield Check("other bridges", "blocking", other, "end it: two would pull the vehicle two ways")

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S, Clock
 from agent.fleet.fleet import Fleet
 from agent.fleet.sections import MavlinkSection
-from bridges.mavlink.session.session import Link
-from bridges.mavlink.session.settings import LinkSettings
+from bridges.mavlink.session.session import Session
+from bridges.mavlink.session.settings import SessionSettings
 from bridges.mavlink.session.signing import Signing, SigningError, open_signing
 from bridges.mavlink.transport.transport import Transport, open_transport
 
@@ -40,16 +40,16 @@ class Outcome(NamedTuple):
     text: str
 
 
-def setup_settings(section: MavlinkSection, token: int) -> LinkSettings:
+def setup_settings(section: MavlinkSection, token: int) -> SessionSettings:
     """Whom to speak to, and as whom: as its bridge does, but asking for as little as can be.
 
     Args:
-        token: `LinkSettings.token`.
+        token: `SessionSettings.token`.
 
     Raises:
         ValueError: an identity that is another's.
     """
-    return LinkSettings(
+    return SessionSettings(
         system=section.system,
         own_system=section.own_system,
         own_component=section.own_component,
@@ -73,11 +73,11 @@ class SigningSetup:
         outcome: None while it is not known.
     """
 
-    def __init__(self, settings: LinkSettings, signing: Signing, transport: Transport) -> None:
+    def __init__(self, settings: SessionSettings, signing: Signing, transport: Transport) -> None:
         self.outcome: Outcome | None = None
         self._signing, self._transport = signing, transport
-        self._open = Link(settings)
-        self._signed = Link(replace(settings, signing=signing))
+        self._open = Session(settings)
+        self._signed = Session(replace(settings, signing=signing))
         self._connections = transport.epoch
         self._begun_ns: int | None = None
         self._heard_ns: int | None = None

@@ -8,13 +8,13 @@ from agent.common.clock import NS_PER_S
 from agent.runtime.process import Log
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.bridge.authority import Holder
-from bridges.mavlink.session.session import Link
+from bridges.mavlink.session.session import Session
 
 PERIOD_NS: Final = 3 * NS_PER_S
 """Between two attempts: the vehicle's own checks may refuse the first ones."""
 
 
-class Claim:
+class Takeover:
     """Claims a vehicle once: from when it obeys, or its operator undoes a step, its operator decides.
 
     Args:
@@ -24,7 +24,7 @@ class Claim:
         armed_here: whether its being armed is the bridge's doing.
     """
 
-    def __init__(self, link: Link, log: Log, *, wanted: bool) -> None:
+    def __init__(self, link: Session, log: Log, *, wanted: bool) -> None:
         self._link, self._log, self._wanted = link, log, wanted
         self._asked_ns: int | None = None
         self._was_guided = False

@@ -14,7 +14,7 @@ BRIDGE_COMPONENTS: Final = range(191, 195)
 """MAV_COMP_ID_ONBOARD_COMPUTER and its three successors."""
 
 
-class Other(NamedTuple):
+class Participant(NamedTuple):
     """A sender of heartbeats that is not the vehicle: its identity, MAV_TYPE and when it was last heard."""
 
     system: int
@@ -23,17 +23,17 @@ class Other(NamedTuple):
     heard_ns: int
 
 
-class Others:
+class Participants:
     """All of them, `KEPT` at most."""
 
     def __init__(self) -> None:
-        self._heard: dict[tuple[int, int, bool], Other] = {}
+        self._heard: dict[tuple[int, int, bool], Participant] = {}
 
     def clear(self) -> None:
         """Nobody is here."""
         self._heard.clear()
 
-    def heard(self, other: Other, *, vehicle: bool) -> None:
+    def heard(self, other: Participant, *, vehicle: bool) -> None:
         """A heartbeat came; `vehicle`: of an autopilot."""
         key = other.system, other.component, vehicle
         if key not in self._heard and len(self._heard) >= KEPT:
@@ -42,18 +42,18 @@ class Others:
                 return
         self._heard[key] = other
 
-    def _now(self, now_ns: int, *, vehicle: bool) -> list[Other]:
+    def _now(self, now_ns: int, *, vehicle: bool) -> list[Participant]:
         return [
             other
             for (_, _, is_vehicle), other in self._heard.items()
             if is_vehicle is vehicle and now_ns - other.heard_ns <= HEARD_NS
         ]
 
-    def ground_stations(self, now_ns: int) -> list[Other]:
+    def ground_stations(self, now_ns: int) -> list[Participant]:
         """Those of MAV_TYPE_GCS."""
         return [o for o in self._now(now_ns, vehicle=False) if o.type == constants.TYPE_GCS]
 
-    def vehicles(self, now_ns: int) -> list[Other]:
+    def vehicles(self, now_ns: int) -> list[Participant]:
         """Autopilots that are not the one of this link."""
         return self._now(now_ns, vehicle=True)
 

@@ -1,4 +1,4 @@
-"""What a rover says in a MAVLink session: the half of `link.Link` that listens."""
+"""What a rover says in a MAVLink session: the half of `link.Session` that listens."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from bridges.mavlink.session.boot_clock import BootClock
 from bridges.mavlink.session.codec import Codec
 from bridges.mavlink.session.commands import Commands
 from bridges.mavlink.session.parameters import Parameters
-from bridges.mavlink.session.participants import Other, Others
+from bridges.mavlink.session.participants import Participant, Participants
 from bridges.mavlink.session.reports import AttitudeSample, Ekf, Gps, PositionSample, Status, Text, Texts
-from bridges.mavlink.session.settings import LinkSettings
+from bridges.mavlink.session.settings import SessionSettings
 from bridges.mavlink.session.streams import Streams, wanted_messages
 
 QUEUE_MAX: Final = 256
@@ -48,7 +48,7 @@ class Receiver:
         counts: what was refused or was odd, by kind.
     """
 
-    def __init__(self, settings: LinkSettings) -> None:
+    def __init__(self, settings: SessionSettings) -> None:
         self.settings: Final = settings
         self.counts: Counter[str] = Counter()
         self.epoch = 0
@@ -74,7 +74,7 @@ class Receiver:
         self._codec.srcComponent = settings.own_component
         self._commands = Commands()
         self._streams = Streams(wanted_messages(settings.state_rate_hz))
-        self._others = Others()
+        self._others = Participants()
         self._positions: deque[PositionSample] = deque(maxlen=QUEUE_MAX)
         self._attitudes: deque[AttitudeSample] = deque(maxlen=QUEUE_MAX)
         self._texts: deque[Text] = deque(maxlen=QUEUE_MAX)
@@ -156,7 +156,7 @@ class Receiver:
         if sender == (self.system, constants.COMPONENT_AUTOPILOT):
             self._replies.append(message.ts1)
         elif sender == self.own and self.system is not None and message.ts1 not in self._own_times:
-            twin = Other(*sender, constants.TYPE_ONBOARD_CONTROLLER, arrival_ns)
+            twin = Participant(*sender, constants.TYPE_ONBOARD_CONTROLLER, arrival_ns)
             self._others.heard(twin, vehicle=False)
 
     def _on_any_heartbeat(self, arrival_ns: int, message: Any, sender: tuple[int, int]) -> None:
@@ -176,7 +176,7 @@ class Receiver:
         token = self.settings.token
         if sender == self.own and token and message.custom_mode == token:
             return  # an echo
-        self._others.heard(Other(system, component, message.type, arrival_ns), vehicle=autopilot)
+        self._others.heard(Participant(system, component, message.type, arrival_ns), vehicle=autopilot)
 
     def _on_heartbeat(self, arrival_ns: int, message: Any) -> None:
         if message.autopilot == constants.AUTOPILOT_INVALID or message.type == constants.TYPE_GCS:

@@ -21,7 +21,7 @@ from bridges.mavlink.session import reports
 from bridges.mavlink.session.commands import Outcome
 from bridges.mavlink.session.receiver import Receiver
 from bridges.mavlink.session.reports import AttitudeSample, Battery, PositionSample, Text
-from bridges.mavlink.session.settings import LinkSettings as LinkSettings
+from bridges.mavlink.session.settings import SessionSettings as SessionSettings
 from bridges.mavlink.session.signing import KEY_BYTES
 from bridges.mavlink.session.streams import StreamRow
 
@@ -44,12 +44,12 @@ YAW_RATE_MAX: Final = 30.0
 _T = TypeVar("_T")
 
 
-class Link(Receiver):
+class Session(Receiver):
     """One session. The caller brings bytes with their times of arrival (`receive`), sends what `tick` and
     `setpoint` return, and calls `restart` when the connection was opened (again).
     """
 
-    def __init__(self, settings: LinkSettings) -> None:
+    def __init__(self, settings: SessionSettings) -> None:
         super().__init__(settings)
         self._target = dialect.MAVLink_set_position_target_local_ned_message(
             0,

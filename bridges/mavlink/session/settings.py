@@ -11,7 +11,7 @@ from bridges.mavlink.session.signing import Signing
 
 
 @dataclass(frozen=True)
-class LinkSettings:
+class SessionSettings:
     """Whom to speak to, and as whom.
 
     Attributes:

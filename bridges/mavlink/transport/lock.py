@@ -27,7 +27,7 @@ def _name(connection: Connection, system: int | None) -> str:
     return f"{readable}-{sha256(text.encode()).hexdigest()[:8]}.lock"
 
 
-class Hold:
+class ConnectionLock:
     """A connection held until `close`, or until the process ends, however it ends.
 
     Args:

@@ -18,7 +18,7 @@ from typing import Final, Protocol
 from agent.runtime.runtime_folder import NotPrivateError
 from bridges.mavlink.transport.channels import Channel, open_channel
 from bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
-from bridges.mavlink.transport.lock import Hold
+from bridges.mavlink.transport.lock import ConnectionLock
 
 RETRY_S: Final = 0.2
 """Until the first attempt to open it again; twice that until the next, and so on."""
@@ -33,7 +33,7 @@ class Transport(Protocol):
     Attributes:
         trouble: why there is none, "" while there is one. Changes at any time.
         waits: whether that may end by itself; else somebody has to change something first.
-        epoch: how often it was opened: when it has grown, the session starts afresh (`Link.restart`).
+        epoch: how often it was opened: when it has grown, the session starts afresh (`Session.restart`).
         note: something odd that does not keep it from working, "" when nothing is.
         dropped: how many `send`s went nowhere.
     """
@@ -131,12 +131,12 @@ class ThreadedTransport:
             self._wake_write.send(b"x")
 
     def _run(self) -> None:
-        hold: Hold | None = None
+        hold: ConnectionLock | None = None
         pause_s = RETRY_S
         while not self._closing.is_set():
             try:
                 if hold is None:
-                    hold = Hold(self._connection, self._system)
+                    hold = ConnectionLock(self._connection, self._system)
                 channel = open_channel(self._connection, self._baud)
             except OSError as error:
                 self.waits = not isinstance(error, Unusable | NotPrivateError)
@@ -202,7 +202,7 @@ def open_transport(
     Args:
         baud: of a serial device.
         clock: wall time in ns, called from the reader's thread.
-        system: the vehicle that is meant, where several are behind one connection (`exclusive.Hold`).
+        system: the vehicle that is meant, where several are behind one connection (`ConnectionLock`).
 
     Raises:
         ValueError: it is no connection string.

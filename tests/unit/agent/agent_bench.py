@@ -12,7 +12,7 @@ from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
-from agent.node import Numbers
+from agent.node import SequenceNumbers
 from agent.supervision.state_machine import State
 
 FLEET = """
@@ -83,7 +83,7 @@ class Bench:
         self.other_follows = True
         self.ticks = 0
         self.last: Status | None = None
-        self._numbers = Numbers(PERIOD)
+        self._numbers = SequenceNumbers(PERIOD)
 
     @property
     def state(self) -> State:

@@ -120,7 +120,7 @@ class FleetBench:
         for robot in self.fleet.ids:
             told += [
                 (robot, each)
-                for each in self.sayings(key_expressions.told(name, robot))
+                for each in self.sayings(key_expressions.relayed(name, robot))
                 if type(each) is kind
             ]
         return told

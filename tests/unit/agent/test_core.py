@@ -388,10 +388,10 @@ def test_a_later_mission_leaves_nothing_of_the_one_before():
     epoch = START - 30 * NS_PER_S
     bench.mission(2, epoch_ns=epoch)
     bench.tick()
-    reference = make_trajectory(bench.fleet.trajectory).at((bench.now - epoch) / NS_PER_S)
-    course = bench.agent._controller.course
-    assert course.motion(1, bench.now) == pytest.approx(reference)  # its place is at the reference point
-    assert [edge[:3] for edge in course.edges(1, bench.now)] == [(2, 1.0, 1.0)]
+    wanted = make_trajectory(bench.fleet.trajectory).at((bench.now - epoch) / NS_PER_S)
+    reference = bench.agent._controller.reference
+    assert reference.motion(1, bench.now) == pytest.approx(wanted)  # its place is at the reference point
+    assert [edge[:3] for edge in reference.edges(1, bench.now)] == [(2, 1.0, 1.0)]
 
 
 def test_stop_stops_and_only_a_later_leave_starts_again():

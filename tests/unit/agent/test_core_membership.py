@@ -189,7 +189,7 @@ def test_who_left_is_still_kept_away_from(bench: FleetBench):
     """It stands where it left: beside the others' way, within the sensing region."""
     change(bench, 2, PLACES[:2], EDGES[:1])
     bench.run(1.2)
-    assert [peer.robot for peer in bench.agents[1]._around.close] == [3]
+    assert [peer.robot for peer in bench.agents[1]._proximity.close] == [3]
     assert "few/robot/3/hand" in bench.agents[1].subscriptions
 
 
@@ -270,7 +270,7 @@ def test_an_agent_that_starts_again_takes_its_place_again(bench: FleetBench):
 
 def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: FleetBench):
     """A second late: from then on it follows the same blend as the others."""
-    lost = {MISSION, *(key_expressions.told("few", robot) for robot in (1, 3, 4))}
+    lost = {MISSION, *(key_expressions.relayed("few", robot) for robot in (1, 3, 4))}
     bench.cut = lambda key, node: key in lost and node is bench.agents[2]
     wide = tuple((robot, 1.5 * x, 1.5 * y) for robot, x, y in PLACES)
     mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))
@@ -280,7 +280,7 @@ def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: Fl
     bench.cut = lambda _key, _node: False
     bench.run(0.8)
     at_ns = bench.now
-    one, other = (bench.agents[robot]._controller.course for robot in (1, 2))
+    one, other = (bench.agents[robot]._controller.reference for robot in (1, 2))
     assert bench.agents[2]._mission == mission
     assert one.motion(2, at_ns) == other.motion(2, at_ns)
     hand = bench.sayings("few/robot/2/hand")[-1]

@@ -119,7 +119,7 @@ def test_for_silent_robots_it_brakes_and_is_not_driven_away(speed: float):
     given(controller, 3, hand_x + 0.22, follows=False)
     now_ns = T0 + 10 * S
     controller.look(now_ns)
-    controller.around.look(now_ns, hand(Pose(*[0.0] * 5), hand_x), (2,))
+    controller.proximity.look(now_ns, hand(Pose(*[0.0] * 5), hand_x), (2,))
     plant = PlantState(1, 0, now_ns, *[0.0] * 3, speed, 0.0, 0.0, 0.0, True, True, True, "")
     drive = controller.drive(plant, now_ns)
     assert ("robot 3" in drive.causes) is (speed > 0.0)

@@ -137,9 +137,9 @@ def test_it_tries_the_sides_in_turn_for_longer_and_longer():
 
 
 def test_where_all_ways_are_blocked_it_does_not_count_turns_that_it_does_not_make():
-    around = [WALL, NORTH_WALL, SOUTH_WALL, Blocker(1.0, 0.0, "west", True)]
-    detour = blocked(around)
-    run(detour, 10.0, around)
+    proximity = [WALL, NORTH_WALL, SOUTH_WALL, Blocker(1.0, 0.0, "west", True)]
+    detour = blocked(proximity)
+    run(detour, 10.0, proximity)
     run(detour, 4.5, [])  # all free: it turns back less than once
     assert detour.round == ""
 

@@ -8,7 +8,7 @@ import pytest
 
 from agent.control.hand import Hand
 from agent.control.peers import DOUBT_MAX, Peers
-from agent.control.proximity import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Surroundings
+from agent.control.proximity import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Proximity
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
@@ -34,26 +34,26 @@ class Scene:
     def __init__(self, *overrides: str) -> None:
         self.fleet: Fleet = parse_fleet(FLEET, source="here", overrides=overrides)
         self.peers = Peers(1, 0.4, 0.6, PERIOD, lambda _robot, _time: None)
-        self.around = Surroundings(self.fleet, 1, self.peers)
+        self.proximity = Proximity(self.fleet, 1, self.peers)
         self.now = T0
         self.mission(Mission(1, 0, T0, S, ""))
 
     def mission(self, mission: Mission) -> None:
-        self.around.plan(plan_of(mission, self.fleet, resolve(self.fleet)))
+        self.proximity.plan(plan_of(mission, self.fleet, resolve(self.fleet)))
 
     def beacon(self, x: float, vx: float = 0.0, robot: int = 3, follows: bool = True) -> None:
         told = Beacon(robot, 0, self.now - PERIOD, follows, x, 0.0, vx, 0.0, 0.0, 0, 0, -1, -1)
         assert self.peers.accept_beacon(told, self.now) is None
 
     def look(self, here: Hand = HERE, neighbours: tuple[int, ...] = (2,)) -> bool:
-        return self.around.look(self.now, here, neighbours)
+        return self.proximity.look(self.now, here, neighbours)
 
     def wait(self, ns: int = LOOK_PERIOD_NS) -> None:
         self.now += ns
 
     @property
     def close(self) -> list[int]:
-        return [peer.robot for peer in self.around.close]
+        return [peer.robot for peer in self.proximity.close]
 
 
 def test_who_comes_within_the_sensing_region_is_close_and_stays_a_little_longer():
@@ -174,25 +174,25 @@ def test_without_avoidance_nobody_is_close_and_there_are_no_obstacles():
     scene = Scene("avoidance.enabled=false")
     scene.beacon(0.1)
     assert not scene.look()
-    assert scene.around.obstacles == ()
-    assert scene.around.fence is not None  # whoever leaves the geofence holds nevertheless
+    assert scene.proximity.obstacles == ()
+    assert scene.proximity.fence is not None  # whoever leaves the geofence holds nevertheless
 
 
 def test_distances_are_those_of_the_file_and_of_the_formation_in_force():
     scene = Scene()
-    assert (scene.around.distance, scene.around.sensing, scene.around.clearance) == (0.5, 2.0, 0.1)
+    assert (scene.proximity.distance, scene.proximity.sensing, scene.proximity.clearance) == (0.5, 2.0, 0.1)
     made = parse_fleet(FLEET.replace("distance_m = 0.5, ", ""), source="here")
-    around = Surroundings(made, 1, scene.peers)
+    proximity = Proximity(made, 1, scene.peers)
     wide = Mission(1, 0, T0, S, "", robots=((1, 0.0, 0.0), (2, 3.0, 0.0)), edges=((1, 2, 3.0),))
     for mission, distance in ((Mission(1, 0, T0, S, ""), 0.6), (wide, 1.6)):
-        around.plan(plan_of(mission, made, resolve(made)))
-        assert around.distance == pytest.approx(distance)  # half way between r_s and the shortest edge
+        proximity.plan(plan_of(mission, made, resolve(made)))
+        assert proximity.distance == pytest.approx(distance)  # half way between r_s and the shortest edge
 
 
 def test_how_far_inside_the_geofence_a_point_is():
-    around = Scene().around
-    assert around.fence_distance(9.7, 0.0) == pytest.approx(0.3)
-    assert around.fence_distance(10.5, 0.0) == pytest.approx(-0.5)
-    assert around.fence_distance(0.0, 0.0) > around.warn
+    proximity = Scene().proximity
+    assert proximity.fence_distance(9.7, 0.0) == pytest.approx(0.3)
+    assert proximity.fence_distance(10.5, 0.0) == pytest.approx(-0.5)
+    assert proximity.fence_distance(0.0, 0.0) > proximity.warn
     made = parse_fleet(FLEET[: FLEET.index("geofence")], source="here")
-    assert Surroundings(made, 1, Scene().peers).fence_distance(99.0, 0.0) == inf
+    assert Proximity(made, 1, Scene().peers).fence_distance(99.0, 0.0) == inf

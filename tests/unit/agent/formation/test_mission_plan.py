@@ -69,8 +69,8 @@ def test_edges_alone_leave_places_as_in_the_file():
 
 
 def test_the_parts_of_a_plan_make_the_same_plan_also_over_the_network():
-    course = "kind=waypoints", "speed_mps=1", "waypoints_m=[[0,0],[1,1]]"
-    fleet = square(*(f"trajectory.{field}" for field in course))
+    reference = "kind=waypoints", "speed_mps=1", "waypoints_m=[[0,0],[1,1]]"
+    fleet = square(*(f"trajectory.{field}" for field in reference))
     plan = first_plan(fleet)
     robots, edges, trajectory = mission_parts(plan)
     sent = decode(encode(mission(robots=robots, edges=edges, trajectory=trajectory)))

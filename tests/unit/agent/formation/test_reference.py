@@ -10,7 +10,7 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.order_sections import ShapeSection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
-from agent.formation.reference import LEAVE_FADE_NS, Course, Edge
+from agent.formation.reference import LEAVE_FADE_NS, Edge, Reference
 from agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
@@ -19,8 +19,8 @@ GEOMETRY = resolve(FLEET)
 FIRST = first_plan(FLEET)
 
 
-def course(*plans: Plan, fleet: Fleet = FLEET) -> Course:
-    made = Course(fleet, resolve(fleet))
+def reference(*plans: Plan, fleet: Fleet = FLEET) -> Reference:
+    made = Reference(fleet, resolve(fleet))
     for plan in plans:
         made.take(plan)
     return made
@@ -42,7 +42,7 @@ LARGER = order("reshape", scale=2.0, over_s=4.0)
 
 
 def test_before_any_mission_the_formation_of_the_file_stands_where_its_trajectory_begins():
-    made = course()
+    made = reference()
     assert made.plan is None
     assert made.members(EPOCH) == (1, 2, 3, 4)
     assert made.motion(3, EPOCH) == (6.0, 7.0, 0.0, 0.0, 0.0, 0.0)
@@ -51,7 +51,7 @@ def test_before_any_mission_the_formation_of_the_file_stands_where_its_trajector
 
 
 def test_the_first_mission_starts_the_trajectory_at_its_epoch():
-    made = course(FIRST)
+    made = reference(FIRST)
     assert made.plan is made.active(0) is FIRST
     assert made.motion(2, EPOCH - S) == (6.0, 6.0, 0.0, 0.0, 0.0, 0.0)
     assert made.motion(2, EPOCH + S) == pytest.approx((6.3, 6.1, 0.3, 0.1, 0.0, 0.0))
@@ -59,7 +59,7 @@ def test_the_first_mission_starts_the_trajectory_at_its_epoch():
 
 def test_a_blend_comes_from_what_was_to_what_is():
     larger = changed(LARGER)
-    made = course(FIRST, larger)
+    made = reference(FIRST, larger)
     for share, part, rate in ((0.0, 0.0, 0.0), (0.5, 0.5, 15 / 8), (1.0, 1.0, 0.0), (3.0, 1.0, 0.0)):
         time_ns = at(larger, share)
         x, y = FIRST.reference(time_ns)[:2]
@@ -76,9 +76,9 @@ def test_a_blend_within_a_blend_starts_from_the_blended_motion():
     larger = changed(LARGER)
     smaller = changed(order("reshape", scale=0.5, over_s=4.0), larger, at_s=12.0)
     assert smaller.from_ns == at(larger, 0.5)
-    made, without = course(FIRST, larger, smaller), course(FIRST, larger)
+    made, without = reference(FIRST, larger, smaller), reference(FIRST, larger)
     assert made.motion(2, smaller.from_ns) == without.motion(2, smaller.from_ns)
-    assert made.motion(2, at(smaller, 1.0)) == pytest.approx(course(FIRST).motion(2, at(smaller, 1.0)))
+    assert made.motion(2, at(smaller, 1.0)) == pytest.approx(reference(FIRST).motion(2, at(smaller, 1.0)))
     (edge, _), (was, _) = made.edges(2, at(smaller, 0.25)), without.edges(2, at(smaller, 0.25))
     share = 10 / 4**3 - 15 / 4**4 + 6 / 4**5
     assert edge.distance == pytest.approx((1 - share) * was.distance + share)
@@ -86,7 +86,7 @@ def test_a_blend_within_a_blend_starts_from_the_blended_motion():
 
 def test_a_robot_that_joins_is_at_its_place_at_once_and_its_edges_come():
     join = changed(JOIN)
-    made = course(FIRST, join)
+    made = reference(FIRST, join)
     x, y = FIRST.reference(join.from_ns)[:2]
     assert made.motion(7, join.from_ns - 1) is None
     assert not made.is_member(7, join.from_ns - 1)
@@ -98,12 +98,12 @@ def test_a_robot_that_joins_is_at_its_place_at_once_and_its_edges_come():
     )
     assert Edge(7, pytest.approx(1.0), 0.5) in made.edges(2, at(join, 0.5))
     assert made.edges(7, at(join, 1.0)) == (Edge(2, 1.0, 1.0), Edge(3, 1.0, 1.0))
-    assert made.motion(2, at(join, 0.5)) == pytest.approx(course(FIRST).motion(2, at(join, 0.5)))
+    assert made.motion(2, at(join, 0.5)) == pytest.approx(reference(FIRST).motion(2, at(join, 0.5)))
 
 
 def test_edges_of_a_robot_that_leaves_are_gone_soon():
     leave = changed(LEAVE)
-    made = course(FIRST, leave)
+    made = reference(FIRST, leave)
     assert made.motion(2, leave.from_ns) is None
     assert made.edges(2, leave.from_ns) == ()
     assert made.edges(1, leave.from_ns)[0] == Edge(2, 1.0, 1.0)
@@ -116,7 +116,7 @@ def test_an_edge_between_members_that_stay_goes_within_the_blend():
     fewer = changed(
         order("reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (3, 4), (1, 4))), over_s=4.0)
     )
-    made = course(FIRST, fewer)
+    made = reference(FIRST, fewer)
     weights = [{e.other: e.weight for e in made.edges(1, at(fewer, s))}.get(3, 0) for s in (0, 0.5, 1)]
     assert weights == [1.0, 0.5, 0.0]
     assert made.edges(1, at(fewer, 0.999))[1].weight > 0.0
@@ -125,7 +125,7 @@ def test_an_edge_between_members_that_stay_goes_within_the_blend():
 def test_the_revision_tells_of_every_change_of_members_and_edges_and_of_no_other():
     leave = changed(LEAVE)
     join = changed(JOIN_ELSEWHERE, leave, at_s=12.0)
-    made = course()
+    made = reference()
     known = made.revision(EPOCH)
     seen: dict[int, Any] = {known: content(made, EPOCH)}
     for plan in (FIRST, leave, join):
@@ -146,7 +146,7 @@ def test_the_revision_tells_of_every_change_of_members_and_edges_and_of_no_other
         assert made.revision(edge_ns) != made.revision(edge_ns - 1)
 
 
-def content(made: Course, time_ns: int) -> Any:
+def content(made: Reference, time_ns: int) -> Any:
     edges = {robot: [edge.other for edge in made.edges(robot, time_ns)] for robot in FLEET.ids}
     return made.members(time_ns), edges
 
@@ -155,11 +155,11 @@ def test_a_later_mission_for_an_earlier_time_takes_the_place_of_the_one_before()
     leave = changed(LEAVE, at_s=20.0)
     larger = changed(LARGER, at_s=15.0)
     assert larger.from_ns < leave.from_ns
-    made = course(FIRST, leave, version(larger, 3))
+    made = reference(FIRST, leave, version(larger, 3))
     assert made.is_member(2, leave.from_ns + S)
     # the other way round it comes after it
-    both = course(FIRST, larger, version(leave, 3))
-    assert both.motion(1, at(larger, 0.5)) == course(FIRST, larger).motion(1, at(larger, 0.5))
+    both = reference(FIRST, larger, version(leave, 3))
+    assert both.motion(1, at(larger, 0.5)) == reference(FIRST, larger).motion(1, at(larger, 0.5))
     assert not both.is_member(2, leave.from_ns)
 
 
@@ -172,7 +172,7 @@ def test_in_whatever_order_missions_come_the_end_is_the_same(plans: tuple[int, .
     larger = changed(LARGER)
     join = changed(JOIN, larger, at_s=12.0)
     given = (FIRST, larger, join)
-    made, all_of_them = course(*(given[k] for k in plans)), course(*given)
+    made, all_of_them = reference(*(given[k] for k in plans)), reference(*given)
     assert made.plan is join
     for robot in FLEET.ids:
         assert made.motion(robot, at(join, 1.0)) == all_of_them.motion(robot, at(join, 1.0))
@@ -181,21 +181,21 @@ def test_in_whatever_order_missions_come_the_end_is_the_same(plans: tuple[int, .
 
 def test_of_two_missions_of_one_version_the_same_wins_whichever_comes_first():
     a, b = changed(LARGER), changed(LEAVE)
-    one, other = course(FIRST, a, b), course(FIRST, b, a)
+    one, other = reference(FIRST, a, b), reference(FIRST, b, a)
     assert one.plan is other.plan
 
 
 def test_who_missed_the_first_mission_supposes_the_files_until_the_next_is_taken_over():
     larger = changed(LARGER)
-    made = course(larger)
-    assert made.motion(2, larger.from_ns - S) == course(FIRST).motion(2, larger.from_ns - S)
-    assert made.motion(2, at(larger, 0.3)) == course(FIRST, larger).motion(2, at(larger, 0.3))
+    made = reference(larger)
+    assert made.motion(2, larger.from_ns - S) == reference(FIRST).motion(2, larger.from_ns - S)
+    assert made.motion(2, at(larger, 0.3)) == reference(FIRST, larger).motion(2, at(larger, 0.3))
 
 
 def test_a_mission_for_before_the_epoch_holds_from_the_beginning():
     join = changed(JOIN, at_s=-1.5)
     assert (join.from_ns, join.blend_ns) == (EPOCH, 0)
-    made = course(FIRST, join)
+    made = reference(FIRST, join)
     assert made.members(EPOCH - 10 * S) == (1, 2, 3, 4, 7)
     assert made.edges(7, EPOCH - 10 * S) == (Edge(2, 1.0, 1.0), Edge(3, 1.0, 1.0))
     x, y = FIRST.reference(EPOCH)[:2]
@@ -205,7 +205,7 @@ def test_a_mission_for_before_the_epoch_holds_from_the_beginning():
 def test_a_mission_of_another_epoch_begins_anew():
     larger = changed(LARGER)
     again = plan_of(Mission(9, EPOCH, EPOCH + 100 * S, 60 * S, "x"), FLEET, GEOMETRY)
-    made = course(FIRST, larger, again)
+    made = reference(FIRST, larger, again)
     assert made.motion(2, EPOCH + 90 * S) == (6.0, 6.0, 0.0, 0.0, 0.0, 0.0)
     assert made.active(EPOCH + 20 * S) is again
     larger_again = plan_of(
@@ -213,19 +213,19 @@ def test_a_mission_of_another_epoch_begins_anew():
         FLEET,
         GEOMETRY,
     )
-    made = course(FIRST, larger, larger_again)  # it missed the first mission of the new drive
+    made = reference(FIRST, larger, larger_again)  # it missed the first mission of the new drive
     assert made.motion(2, EPOCH + 90 * S) == (6.0, 6.0, 0.0, 0.0, 0.0, 0.0)
     assert made.motion(2, EPOCH + 110 * S) == pytest.approx((9.0, 7.0, 0.3, 0.1, 0.0, 0.0))
 
 
 def test_a_mission_changes_what_has_been_asked_for_before():
     larger = changed(LARGER)
-    made = course(FIRST)
+    made = reference(FIRST)
     time_ns = at(larger, 0.5)
     was = made.motion(2, time_ns), made.edges(2, time_ns)
     made.take(larger)
     assert (made.motion(2, time_ns), made.edges(2, time_ns)) != was
-    assert made.motion(2, time_ns) == course(FIRST, larger).motion(2, time_ns)
+    assert made.motion(2, time_ns) == reference(FIRST, larger).motion(2, time_ns)
 
 
 def test_of_many_missions_only_the_latest_are_kept():
@@ -238,7 +238,7 @@ def test_of_many_missions_only_the_latest_are_kept():
             k + 2, EPOCH, EPOCH, 60 * S, "", from_ns, 2 * S, "", EPOCH, trajectory, robots, edges
         )
         plans.append(plan_of(mission, FLEET, GEOMETRY))
-    made = course(*plans)
+    made = reference(*plans)
     assert made.active(EPOCH) is plans[-8]  # what is older is forgotten
     for k in range(200):
         time_ns = plans[-1].from_ns + k * S // 50

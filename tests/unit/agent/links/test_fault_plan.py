@@ -5,7 +5,7 @@ from __future__ import annotations
 from agent.common.clock import NS_PER_S
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.links.fault_plan import AUTHORS_MAX, FaultPlan
-from agent.links.ingress import Reception
+from agent.links.ingress import Ingress
 from agent.messages.codec import decode, encode
 from agent.messages.types import EVERY_AUTHOR, Faults, HandState, LinkTrace
 
@@ -166,64 +166,64 @@ def test_sensors_clocks_and_ticks() -> None:
 # --- a node's reception -----------------------------------------------------------------------
 
 
-def held(reception: Reception, now_ns: int) -> list[Faults]:
-    messages = [(key, decode(payload)) for key, payload in reception.outgoing(now_ns)]
+def held(ingress: Ingress, now_ns: int) -> list[Faults]:
+    messages = [(key, decode(payload)) for key, payload in ingress.outgoing(now_ns)]
     return [message for key, message in messages if type(message) is Faults and key == "two/robot/2/faults"]
 
 
 def test_live_rules_are_echoed_while_they_hold_and_their_end_is_said() -> None:
-    reception = Reception(fleet(), 2, "agent", {"hand": (1,)})
-    assert reception.idle
-    assert held(reception, NOW) == []
+    ingress = Ingress(fleet(), 2, "agent", {"hand": (1,)})
+    assert ingress.idle
+    assert held(ingress, NOW) == []
     message = live()
-    assert reception.accept(message, NOW) is None
-    assert not reception.idle
-    assert held(reception, NOW) == [message]
-    assert held(reception, NOW + PERIOD) == []
-    assert held(reception, NOW + NS_PER_S) == [message]
-    (end,) = held(reception, NOW + 2 * NS_PER_S)
+    assert ingress.accept(message, NOW) is None
+    assert not ingress.idle
+    assert held(ingress, NOW) == [message]
+    assert held(ingress, NOW + PERIOD) == []
+    assert held(ingress, NOW + NS_PER_S) == [message]
+    (end,) = held(ingress, NOW + 2 * NS_PER_S)
     assert (end.author, end.version, end.rules, end.time_ns) == ("ana", 1, "", NOW + 2 * NS_PER_S)
-    assert reception.idle
-    assert held(reception, NOW + 9 * NS_PER_S) == []
+    assert ingress.idle
+    assert held(ingress, NOW + 9 * NS_PER_S) == []
 
 
 def test_refused_rules_are_not_echoed() -> None:
-    reception = Reception(fleet(), 2, "agent", {"hand": (1,)})
-    assert reception.accept(live("nonsense"), NOW) == "scenario"
-    assert held(reception, NOW) == []
+    ingress = Ingress(fleet(), 2, "agent", {"hand": (1,)})
+    assert ingress.accept(live("nonsense"), NOW) == "scenario"
+    assert held(ingress, NOW) == []
 
 
 def test_a_live_rule_takes_hold_of_messages_and_lets_go() -> None:
-    reception = Reception(fleet(), 2, "plant", {"hand": (1,)})
-    reception.accept(live(CUT.replace('loss = "100%"', 'delay = "50ms"')), NOW)
+    ingress = Ingress(fleet(), 2, "plant", {"hand": (1,)})
+    ingress.accept(live(CUT.replace('loss = "100%"', 'delay = "50ms"')), NOW)
 
     def take(time_ns: int) -> bool:
         message = HandState(1, 0, time_ns, True, 0, *(0.0,) * 11, (), ())
-        return reception.take(time_ns, "key", encode(message), 0, message)
+        return ingress.take(time_ns, "key", encode(message), 0, message)
 
     assert not take(NOW)
-    assert reception.arrivals(NOW + 49_000_000) == []
-    assert len(reception.arrivals(NOW + 50_000_000)) == 1
+    assert ingress.arrivals(NOW + 49_000_000) == []
+    assert len(ingress.arrivals(NOW + 50_000_000)) == 1
     after = NOW + 2 * NS_PER_S
-    out = [decode(payload) for _, payload in reception.outgoing(NOW)]
-    out += [decode(payload) for _, payload in reception.outgoing(after)]
+    out = [decode(payload) for _, payload in ingress.outgoing(NOW)]
+    out += [decode(payload) for _, payload in ingress.outgoing(after)]
     assert sum(type(message) is LinkTrace for message in out) == 1
-    assert reception.idle or take(after)
+    assert ingress.idle or take(after)
 
 
 def test_a_change_is_echoed_at_once_and_a_renewal_is_not() -> None:
-    reception = Reception(fleet(), 2, "agent", {"hand": (1,)})
-    reception.accept(live(), NOW)
-    assert len(held(reception, NOW)) == 1
-    reception.accept(live(time_ns=NOW + PERIOD), NOW + PERIOD)
-    assert held(reception, NOW + PERIOD) == []
+    ingress = Ingress(fleet(), 2, "agent", {"hand": (1,)})
+    ingress.accept(live(), NOW)
+    assert len(held(ingress, NOW)) == 1
+    ingress.accept(live(time_ns=NOW + PERIOD), NOW + PERIOD)
+    assert held(ingress, NOW + PERIOD) == []
     weaker = live(CUT.replace("100%", "20%"), version=2)
-    reception.accept(weaker, NOW + 2 * PERIOD)
-    assert held(reception, NOW + 2 * PERIOD) == [weaker]
-    reception.accept(live("", version=3), NOW + 3 * PERIOD)
-    (end,) = held(reception, NOW + 3 * PERIOD)
+    ingress.accept(weaker, NOW + 2 * PERIOD)
+    assert held(ingress, NOW + 2 * PERIOD) == [weaker]
+    ingress.accept(live("", version=3), NOW + 3 * PERIOD)
+    (end,) = held(ingress, NOW + 3 * PERIOD)
     assert (end.author, end.rules) == ("ana", "")
-    assert reception.idle
+    assert ingress.idle
 
 
 def test_an_ended_set_does_not_come_back_and_takes_no_place() -> None:
@@ -250,12 +250,12 @@ def test_live_faults_are_rules_and_nothing_else() -> None:
 
 
 def test_a_message_from_the_future_does_not_keep_the_queue_from_others() -> None:
-    reception = Reception(fleet('[faults]\nrate = "20kbit"\n'), 2, "agent", {"hand": (1,)})
+    ingress = Ingress(fleet('[faults]\nrate = "20kbit"\n'), 2, "agent", {"hand": (1,)})
 
     def take(number: int, time_ns: int) -> bool:
         message = HandState(1, number, time_ns, True, 0, *(0.0,) * 11, (), ())
-        return reception.take(NOW, "key", encode(message), 0, message)
+        return ingress.take(NOW, "key", encode(message), 0, message)
 
     assert take(0, NOW + 3600 * NS_PER_S)  # at once: who takes it refuses it
     assert not take(1, NOW)
-    assert len(reception.arrivals(NOW + NS_PER_S)) == 1
+    assert len(ingress.arrivals(NOW + NS_PER_S)) == 1

@@ -12,7 +12,7 @@ from agent.fleet.fleet import Fleet, FleetError, parse_fleet
 from agent.impairments import recorded_fates
 from agent.impairments.recorded_fates import encode_fates
 from agent.links.fault_plan import NONE, FaultPlan
-from agent.links.link_emulator import Links
+from agent.links.link_emulator import LinkEmulator
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
     CORRUPTED,
@@ -46,30 +46,30 @@ def fleet(faults: str = "", *overrides: str) -> Fleet:
     return parse_fleet(FLEET + faults, source="here", overrides=overrides)
 
 
-def links(faults: str = "", *overrides: str, begun: bool = True) -> Links:
+def links(faults: str = "", *overrides: str, begun: bool = True) -> LinkEmulator:
     """The links to robot 2."""
     plan = FaultPlan(fleet(faults, *overrides))
     if begun:
         plan.begin(EPOCH)
-    return Links(plan, 2, {"hand": (1, 3), "state": (2,)})
+    return LinkEmulator(plan, 2, {"hand": (1, 3), "state": (2,)})
 
 
 def message(number: int, robot: int = 1, x: float = 0.0) -> HandState:
     return HandState(robot, number, EPOCH + number * PERIOD, True, 1, x, *(0.0,) * 10, (), ())
 
 
-def send(to: Links, sent: HandState, own: tuple[float, float] | None = None) -> bool:
+def send(to: LinkEmulator, sent: HandState, own: tuple[float, float] | None = None) -> bool:
     return to.take(f"three/robot/{sent.robot}/hand", encode(sent), HAND, sent, own)
 
 
-def entries(to: Links) -> list[tuple[int, ...]]:
+def entries(to: LinkEmulator) -> list[tuple[int, ...]]:
     traces = to.traced(EPOCH) + to.traced(EPOCH + 10_000 * NS_PER_S)
     assert all(type(decode(encode(trace))) is LinkTrace for trace in traces)
     return [entry for trace in traces for entry in trace.entries]
 
 
 def fates(
-    to: Links, numbers: range, robot: int = 1, *, arriving: bool = False
+    to: LinkEmulator, numbers: range, robot: int = 1, *, arriving: bool = False
 ) -> dict[int, list[tuple[int, int]]]:
     """(what, delay in us) of each copy of each message, by its number."""
     for number in numbers:
@@ -379,7 +379,7 @@ def test_an_injected_clock_error_changes_no_delay() -> None:
 
 def test_wrenches_are_delayed_too() -> None:
     plan = FaultPlan(fleet('[[faults.rule]]\nrobot = 1\ntopic = "all"\ndelay = "30ms"\n'))
-    to = Links(plan, 1, {"wrench": (1,)})
+    to = LinkEmulator(plan, 1, {"wrench": (1,)})
     wrench = Wrench(1, 5, EPOCH, 1.0, 0.0, False)
     assert not to.take("key", encode(wrench), TOPICS.index("wrench"), wrench)
     assert to.due(EPOCH + 29 * MS) == []

@@ -11,7 +11,7 @@ from agent.core import Agent
 from agent.fleet.fleet import Fleet, digest, parse_fleet
 from agent.messages.codec import encode
 from agent.messages.types import Faults, Mission
-from agent.node import FIRST_ROUND, Node, Numbers, Ticks
+from agent.node import FIRST_ROUND, Node, SequenceNumbers, Ticks
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 
@@ -145,7 +145,7 @@ def test_a_frozen_process_finds_its_late_tick_again():
 
 @pytest.mark.parametrize("phase_ns", [0, PERIOD // 2])
 def test_a_late_tick_has_the_number_of_its_round(phase_ns: int):
-    numbers = Numbers(PERIOD, phase_ns)
+    numbers = SequenceNumbers(PERIOD, phase_ns)
     assert [numbers.next(T0 + k) for k in range(3)] == [0, 1, 2]
     numbers.begin(T0)
     stamps = [T0 + phase_ns + k * PERIOD + (13 * MS if k % 2 else 0) for k in range(-3, 4)]

@@ -24,7 +24,7 @@ def test_keys_of_what_operators_say_to_plants_and_hear_of_them():
 def test_keys_of_what_a_fleet_says_to_all():
     assert key_expressions.beacon("delta", 3) == "delta/robot/3/beacon"
     assert key_expressions.beacon("delta", "*") == "delta/robot/*/beacon"
-    assert key_expressions.told("delta", 3) == "delta/robot/3/told"
+    assert key_expressions.relayed("delta", 3) == "delta/robot/3/told"
     assert key_expressions.heartbeat("delta") == "delta/heartbeat"
     assert key_expressions.ask("delta") == "delta/ask"
 
@@ -39,7 +39,7 @@ def test_no_key_is_used_twice():
         key_expressions.links,
         key_expressions.checks,
         key_expressions.beacon,
-        key_expressions.told,
+        key_expressions.relayed,
     )
     used = [key("delta", 3) for key in (*by_robot, key_expressions.plant_links)]
     used += [key_expressions.faults_held("delta", 3, role) for role in key_expressions.ROLES]

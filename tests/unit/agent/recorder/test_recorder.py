@@ -21,7 +21,7 @@ from agent.runtime.bus import BusError
 from deploy.console.data_files import FLEETS
 
 BEGUN_NS = 1_763_600_000_000_000_000
-TOLD = key_expressions.told("delta", 3)
+TOLD = key_expressions.relayed("delta", 3)
 HAND = key_expressions.hand("delta", 3)
 ORDER_KEYS = frozenset({TOLD})
 WHO = About("delta", "0123456789abcdef", 3, "0.1.0", "boot", 0, 0, "")

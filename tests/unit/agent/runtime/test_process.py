@@ -13,7 +13,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.runtime.bus import Bus
 from agent.runtime.process import Shutdown, loop
-from agent.runtime.systemd_notify import Service
+from agent.runtime.systemd_notify import SystemdNotifier
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 
@@ -93,7 +93,7 @@ def looped(
     mission = Mission(1, T0, T0 + NS_PER_S, 60 * NS_PER_S, digest(fleet))
     wire = Wire(clock, {T0 + 2 * PERIOD: ("two/mission", encode(mission))})
     said: list[str] = []
-    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(ticks)), said.append, Service({}))
+    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(ticks)), said.append, SystemdNotifier({}))
     return node, clock, wire.stamps, said
 
 
@@ -126,7 +126,7 @@ def test_what_others_give_as_a_reason_stays_on_its_line():
     stop = Stop(1, T0, "here\nrobot 2 plant: all is well")
     wire = Wire(clock, {T0: ("two/stop", encode(stop))})
     said: list[str] = []
-    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(3)), said.append, Service({}))
+    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(3)), said.append, SystemdNotifier({}))
     assert "braking: stop: here\\nrobot 2 plant: all is well" in said
 
 

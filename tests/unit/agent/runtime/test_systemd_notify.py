@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.systemd_notify import Service
+from agent.runtime.systemd_notify import SystemdNotifier
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def all_of(told: socket.socket) -> list[str]:
 
 
 def test_what_it_is_told_goes_to_the_socket(told: socket.socket):
-    with Service({"NOTIFY_SOCKET": told.getsockname()}) as service:
+    with SystemdNotifier({"NOTIFY_SOCKET": told.getsockname()}) as service:
         service.ready()
         service.says("running")
         service.stopping()
@@ -40,14 +40,14 @@ def test_what_it_is_told_goes_to_the_socket(told: socket.socket):
 
 def test_a_status_is_one_notification(told: socket.socket):
     """Whoever gave the reason for a stop tells systemd nothing."""
-    with Service({"NOTIFY_SOCKET": told.getsockname()}) as service:
+    with SystemdNotifier({"NOTIFY_SOCKET": told.getsockname()}) as service:
         service.says("stopped: here\nWATCHDOG=trigger")
     assert all_of(told) == ["STATUS=stopped: here\\nWATCHDOG=trigger"]
 
 
 def test_who_waits_has_begun_and_may_be_silent_for_longer(told: socket.socket):
     environment = {"NOTIFY_SOCKET": told.getsockname(), "WATCHDOG_USEC": "1500000"}
-    with Service(environment) as service:
+    with SystemdNotifier(environment) as service:
         service.waits("waiting for a router")
         assert all_of(told) == ["WATCHDOG_USEC=60000000", "READY=1", "STATUS=waiting for a router"]
         service.ready()
@@ -58,13 +58,13 @@ def test_who_waits_has_begun_and_may_be_silent_for_longer(told: socket.socket):
 def test_an_abstract_socket_is_found():
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(f"\0handfast-test-{os.getpid()}")
-        with Service({"NOTIFY_SOCKET": f"@handfast-test-{os.getpid()}"}) as service:
+        with SystemdNotifier({"NOTIFY_SOCKET": f"@handfast-test-{os.getpid()}"}) as service:
             service.ready()
         assert all_of(listening) == ["READY=1"]
 
 
 def test_a_loop_says_that_it_lives_a_few_times_within_the_timeout(told: socket.socket):
-    with Service({"NOTIFY_SOCKET": told.getsockname(), "WATCHDOG_USEC": "1000000"}) as service:
+    with SystemdNotifier({"NOTIFY_SOCKET": told.getsockname(), "WATCHDOG_USEC": "1000000"}) as service:
         for tick in range(100):  # 2 s at 50 Hz
             service.lives(tick * 20_000_000)
         assert all_of(told) == ["WATCHDOG=1"] * 8
@@ -81,14 +81,14 @@ def test_a_loop_says_that_it_lives_a_few_times_within_the_timeout(told: socket.s
     ],
 )
 def test_without_a_watchdog_of_its_own_nothing_is_said(environment: dict[str, str], told: socket.socket):
-    with Service(environment | {"NOTIFY_SOCKET": told.getsockname()}) as service:
+    with SystemdNotifier(environment | {"NOTIFY_SOCKET": told.getsockname()}) as service:
         service.lives(0)
         service.lives(10**10)
     assert all_of(told) == []
 
 
 def test_nobody_needs_to_listen(tmp_path: Path):
-    Service({}).ready()
-    with Service({"NOTIFY_SOCKET": str(tmp_path / "gone"), "WATCHDOG_USEC": "1000"}) as gone:
+    SystemdNotifier({}).ready()
+    with SystemdNotifier({"NOTIFY_SOCKET": str(tmp_path / "gone"), "WATCHDOG_USEC": "1000"}) as gone:
         gone.ready()
         gone.lives(0)

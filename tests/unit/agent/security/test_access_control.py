@@ -56,7 +56,7 @@ OWN = (
     key_expressions.hand,
     key_expressions.status,
     key_expressions.beacon,
-    key_expressions.told,
+    key_expressions.relayed,
     key_expressions.plant_state,
     key_expressions.plant_truth,
     key_expressions.wrench,

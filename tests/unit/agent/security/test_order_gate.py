@@ -61,9 +61,9 @@ def test_an_order_from_an_operator_through_a_robot_to_another(scene: Scene, key:
     if key in (key_expressions.faults(FLEET), key_expressions.heartbeat(FLEET), key_expressions.ask(FLEET)):
         return  # these come from operators alone
     # The robot has the message, not the bytes: what it makes of it finds its seal again.
-    told = scene.one.let_out(key_expressions.told(FLEET, 1), encode(decode(payload)), NOW_NS)
+    told = scene.one.let_out(key_expressions.relayed(FLEET, 1), encode(decode(payload)), NOW_NS)
     assert told == sealed
-    assert scene.two.let_in(key_expressions.told(FLEET, 1), told, NOW_NS) == payload
+    assert scene.two.let_in(key_expressions.relayed(FLEET, 1), told, NOW_NS) == payload
     assert scene.refused == []
 
 
@@ -80,12 +80,12 @@ def test_what_is_no_order_goes_through(scene: Scene) -> None:
 
 def test_a_robot_gives_no_orders(scene: Scene) -> None:
     payload = encode(ORDERS[key_expressions.stop(FLEET)])
-    for key in (*ORDERS, key_expressions.told(FLEET, 1)):
+    for key in (*ORDERS, key_expressions.relayed(FLEET, 1)):
         assert scene.one.let_out(key, payload, NOW_NS) is None
         assert scene.two.let_in(key, payload, NOW_NS) is None
     scene.refused = [each for each in scene.refused if not each.startswith("to say")]
     assert scene.refused[0] == f"an order on {key_expressions.mission(FLEET)}: malformed"
-    assert scene.refused[-1] == f"an order on {key_expressions.told(FLEET, 1)}: malformed"
+    assert scene.refused[-1] == f"an order on {key_expressions.relayed(FLEET, 1)}: malformed"
 
 
 def test_an_order_that_was_changed_on_its_way(scene: Scene) -> None:
@@ -94,14 +94,16 @@ def test_an_order_that_was_changed_on_its_way(scene: Scene) -> None:
     )
     assert sealed is not None
     changed = sealed.replace(b"why", b"who")
-    assert scene.one.let_in(key_expressions.told(FLEET, 2), changed, NOW_NS) is None
-    assert scene.refused == [f"an order on {key_expressions.told(FLEET, 2)}: bad signature"]
+    assert scene.one.let_in(key_expressions.relayed(FLEET, 2), changed, NOW_NS) is None
+    assert scene.refused == [f"an order on {key_expressions.relayed(FLEET, 2)}: bad signature"]
     assert (
-        scene.one.let_out(key_expressions.told(FLEET, 1), encode(ORDERS[key_expressions.stop(FLEET)]), NOW_NS)
+        scene.one.let_out(
+            key_expressions.relayed(FLEET, 1), encode(ORDERS[key_expressions.stop(FLEET)]), NOW_NS
+        )
         is None
     )
     assert scene.refused[1:] == [
-        f"to say an order on {key_expressions.told(FLEET, 1)}: the operator's seal of it is no longer "
+        f"to say an order on {key_expressions.relayed(FLEET, 1)}: the operator's seal of it is no longer "
         f"known here"
     ]
 
@@ -117,7 +119,7 @@ def test_heartbeats_do_not_displace_what_is_said_again(scene: Scene) -> None:
     pass_on(scene, key_expressions.stop(FLEET), stop)
     for number in range(200):
         pass_on(scene, key_expressions.heartbeat(FLEET), encode(Heartbeat(TIME_NS + number, "ann")))
-    assert scene.one.let_out(key_expressions.told(FLEET, 1), stop, NOW_NS) is not None
+    assert scene.one.let_out(key_expressions.relayed(FLEET, 1), stop, NOW_NS) is not None
     assert len(scene.one._sealed) == len(scene.operator._sealed) == 1
 
 
@@ -129,7 +131,7 @@ def test_what_is_remembered_is_bounded(scene: Scene) -> None:
     for gate in (scene.one, scene.operator):
         kept = sum(len(payload) + len(sealed) for payload, sealed in gate._sealed.items())
         assert SEALS_BYTES_MAX // 2 < kept == gate._size <= SEALS_BYTES_MAX
-    told = key_expressions.told(FLEET, 1)
+    told = key_expressions.relayed(FLEET, 1)
     assert scene.one.let_out(told, large[-1], NOW_NS) is not None
     assert scene.one.let_out(told, large[0], NOW_NS) is None
 
@@ -171,7 +173,7 @@ def test_robots_tell_missions_stops_and_leaves_alone(scene: Scene, key: str) -> 
     pass_on(scene, key_expressions.stop(FLEET), stop)
     sealed = scene.operator.let_out(key, encode(ORDERS[key]), NOW_NS)
     assert sealed is not None
-    told = key_expressions.told(FLEET, 2)
+    told = key_expressions.relayed(FLEET, 2)
     assert scene.one.let_in(told, sealed, NOW_NS) is None
     assert scene.refused == [f"an order on {told}: not one that robots tell"]
     assert list(scene.one._sealed) == [stop]
@@ -183,7 +185,7 @@ def test_only_robots_of_the_fleet_tell_each_on_one_key(scene: Scene, where: str)
     stop = key_expressions.stop(FLEET)
     sealed = scene.operator.let_out(stop, encode(ORDERS[stop]), NOW_NS)
     assert sealed is not None
-    assert scene.one.let_in(key_expressions.told(FLEET, where), sealed, NOW_NS) is None
+    assert scene.one.let_in(key_expressions.relayed(FLEET, where), sealed, NOW_NS) is None
     assert scene.refused == ["an order where no robot of the fleet tells any"]
 
 

@@ -16,7 +16,7 @@ from agent.security.sealed_order import Opener, Order, Sealer
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 NOW_NS = int(NOW_S * 1e9)
-TOLD = key_expressions.told(FLEET, 2)
+TOLD = key_expressions.relayed(FLEET, 2)
 
 
 class Counting(Opener):
@@ -83,7 +83,7 @@ def test_what_is_known_is_let_in_as_often_as_it_is_told(scene: Scene) -> None:
 
 def test_others_are_let_in(scene: Scene) -> None:
     scene.flood(TOLD, NOW_NS)
-    for key in (key_expressions.told(FLEET, 1), key_expressions.stop(FLEET)):
+    for key in (key_expressions.relayed(FLEET, 1), key_expressions.stop(FLEET)):
         assert scene.gate.let_in(key, scene.genuine, NOW_NS) == scene.order
 
 

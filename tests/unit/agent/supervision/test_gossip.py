@@ -251,7 +251,7 @@ def test_a_robot_that_is_told_of_a_mission_hears_of_the_stop_first():
     bench.say(MISSION, bench.mission(version=9))
     bench.run(0.5)
     for robot in bench.fleet.ids:
-        told = bench.sayings(key_expressions.told("few", robot))
+        told = bench.sayings(key_expressions.relayed("few", robot))
         missions = [k for k, each in enumerate(told) if type(each) is Mission]
         assert missions or robot not in (1, 2, 3)
         assert all(type(told[k - 1]) is Stop for k in missions)

@@ -62,7 +62,7 @@ def watch(bench: FleetBench, seconds: float) -> list[Row]:
                 agent.state,
                 agent.reason,
                 agent._peers.get(3).trust,
-                agent._reliance.slower,
+                agent._trust.slower,
                 wrench.brake,
                 acceleration,
             )

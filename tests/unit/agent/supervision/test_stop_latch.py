@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.messages.types import Resume, Stop
-from agent.supervision.stop_latch import Latch
+from agent.supervision.stop_latch import StopLatch
 
 ROBOT = 1
 
@@ -17,7 +17,7 @@ class Owner:
 
     def __init__(self) -> None:
         self.leaves = 0
-        self.latch = Latch(ROBOT, self.grant)
+        self.latch = StopLatch(ROBOT, self.grant)
 
     def grant(self) -> None:
         self.leaves += 1

@@ -12,7 +12,7 @@ import pytest
 from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
-from agent.formation.reference import Course
+from agent.formation.reference import Reference
 from agent.messages import key_expressions
 from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
 from deploy.analysis.analysis import Analysis, analyse
@@ -53,15 +53,15 @@ def run(
 ) -> Recording:
     """Hand points are where they should be, those of robot 3 `late_s` later; one in reserve waits far off."""
     geometry = resolve(fleet)
-    course = Course(fleet, geometry)
+    reference = Reference(fleet, geometry)
     plans = [plan_of(mission, fleet, geometry) for mission in missions]
     data = RunData(fleet)
     places: dict[tuple[int, int], tuple[float, float]] = {}
 
     def place(robot: int, t: float) -> tuple[float, float]:
         while plans and plans[0].mission.time_ns <= ns(t):
-            course.take(plans.pop(0))
-        motion = course.motion(robot, ns(t - late_s) if robot == 3 else ns(t))
+            reference.take(plans.pop(0))
+        motion = reference.motion(robot, ns(t - late_s) if robot == 3 else ns(t))
         return (motion[0], motion[1]) if motion is not None else (9.0, float(robot))
 
     for received, key, message in messages(fleet, [lambda t: (0.0, 0.0, 0.0)] * 3):

@@ -12,7 +12,7 @@ from agent.fleet.fleet import Fleet, parse_fleet
 from agent.formation.geometry import resolve
 from deploy.check.description import describe
 from deploy.check.finding import Finding
-from deploy.check.paths import Ways
+from deploy.check.paths import Paths
 from deploy.check.safety import check_safety, parting, start_points
 
 # Three robots in a row from west to east, 1 m apart, 0.1 m ahead of their axles; they drive east.
@@ -123,12 +123,12 @@ def test_nothing_thin_is_missed() -> None:
     one = fleet(thin, "fleet.duration_s=10000", "avoidance.clearance_m=0.01")
     (only,) = check_safety(one, resolve(one))
     assert "leads through wire" in only.message
-    ways = Ways(one, resolve(one))
+    ways = Paths(one, resolve(one))
     post = Circle("post", 4321.0, 0.0, 0.005)  # 1 cm of 5 km
     assert [robot for robot, _ in ways.below(post, 0.01)] == [3, 7, 5]
     times = dict(ways.below(post, 0.01))
     assert times[5] == pytest.approx(2.0 * (4320.0 - 0.015), abs=0.03)
-    (last,) = Ways(fleet(), resolve(fleet())).below(Circle("last", 12.0, 0.0, 0.5), 0.503)
+    (last,) = Paths(fleet(), resolve(fleet())).below(Circle("last", 12.0, 0.0, 0.5), 0.503)
     assert last == (5, pytest.approx(20.0, abs=0.01))  # in the last 3 mm
     assert ways.below(Circle("beside", 4321.0, 1.0, 0.5), 0.45) == []
 
@@ -145,7 +145,7 @@ def test_places_at_rest_in_an_obstacle_can_never_be_taken() -> None:
 def test_a_circle_is_looked_at_once_round() -> None:
     turn = ("trajectory.kind=circle", "trajectory.centre_m=[0, 0]", "trajectory.radius_m=2.0")
     one = fleet("", *turn, "trajectory.speed_mps=0.5", "fleet.duration_s=1e6")
-    ways = Ways(one, resolve(one))
+    ways = Paths(one, resolve(one))
     assert ways.end == pytest.approx(8.0 * pi)
     assert [robot for robot, _ in ways.below(Circle("post", -2.0, 0.0, 0.01), 0.01)] == [7]
 
@@ -244,5 +244,5 @@ def test_a_fence_of_many_corners_and_a_long_drive_are_quick_to_look_at() -> None
         "ring", list(zip((50 * np.cos(angles)).tolist(), (50 * np.sin(angles)).tolist(), strict=True))
     )
     one = fleet("", "fleet.duration_s=1e6")
-    crossing = dict(Ways(one, resolve(one)).below(ring, 0.0))
+    crossing = dict(Paths(one, resolve(one)).below(ring, 0.0))
     assert set(crossing) == {3, 7, 5}

@@ -14,7 +14,7 @@ from agent.fleet.fault_rules import Rule
 from agent.fleet.fleet import load_fleet
 from agent.fleet.scenario import parse_scenario
 from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
-from agent.links.ingress import Reception
+from agent.links.ingress import Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults
@@ -190,7 +190,7 @@ class World:
         self.later: list[tuple[int, Callable[[], object]]] = []
         self.sent: list[Faults] = []
         self.receptions = {
-            (robot, role): Reception(FLEET, robot, "agent" if role == "agent" else "plant", {})
+            (robot, role): Ingress(FLEET, robot, "agent" if role == "agent" else "plant", {})
             for robot, role in receivers(FLEET)
         }
 
@@ -200,8 +200,8 @@ class World:
     def holding(self) -> list[list[str]]:
         """For every receiver, whose rules it holds."""
         return [
-            [held.message.author for held in reception.plan.live if held.rules]
-            for reception in self.receptions.values()
+            [held.message.author for held in ingress.plan.live if held.rules]
+            for ingress in self.receptions.values()
         ]
 
 
@@ -225,9 +225,9 @@ class Somebody:
         self.world.sent.append(message)
         received = decode(encode(message))
         assert isinstance(received, Faults)
-        for receiver, reception in self.world.receptions.items():
+        for receiver, ingress in self.world.receptions.items():
             if receiver not in self.world.deaf:
-                reception.accept(received, self.world.now_ns)
+                ingress.accept(received, self.world.now_ns)
 
     def collect(self) -> None:
         for key, payload in echoes(self.world):
@@ -256,7 +256,7 @@ everybody: list[Somebody] = []
 
 
 def echoes(world: World) -> list[tuple[str, bytes]]:
-    return [sent for reception in world.receptions.values() for sent in reception.outgoing(world.now_ns)]
+    return [sent for ingress in world.receptions.values() for sent in ingress.outgoing(world.now_ns)]
 
 
 @pytest.fixture

@@ -38,7 +38,7 @@ trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
 """,
     source="two",
 )
-TOLD = key_expressions.told("two", 1)
+TOLD = key_expressions.relayed("two", 1)
 STOP = Stop(5, 100 * S, "a person")
 LATER = 1 << 52
 """A version that is greater than any of this century."""

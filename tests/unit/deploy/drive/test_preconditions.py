@@ -15,7 +15,7 @@ from deploy.orders.operator import Known
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
-TOLD = key_expressions.told("square", 1)
+TOLD = key_expressions.relayed("square", 1)
 MISSION = Mission(1, EPOCH - S, EPOCH, 60 * S, digest(FLEET))
 DURING, AFTER = EPOCH + 10 * S, EPOCH + 60 * S
 

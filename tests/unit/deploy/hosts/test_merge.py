@@ -40,7 +40,7 @@ def said(robot: int, fleet: Fleet = FLEET) -> Iterator[Received]:
     """What a robot's agent and plant say during a drive, the mission as it tells it on."""
     for received_ns, key, message in messages(fleet, in_formation(fleet, 0.3, calm_s=0.4)):
         if isinstance(message, Mission):
-            yield received_ns, key_expressions.told(NAME, robot), encode(MISSION)
+            yield received_ns, key_expressions.relayed(NAME, robot), encode(MISSION)
         elif message[0] == robot:
             yield received_ns, key, encode(message)
 
@@ -165,7 +165,7 @@ def test_orders_from_before_that_still_hold(
     orders += [] if resumed is None else [Resume(8, told_ns, resumed)]
     orders += [MISSION._replace(time_ns=told_ns)]
     known = [
-        (told_ns + number, key_expressions.told(NAME, 1), encode(order))
+        (told_ns + number, key_expressions.relayed(NAME, 1), encode(order))
         for number, order in enumerate(orders)
     ]
     for robot in IDS:
@@ -183,7 +183,7 @@ def test_a_mission_of_another_fleet_file_is_not_the_last(tmp_path: Path) -> None
     stray = MISSION._replace(version=9, epoch_ns=EPOCH_NS + 900 * NS_PER_S, digest="fedcba9876543210")
 
     def with_stray(robot: int, heard: list[Received]) -> list[Received]:
-        return [*heard, (heard[-1][0], key_expressions.told(NAME, robot), encode(stray))]
+        return [*heard, (heard[-1][0], key_expressions.relayed(NAME, robot), encode(stray))]
 
     found = merged(record_all(tmp_path / "hosts", with_stray), tmp_path / "run")
     assert found.since_ns == EPOCH_NS - MARGIN_NS
@@ -373,7 +373,7 @@ def test_orders_are_believed_from_keys_of_orders_only(tmp_path: Path) -> None:
     later = MISSION._replace(version=9, epoch_ns=EPOCH_NS + 900 * NS_PER_S)
 
     def with_stray(robot: int, heard: list[Received]) -> list[Received]:
-        stray = (heard[0][0], key_expressions.told(NAME, 1), encode(later))
+        stray = (heard[0][0], key_expressions.relayed(NAME, 1), encode(later))
         return [heard[0], stray, *heard[1:]] if robot == 2 else heard
 
     folders = record_all(tmp_path / "hosts", with_stray)

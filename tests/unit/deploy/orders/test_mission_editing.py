@@ -13,7 +13,7 @@ from agent.fleet.order_sections import OrderSection, ShapeSection
 from agent.fleet.sections import TrajectorySection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts
-from agent.formation.reference import Course
+from agent.formation.reference import Reference
 from agent.messages.codec import decode, encode, newer
 from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for
 from deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, ordered
@@ -345,13 +345,13 @@ def test_a_circle_and_waypoints_are_where_they_are_given():
 
 def peaks(fleet: Fleet, *plans: Plan) -> tuple[float, float]:
     """Greatest speed and acceleration of any member within the last plan's blend."""
-    course = Course(fleet, resolve(fleet))
+    reference = Reference(fleet, resolve(fleet))
     for plan in plans:
-        course.take(plan)
+        reference.take(plan)
     last, speed, acceleration = plans[-1], 0.0, 0.0
     for robot in last.members:
         for k in range(1001):
-            sample = course.motion(robot, last.from_ns + last.blend_ns * k // 1000)
+            sample = reference.motion(robot, last.from_ns + last.blend_ns * k // 1000)
             assert sample is not None
             speed = max(speed, hypot(sample[2], sample[3]))
             acceleration = max(acceleration, hypot(sample[4], sample[5]))

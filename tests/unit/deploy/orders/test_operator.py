@@ -112,16 +112,16 @@ def test_what_a_robot_tells_of_an_order_is_that_order_and_no_strangers_is() -> N
     assert begun.mission is not None
     orders = (begun.mission, stop, resume)
     wrong = (
-        key_expressions.told("square", 99),
-        key_expressions.told("other", 1),
+        key_expressions.relayed("square", 99),
+        key_expressions.relayed("other", 1),
         key_expressions.hand("square", 1),
         key_expressions.ask("square"),
     )
     assert not any(made.hear(key, order) for key in wrong for order in orders)
-    assert [made.hear(key_expressions.told("square", 2), order) for order in orders] == [True] * 3
-    assert not any(made.hear(key_expressions.told("square", 3), order) for order in orders)
+    assert [made.hear(key_expressions.relayed("square", 2), order) for order in orders] == [True] * 3
+    assert not any(made.hear(key_expressions.relayed("square", 3), order) for order in orders)
     assert (made.mission, made.latest) == (begun.mission, [stop, resume])
-    assert not made.hear(key_expressions.told("square", 2), Heartbeat(EPOCH, "x"))
+    assert not made.hear(key_expressions.relayed("square", 2), Heartbeat(EPOCH, "x"))
 
 
 def test_an_order_that_cannot_be_changes_nothing() -> None:

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.session import Link, LinkSettings
+from bridges.mavlink.session.session import Session, SessionSettings
 from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
 
 T0 = 1_700_000_000 * NS_PER_S
@@ -61,14 +61,14 @@ def named(data: bytes, name: str) -> list[Any]:
     return [message for message in read(data) if message.get_type() == name]
 
 
-def joined(settings: LinkSettings | None = None, system: int = 3) -> tuple[Link, Speaker]:
+def joined(settings: SessionSettings | None = None, system: int = 3) -> tuple[Session, Speaker]:
     """A session that has heard its vehicle at T0, and that vehicle."""
-    link, rover = Link(settings or LinkSettings(parameters=())), Speaker(system)
+    link, rover = Session(settings or SessionSettings(parameters=())), Speaker(system)
     link.receive(T0, rover.alive())
     return link, rover
 
 
-def run(link: Link, rover: Speaker, since_ns: int, seconds: float, name: str) -> list[tuple[float, Any]]:
+def run(link: Session, rover: Speaker, since_ns: int, seconds: float, name: str) -> list[tuple[float, Any]]:
     """Ticks, the vehicle only beating; what was sent of one message, with its time in s."""
     sent = []
     for index in range(round(seconds * NS_PER_S / TICK_NS)):
@@ -79,7 +79,7 @@ def run(link: Link, rover: Speaker, since_ns: int, seconds: float, name: str) ->
     return sent
 
 
-def state(link: Link, command: int) -> str:
+def state(link: Session, command: int) -> str:
     outcome = link.outcome(command)
     assert outcome is not None
     return outcome.state
@@ -89,7 +89,7 @@ def state(link: Link, command: int) -> str:
 
 
 def test_the_first_autopilot_is_the_vehicle_and_nobody_else() -> None:
-    link = Link(LinkSettings())
+    link = Session(SessionSettings())
     link.receive(T0, Speaker(255, 190).heartbeat(6, 8, 0, 0, 4, 3))  # a ground station
     link.receive(T0, Speaker(3, 191).heartbeat(18, 8, 0, 0, 4, 3))  # a companion
     link.receive(T0, Speaker(3, 1).heartbeat(6, 3, 0, 0, 4, 3))  # a ground station as component 1
@@ -105,7 +105,7 @@ def test_the_first_autopilot_is_the_vehicle_and_nobody_else() -> None:
 
 
 def test_a_vehicle_with_another_id_is_noted_not_taken() -> None:
-    link = Link(LinkSettings(system=3))
+    link = Session(SessionSettings(system=3))
     link.receive(T0, Speaker(4).alive())
     assert link.system is None
     assert link.absence(T0) == "no vehicle with system id 3 here, but with 4 (ground rover)"
@@ -114,7 +114,7 @@ def test_a_vehicle_with_another_id_is_noted_not_taken() -> None:
 
 @pytest.mark.parametrize("system", [0, 255])
 def test_a_vehicle_with_an_id_that_is_none_is_not_taken(system: int) -> None:
-    link = Link(LinkSettings())
+    link = Session(SessionSettings())
     link.receive(T0, Speaker(system).alive())
     assert link.system is None
     assert (
@@ -135,7 +135,7 @@ def test_a_vehicle_with_an_id_that_is_none_is_not_taken(system: int) -> None:
     ],
 )
 def test_only_a_rover_of_ardupilot_is_driven(kind: int, autopilot: int, problem: str) -> None:
-    link, rover = Link(LinkSettings(datum=HOME, parameters=())), Speaker()
+    link, rover = Session(SessionSettings(datum=HOME, parameters=())), Speaker()
     link.receive(T0, rover.alive(kind=kind, autopilot=autopilot))
     assert link.problem == problem
     assert bool(link.setpoint(0.1, 0.0)) is not bool(problem)
@@ -174,7 +174,7 @@ def test_what_others_say_changes_nothing(sender: tuple[int, int]) -> None:
 )
 def test_an_identity_that_is_anothers_is_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(settings))):
-        LinkSettings(**settings)
+        SessionSettings(**settings)
 
 
 def test_a_heartbeat_grows_old() -> None:
@@ -188,17 +188,17 @@ def test_a_heartbeat_grows_old() -> None:
 
 
 def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_tick() -> None:
-    link = Link(LinkSettings(token=77, parameters=()))
+    link = Session(SessionSettings(token=77, parameters=()))
     first = named(link.tick(T0), "HEARTBEAT")
     assert [(m.type, m.autopilot, m.custom_mode) for m in first] == [(18, 8, 77)]
     sent = run(link, Speaker(), T0 + NS_PER_S, 5.0, "HEARTBEAT")
     assert [time for time, _ in sent] == pytest.approx([0, 1, 2, 3, 4], abs=0.05)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for _, m in sent} == {(3, 191)}
-    assert not named(Link(LinkSettings()).tick(T0), "COMMAND_LONG")
+    assert not named(Session(SessionSettings()).tick(T0), "COMMAND_LONG")
 
 
 def test_an_own_system_id_is_kept() -> None:
-    link, _ = joined(LinkSettings(own_system=200, own_component=195))
+    link, _ = joined(SessionSettings(own_system=200, own_component=195))
     (message,) = named(link.tick(T0), "HEARTBEAT")
     assert (message.get_srcSystem(), message.get_srcComponent()) == link.own == (200, 195)
 
@@ -460,7 +460,7 @@ def test_a_text_with_a_chunk_lost_is_told_in_parts() -> None:
 
 
 def test_parameters_are_read_and_what_is_missing_is_said() -> None:
-    link, rover = joined(LinkSettings(parameters=("FS_ACTION", "MAV_SYSID", "WP_SPEED")))
+    link, rover = joined(SessionSettings(parameters=("FS_ACTION", "MAV_SYSID", "WP_SPEED")))
     asked = {m.param_id for _, m in run(link, rover, T0, 1.0, "PARAM_REQUEST_READ")}
     assert asked == {"FS_ACTION", "MAV_SYSID", "WP_SPEED"}
     link.receive(T0, rover.param_value(b"FS_ACTION", 2.0, 9, 900, 5))
@@ -477,7 +477,7 @@ def test_parameters_are_read_and_what_is_missing_is_said() -> None:
 
 
 def test_the_datum_is_offered_once_a_second_until_an_origin_is_told() -> None:
-    link, rover = joined(LinkSettings(datum=HOME, parameters=()))
+    link, rover = joined(SessionSettings(datum=HOME, parameters=()))
     offered = run(link, rover, T0, 3.0, "SET_GPS_GLOBAL_ORIGIN")
     assert [time for time, _ in offered] == pytest.approx([0, 1, 2], abs=0.05)
     assert {(m.target_system, m.latitude, m.longitude, m.altitude) for _, m in offered} == {
@@ -493,7 +493,7 @@ def test_the_datum_is_offered_once_a_second_until_an_origin_is_told() -> None:
 
 @pytest.mark.parametrize("settings", [{"set_origin": False, "datum": HOME}, {"datum": None}])
 def test_no_origin_is_offered_unless_wished(settings: dict[str, Any]) -> None:
-    link, rover = joined(LinkSettings(parameters=(), **settings))
+    link, rover = joined(SessionSettings(parameters=(), **settings))
     assert run(link, rover, T0, 3.0, "SET_GPS_GLOBAL_ORIGIN") == []
 
 
@@ -521,7 +521,7 @@ def test_messages_of_no_use_are_skipped_unread() -> None:
 # Beginning anew.
 
 
-def known(settings: LinkSettings | None = None) -> tuple[Link, Speaker]:
+def known(settings: SessionSettings | None = None) -> tuple[Session, Speaker]:
     link, rover = joined(settings)
     link.receive(
         T0, rover.position(60_000) + rover.yaw(60_000) + rover.gps_global_origin(473977001, 85456000, 0)
@@ -564,7 +564,7 @@ def test_after_a_reboot_nothing_is_believed_and_all_is_asked_again(by: str) -> N
 
 
 def test_after_a_reboot_the_parameters_are_read_again() -> None:
-    link, rover = known(LinkSettings(parameters=("WP_SPEED",)))
+    link, rover = known(SessionSettings(parameters=("WP_SPEED",)))
     link.receive(T0, rover.param_value(b"WP_SPEED", 3.0, 9, 900, 6))
     assert link.parameters_done
     link.receive(T0 + NS_PER_S, rover.position(1500) + rover.alive())
@@ -600,7 +600,7 @@ def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> N
 
 
 def test_a_ground_station_may_be_there_another_bridge_may_not() -> None:
-    link, _ = joined(LinkSettings(token=77))
+    link, _ = joined(SessionSettings(token=77))
     link.receive(T0, Speaker(255, 190).heartbeat(6, 8, 0, 0, 4, 3))
     link.receive(T0, Speaker(3, 154).heartbeat(26, 8, 0, 0, 4, 3))  # a gimbal
     link.receive(T0, Speaker(3, 193).heartbeat(30, 8, 0, 0, 4, 3))  # a camera
@@ -618,7 +618,7 @@ def test_a_ground_station_may_be_there_another_bridge_may_not() -> None:
 
 
 def test_an_echo_is_not_another_bridge_a_twin_is() -> None:
-    link, _ = joined(LinkSettings(token=77))
+    link, _ = joined(SessionSettings(token=77))
     link.receive(T0, link.tick(T0))
     assert link.another_bridge(T0) == ""
     link.receive(T0, Speaker(3, 191).heartbeat(18, 8, 0, 78, 4, 3))
@@ -626,7 +626,7 @@ def test_an_echo_is_not_another_bridge_a_twin_is() -> None:
 
 
 def test_a_twin_that_is_only_heard_asking_for_the_time_is_found() -> None:
-    link, rover = joined(LinkSettings(token=77))
+    link, rover = joined(SessionSettings(token=77))
     sent = link.tick(T0)
     assert named(sent, "TIMESYNC")
     link.restart()
@@ -663,11 +663,11 @@ def signed(system: int = 3, key: bytes = KEY, stamp_ns: int = SIGNED_NS) -> Spea
 @pytest.fixture
 def signing_link(tmp_path: Path) -> Any:
     stamps = Timestamps(tmp_path / "stamp", SIGNED_NS)
-    yield Link(LinkSettings(signing=Signing(KEY, stamps), parameters=()))
+    yield Session(SessionSettings(signing=Signing(KEY, stamps), parameters=()))
     stamps.close()
 
 
-def test_with_a_key_only_signed_messages_count(signing_link: Link) -> None:
+def test_with_a_key_only_signed_messages_count(signing_link: Session) -> None:
     link = signing_link
     link.receive(T0, Speaker(3).alive())
     assert link.absence(T0) == "what comes is not signed: give the vehicle this signing key"
@@ -678,7 +678,7 @@ def test_with_a_key_only_signed_messages_count(signing_link: Link) -> None:
     assert (link.signed, link.bad_signatures, link.unsigned_refused) == (1, 1, 1)
 
 
-def test_what_is_sent_is_signed_with_growing_stamps(signing_link: Link) -> None:
+def test_what_is_sent_is_signed_with_growing_stamps(signing_link: Session) -> None:
     link = signing_link
     link.receive(SIGNED_NS, signed().alive())
     sent = [
@@ -694,7 +694,7 @@ def test_what_is_sent_is_signed_with_growing_stamps(signing_link: Link) -> None:
     assert all(m.get_signed() for m in messages)
 
 
-def test_a_message_is_not_taken_twice_nor_from_long_ago(signing_link: Link) -> None:
+def test_a_message_is_not_taken_twice_nor_from_long_ago(signing_link: Session) -> None:
     link = signing_link
     old = signed(stamp_ns=SIGNED_NS - 61 * NS_PER_S).alive()
     link.receive(T0, old)
@@ -705,7 +705,7 @@ def test_a_message_is_not_taken_twice_nor_from_long_ago(signing_link: Link) -> N
     assert (link.signed, link.bad_signatures) == (1, 2)
 
 
-def test_a_forged_stamp_does_not_shut_the_vehicle_out(signing_link: Link) -> None:
+def test_a_forged_stamp_does_not_shut_the_vehicle_out(signing_link: Session) -> None:
     link = signing_link
     forged = bytearray(signed(stamp_ns=SIGNED_NS + 10**18).alive())
     forged[-1] ^= 1

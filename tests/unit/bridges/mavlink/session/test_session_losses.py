@@ -12,7 +12,7 @@ import pytest
 from agent.common.clock import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
-from bridges.mavlink.session.session import Link, LinkSettings
+from bridges.mavlink.session.session import Session, SessionSettings
 from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import Settings
@@ -28,7 +28,7 @@ class Wire:
     """A session and a rover with `delay_s` each way between them; a share `loss` of the datagrams is lost."""
 
     def __init__(
-        self, link: Link, rover: Rover, port: int = 0, delay_s: float = 0.005, loss: float = 0.0
+        self, link: Session, rover: Rover, port: int = 0, delay_s: float = 0.005, loss: float = 0.0
     ) -> None:
         self.link, self.rover, self.port = link, rover, port
         self.now_ns = T0
@@ -87,8 +87,8 @@ def warm(hand_over: bool = True, **settings: object) -> Rover:
     )
 
 
-def link(**settings: object) -> Link:
-    return Link(LinkSettings(datum=HOME, **settings))  # type: ignore[arg-type]
+def link(**settings: object) -> Session:
+    return Session(SessionSettings(datum=HOME, **settings))  # type: ignore[arg-type]
 
 
 def test_from_switching_on_to_driving() -> None:

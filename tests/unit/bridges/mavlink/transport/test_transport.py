@@ -22,7 +22,7 @@ from bridges.mavlink.transport import channels, lock
 from bridges.mavlink.transport import transport as transport_module
 from bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut
 from bridges.mavlink.transport.connection_string import parse_connection
-from bridges.mavlink.transport.lock import Hold, InUse
+from bridges.mavlink.transport.lock import ConnectionLock, InUse
 from bridges.mavlink.transport.transport import Transport, open_transport
 
 LOCALHOST = "127.0.0.1"
@@ -432,23 +432,23 @@ def test_the_lock_is_of_the_device_whatever_it_is_called(tmp_path: Path) -> None
     device = tmp_path / "ttyACM0"
     device.touch()
     (tmp_path / "by-id").symlink_to(device)
-    hold = Hold(parse_connection(str(device)))
+    hold = ConnectionLock(parse_connection(str(device)))
     with pytest.raises(InUse):
-        Hold(parse_connection(str(tmp_path / "by-id")))
-    other = Hold(parse_connection("udpin:0.0.0.0:14550"))
+        ConnectionLock(parse_connection(str(tmp_path / "by-id")))
+    other = ConnectionLock(parse_connection("udpin:0.0.0.0:14550"))
     hold.close()
     other.close()
 
 
 def test_a_router_serves_one_bridge_for_each_vehicle_behind_it() -> None:
     router = parse_connection("tcp:127.0.0.1:5790")
-    first, second = Hold(router, 1), Hold(router, 2)
+    first, second = ConnectionLock(router, 1), ConnectionLock(router, 2)
     with pytest.raises(InUse):
-        Hold(router, 2)
+        ConnectionLock(router, 2)
     waiting = parse_connection("udpin:0.0.0.0:14550")
-    port = Hold(waiting, 1)
+    port = ConnectionLock(waiting, 1)
     with pytest.raises(InUse):
-        Hold(waiting, 2)
+        ConnectionLock(waiting, 2)
     for hold in (first, second, port):
         hold.close()
 
@@ -459,13 +459,13 @@ def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
         "import tempfile\n"
         f"tempfile.tempdir = {str(tmp_path)!r}\n"
         "from bridges.mavlink.transport.connection_string import parse_connection\n"
-        "from bridges.mavlink.transport.lock import Hold\n"
-        "Hold(parse_connection('udpin:0.0.0.0:14550'))\n"
+        "from bridges.mavlink.transport.lock import ConnectionLock\n"
+        "ConnectionLock(parse_connection('udpin:0.0.0.0:14550'))\n"
         "os.kill(os.getpid(), 9)\n"
     )
     killed = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[5], check=False)
     assert killed.returncode == -9
-    Hold(parse_connection("udpin:0.0.0.0:14550")).close()
+    ConnectionLock(parse_connection("udpin:0.0.0.0:14550")).close()
 
 
 def test_a_lock_folder_that_others_may_write_to_is_refused(tmp_path: Path) -> None:
@@ -473,4 +473,4 @@ def test_a_lock_folder_that_others_may_write_to_is_refused(tmp_path: Path) -> No
     folder.mkdir()
     folder.chmod(0o777)
     with pytest.raises(OSError, match="nobody else may write to"):
-        lock.Hold(parse_connection("udpin:0.0.0.0:14550"))
+        lock.ConnectionLock(parse_connection("udpin:0.0.0.0:14550"))
