@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import wrapped
 from bridges.mavlink.simulator.guided import Guided, NotFinite, Pose, PositionTarget, of_position_target
+from tests.unit.bridges.mavlink.rover_bench import MASK_VELOCITY
 
 FINITE = st.floats(-1e6, 1e6, width=32)
 ANY = FINITE | st.sampled_from([float("nan"), float("inf"), float("-inf")])
@@ -52,7 +53,7 @@ def test_a_bridges_setpoint_means_what_it_says(v: float, w: float, frame: int, p
 
 @given(FINITE, FINITE, POSES)
 def test_a_velocity_vector_never_reverses(vx: float, vy: float, pose: Pose) -> None:
-    message = PositionTarget(1, constants.MASK_VELOCITY, 0.0, 0.0, vx, vy, 0.0, 0.0)
+    message = PositionTarget(1, MASK_VELOCITY, 0.0, 0.0, vx, vy, 0.0, 0.0)
     target = of_position_target(message, pose, 3.0)
     assert target is not None
     assert target[0] >= 0.0

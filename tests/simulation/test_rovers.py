@@ -503,7 +503,7 @@ def test_a_bridge_with_an_identity_of_its_own_is_found_too() -> None:
         (constants.TYPE_FIXED_WING, constants.AUTOPILOT_ARDUPILOT, "fixed wing"),
         (constants.TYPE_SUBMARINE, constants.AUTOPILOT_ARDUPILOT, "submarine"),
         (constants.TYPE_GROUND_ROVER, constants.AUTOPILOT_PX4, "PX4"),
-        (constants.TYPE_GROUND_ROVER, constants.AUTOPILOT_GENERIC, "another autopilot"),
+        (constants.TYPE_GROUND_ROVER, mavlink.MAV_AUTOPILOT_GENERIC, "another autopilot"),
     ],
 )
 def test_a_vehicle_of_another_kind_is_never_commanded(kind: int, autopilot: int, what: str) -> None:

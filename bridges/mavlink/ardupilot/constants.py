@@ -79,7 +79,6 @@ TYPE_NAMES: Final = {
     30: "camera",
 }
 
-AUTOPILOT_GENERIC: Final = 0
 AUTOPILOT_ARDUPILOT: Final = 3
 """MAV_AUTOPILOT_ARDUPILOTMEGA."""
 AUTOPILOT_INVALID: Final = 8
@@ -103,33 +102,22 @@ COMPONENT_ONBOARD_COMPUTER: Final = 191
 SYSTEM_GROUND_STATION: Final = 255
 """The system id that a ground station and SYSID_MYGCS have unless they were told otherwise: never ours."""
 
-# POSITION_TARGET_TYPEMASK: a bit set means "ignore".
+# POSITION_TARGET_TYPEMASK: a bit set means "ignore". The vertical ones Rover does not read.
 IGNORE_X: Final = 0x001
 IGNORE_Y: Final = 0x002
-IGNORE_Z: Final = 0x004
 IGNORE_VX: Final = 0x008
 IGNORE_VY: Final = 0x010
-IGNORE_VZ: Final = 0x020
 IGNORE_AX: Final = 0x040
 IGNORE_AY: Final = 0x080
-IGNORE_AZ: Final = 0x100
 IGNORE_YAW: Final = 0x400
 IGNORE_YAW_RATE: Final = 0x800
 IGNORE_POSITION: Final = IGNORE_X | IGNORE_Y
-"""The bits of a group that Rover reads; the vertical ones it does not."""
+"""All bits of a group."""
 IGNORE_VELOCITY: Final = IGNORE_VX | IGNORE_VY
 IGNORE_ACCELERATION: Final = IGNORE_AX | IGNORE_AY
 
 MASK_SPEED_AND_YAW_RATE: Final = 0x5C7
 """Forward speed ``sqrt(vx^2 + vy^2) * sign(vx)`` in a body frame, with a yaw rate: what a bridge sends."""
-MASK_YAW_RATE: Final = 0x5FF
-"""A yaw rate alone: turns on the spot."""
-MASK_VELOCITY: Final = 0xDC7
-"""A velocity vector: turns its heading to ``atan2(vy, vx)`` and drives forward, never in reverse."""
-MASK_POSITION: Final = 0xDFC
-"""A place to go to; never times out."""
-ATTITUDE_MASK_THRUST_AND_YAW_RATE: Final = 0x83
-"""Of SET_ATTITUDE_TARGET: speed ``thrust * WP_SPEED`` with ``body_yaw_rate``."""
 
 # MAV_FRAME.
 FRAME_LOCAL_NED: Final = 1

@@ -96,13 +96,6 @@ class BootClock:
         return vehicle_ns + offset
 
     @property
-    def error_ns(self) -> int | None:
-        """How far off a wall time may be, ns; None while no exchange has told."""
-        if self._low_ns is None or self._high_ns is None:
-            return None
-        return (self._high_ns - self._low_ns + 1) // 2
-
-    @property
     def round_trip_ns(self) -> int | None:
         """Median of the last exchanges, ns."""
         return round(median(trip for _, _, trip in self._exchanges)) if self._exchanges else None

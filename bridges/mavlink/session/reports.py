@@ -46,18 +46,17 @@ class AttitudeSample(NamedTuple):
 
 
 class Ekf(NamedTuple):
-    """EKF_STATUS_REPORT: flags `ardurover.EKF_*`; variances are test ratios, 1 is the limit of good."""
+    """EKF_STATUS_REPORT: flags `constants.EKF_*`; variances are test ratios, 1 is the limit of good."""
 
     arrival_ns: int
     flags: int
     velocity_variance: float
     position_variance: float
-    height_variance: float
     compass_variance: float
 
 
 class Gps(NamedTuple):
-    """GPS_RAW_INT: fix `ardurover.GPS_*`; `satellites` 0 and `hdop` None where unknown."""
+    """GPS_RAW_INT: fix `constants.GPS_*`; `satellites` 0 and `hdop` None where unknown."""
 
     arrival_ns: int
     fix: int
@@ -73,7 +72,7 @@ class Battery(NamedTuple):
 
 
 class Status(NamedTuple):
-    """SYS_STATUS: sensors as bits `ardurover.SENSOR_*`, and the battery."""
+    """SYS_STATUS: sensors as bits `constants.SENSOR_*`, and the battery."""
 
     arrival_ns: int
     present: int
@@ -117,7 +116,6 @@ def ekf(message: Any, arrival_ns: int) -> Ekf:
     variances = (
         message.velocity_variance,
         message.pos_horiz_variance,
-        message.pos_vert_variance,
         message.compass_variance,
     )
     return Ekf(arrival_ns, message.flags, *(v if isfinite(v) else float("inf") for v in variances))

@@ -12,6 +12,16 @@ from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.simulator.rover import Rover, Settings
 
+# POSITION_TARGET_TYPEMASK, SET_ATTITUDE_TARGET: the setpoints of other programs than the bridge.
+MASK_YAW_RATE = 0x5FF
+"""A yaw rate alone: turns on the spot."""
+MASK_VELOCITY = 0xDC7
+"""A velocity vector: turns its heading to ``atan2(vy, vx)`` and drives forward, never in reverse."""
+MASK_POSITION = 0xDFC
+"""A place to go to; never times out."""
+ATTITUDE_MASK_THRUST_AND_YAW_RATE = 0x83
+"""Of SET_ATTITUDE_TARGET: speed ``thrust * WP_SPEED`` with ``body_yaw_rate``."""
+
 ACCEPTED, DENIED, FAILED = constants.RESULT_ACCEPTED, constants.RESULT_DENIED, constants.RESULT_FAILED
 HOME = Geodetic(47.3977, 8.5456, 488.0)
 START_NS = 1_800_000_000 * NS_PER_S

@@ -15,6 +15,7 @@ from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.session.session import Session, SessionSettings
 from bridges.mavlink.session.signing import EPOCH_S, Signing, Timestamps
+from tests.unit.bridges.mavlink.session.clock_error import error_ns
 
 T0 = 1_700_000_000 * NS_PER_S
 MS = NS_PER_S // 1000
@@ -219,7 +220,7 @@ def test_timesync_four_times_a_second_bounds_the_clock() -> None:
     link.receive(asked + 20 * MS, rover.timesync(70_000 * MS, asked))
     link.receive(asked + 90 * MS, rover.timesync(71_000 * MS, asked))  # the same again: not believed
     link.receive(asked + 20 * MS, rover.timesync(72_000 * MS, asked + 1))  # not ours
-    assert link.clock.error_ns == 10 * MS
+    assert error_ns(link.clock) == 10 * MS
     link.receive(asked + 60 * MS, rover.yaw(70_050))
     (sample,) = link.take_attitudes()
     assert sample.valid_ns == pytest.approx(asked + 60 * MS, abs=11 * MS)
@@ -386,14 +387,14 @@ def test_a_setpoint_that_is_not_finite_or_beyond_sense_is_never_sent(wrong: floa
 
 def test_reports_are_kept_with_their_units() -> None:
     link, rover = joined()
-    link.receive(T0, rover.ekf_status_report(831, 0.1, 0.2, nan, 0.4, 0.0))
+    link.receive(T0, rover.ekf_status_report(831, 0.1, 0.2, 0.3, nan, 0.0))
     link.receive(T0, rover.gps_raw_int(0, 6, 0, 0, 0, 87, 0, 0, 0, 14))
     bits = constants.SENSOR_PREARM_CHECK
     link.receive(T0, rover.sys_status(bits, bits, 0, 0, 12600, 0, 88, 0, 0, 0, 0, 0, 0))
     link.receive(
         T0, rover.autopilot_version(0, 0x040507FF, 0, 0, 0, b"1a2b3c4d", bytes(8), bytes(8), 0, 0, 0)
     )
-    assert link.ekf == (T0, 831, pytest.approx(0.1), pytest.approx(0.2), inf, pytest.approx(0.4))
+    assert link.ekf == (T0, 831, pytest.approx(0.1), pytest.approx(0.2), inf)
     assert link.gps == (T0, constants.GPS_RTK_FIXED, 14, 0.87)
     assert link.battery == (12.6, 88)
     assert link.prearm_ok is False
@@ -582,12 +583,12 @@ def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> N
     link, rover = known()
     asked = named(link.tick(T0 + NS_PER_S), "TIMESYNC")[0].ts1
     link.receive(asked + 20 * MS, rover.timesync(61_000 * MS, asked))
-    assert link.clock.error_ns is not None
+    assert error_ns(link.clock) is not None
     link.receive(T0, rover.alive()[:9])  # half a message
     link.restart()
     assert (link.epoch, link.system, link.heartbeat_ns, link.mode, link.armed) == (1, None, None, None, False)
     assert link.setpoint(0.1, 0.0) == b""
-    assert link.clock.error_ns is None
+    assert error_ns(link.clock) is None
     assert not requests(link.tick(T0 + NS_PER_S), 511)
     link.receive(T0 + NS_PER_S, Speaker(5).alive(constants.HOLD))
     assert (link.system, link.mode) == (5, constants.HOLD)

@@ -234,9 +234,9 @@ def test_a_mode_that_there_is_not() -> None:
 def test_the_mask_of_what_a_bridge_sends_is_that_of_its_bits() -> None:
     ignored = (
         constants.IGNORE_POSITION
-        | constants.IGNORE_Z
+        | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
         | constants.IGNORE_ACCELERATION
-        | constants.IGNORE_AZ
+        | mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE
         | constants.IGNORE_YAW
     )
     assert ignored == constants.MASK_SPEED_AND_YAW_RATE == 1479

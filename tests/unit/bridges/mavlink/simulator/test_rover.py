@@ -1,4 +1,4 @@
-"""The simulated rover moves as ArduRover was measured to (../shared/facts/ardurover.md)."""
+"""The simulated rover moves as ArduRover was measured to (docs/rovers.md)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,16 @@ from agent.common.random_streams import bits, stream
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import Settings
-from tests.unit.bridges.mavlink.rover_bench import ACCEPTED, START_NS, Bench, ready
+from tests.unit.bridges.mavlink.rover_bench import (
+    ACCEPTED,
+    ATTITUDE_MASK_THRUST_AND_YAW_RATE,
+    MASK_POSITION,
+    MASK_VELOCITY,
+    MASK_YAW_RATE,
+    START_NS,
+    Bench,
+    ready,
+)
 
 # Setpoints
 
@@ -45,21 +54,21 @@ def test_negative_vx_reverses_and_the_speed_is_that_of_the_vector() -> None:
 
 def test_a_yaw_rate_alone_turns_on_the_spot() -> None:
     bench = ready()
-    bench.run(3.0, lambda: bench.drive(0.5, -0.4, mask=constants.MASK_YAW_RATE))
+    bench.run(3.0, lambda: bench.drive(0.5, -0.4, mask=MASK_YAW_RATE))
     assert bench.rover.speed == 0.0
     assert bench.rover.yaw_rate == pytest.approx(-0.4, abs=0.01)
 
 
 def test_a_velocity_vector_turns_to_its_course_and_drives_forward() -> None:
     bench = ready(yaw=0.0)
-    bench.run(6.0, lambda: bench.drive(0.0, vy=-0.5, mask=constants.MASK_VELOCITY, frame=1))
+    bench.run(6.0, lambda: bench.drive(0.0, vy=-0.5, mask=MASK_VELOCITY, frame=1))
     assert bench.rover.yaw == pytest.approx(-0.5 * pi, abs=0.03)
     assert bench.rover.speed == pytest.approx(0.5, abs=0.02)
 
 
 def test_a_velocity_backwards_in_the_body_spins_for_ever() -> None:
     bench = ready()
-    bench.run(15.0, lambda: bench.drive(-0.5, mask=constants.MASK_VELOCITY))
+    bench.run(15.0, lambda: bench.drive(-0.5, mask=MASK_VELOCITY))
     assert abs(bench.rover.yaw) > 2.5 * pi
 
 
@@ -87,7 +96,7 @@ def test_yaw_with_a_velocity_keeps_the_sign_of_vx() -> None:
 def test_an_attitude_target_gives_thrust_times_wp_speed() -> None:
     bench = ready()
     message = mavlink.MAVLink_set_attitude_target_message(
-        0, 1, 1, constants.ATTITUDE_MASK_THRUST_AND_YAW_RATE, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.2, -0.25
+        0, 1, 1, ATTITUDE_MASK_THRUST_AND_YAW_RATE, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.2, -0.25
     )
     bench.run(5.0, lambda: bench.send(message))
     assert bench.rover.speed == pytest.approx(-0.75, abs=0.02)
@@ -96,7 +105,7 @@ def test_an_attitude_target_gives_thrust_times_wp_speed() -> None:
 
 def test_a_place_is_gone_to_and_never_times_out() -> None:
     bench = ready()
-    bench.drive(0.0, x=12.0, mask=constants.MASK_POSITION, frame=constants.FRAME_BODY_OFFSET_NED)
+    bench.drive(0.0, x=12.0, mask=MASK_POSITION, frame=constants.FRAME_BODY_OFFSET_NED)
     bench.run(20.0)
     assert 9.5 < hypot(bench.rover.north, bench.rover.east) < 12.5
     assert bench.rover.speed == 0.0
@@ -159,7 +168,7 @@ def test_a_number_that_is_none_ends_the_autopilot(field: str, value: float) -> N
 def test_a_number_that_is_none_does_no_harm_where_it_is_ignored() -> None:
     bench = ready()
     bench.run(1.0, lambda: bench.drive(0.5, 0.0, x=nan, yaw=nan))
-    bench.run(1.0, lambda: bench.drive(nan, 0.2, vy=nan, mask=constants.MASK_YAW_RATE))
+    bench.run(1.0, lambda: bench.drive(nan, 0.2, vy=nan, mask=MASK_YAW_RATE))
     assert not bench.rover.crashed
     assert bench.rover.yaw_rate == pytest.approx(0.2, abs=0.01)
 
