@@ -385,3 +385,8 @@ class Robot(Body):
         False,
         "It is there but has no place in the formation until it joins (`[[order]]`, `handfast join`).",
     )
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether its body is a rover that has to be simulated."""
+        return self.plant == "mavlink" and self.mavlink is not None and self.mavlink.connection == SIMULATOR

@@ -17,7 +17,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.drive.live_view import make_view
 from deploy.drive.local import LocalRun
 from deploy.processes.placement import place
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from deploy.report.run_folder import RunFolder
 
 
@@ -55,5 +55,5 @@ def _drive(text: str, folder: Path, interrupt: Interrupt) -> Outcome:
             kept.close(run.reasons, interrupted=interrupt.count > 0)
     finally:
         placed.ports.close()
-    outcome = judged(Recording.from_folder(folder), placed.fleet)
+    outcome = judged(read_run(folder), placed.fleet)
     return replace(outcome, wall_s=time.perf_counter() - begun_s)

@@ -19,7 +19,6 @@ from deploy.console.arguments import (
     robots_named,
 )
 from deploy.console.interrupt import Interrupt
-from deploy.processes.placement import is_simulated
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 IN_CLEAR: Final = (
@@ -64,7 +63,7 @@ def _signing(options: argparse.Namespace) -> int:
                 f"{options.fleet}: no robot that is meant has mavlink.signing_key: name a file there, and "
                 "--make-keys makes it"
             )
-        reached = [robot for robot in signing if not is_simulated(robot)]
+        reached = [robot for robot in signing if not robot.is_simulated]
         prepare_keys(reached, make=options.make_keys)
         for robot in robots:
             if robot not in reached:

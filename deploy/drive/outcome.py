@@ -13,6 +13,7 @@ from agent.common.schema import printable
 from agent.fleet.fleet import Fleet
 from deploy.console.arguments import InputError
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED
+from deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:
     from deploy.report.run_folder import RunFolder
@@ -92,5 +93,5 @@ def say_verdict(metrics: dict[str, Any], folder: Path) -> None:
         + (f", closest neighbours {nearest:.3f} m" if nearest is not None else "")
         + (f", last distance error {error * 1000:.1f} mm" if error is not None else "")
     )
-    report = folder / "report.html"
+    report = folder / REPORT_FILE
     print(f"  {report if report.exists() else folder}")

@@ -24,7 +24,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 from deploy.processes.local import VEHICLE, Processes
 from deploy.processes.placement import Vehicle
-from deploy.report.run_folder import FLEET_FILE
+from deploy.recording.run_files import FLEET_FILE
 
 TIMEOUT_S: Final = 20.0
 """A vehicle that has said nothing by then is not there."""

@@ -14,8 +14,8 @@ from agent.impairments.recorded_fates import LOST as FATE_LOST
 from agent.messages.types import CORRUPTED, LOST
 from agent.node import FIRST_ROUND
 from deploy.recording.link_table import Ints, Link, LinkTable
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
-from deploy.recording.recording import Recording
 
 _ROUNDS_BEFORE: Final = FIRST_ROUND // 2
 """Lesser numbers are from before the mission was known: they count from 0, and the next run begins anew."""
@@ -31,7 +31,7 @@ def write_scenario(folder: str | PathLike[str]) -> str:
         RecordingError: the run cannot be read, or nothing was done to its messages.
         FleetError: its fleet file is not valid.
     """
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     tables = list(_tables(recording.links))
     if not tables:
         raise RecordingError(

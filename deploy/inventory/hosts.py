@@ -11,7 +11,6 @@ from agent.fleet.host_sections import HostSection
 from deploy.console.arguments import InputError
 from deploy.console.wording import some
 from deploy.inventory import ssh
-from deploy.processes.placement import is_simulated
 
 
 def located(fleet: Fleet) -> Fleet:
@@ -79,7 +78,7 @@ def refuse_simulated(fleet: Fleet, source: str) -> None:
             "the host and give its port, such as udpin:127.0.0.1:14550",
         )
         for number, robot in enumerate(fleet.robots, 1)
-        if is_simulated(robot)
+        if robot.is_simulated
     ]
     if problems:
         raise FleetError(source, problems)

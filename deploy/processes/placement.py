@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import NetworkSection
-from agent.fleet.sections import SIMULATOR, Robot
+from agent.fleet.sections import Robot
 from deploy.processes.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
@@ -49,7 +49,7 @@ def place(fleet: Fleet) -> Placed:
     Raises:
         deploy.processes.ports.NoPortsError: when there are none.
     """
-    simulated = [robot.id for robot in fleet.robots if is_simulated(robot)]
+    simulated = [robot.id for robot in fleet.robots if robot.is_simulated]
     of_processes = 2 * len(fleet.robots)
     ports = Reservation(ADDRESS, fleet.network.base_port, of_processes + len(simulated))
     numbers = {robot: ports.base + of_processes + k for k, robot in enumerate(simulated)}
@@ -60,11 +60,6 @@ def place(fleet: Fleet) -> Placed:
         robots=tuple(replace(connected(robot, numbers.get(robot.id)), host=None) for robot in fleet.robots),
     )
     return Placed(placed, ports, tuple(vehicle(fleet, robot, port) for robot, port in numbers.items()))
-
-
-def is_simulated(robot: Robot) -> bool:
-    """Whether its body is a rover that has to be simulated."""
-    return robot.plant == "mavlink" and robot.mavlink is not None and robot.mavlink.connection == SIMULATOR
 
 
 def connected(robot: Robot, port: int | None) -> Robot:

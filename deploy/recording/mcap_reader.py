@@ -10,6 +10,7 @@ import json
 import struct
 from collections.abc import Callable, Iterator
 from io import BytesIO
+from os import PathLike
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -21,10 +22,12 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
 from agent.messages.types import Message
+from deploy.recording.collector import RunData
 from deploy.recording.foxglove import SCHEMA_PREFIX
 from deploy.recording.message_json import CLASSES, reader, schema_name
 from deploy.recording.recorder import FLEET_ATTACHMENT, OUTCOME_METADATA, RUN_METADATA, RecordingError
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.recording import Recording
+from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _PREFIX: Final = struct.Struct("<BQ")  # opcode, length
@@ -160,8 +163,34 @@ def _records(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         yield opcode, content
 
 
-def read_mcap(path: Path, fleet_path: Path | None) -> Recording:
-    """See `Recording.from_mcap`."""
+def read_run(folder: str | PathLike[str]) -> Recording:
+    """Read the run in `folder` (its ``run.mcap`` and ``fleet.toml``).
+
+    Raises:
+        RecordingError: when it is not a run's folder, or its recording cannot be read.
+        FleetError: when its fleet file is not valid.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        what = "is not a folder" if path.exists() else "does not exist"
+        raise RecordingError(
+            f"{path} {what}; give the folder that a run has left (it holds {RECORDING_FILE})"
+        )
+    if not (path / RECORDING_FILE).is_file():
+        raise RecordingError(f"{path} holds no {RECORDING_FILE}; give the folder that a run has left")
+    return read_mcap(path / RECORDING_FILE, path / FLEET_FILE)
+
+
+def read_mcap(path: str | PathLike[str], fleet_path: str | PathLike[str] | None = None) -> Recording:
+    """Read the recording at `path`, with the fleet file at `fleet_path`, else with the one inside it.
+
+    A file that was cut short, at whatever byte, is read to its last complete chunk; `Recording.warnings`
+    then says so.
+
+    Raises:
+        RecordingError, FleetError: as `read_run`.
+    """
+    path = Path(path)
     file = _File(path)
     messages = file.read()
     first = next(messages, None)
@@ -171,7 +200,7 @@ def read_mcap(path: Path, fleet_path: Path | None) -> Recording:
     if first is None:
         cut = " (it is cut short)" if file.warnings else ""
         raise RecordingError(f"{path} holds no message{cut}: there is nothing to report")
-    fleet, fleet_toml = _fleet(file, fleet_path)
+    fleet, fleet_toml = _fleet(file, None if fleet_path is None else Path(fleet_path))
     run = file.metadata[RUN_METADATA]
     data = RunData(fleet, mode=run.get("mode", "run"), seed=_seed(run))
     data.feed(*first)

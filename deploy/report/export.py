@@ -21,6 +21,7 @@ from agent.formation.geometry import resolve
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
 from deploy.analysis.analysis import analyse
 from deploy.recording.link_table import LinkTable
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable, Table
@@ -72,7 +73,7 @@ def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | 
     if format not in FORMATS:
         raise ExportError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
     write = _writer(format)
-    tables = tabulate(Recording.from_folder(folder))
+    tables = tabulate(read_run(folder))
     target = Path(folder) / FOLDER if out is None else Path(out)
     written = []
     try:

@@ -19,14 +19,13 @@ from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.rounding import largest, number, percentile
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
-from deploy.recording.recording import FLEET_NAME, MCAP_NAME, Recording
+from deploy.recording.recording import Recording
+from deploy.recording.run_files import FLEET_FILE, METRICS_FILE, RECORDING_FILE, REPORT_FILE
 from deploy.report import fault_strip, figures, link_figures, link_section, oracle_section
 from deploy.report.html import CSS, bullets, figure, shown, table
 from deploy.verdict import metrics
-
-METRICS_NAME: Final = "metrics.json"
-REPORT_NAME: Final = "report.html"
 
 
 def finish(folder: str | PathLike[str], recording: Recording) -> dict[str, Any]:
@@ -42,7 +41,7 @@ def finish(folder: str | PathLike[str], recording: Recording) -> dict[str, Any]:
         recording, recording.fleet, geometry, mode=recording.mode, seed=recording.seed,
         reasons=recording.reasons, analysis=analysis,
     )  # fmt: skip
-    metrics.write(Path(folder) / METRICS_NAME, found)
+    metrics.write(Path(folder) / METRICS_FILE, found)
     write_report(folder, recording, recording.fleet, found, geometry=geometry, analysis=analysis)
     return found
 
@@ -54,7 +53,7 @@ def rebuild(folder: str | PathLike[str]) -> dict[str, Any]:
         RecordingError: when the folder holds no run that can be read, or cannot be written.
         FleetError, FormationError: when its fleet file is not valid.
     """
-    return finish(folder, Recording.from_folder(folder))
+    return finish(folder, read_run(folder))
 
 
 def write_report(
@@ -75,11 +74,11 @@ def write_report(
     """
     a = analyse(recording, geometry or resolve(fleet)) if analysis is None else analysis
     pictures = figures.write_figures(folder, recording, fleet, a)
-    toml = recording.fleet_toml or _text_of(Path(folder) / FLEET_NAME)
+    toml = recording.fleet_toml or _text_of(Path(folder) / FLEET_FILE)
     page = _page(
         recording, fleet, found, a, toml, {name: path.read_bytes() for name, path in pictures.items()}
     )
-    path = Path(folder) / REPORT_NAME
+    path = Path(folder) / REPORT_FILE
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
@@ -265,9 +264,9 @@ def _page(
         "<h2>Fleet file</h2>",
         f"<pre>{escape(toml)}</pre>"
         if toml
-        else f"<p>It is beside this page: <code>{FLEET_NAME}</code>.</p>",
+        else f"<p>It is beside this page: <code>{FLEET_FILE}</code>.</p>",
         f'<p class="soft">handfast {escape(handfast_version())}. Every message of the run is in '
-        f"<code>{MCAP_NAME}</code>, which Foxglove opens.</p>",
+        f"<code>{RECORDING_FILE}</code>, which Foxglove opens.</p>",
         "</body>\n</html>\n",
     ]
     return "\n".join(part for part in parts if part)
@@ -338,7 +337,7 @@ def _worst_edge(a: Analysis, index: int) -> float | None:
 
 
 def _again(recording: Recording, found: dict[str, Any]) -> str:
-    file = FLEET_NAME
+    file = FLEET_FILE
     same = f"handfast {'simulate' if found['mode'] == 'simulate' else 'run'} {file} --seed {found['seed']}"
     lines = [(same, "this run again, from the file below, which holds every setting"),
              (f"handfast simulate {file} --seed {found['seed']}", "the same in virtual time"),

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import tomli_w
 
 from agent.fleet.fleet import Fleet, to_dict
 from agent.formation.geometry import resolve
 from agent.messages.types import Message
+from deploy.recording.collector import RunData
 from deploy.recording.recorder import Recorder
-from deploy.recording.recording import RunData
+from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
 from deploy.verdict import metrics
-
-FLEET_FILE: Final = "fleet.toml"
-RECORDING_FILE: Final = "run.mcap"
-METRICS_FILE: Final = "metrics.json"
-LOG_FOLDER: Final = "logs"
 
 
 class FolderError(RuntimeError):

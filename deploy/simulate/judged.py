@@ -5,7 +5,8 @@ from __future__ import annotations
 from agent.fleet.fleet import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.collector import RunData
+from deploy.recording.recording import Recording
 from deploy.simulate.simulation import Simulation
 from deploy.simulate.worker_pool import Abandoned, GoOn
 

@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 from agent.common.clock import NS_PER_S
 from agent.control.peers import UNSURE_NS
 from agent.supervision.state_machine import State
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.benchmarks.processes import BenchmarkError
 from tests.hosts.fleet_on_hosts import FleetOnHosts
@@ -116,7 +117,7 @@ def fetched(fleet: FleetOnHosts, folder: Path) -> tuple[Recording, float]:
     begun = time.monotonic()
     fleet.handfast("fetch", "--out", str(folder), "--no-report", status=None)
     took_s = time.monotonic() - begun
-    return Recording.from_folder(folder), took_s
+    return read_run(folder), took_s
 
 
 def runs_again_s(recording: Recording, robot: int, at_ns: int) -> float | None:

@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.benchmarks import host_cost
 from tests.benchmarks.figures import Figure, Options, Result, spread
@@ -161,7 +162,7 @@ def _driven_here(fleet: FleetOnHosts, seconds: float) -> Recording:
     )
     if done.returncode not in (0, 1):  # 1 is a verdict, which a busy machine may earn
         raise BenchmarkError(f"the local run failed: {done.stderr}")
-    return Recording.from_folder(out)
+    return read_run(out)
 
 
 def _told(seconds: float) -> tuple[str, ...]:
@@ -172,7 +173,7 @@ def _drive_compared(found: _Found, fleet: FleetOnHosts, here: Recording, seconds
     """Driven across hosts, and `here`: how far apart."""
     out = fleet.folder / "there"
     fleet.handfast("drive", *_told(seconds), "--out", str(out), status=None)
-    there = Recording.from_folder(out)
+    there = read_run(out)
     # Not to the very end: there it depends on when the stop arrived.
     grid = np.arange(0.0, seconds - 0.1, 0.05)
     if min(there.data_end_s, here.data_end_s) < grid[-1]:

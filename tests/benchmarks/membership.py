@@ -29,7 +29,8 @@ from agent.formation.geometry import resolve, resolved
 from agent.messages.codec import decode
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.console.arguments import fleet_path
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.collector import RunData
+from deploy.recording.recording import Recording
 from deploy.report.plotting import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, table

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from agent.formation.geometry import resolve
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.benchmarks.figures import Figure, Options, Result
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
@@ -54,7 +55,7 @@ def drive(folder: Path, options: tuple[str, ...], duration_s: float) -> Recordin
     )
     if done.returncode not in (0, 1):
         raise BenchmarkError(f"handfast run rovers: status {done.returncode}\n{done.stderr[-2000:]}")
-    return Recording.from_folder(folder)
+    return read_run(folder)
 
 
 def run(options: Options) -> Result:

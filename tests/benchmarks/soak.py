@@ -23,6 +23,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent.supervision.state_machine import State
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.benchmarks.figures import Figure, Options, Result, number
 from tests.benchmarks.processes import BenchmarkError, end, environment, handfast, state_of
@@ -158,7 +159,7 @@ def run(options: Options) -> Result:
         if not (folder / "out" / "metrics.json").exists():
             raise BenchmarkError((folder / "log").read_text(errors="replace")[-2000:])
         metrics = json.loads((folder / "out" / "metrics.json").read_text())
-        recording = Recording.from_folder(folder / "out")
+        recording = read_run(folder / "out")
         kills = Counter(event.role for event in recording.events if event.what == "kill")
         running = sum(last_state(recording, robot) == State.RUNNING.value for robot in recording.ids)
     if status != (0 if metrics["verdict"]["passed"] else 1):

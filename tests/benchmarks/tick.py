@@ -29,7 +29,7 @@ from agent.node import Node, Outgoing
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.state_machine import State
 from deploy.console.arguments import fleet_path
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from deploy.simulate import simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.processes import BenchmarkError, end, environment, handfast
@@ -196,7 +196,7 @@ def in_a_run(options: Options) -> Result:
         if process.returncode not in (0, 1):
             raise BenchmarkError(f"handfast run: {errors.decode(errors='replace')[-500:]}")
         metrics = json.loads((out / "metrics.json").read_text())
-        recording = Recording.from_folder(out)
+        recording = read_run(out)
     ticks = sum(len(robot.status.tick_us) for robot in recording.robots.values())
     overruns = metrics["tick"]["overruns"]
     period_s = recording.fleet.period_ns / 1e9

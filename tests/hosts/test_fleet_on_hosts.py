@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host
@@ -48,7 +49,7 @@ def fleet(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 
 def seen(folder: Path) -> Recording:
-    return Recording.from_folder(folder)
+    return read_run(folder)
 
 
 def driving(child: subprocess.Popen[str], folder: Path) -> None:

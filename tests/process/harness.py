@@ -19,7 +19,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 
 ROOT: Final = Path(__file__).parents[2]
 ADDRESS: Final = "127.0.0.1"
@@ -111,7 +111,7 @@ def no_trouble_in_logs(folder: Path) -> None:
 
 def hands(folder: Path, grid: np.ndarray) -> np.ndarray:
     """Recorded hand points (k, n, 2) of the run in `folder` at the times `grid` (k,)."""
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     assert recording.data_end_s >= grid[-1] - 0.05, f"{folder} ends after {recording.data_end_s:.2f} s"
     return recording.hand_positions(grid)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from tests.process.harness import BUSY, Command, no_trouble_in_logs
 
 NETWORK = ("--set", "network.base_port=21120")
@@ -60,5 +60,5 @@ def test_every_oracle_holds(tmp_path: Path, seed: int) -> None:
     assert {"separation", "limits", "recovery", "one_mission"} <= {
         name for name, found in oracles.items() if found["checked"]
     }, oracles
-    done = Recording.from_folder(folder).events
+    done = read_run(folder).events
     assert len(done) >= EVENTS, done

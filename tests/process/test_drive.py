@@ -20,7 +20,7 @@ from agent.messages.types import Stop
 from deploy.commands.drive import ROBOTS_FILE
 from deploy.drive.preconditions import OVER
 from deploy.inventory.registry import find, running
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
 from tests.process.small_fleets import triangle
@@ -54,7 +54,7 @@ def end(fleet: Robots, command: Command) -> int:
 def complete(folder: Path) -> dict[str, object]:
     """The metrics of a drive whose folder is complete."""
     assert {path.name for path in folder.iterdir()} == {"fleet.toml", ROBOTS_FILE, "run.mcap", "metrics.json"}
-    assert not Recording.from_folder(folder).foreign
+    assert not read_run(folder).foreign
     metrics: dict[str, object] = json.loads((folder / "metrics.json").read_text())
     return metrics
 
@@ -98,8 +98,8 @@ def test_one_drive_after_another(tmp_path: Path) -> None:
         with drive(fleet, "--duration", "6") as (command, folder):
             assert end(fleet, command) == 0, command.told()
         assert "told to stop" not in command.err
-        assert not Recording.from_folder(folder).warnings
-        states = [Recording.from_folder(folder).robots[robot].status.states[-1] for robot in fleet.members]
+        assert not read_run(folder).warnings
+        states = [read_run(folder).robots[robot].status.states[-1] for robot in fleet.members]
         assert set(states) <= {"stopping", "stopped"}
 
 
@@ -131,7 +131,7 @@ def test_a_stop_that_somebody_meant_is_lifted_by_name_only(tmp_path: Path) -> No
             said = command.err
             assert end(fleet, command) in (0, 1), command.told()
         assert re.search(r"(?m)^lifting the stop that was given at \d\d:\d\d:\d\d: interrupted$", said)
-        recording = Recording.from_folder(folder)
+        recording = read_run(folder)
         # Nobody goes on with the mission of before: leave comes when all have the new one.
         assert recording.epoch_ns is not None
         for robot in fleet.members:

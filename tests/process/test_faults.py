@@ -15,6 +15,7 @@ from agent.common.clock import NS_PER_S
 from agent.messages.types import LOST
 from agent.node import FIRST_ROUND
 from deploy.recording.link_table import Link, LinkTable
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.process.harness import (
     Command,
@@ -80,7 +81,7 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
             second.process.kill()
             killed_ns = time.time_ns()
         assert run.wait(30.0) == 0, run.told()
-    recording = Recording.from_folder(tmp_path / "run" / "out")
+    recording = read_run(tmp_path / "run" / "out")
     links = decided(recording)
     assert list(links) == [Link(1, 2, "hand")]
     rows = links[Link(1, 2, "hand")]
@@ -143,7 +144,7 @@ def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
         assert run.wait(30.0) == 0, run.told()
     folder = tmp_path / "run" / "out"
     no_trouble_in_logs(folder)
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     done = [(each.robot, each.role, each.what, each.rule) for each in recording.events]
     assert done == [
         (2, "agent", "kill", "crash"),
@@ -181,7 +182,7 @@ def test_a_paused_plant_brakes_nobody_else_and_drives_on(tmp_path: Path) -> None
         assert "ended" not in run.err
         assert "was killed" not in run.err
         assert "ended at" not in run.out
-    recording = Recording.from_folder(tmp_path / "run" / "out")
+    recording = read_run(tmp_path / "run" / "out")
     assert [(each.role, each.what) for each in recording.events] == [
         ("plant", "stop"),
         ("plant", "continue"),
@@ -218,7 +219,7 @@ def test_run_and_simulate_give_every_message_the_same_fate(tmp_path: Path) -> No
     for mode, folder in zip(("run", "simulate"), folders, strict=True):
         with Command(folder, mode, "pair", "--out", str(folder / "out"), *faults, *NETWORK) as command:
             command.wait(60.0)
-    run, simulation = (Recording.from_folder(folder / "out") for folder in folders)
+    run, simulation = (read_run(folder / "out") for folder in folders)
     fates = [
         {
             (link, int(number)): (int(what), int(delay_us))

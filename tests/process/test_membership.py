@@ -12,7 +12,7 @@ from pathlib import Path
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Ask, Mission, Status
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
 from tests.process.small_fleets import triangle
@@ -74,7 +74,7 @@ def test_orders_to_a_run_from_other_processes(tmp_path: Path) -> None:
     assert metrics["verdict"]["passed"], metrics["verdict"]
     checked = {oracle for oracle, found in metrics["oracles"].items() if found["checked"]}
     assert {"separation", "limits", "recovery"} <= checked, metrics["oracles"]
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     versions = sorted({mission.version for mission in recording.missions})
     assert len(versions) == 5
     last = {robot.id: robot.status for robot in recording.robots.values()}
@@ -174,7 +174,7 @@ def test_ctrl_c_in_the_middle_of_a_change(tmp_path: Path) -> None:
         assert run.wait(60.0) == 130, run.told()
     folder = tmp_path / "out"
     no_trouble_in_logs(folder)
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     assert not recording.warnings
     for robot, data in recording.robots.items():
         assert abs(float(data.plant["speed"][-1])) < REST_MPS, f"robot {robot} was not at rest"

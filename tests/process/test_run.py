@@ -21,7 +21,7 @@ import pytest
 from mcap.reader import make_reader
 
 from agent.supervision.state_machine import State
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from tests.process.harness import (
     Command,
     assert_same_way,
@@ -64,7 +64,7 @@ def assert_complete(folder: Path, *, report: bool) -> dict[str, Any]:
     assert metrics["mode"] == "run"
     assert (folder / "fleet.toml").stat().st_size > 0
     assert [(folder / name).exists() for name in FIGURES] == [report] * len(FIGURES)
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     assert not recording.warnings, "the recording was cut short"
     no_trouble_in_logs(folder)
     return metrics
@@ -172,7 +172,7 @@ def test_two_runs_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
         metrics = assert_complete(tmp_path / run / "out", report=False)
         assert metrics["verdict"]["passed"]
         assert_same_way(hands(tmp_path / run / "out", grid), wanted, grid, AGREE_M)
-        assert len(Recording.from_folder(tmp_path / run / "out").missions) == 1
+        assert len(read_run(tmp_path / run / "out").missions) == 1
 
 
 # ---------------------------------------------------------------------- ways to end it
@@ -184,12 +184,12 @@ def drive(folder: Path, fleet: str, *more: str) -> Command:
 
 
 def last_speeds(folder: Path) -> list[float]:
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     return [abs(float(robot.plant["speed"][-1])) for robot in recording.robots.values()]
 
 
 def fastest(folder: Path) -> float:
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     return min(float(np.abs(robot.plant["speed"]).max()) for robot in recording.robots.values())
 
 
@@ -334,7 +334,7 @@ def test_run_killed_leaves_no_process(tmp_path: Path) -> None:
     for log in (tmp_path / "out" / "logs").iterdir():
         assert "ending (the process that started it is gone)" in log.read_text(), log.read_text()
     # What it had recorded until then, up to the last second, is there.
-    recording = Recording.from_folder(tmp_path / "out")
+    recording = read_run(tmp_path / "out")
     assert recording.data_end_s > 0.5
 
 

@@ -17,7 +17,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
 from deploy.drive.preconditions import OVER
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from deploy.session.operator_bus import KEYS
 from tests.process import attackers
 from tests.process.harness import Command, assert_same_way, hands, measured, no_trouble_in_logs
@@ -200,7 +200,7 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
 
 def drove_as_if_alone(fleet: SecuredRobots, folder: Path, other: Path) -> None:
     """What was recorded is what the same fleet does in a simulation, with no orders but its operator's."""
-    metrics, recording = json.loads((folder / "metrics.json").read_text()), Recording.from_folder(folder)
+    metrics, recording = json.loads((folder / "metrics.json").read_text()), read_run(folder)
     assert metrics["verdict"]["passed"], metrics["verdict"]
     assert not metrics["verdict"]["warnings"], metrics["verdict"]
     assert len(recording.missions) == 1

@@ -12,8 +12,9 @@ from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Faults, Message
+from deploy.recording.collector import RunData
 from deploy.recording.recorder import Recorder
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.recording import Recording
 from deploy.simulate.simulation import Simulation
 
 Sent = tuple[int, str, Message]

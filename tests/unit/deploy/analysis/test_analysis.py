@@ -17,7 +17,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Event, Message, Mission, Resume, Status, Stop
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.presence import downs
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.collector import RunData
+from deploy.recording.recording import Recording
 from deploy.verdict.metrics import compute
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 

@@ -15,7 +15,7 @@ from agent.fleet.fleet import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.balance import STILL_S, caught, last_caught_s
-from deploy.recording.recording import RunData
+from deploy.recording.collector import RunData
 from tests.unit.deploy.synthetic_run import make_fleet, messages, standing
 
 PAIR = make_fleet([(0.0, 0.0), (2.0, 0.0)], [(1, 2)], duration_s=4.0)

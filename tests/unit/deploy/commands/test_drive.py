@@ -16,8 +16,8 @@ from deploy.cli import main
 from deploy.console.arguments import InputError
 from deploy.console.data_files import FLEETS
 from deploy.processes.ports import Reservation
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
-from deploy.recording.recording import Recording
 from tests.process.fleet_harness import BASE_PORT
 
 PAIR = (FLEETS / "pair.toml").read_text()
@@ -192,5 +192,5 @@ def disconnected(*_: object, **__: object) -> None:
 def is_complete(folder: Path) -> bool:
     """Whether the recording of a drive in which nothing was heard was brought to its end."""
     with pytest.raises(RecordingError, match=r"holds no message") as caught:
-        Recording.from_folder(folder)
+        read_run(folder)
     return "cut short" not in str(caught.value)

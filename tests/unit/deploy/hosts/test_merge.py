@@ -21,7 +21,7 @@ from agent.recorder.segment_folder import SegmentFolder, segment_paths
 from agent.recorder.segments import About, Received
 from deploy.hosts.merge import MARGIN_NS, Choice, Merged, merge
 from deploy.hosts.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
-from deploy.recording.recording import Recording
+from deploy.recording.mcap_reader import read_run
 from deploy.report.report import rebuild
 from deploy.report.run_folder import FolderError, RunFolder
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
@@ -102,7 +102,7 @@ def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
     assert found.metrics["verdict"] == {"passed": True, "reasons": [], "warnings": []}
     assert (tmp_path / "run" / "report.html").is_file()
     assert (tmp_path / "run" / "fleet.toml").read_text() == toml(resolved(FLEET))
-    recording = Recording.from_folder(tmp_path / "run")
+    recording = read_run(tmp_path / "run")
     assert recording.epoch_ns == EPOCH_NS
     assert recording.missions == (MISSION,)
     for robot, data in recording.robots.items():
@@ -146,7 +146,7 @@ def test_the_last_mission_is_taken(tmp_path: Path) -> None:
     everything = merged(folders, tmp_path / "all", Choice(everything=True))
     assert everything.messages == 3 * found.messages - len(IDS)
     since = merged(folders, tmp_path / "since", Choice(until_ns=EPOCH_NS - 50 * NS_PER_S))
-    assert Recording.from_folder(since.folder).epoch_ns == earlier.epoch_ns
+    assert read_run(since.folder).epoch_ns == earlier.epoch_ns
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_orders_from_before_that_still_hold(
     for robot in IDS:
         Computer(tmp_path / "hosts", robot).record(list(said(robot))[1:], known=known if robot == 1 else ())
     found = merged(sorted((tmp_path / "hosts").iterdir()), tmp_path / "run")
-    recording = Recording.from_folder(tmp_path / "run")
+    recording = read_run(tmp_path / "run")
     assert recording.epoch_ns == EPOCH_NS
     assert [stop.version for stop in recording.stops] == stops
     assert [resume.version for resume in recording.resumes] == ([8] if stops and resumed else [])

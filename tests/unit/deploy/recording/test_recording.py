@@ -36,10 +36,11 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from deploy.recording.mcap_reader import MAGIC
+from deploy.recording.collector import RunData
+from deploy.recording.mcap_reader import MAGIC, read_mcap, read_run
 from deploy.recording.message_json import to_json
 from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.recording import Recording
 from deploy.recording.tables import Table
 from deploy.report.export import tabulate
 from tests.unit.deploy.synthetic_run import (
@@ -103,7 +104,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_fed_live_and_read_back_are_the_same(tmp_path: Path) -> None:
     sent = list(messages(FLEET, in_formation(FLEET, 0.5), truth=True))
     live = fed(FLEET, sent)
-    back = Recording.from_folder(write_run(tmp_path / "run", FLEET, sent))
+    back = read_run(write_run(tmp_path / "run", FLEET, sent))
     assert_same(live, back)
     assert np.array_equal(live.robots[1].status.neighbours, back.robots[1].status.neighbours)
     assert not back.warnings
@@ -204,7 +205,7 @@ def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
             agent._replace(entries=((9, 0, 8, t, 0, 40),)),
         ),  # from no robot of the fleet
     ]
-    for recording in (fed(FLEET, sent), Recording.from_folder(write_run(tmp_path, FLEET, sent))):
+    for recording in (fed(FLEET, sent), read_run(write_run(tmp_path, FLEET, sent))):
         assert recording.foreign == 2
         links = dict(recording.links.by_link())
         assert list(map(str, links)) == ["1→2", "3→2", "2→2 wrench"]
@@ -251,7 +252,7 @@ def test_checks_and_leave_to_resume_are_recorded_and_are_not_foreign(tmp_path: P
         (t, key_expressions.checks(NAME, 2), checks),
         (t, key_expressions.resume(NAME), resume),
     ]
-    for recording in (fed(FLEET, sent), Recording.from_folder(write_run(tmp_path, FLEET, sent))):
+    for recording in (fed(FLEET, sent), read_run(write_run(tmp_path, FLEET, sent))):
         assert recording.foreign == 0
     stray: list[Sent] = [
         (t, key_expressions.resume(NAME), checks),
@@ -420,7 +421,7 @@ def test_what_bodies_say_and_who_may_drive_again_is_kept_and_changes_nothing(tmp
         ),
         (now, key_expressions.resume(NAME), Resume(1, now, (2,))),
     ]
-    recording = Recording.from_folder(write_run(tmp_path / "run", FLEET, [*sent[:300], *said, *sent[300:]]))
+    recording = read_run(write_run(tmp_path / "run", FLEET, [*sent[:300], *said, *sent[300:]]))
     assert recording.foreign == 0
     assert_same(recording, fed(FLEET, sent))
     astray: list[Sent] = [
@@ -436,7 +437,7 @@ def test_a_recording_of_version_2_is_read_as_well(tmp_path: Path, monkeypatch: p
         "deploy.recording.recorder.to_json", lambda m: to_json(m).replace(b'"obeying":true,', b"")
     )
     folder = write_run(tmp_path / "run", FLEET, sent)
-    assert_same(Recording.from_folder(folder), fed(FLEET, sent))
+    assert_same(read_run(folder), fed(FLEET, sent))
 
 
 def test_what_the_operator_knew_comes_back(tmp_path: Path) -> None:
@@ -444,7 +445,7 @@ def test_what_the_operator_knew_comes_back(tmp_path: Path) -> None:
         for received_ns, key, message in messages(FLEET, in_formation(FLEET)):
             recorder.record(received_ns, key, encode(message))
         recorder.set_outcome(["Robot 2's plant died."], interrupted=True)
-    back = Recording.from_mcap(tmp_path / "run.mcap")
+    back = read_mcap(tmp_path / "run.mcap")
     assert (list(back.reasons), back.interrupted, back.mode, back.seed) == (
         ["Robot 2's plant died."], True, "simulate", 11,
     )  # fmt: skip
@@ -452,7 +453,7 @@ def test_what_the_operator_knew_comes_back(tmp_path: Path) -> None:
 
 def test_a_lone_recording_is_enough(tmp_path: Path, whole: bytes) -> None:
     (tmp_path / "run.mcap").write_bytes(whole)
-    assert Recording.from_folder(tmp_path).fleet == FLEET
+    assert read_run(tmp_path).fleet == FLEET
 
 
 def rewritten(whole: bytes, change: Callable[[bytes], bytes] = lambda data: data, **options: Any) -> bytes:
@@ -488,7 +489,7 @@ def test_other_programs_ways_of_writing_are_read(
 ) -> None:
     (tmp_path / "a.mcap").write_bytes(whole)
     (tmp_path / "b.mcap").write_bytes(rewritten(whole, **options))
-    assert_same(Recording.from_mcap(tmp_path / "a.mcap"), Recording.from_mcap(tmp_path / "b.mcap"))
+    assert_same(read_mcap(tmp_path / "a.mcap"), read_mcap(tmp_path / "b.mcap"))
 
 
 def without_transitions(data: bytes) -> bytes:
@@ -521,7 +522,7 @@ def test_a_recording_of_version_1_is_read_as_well(tmp_path: Path, whole: bytes) 
     }
     assert {"multipliers", "neighbours"} <= found
     assert not {"heard", "degree", "transition", "order_version"} & found
-    assert_same(Recording.from_mcap(tmp_path / "old.mcap"), Recording.from_mcap(tmp_path / "new.mcap"))
+    assert_same(read_mcap(tmp_path / "old.mcap"), read_mcap(tmp_path / "new.mcap"))
 
 
 # --- files that are cut, damaged or foreign --------------------------------------------------
@@ -530,7 +531,7 @@ def test_a_recording_of_version_1_is_read_as_well(tmp_path: Path, whole: bytes) 
 def attempt(path: Path) -> tuple[Recording | None, str]:
     """The recording, or why it is refused; any other exception fails the test."""
     try:
-        return Recording.from_mcap(path), ""
+        return read_mcap(path), ""
     except (RecordingError, FleetError) as error:
         return None, str(error)
 
@@ -538,7 +539,7 @@ def attempt(path: Path) -> tuple[Recording | None, str]:
 def test_a_file_cut_anywhere_is_read_to_its_last_complete_chunk(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole)
-    poses = Recording.from_mcap(path).robots[1].truth
+    poses = read_mcap(path).robots[1].truth
     cuts = sorted({*range(60), *range(60, len(whole), 997), *range(len(whole) - 40, len(whole))})
     lengths = []
     for cut in cuts:
@@ -588,7 +589,7 @@ def test_damaged_bytes_are_never_a_traceback(tmp_path: Path, whole: bytes) -> No
 def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, content: bytes, says: str) -> None:
     (tmp_path / "run.mcap").write_bytes(content)
     with pytest.raises(RecordingError) as caught:
-        Recording.from_folder(tmp_path)
+        read_run(tmp_path)
     assert str(caught.value) == f"{tmp_path / 'run.mcap'} {says}"
 
 
@@ -601,41 +602,41 @@ def test_a_foreign_mcap_file_is_refused(tmp_path: Path) -> None:
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
     with pytest.raises(RecordingError, match=r"other\.mcap was not written by handfast"):
-        Recording.from_mcap(path)
+        read_mcap(path)
 
 
 def test_a_recording_without_messages_is_refused(tmp_path: Path) -> None:
     Recorder(tmp_path / "run.mcap", FLEET).close()
     with pytest.raises(RecordingError, match=r"run\.mcap holds no message: there is nothing to report$"):
-        Recording.from_mcap(tmp_path / "run.mcap")
+        read_mcap(tmp_path / "run.mcap")
 
 
 def test_json_that_is_no_message_is_refused(tmp_path: Path, whole: bytes) -> None:
     stored = rewritten(whole, compression=CompressionType.NONE, enable_crcs=False)
     (tmp_path / "run.mcap").write_bytes(stored.replace(b'"yaw_rate":', b'"yaw-rate":'))
     with pytest.raises(RecordingError, match=r"robot/\d/plant/\w+ holds what is not a message of handfast$"):
-        Recording.from_mcap(tmp_path / "run.mcap")
+        read_mcap(tmp_path / "run.mcap")
 
 
 def test_folders_that_hold_no_run_are_one_clear_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError) as caught:
-        Recording.from_folder(tmp_path / "nowhere")
+        read_run(tmp_path / "nowhere")
     assert str(caught.value) == (
         f"{tmp_path / 'nowhere'} does not exist; give the folder that a run has left (it holds run.mcap)"
     )
     with pytest.raises(RecordingError) as caught:
-        Recording.from_folder(tmp_path)
+        read_run(tmp_path)
     assert str(caught.value) == f"{tmp_path} holds no run.mcap; give the folder that a run has left"
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="is not a folder"):
-        Recording.from_folder(tmp_path / "file")
+        read_run(tmp_path / "file")
 
 
 def test_a_spoilt_fleet_file_beside_it_is_said(tmp_path: Path, whole: bytes) -> None:
     (tmp_path / "run.mcap").write_bytes(whole)
     (tmp_path / "fleet.toml").write_text("[fleet]\nname = 3\n")
     with pytest.raises(FleetError, match=r"fleet\.toml"):
-        Recording.from_folder(tmp_path)
+        read_run(tmp_path)
 
 
 def test_other_hand_offsets_move_the_hand_points() -> None:

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from agent.messages.codec import encode
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.recording import Recording
 from deploy.report.export import ExportError, export, tabulate
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, standing, triangle
@@ -57,7 +57,7 @@ def test_csv(run: Path) -> None:
 
 def test_numbers_are_exact(run: Path) -> None:
     export(run, "csv")
-    forces = Recording.from_folder(run).robots[1].wrench["force"]
+    forces = read_run(run).robots[1].wrench["force"]
     written = [
         float(row["force_n"]) for row in read_csv(run / "export" / "wrenches.csv") if row["robot"] == "1"
     ]
@@ -79,7 +79,7 @@ def test_json_holds_the_same(run: Path) -> None:
 
 
 def test_parquet_holds_the_same(run: Path) -> None:
-    tables = tabulate(Recording.from_folder(run))
+    tables = tabulate(read_run(run))
     for path in export(run, "parquet"):
         stored = pq.read_table(path)
         expected = tables[path.stem]
@@ -103,14 +103,14 @@ def test_the_truth_has_a_table_of_its_own_where_there_is_one(tmp_path: Path) -> 
     with Recorder(tmp_path / "run.mcap", FLEET) as recorder:
         for received_ns, key, message in messages(FLEET, in_formation(FLEET), truth=True):
             recorder.record(received_ns, key, encode(message))
-    tables = tabulate(Recording.from_folder(tmp_path))
+    tables = tabulate(read_run(tmp_path))
     assert set(tables) == {*TABLES, "truths"}
     measured, true = (np.asarray(tables[name]["x_m"]) for name in ("plants", "truths"))
     assert measured == pytest.approx(true + 0.5)
 
 
 def test_columns_of_a_table_have_one_length(run: Path) -> None:
-    for name, columns in tabulate(Recording.from_folder(run)).items():
+    for name, columns in tabulate(read_run(run)).items():
         assert len({len(column) for column in columns.values()}) == 1, name
 
 

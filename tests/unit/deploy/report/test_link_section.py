@@ -16,6 +16,7 @@ from agent.messages.types import Event
 from deploy.faults.windows import WINDOWS_MAX, windows
 from deploy.recording.columns import Store
 from deploy.recording.link_table import EXACT
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusRows
 from deploy.report import fault_strip, link_figures
@@ -207,7 +208,7 @@ def test_links_are_drawn_where_messages_were_old(quiet: Recording) -> None:
 
 
 def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
-    whole = Recording.from_folder(folder)
+    whole = read_run(folder)
     mute = StatusRows(1, Store()).table(0, EXACT)
     empty = replace(quiet, robots={robot: replace(d, status=mute) for robot, d in quiet.robots.items()})
     for recording in (whole, quiet, empty, replace(whole, epoch_ns=None, missions=())):
@@ -215,7 +216,7 @@ def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
 
 
 def test_what_was_done_to_processes_is_marked(folder: Path) -> None:
-    recording = Recording.from_folder(folder)
+    recording = read_run(folder)
     assert [event.what for event in recording.events] == ["kill", "start"]
     axes = link_figures.links(recording).axes
     texts = {text.get_text() for one in axes for text in one.texts}

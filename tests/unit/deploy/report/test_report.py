@@ -23,8 +23,9 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Status
 from deploy.analysis.analysis import analyse
+from deploy.recording.collector import RunData
 from deploy.recording.recorder import Recorder, RecordingError
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.recording import Recording
 from deploy.report import figures
 from deploy.report.report import finish, rebuild, write_report
 from deploy.verdict.metrics import compute

@@ -20,7 +20,8 @@ from agent.formation.geometry import resolve, start_hands
 from agent.messages.codec import decode
 from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.collector import RunData
+from deploy.recording.recording import Recording
 from deploy.recording.tables import Table
 from deploy.simulate import judged
 from deploy.simulate.simulation import Simulation

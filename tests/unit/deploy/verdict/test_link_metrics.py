@@ -10,7 +10,8 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
 from deploy.analysis.analysis import analyse
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.collector import RunData
+from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics
 from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings
 from deploy.verdict.metrics import compute

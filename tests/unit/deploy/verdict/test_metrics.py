@@ -19,8 +19,9 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop
 from deploy.console.wording import robots
+from deploy.recording.collector import RunData
 from deploy.recording.recorder import RecordingError
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.recording import Recording
 from deploy.verdict.metrics import compute, write
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,

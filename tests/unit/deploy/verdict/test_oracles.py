@@ -18,7 +18,8 @@ from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions
 from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
 from deploy.analysis.analysis import analyse
-from deploy.recording.recording import Recording, RunData
+from deploy.recording.collector import RunData
+from deploy.recording.recording import Recording
 from deploy.verdict.oracles import ORACLES, examine, judge
 from deploy.verdict.violations import Violation
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing

@@ -1,0 +1,217 @@
+"""Collecting a run, message by message, into a `Recording`.
+
+A live run and the reader of its MCAP file (`deploy.recording.mcap_reader`) both feed the same collector, so
+figures and metrics do not depend on which it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from agent.fleet.fleet import Fleet
+from agent.links.fault_plan import FaultPlan
+from agent.messages import key_expressions
+from agent.messages.types import (
+    TOPICS,
+    Ask,
+    Beacon,
+    Checks,
+    Event,
+    Faults,
+    HandState,
+    Heartbeat,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+    Wrench,
+)
+from deploy.recording.columns import Store
+from deploy.recording.link_table import LinkRows
+from deploy.recording.recording import LiveFaults, Recording, RobotData, last_mission
+from deploy.recording.tables import (
+    PLANT_COLUMNS,
+    WRENCH_COLUMNS,
+    HandRows,
+    Rows,
+    StatusRows,
+)
+
+# A message whose time is further than this from its reception is nobody's measurement (garbage, or
+# a host whose clock was never set): it would stretch the run by hours.
+CLOCK_TOLERANCE_NS: Final = 60_000_000_000
+_RUN_NS_MAX: Final = 12 * 3600 * 10**9
+"""For so long after the start a clock that drifts on purpose is told from garbage."""
+_BEACON: Final = TOPICS.index("beacon")
+_OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon)
+
+
+_Sink = Rows | StatusRows
+
+ASIDE_MESSAGES: Final = 20_000
+"""After so many, what was collected is put aside."""
+
+
+class RunData:
+    """Collects a run, message by message: `feed` all of them, then ask for the `recording`.
+
+    Args:
+        aside: folder in which what has been collected may wait; None keeps all of it in memory.
+    """
+
+    def __init__(
+        self, fleet: Fleet, *, mode: str = "run", seed: int | None = None, aside: Path | None = None
+    ) -> None:
+        store = self._store = Store(aside)
+        self._fed = 0
+        self.fleet, self.mode = fleet, mode
+        self.seed = fleet.fleet.seed if seed is None else seed
+        self.foreign = 0
+        # Agents say them again: what is kept is who said it first.
+        self._missions: dict[Mission, Mission] = {}
+        self._stops: dict[Stop, Stop] = {}
+        self._resumes: dict[Resume, Resume] = {}
+        self.events: list[Event] = []
+        self.live_faults: list[LiveFaults] = []
+        self._links = LinkRows(store)
+        plan = FaultPlan(fleet)
+        self._clocks = {robot.id: plan.clock(robot.id) for robot in fleet.robots}
+        self._texts: dict[str, str] = {}
+        self._plant = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS, store) for robot in fleet.robots}
+        self._truth = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS, store) for robot in fleet.robots}
+        self._hand = {robot.id: HandRows(robot.id, store) for robot in fleet.robots}
+        self._wrench = {robot.id: Rows(Wrench, robot.id, WRENCH_COLUMNS, store) for robot in fleet.robots}
+        self._status = {robot.id: StatusRows(robot.id, store) for robot in fleet.robots}
+        self._sinks: dict[str, _Sink] = {}
+        prefix = fleet.fleet.name
+        for robot in self._plant:
+            self._sinks |= {
+                key_expressions.plant_state(prefix, robot): self._plant[robot],
+                key_expressions.plant_truth(prefix, robot): self._truth[robot],
+                key_expressions.hand(prefix, robot): self._hand[robot],
+                key_expressions.wrench(prefix, robot): self._wrench[robot],
+                key_expressions.status(prefix, robot): self._status[robot],
+            }
+        told = {key_expressions.relayed(prefix, robot) for robot in self._plant}
+        self._missions_from = {key_expressions.mission(prefix), *told}
+        self._stops_from = {key_expressions.stop(prefix), *told}
+        self._resumes_from = {key_expressions.resume(prefix), *told}
+        self._events_key = key_expressions.events(prefix)
+        self._told: dict[str, type[Message]] = {
+            key_expressions.heartbeat(prefix): Heartbeat,
+            key_expressions.ask(prefix): Ask,
+        }
+        for robot in self._plant:
+            self._told |= {
+                key_expressions.checks(prefix, robot): Checks,
+                key_expressions.beacon(prefix, robot): Beacon,
+            }
+        """What is recorded for those who read it there, and nothing is made of."""
+        self._traced = {
+            key: robot
+            for robot in self._plant
+            for key in (key_expressions.links(prefix, robot), key_expressions.plant_links(prefix, robot))
+        }
+        self._faults_from: dict[str, tuple[int, str]] = {key_expressions.faults(prefix): (0, "")} | {
+            key_expressions.faults_held(prefix, robot, role): (robot, role)
+            for robot in self._plant
+            for role in key_expressions.ROLES
+        }
+
+    def feed(self, received_ns: int, key: str, message: Message) -> None:
+        """Take one message that was received on `key` at `received_ns` (wall clock or virtual time)."""
+        self._fed += 1
+        if self._fed % ASIDE_MESSAGES == 0:
+            self._store.put_aside()
+        sink = self._sinks.get(key)
+        if abs(message.time_ns - received_ns) > CLOCK_TOLERANCE_NS and not self._is_meant(
+            received_ns, key, message
+        ):
+            self.foreign += 1
+        elif sink is not None and type(message) is sink.kind and message[0] == sink.robot:
+            sink.append(message)
+        elif type(message) is Mission and key in self._missions_from:
+            self._missions.setdefault(message._replace(time_ns=0), message)
+        elif type(message) is Stop and key in self._stops_from:
+            self._stops.setdefault(message._replace(time_ns=0), message)
+        elif type(message) is Resume and key in self._resumes_from:
+            self._resumes.setdefault(message._replace(time_ns=0), message)
+        elif type(message) is LinkTrace and self._is_ours(key, message):
+            entries = tuple(entry for entry in message.entries if entry[1] != _BEACON)
+            self._links.append(message._replace(entries=entries))
+        elif type(message) is Faults and key in self._faults_from:
+            rules = self._texts.setdefault(message.rules, message.rules)  # said once a second: keep one
+            self.live_faults.append(
+                LiveFaults(received_ns, *self._faults_from[key], message._replace(rules=rules))
+            )
+        elif type(message) is Event and key == self._events_key:
+            self.events.append(message)
+        elif self._told.get(key) is not type(message):
+            self.foreign += 1
+
+    def _is_ours(self, key: str, trace: LinkTrace) -> bool:
+        return self._traced.get(key) == trace.robot and all(
+            source in self._plant for source, *_ in trace.entries
+        )
+
+    def _is_meant(self, received_ns: int, key: str, message: Message) -> bool:
+        """Whether a time that is far from its reception is what the faults on purpose make of it."""
+        robot = message.robot if isinstance(message, _OF_ROBOTS) else 0
+        if isinstance(message, (Faults, Mission, Stop, Resume)):
+            # They are said again for hours, always with the time at which they were sent.
+            known = self._missions_from | self._stops_from | self._resumes_from
+            return message.time_ns < received_ns and (key in self._faults_from or key in known)
+        skew_ns, drift = self._clocks.get(robot, (0, 0.0))
+        off_ns = abs(message.time_ns - skew_ns - received_ns)
+        return bool(skew_ns or drift) and off_ns <= CLOCK_TOLERANCE_NS + abs(drift) * _RUN_NS_MAX
+
+    def recording(
+        self,
+        *,
+        reasons: Sequence[str] = (),
+        interrupted: bool = False,
+        warnings: Sequence[str] = (),
+        fleet_toml: str | None = None,
+    ) -> Recording:
+        """The run as it stands; what is fed later does not change it."""
+        mission = last_mission(list(self._missions.values()))
+        epoch_ns = mission.epoch_ns if mission else self._first_ns()
+        robots = {
+            robot: RobotData(
+                robot,
+                self._plant[robot].table(epoch_ns, clock),
+                self._truth[robot].table(epoch_ns, clock),
+                self._hand[robot].table(epoch_ns, clock),
+                self._hand[robot].multipliers(epoch_ns, clock),
+                self._wrench[robot].table(epoch_ns, clock),
+                self._status[robot].table(epoch_ns, clock),
+            )
+            for robot, clock in self._clocks.items()
+        }
+        return Recording(
+            self.fleet,
+            robots,
+            tuple(self._missions.values()),
+            tuple(self._stops.values()),
+            mission.epoch_ns if mission else None,
+            self.mode,
+            self.seed,
+            tuple(reasons),
+            interrupted,
+            self.foreign,
+            tuple(warnings),
+            fleet_toml,
+            self._links.table(self._clocks, epoch_ns),
+            tuple(self.live_faults),
+            tuple(self.events),
+            tuple(self._resumes.values()),
+        )
+
+    def _first_ns(self) -> int:
+        known = [rows.times.whole() for rows in self._plant.values()]
+        return min((int(times[0]) for times in known if len(times)), default=0)
