@@ -13,6 +13,7 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 from agent.runtime.runtime_folder import NotPrivateError
@@ -20,11 +21,25 @@ from bridges.mavlink.transport.channels import Channel, open_channel
 from bridges.mavlink.transport.connection_string import Connection, Unusable, parse_connection
 from bridges.mavlink.transport.lock import ConnectionLock
 
-RETRY_S: Final = 0.2
-"""Until the first attempt to open it again; twice that until the next, and so on."""
-RETRY_MAX_S: Final = 2.0
 QUEUE_MAX: Final = 4096
-CLOSE_S: Final = 0.5
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long a transport waits, s.
+
+    Attributes:
+        retry_s: until the first attempt to open the connection again; twice that until the next, and so on.
+        retry_max_s: at most that until any attempt.
+        close_s: for its thread to end, at most.
+    """
+
+    retry_s: float = 0.2
+    retry_max_s: float = 2.0
+    close_s: float = 0.5
+
+
+TIMING: Final = Timing()
 
 
 class Transport(Protocol):
@@ -67,20 +82,30 @@ class Transport(Protocol):
 
 
 class ThreadedTransport:
-    """A `Transport` with one thread, which opens, reads and stamps; it never sends and decides nothing.
+    """A `Transport` with one thread, which opens, reads and stamps with times; it never sends.
 
     Args:
+        connection: where the vehicle is.
+        baud: of a serial device.
         clock: wall time in ns, called from that thread.
+        system: the vehicle that is meant, where several are behind one connection (`ConnectionLock`).
     """
 
     def __init__(
-        self, connection: Connection, baud: int, clock: Callable[[], int], system: int | None = None
+        self,
+        connection: Connection,
+        baud: int,
+        clock: Callable[[], int],
+        system: int | None = None,
+        *,
+        timing: Timing = TIMING,
     ) -> None:
         self.trouble = f"{connection.text} is being opened"
         self.waits = True
         self.epoch = 0
         self.dropped = 0
         self._connection, self._baud, self._clock, self._system = connection, baud, clock, system
+        self._timing = timing
         self._queue: deque[tuple[int, bytes]] = deque(maxlen=QUEUE_MAX)
         self._lock = threading.Lock()  # never held while anything waits
         self._channel: Channel | None = None
@@ -124,19 +149,20 @@ class ThreadedTransport:
         if not self._closing.is_set():
             self._closing.set()
             self._wake()
-            self._thread.join(CLOSE_S)
+            self._thread.join(self._timing.close_s)
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):
             self._wake_write.send(b"x")
 
     def _run(self) -> None:
-        hold: ConnectionLock | None = None
-        pause_s = RETRY_S
+        lock: ConnectionLock | None = None
+        timing = self._timing
+        pause_s = timing.retry_s
         while not self._closing.is_set():
             try:
-                if hold is None:
-                    hold = ConnectionLock(self._connection, self._system)
+                if lock is None:
+                    lock = ConnectionLock(self._connection, self._system)
                 channel = open_channel(self._connection, self._baud)
             except OSError as error:
                 self.waits = not isinstance(error, Unusable | NotPrivateError)
@@ -146,11 +172,11 @@ class ThreadedTransport:
                 self.trouble = f"cannot open {self._connection.text}: {type(error).__name__}: {error}"
             else:
                 if self._read(channel):
-                    pause_s = RETRY_S
+                    pause_s = timing.retry_s
             self._closing.wait(pause_s)
-            pause_s = min(2.0 * pause_s, RETRY_MAX_S)
-        if hold is not None:
-            hold.close()
+            pause_s = min(2.0 * pause_s, timing.retry_max_s)
+        if lock is not None:
+            lock.close()
         self._wake_read.close()
         self._wake_write.close()
 
@@ -195,9 +221,14 @@ def _reason(error: OSError) -> str:
 
 
 def open_transport(
-    connection: str, baud: int, clock: Callable[[], int], system: int | None = None
+    connection: str,
+    baud: int,
+    clock: Callable[[], int],
+    system: int | None = None,
+    *,
+    timing: Timing = TIMING,
 ) -> Transport:
-    """Begins to open a connection (`connection.parse_connection`) and returns at once.
+    """Begins to open a connection (`connection_string.parse_connection`) and returns at once.
 
     Args:
         baud: of a serial device.
@@ -207,4 +238,4 @@ def open_transport(
     Raises:
         ValueError: it is no connection string.
     """
-    return ThreadedTransport(parse_connection(connection), baud, clock, system)
+    return ThreadedTransport(parse_connection(connection), baud, clock, system, timing=timing)

@@ -23,9 +23,10 @@ from bridges.mavlink.transport import transport as transport_module
 from bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut
 from bridges.mavlink.transport.connection_string import parse_connection
 from bridges.mavlink.transport.lock import ConnectionLock, InUse
-from bridges.mavlink.transport.transport import Transport, open_transport
+from bridges.mavlink.transport.transport import Timing, Transport, open_transport
 
 LOCALHOST = "127.0.0.1"
+TIMING = Timing(retry_s=0.005, retry_max_s=0.02)
 
 
 @pytest.fixture(autouse=True)
@@ -46,7 +47,7 @@ def opened() -> Iterator[Callable[[str], Transport]]:
 
     def open_(connection: str) -> Transport:
         ticks = count(1)
-        transports.append(open_transport(connection, 57600, lambda: next(ticks)))
+        transports.append(open_transport(connection, 57600, lambda: next(ticks), timing=TIMING))
         return transports[-1]
 
     yield open_
@@ -203,7 +204,8 @@ def test_a_send_that_fails_has_the_connection_opened_again_once(
     opened: Callable[[str], Transport], listener: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = count()
-    monkeypatch.setattr(transport_module.select, "select", _counted(select.select, waits))
+    poll = select.poll
+    monkeypatch.setattr(transport_module.select, "poll", lambda: _Counted(poll(), waits))
     transport = opened(f"tcp:{LOCALHOST}:{listener.getsockname()[1]}")
     peer, _ = listener.accept()
     until(lambda: transport.epoch)
@@ -228,12 +230,17 @@ def test_a_send_that_fails_has_the_connection_opened_again_once(
     assert next(waits) < 100  # it waits; it does not go round and round
 
 
-def _counted(wait: Callable[..., object], calls: count[int]) -> Callable[..., object]:
-    def counted(*values: object) -> object:
-        next(calls)
-        return wait(*values)
+class _Counted:
+    """A `select.poll` that counts how often it returns."""
 
-    return counted
+    def __init__(self, poller: select.poll, returns: count[int]) -> None:
+        self._poller, self._returns = poller, returns
+        self.register = poller.register
+
+    def poll(self) -> list[tuple[int, int]]:
+        ready = self._poller.poll()
+        next(self._returns)
+        return ready
 
 
 def test_close_gives_the_connection_back(opened: Callable[[str], Transport], listener: socket.socket) -> None:
@@ -432,11 +439,11 @@ def test_the_lock_is_of_the_device_whatever_it_is_called(tmp_path: Path) -> None
     device = tmp_path / "ttyACM0"
     device.touch()
     (tmp_path / "by-id").symlink_to(device)
-    hold = ConnectionLock(parse_connection(str(device)))
+    held = ConnectionLock(parse_connection(str(device)))
     with pytest.raises(InUse):
         ConnectionLock(parse_connection(str(tmp_path / "by-id")))
     other = ConnectionLock(parse_connection("udpin:0.0.0.0:14550"))
-    hold.close()
+    held.close()
     other.close()
 
 
@@ -449,8 +456,8 @@ def test_a_router_serves_one_bridge_for_each_vehicle_behind_it() -> None:
     port = ConnectionLock(waiting, 1)
     with pytest.raises(InUse):
         ConnectionLock(waiting, 2)
-    for hold in (first, second, port):
-        hold.close()
+    for held in (first, second, port):
+        held.close()
 
 
 def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
