@@ -52,7 +52,7 @@ bench: $(VENV)/.dev ## benchmarks
 	$(PY) -m tests.benchmarks
 
 docs: $(VENV)/.dev ## write the reference of the fleet file
-	$(PY) -m deploy.check.fleet_reference
+	$(PY) -m deploy.check.fleet_reference > docs/fleet-file.md
 
 # Keeps the pinned versions that still satisfy pyproject.toml; `make lock UPGRADE=1` takes the newest.
 # The others are constrained by lock.txt, so that all four files always agree.

@@ -6,7 +6,9 @@ with it (exit status 1 when they differ).
 
 from __future__ import annotations
 
+import re
 import sys
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, Literal, get_args, get_origin
 
@@ -17,11 +19,12 @@ from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
 from deploy.console.data_files import ROOT, TEMPLATE
 
 PAGE: Final = ROOT / "docs" / "fleet-file.md"
+WIDTH: Final = 110  # of the page's lines, but for the example, which is a file
 
 _HEAD: Final = """\
 # The fleet file
 
-<!-- Made of agent/*_sections.py and agent/fleet/fault_rules.py: change it there, then
+<!-- Made of the tables in agent/fleet/: change them there, then
      python -m deploy.check.fleet_reference > docs/fleet-file.md -->
 
 One TOML file describes a fleet: who drives where, what it weighs, which law it obeys. Every process reads the
@@ -32,6 +35,9 @@ from 1, so `robot[1]` is the first `[[robot]]`.
 Lengths are in m, times in s, angles in rad. x points east, y north; headings turn counter-clockwise from
 east. Unknown tables and fields are errors. A required field must be given; a table without required fields
 may be left out.
+
+A field's line reads: name = default, or *required*; in brackets what it takes, with its unit and bounds; what
+it means; an example, where the default is none.
 """
 
 _SET: Final = """\
@@ -84,9 +90,8 @@ def _section(entry: Entry, name: str, above: type | None = None) -> Iterator[str
         for field in entries(model).values()
         if field.key not in known and field.key != entry.setting.named
     ]
-    rows = [_row(field) for field in own if not (field.table or field.tables)]
-    head = "| field | value | default | meaning | example |\n|---|---|---|---|---|\n"
-    yield f"## `{title}`\n\n{entry.setting.doc}\n\n{head}" + "\n".join(rows) + "\n"
+    fields = [_item(_field(field)) for field in own if not (field.table or field.tables)]
+    yield f"## `{title}`\n\n{_wrapped(entry.setting.doc)}\n\n" + "\n".join(fields) + "\n"
     for field in own:
         if field.table or field.tables:
             yield from _section(field, f"{name}.{field.key}", model)
@@ -98,21 +103,39 @@ def _title(entry: Entry, name: str) -> str:
     return f"[[{name}]]" if entry.tables else f"[{name}]"
 
 
-def _row(field: Entry) -> str:
+def _field(field: Entry) -> str:
+    """All that is said of one field."""
     kind = "string" if field.setting.parse else _type(field.hint, field.setting.unit)
     bounds = field.setting.range_text() or field.setting.pattern_says
-    default = (
-        "**required**" if field.required else "" if field.default is None else f"`{show(field.default)}`"
-    )
+    takes = kind + (f", {bounds}" if bounds else "")
     given = example(field.hint, field.setting, field.default)
-    cells = (
-        f"`{field.key}`",
-        kind + (f", {bounds}" if bounds else ""),
-        default,
-        field.setting.doc,
-        f"`{given}`",
+    default = None if field.required or field.default is None else show(field.default)
+    if field.required:
+        name = f"`{field.key}`, *required*"
+    elif default is None:
+        name = f"`{field.key}`"
+    else:
+        name = f"`{field.key} = {default}`"
+    shown = "" if given == default else f" Example: `{given}`"
+    return f"{name} ({takes}): {field.setting.doc}{shown}"
+
+
+def _item(text: str) -> str:
+    return _wrapped(text, "- ", "  ")
+
+
+def _wrapped(text: str, first: str = "", rest: str = "") -> str:
+    """Lines of at most `WIDTH`; what is in backquotes stays on one line."""
+    whole = re.sub(r"`[^`]+`", lambda match: match.group().replace(" ", "\0"), text)
+    lines = textwrap.wrap(
+        whole,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
     )
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return "\n".join(lines).replace("\0", " ")
 
 
 def _type(hint: Any, unit: str | None) -> str:
@@ -164,12 +187,13 @@ def _units_of(model: type) -> Iterator[str | None]:
 
 
 def _laws() -> str:
-    lines = ["| `--law` | sets |\n|---|---|"]
-    for name, preset in LAWS.items():
-        lines.append(
-            f"| `{name}` | {', '.join(f'`{key} = {show(value)}`' for key, value in preset.items())} |"
+    return (
+        "\n".join(
+            _item(f"`--law {name}`: {', '.join(f'`{key} = {show(value)}`' for key, value in preset.items())}")
+            for name, preset in LAWS.items()
         )
-    return "\n".join(lines) + "\n"
+        + "\n"
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -440,6 +441,7 @@ def test_the_reference_page_is_up_to_date(capsys: pytest.CaptureFixture[str]) ->
 
 def test_the_reference_page_says_everything() -> None:
     page = fleet_reference.render()
+    named = set(re.findall(r"^- `(\w+)", page, re.MULTILINE))
     vehicle = ("signing_key=~/key", "system=1", "own_system=1")
     overrides = (
         "robot.3.max_force_n=1",
@@ -450,9 +452,9 @@ def test_the_reference_page_says_everything() -> None:
         for key, value in (table if isinstance(table, dict) else table[0]).items() if table else ():
             if key == "mavlink":
                 assert "## `[robot_defaults.mavlink]`" in page
-                assert all(f"| `{inside}` |" in page for inside in value), value
+                assert set(value) <= named, value
             else:
-                assert f"| `{key}` |" in page or f"## `[[{section}.{key}]]`" in page, (section, key)
+                assert key in named or f"## `[[{section}.{key}]]`" in page, (section, key)
     assert fleet_reference.main(["--what"]) == 2
 
 
