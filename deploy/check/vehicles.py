@@ -155,7 +155,7 @@ def _limits(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
     try:
         speed = trajectory.maximum_speed(fleet.trajectory)
     except ValueError:
-        return  # said by deploy.check.check
+        return  # `deploy.check.shape` says so
     slowest = min(vehicles, key=lambda vehicle: vehicle.link.max_speed_mps)
     limit = slowest.link.max_speed_mps
     if speed >= SPEED_SHARE * limit:

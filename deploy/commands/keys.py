@@ -25,7 +25,7 @@ from agent.security.identity import (
 )
 from agent.security.private_files import KeyFileError
 from deploy.console.arguments import InputError, fleet_arguments, load_unresolved
-from deploy.hosts.certificate_requests import answer, read_requests
+from deploy.hosts.certificates import answer, read_requests
 from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
 
 DONE: Final = 0

@@ -29,7 +29,7 @@ from deploy.console.arguments import (
 )
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
-from deploy.hosts import units
+from deploy.hosts import systemd_units
 from deploy.inventory import ssh
 from deploy.inventory.hosts import hosts_of, located, robots_on
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
@@ -124,11 +124,11 @@ def command(
         words += ["-n", str(FOLLOWED_LINES if options.lines is None else options.lines)]
     if options.follow:
         words.append("-f")
-    processes = [(fleet.fleet.name, robot, role) for robot in robots for role in units.roles(fleet)]
+    processes = [(fleet.fleet.name, robot, role) for robot in robots for role in systemd_units.roles(fleet)]
     # What systemd says of a unit, and what its process says: by its own mark, since of a process that dies
     # the last lines are not known to be its unit's.
-    matches = [f"USER_UNIT={units.unit_name(*process)}" for process in processes]
-    matches += [f"SYSLOG_IDENTIFIER={units.identifier(*process)}" for process in processes]
+    matches = [f"USER_UNIT={systemd_units.unit_name(*process)}" for process in processes]
+    matches += [f"SYSLOG_IDENTIFIER={systemd_units.identifier(*process)}" for process in processes]
     return " ".join([*words, " + ".join(matches)])
 
 

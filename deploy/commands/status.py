@@ -51,7 +51,7 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 
 def _status(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
-    from deploy.hosts import units
+    from deploy.hosts import systemd_units
     from deploy.hosts.connection import HostConnection
     from deploy.hosts.jobs import HostJobs
     from deploy.hosts.status import HostStatus, host_rows, host_status, print_table, process_row
@@ -100,7 +100,7 @@ def _status(options: argparse.Namespace) -> int:
         process_row(fleet, robot, role, found[host.name], statuses.get(robot))
         for host in hosts
         for robot in jobs.rows[host.name].robots
-        for role in units.roles(fleet)
+        for role in systemd_units.roles(fleet)
     ]
     if options.json:
         print(json.dumps({"fleet": fleet.fleet.name, "hosts": host_rows(found), "processes": rows}, indent=2))

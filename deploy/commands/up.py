@@ -15,7 +15,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
 
 if TYPE_CHECKING:
-    from deploy.hosts.host_keys import HostKeys
+    from deploy.hosts.certificates import HostKeys
     from deploy.hosts.up import BringUp
 
 
@@ -69,7 +69,7 @@ def _up(options: argparse.Namespace) -> int:
 @contextmanager
 def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
     """What gives robots their certificates; needs the authority that `handfast keys` has made."""
-    from deploy.hosts.host_keys import HostKeys
+    from deploy.hosts.certificates import HostKeys
     from deploy.inventory.certificate_authority import Authority, AuthorityError, keys_folder
 
     folder = keys_folder(fleet.fleet.name)

@@ -20,12 +20,12 @@ from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
 from agent.supervision.state_machine import DRIVING
 from deploy.console.data_files import ANSIBLE
-from deploy.hosts import remote_program, units
+from deploy.hosts import remote_program, systemd_units
 from deploy.hosts.bundle import Bundle, Platform
+from deploy.hosts.certificates import MODULE
 from deploy.hosts.connection import NO_PYTHON, bootstrap
-from deploy.hosts.host_keys import MODULE
-from deploy.hosts.host_places import fleet_file, places
 from deploy.hosts.setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
+from deploy.hosts.systemd_units import fleet_file, places
 from deploy.inventory.hosts import hosts_of, robots_on
 from deploy.inventory.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_S
 
@@ -162,8 +162,8 @@ def _of_one(fleet: Fleet, host: HostSection, robots_text: str) -> dict[str, Any]
         "handfast_robots": list(map(str, robots)),
         "handfast_units": {
             str(robot): {
-                units.unit_name(name, robot, role): units.unit(fleet, robot, role, there)
-                for role in units.roles(fleet)
+                systemd_units.unit_name(name, robot, role): systemd_units.unit(fleet, robot, role, there)
+                for role in systemd_units.roles(fleet)
             }
             for robot in robots
         },

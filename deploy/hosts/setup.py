@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.fleet.fleet import Fleet
 from agent.fleet.host_sections import HostSection
-from deploy.hosts import host_places, units
+from deploy.hosts import systemd_units
 from deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.hosts.connection import Clock, HostConnection, HostError
 from deploy.inventory.hosts import robots_on
@@ -22,7 +22,7 @@ CLOCK_ERROR_MAX_S: Final = 1.0
 Say = Callable[[str], None]
 """Told what is being done, in a few words."""
 Keys = Callable[[HostConnection, str, str], None]
-"""Gives the robots of a host their certificates, see `deploy.hosts.host_keys.HostKeys`."""
+"""Gives the robots of a host their certificates, see `deploy.hosts.certificates.HostKeys`."""
 
 
 class Prepared(NamedTuple):
@@ -79,8 +79,8 @@ def prepare(
     if not connection.ask("installed", version=bundle.version):
         install(connection, bundle, say)
     name = fleet.fleet.name
-    file = host_places.fleet_file(fleet, text)
-    places = host_places.places(fleet, about["root"], bundle.version, text)
+    file = systemd_units.fleet_file(fleet, text)
+    places = systemd_units.places(fleet, about["root"], bundle.version, text)
     before_changes()
     say("configuring")
     digests = {file: hashlib.sha256(text.encode()).hexdigest()}
@@ -91,8 +91,8 @@ def prepare(
         keys(connection, bundle.version, places.keys)
     texts = {
         robot: {
-            units.unit_name(name, robot, role): units.unit(fleet, robot, role, places)
-            for role in units.roles(fleet)
+            systemd_units.unit_name(name, robot, role): systemd_units.unit(fleet, robot, role, places)
+            for role in systemd_units.roles(fleet)
         }
         for robot in robots_on(fleet, host)
     }

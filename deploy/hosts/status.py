@@ -16,7 +16,7 @@ from agent.fleet.fleet import Fleet
 from agent.messages.types import Status
 from deploy.console.wording import robots
 from deploy.drive.live_view import STYLES
-from deploy.hosts import units
+from deploy.hosts import systemd_units
 from deploy.hosts.connection import Clock, HostError
 
 QUIET: Final = "-"
@@ -72,7 +72,7 @@ def process_row(
     fleet: Fleet, robot: int, role: str, host: HostStatus, status: Status | None
 ) -> dict[str, Any]:
     """What is known of a process, JSON values; None where it is not."""
-    about = host.units.get(units.unit_name(fleet.fleet.name, robot, role), {})
+    about = host.units.get(systemd_units.unit_name(fleet.fleet.name, robot, role), {})
     row: dict[str, Any] = {
         "robot": robot,
         "host": fleet.robot(robot).host,

@@ -18,7 +18,7 @@ from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
-from deploy.hosts import units
+from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
 from deploy.hosts.connection import HostConnection, HostError
@@ -145,7 +145,7 @@ class BringUp:
         """Raises `HostError` where the fleet is heard to stand, but a robot there says that it drives."""
         told = connection.ask("status", fleet=self._fleet.fleet.name)["units"]
         for robot in self._fleet.ids:
-            about = told.get(units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
+            about = told.get(systemd_units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
             state = about.get("StatusText", "").partition(":")[0]
             if about.get("ActiveState") != "active" or state not in _DRIVING:
                 continue
@@ -217,7 +217,9 @@ class BringUp:
             connection.ask("restart", names=[unit for robot in robots for unit in prepared.stale[robot]])
         return {
             robot: {
-                role: begun for role in ROLES if units.unit_name(name, robot, role) in prepared.stale[robot]
+                role: begun
+                for role in ROLES
+                if systemd_units.unit_name(name, robot, role) in prepared.stale[robot]
             }
             for robot in robots
         }
@@ -270,7 +272,9 @@ class BringUp:
     ) -> dict[tuple[int, str], str]:
         """States of robots' units."""
         name = self._fleet.fleet.name
-        names = {(robot, role): units.unit_name(name, robot, role) for robot in robots for role in roles}
+        names = {
+            (robot, role): systemd_units.unit_name(name, robot, role) for robot in robots for role in roles
+        }
         told = connection.ask("states", names=list(names.values())) if names else {}
         return {process: told[unit] for process, unit in names.items()}
 
@@ -288,14 +292,14 @@ class BringUp:
         return "; ".join(lines)
 
     def _told(self, connection: HostConnection, robot: int, role: str, state: str) -> str:
-        unit = units.unit_name(self._fleet.fleet.name, robot, role)
+        unit = systemd_units.unit_name(self._fleet.fleet.name, robot, role)
         told = connection.ask("last_lines", name=unit, count=1)
         return f"robot {robot}'s {role} is {state}{f': {told[-1]}' if told else ''}"
 
     def _left_over(self, connection: HostConnection, prepared: Prepared) -> list[str]:
         """Removes what nothing needs any more; says what is still wrong though all robots are there."""
         warnings = []
-        recorders = [role for role in units.roles(self._fleet) if role not in ROLES]
+        recorders = [role for role in systemd_units.roles(self._fleet) if role not in ROLES]
         try:
             for (robot, role), state in self._states(connection, prepared.stale, recorders).items():
                 if state not in ("active", "activating"):

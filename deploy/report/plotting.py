@@ -6,6 +6,7 @@ which colour-blind readers tell apart.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Patch
@@ -156,3 +158,22 @@ def draw_boundary(axes: Axes, boundary: Circle | Polygon) -> None:
         fontsize=7, color=INK, zorder=9, annotation_clip=True, parse_math=False,
         bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.6},
     )  # fmt: skip
+
+
+def draw_many(axes: Axes, t: Floats, values: Floats, what: str) -> None:
+    """Many lines over the same times: thin ones, their envelope and their median. values: (k, m)."""
+    known = values[:, np.isfinite(values).any(axis=0)]
+    if not known.shape[1]:
+        return
+    least, greatest = np.fmin.reduce(known, axis=1), np.fmax.reduce(known, axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # there may be times without any: no line there
+        median = np.nanmedian(known, axis=1)
+    color = PALETTE[0]
+    axes.fill_between(t, least, greatest, color=color, alpha=0.10, linewidth=0)
+    segments = [np.column_stack([t, known[:, index]]) for index in range(known.shape[1])]
+    axes.add_collection(LineCollection(segments, colors=color, linewidths=0.4, alpha=0.35))
+    axes.plot(t, least, color=color, linewidth=0.9)
+    label = f"least and greatest of {known.shape[1]} {what}s"
+    axes.plot(t, greatest, color=color, linewidth=0.9, label=label)
+    axes.plot(t, median, color=INK, linewidth=1.3, label="median")

@@ -23,7 +23,7 @@ from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, METRICS_FILE, RECORDING_FILE, REPORT_FILE
-from deploy.report import fault_strip, figures, link_figures, link_section, oracle_section
+from deploy.report import fault_strip, figures, link_figure, link_section, oracle_section
 from deploy.report.html import CSS, bullets, figure, shown, table
 from deploy.verdict import metrics
 
@@ -256,7 +256,7 @@ def _page(
         "<h2>Robots</h2>",
         _robots_table(recording, a),
         oracle_section.section(recording, found),
-        link_section.section(recording, found, pictures.get(link_figures.NAME)),
+        link_section.section(recording, found, pictures.get(link_figure.NAME)),
         "<h2>Forces and timing</h2>",
         *(figure(name, pictures[name], _CAPTIONS[name]) for name in ("forces", "timing")),
         "<h2>Do it again</h2>",

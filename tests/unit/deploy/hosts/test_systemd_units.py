@@ -11,8 +11,8 @@ import pytest
 from agent.fleet.fleet import Fleet, parse_fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
-from deploy.hosts import units
-from deploy.hosts.units import Places, arguments, roles, unit, unit_name
+from deploy.hosts import systemd_units
+from deploy.hosts.systemd_units import Places, arguments, roles, unit, unit_name
 from tests.unit.agent.fleet.test_hosts import FLEET
 
 PLACES = Places(
@@ -65,7 +65,7 @@ def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
     assert said["RestartPreventExitStatus"] == "2"
     assert said["StartLimitIntervalSec"] == "0"
     assert said["WatchdogSignal"] == "SIGKILL"
-    assert float(said["WatchdogSec"]) == units.WATCHDOG_S["agent"]
+    assert float(said["WatchdogSec"]) == systemd_units.WATCHDOG_S["agent"]
     assert int(said["LimitNOFILE"]) > 4096, "anybody can open connections to it"
     assert {"MemoryMax", "TasksMax", "TimeoutStopSec", "SyslogIdentifier"} <= said.keys()
 

@@ -22,7 +22,7 @@ from deploy.hosts import up
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import Bundle
 from deploy.hosts.connection import Clock, HostError
-from deploy.hosts.units import roles, unit_name
+from deploy.hosts.systemd_units import roles, unit_name
 from deploy.hosts.up import BringUp
 from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of

@@ -26,13 +26,14 @@ from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording
-from deploy.report import figures
+from deploy.report import figures, trajectory_figure
 from deploy.report.report import finish, rebuild, write_report
 from deploy.verdict.metrics import compute
 from tests.unit.deploy.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)
-FILES = ("metrics.json", "report.html", *(f"{name}.png" for name in figures.NAMES))
+NAMES = ("trajectories", "distances", "forces", "timing")
+FILES = ("metrics.json", "report.html", *(f"{name}.png" for name in NAMES))
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 
 
@@ -102,8 +103,8 @@ def test_the_page_needs_nothing_beside_itself(tmp_path: Path) -> None:
     text = (tmp_path / "report.html").read_text()
     page = Page(text)
     sources = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
-    assert len(sources) == len(figures.NAMES)
-    for source, name in zip(sources, ("trajectories", "distances", "forces", "timing"), strict=True):
+    assert len(sources) == len(NAMES)
+    for source, name in zip(sources, NAMES, strict=True):
         assert source is not None
         prefix, _, data = source.partition(",")
         assert prefix == "data:image/png;base64"
@@ -251,7 +252,7 @@ def draw(folder: Path, fleet: Fleet, sent: Iterable[Sent]) -> dict[str, Path]:
 def test_fleets_of_any_size_are_drawn(tmp_path: Path, rows: int) -> None:
     fleet = make_fleet(*triangle(rows), velocity=(0.2, 0.0), duration_s=1.0, rate_hz=10)
     paths = draw(tmp_path, fleet, messages(fleet, in_formation(fleet, 0.2)))
-    assert set(paths) == set(figures.NAMES)
+    assert set(paths) == set(NAMES)
     for path in paths.values():
         width, height = size_of(path)
         assert 500 <= width <= 1500
@@ -266,7 +267,7 @@ def test_runs_with_holes_are_drawn(tmp_path: Path) -> None:
         if "plant/state" in each[1] or each[1] == key_expressions.mission("made-up")
     ]
     for sent in (nothing_of_2, poses_only, []):
-        assert set(draw(tmp_path, FLEET, sent)) == set(figures.NAMES)
+        assert set(draw(tmp_path, FLEET, sent)) == set(NAMES)
 
 
 def test_no_text_of_software_or_date_is_in_a_figure(tmp_path: Path) -> None:
@@ -288,7 +289,7 @@ def test_the_formation_is_drawn_at_start_and_end_and_where_it_is_apart() -> None
         fleet = replace(FLEET, trajectory=trajectory)
         recording = recorded(fleet, messages(fleet, in_formation(fleet)))
         a = analyse(recording, resolve(fleet))
-        return [float(a.grid[k]) for k in figures._moments(a)]
+        return [float(a.grid[k]) for k in trajectory_figure._moments(a)]
 
     assert moments(TrajectorySection("hold")) == [0.0, 3.0]
     assert moments(TrajectorySection("line", velocity_mps=(2.0, 0.0))) == pytest.approx(

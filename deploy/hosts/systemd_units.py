@@ -1,4 +1,4 @@
-"""The systemd user units of a robot: one for each of its processes (PURE).
+"""The systemd user units of a robot, one for each of its processes, and where its files are (PURE).
 
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
 it lives (`agent.runtime.systemd_notify`); it bounds what it may take. Neither ssh nor the operator's machine
@@ -7,6 +7,7 @@ is needed for that.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -50,6 +51,29 @@ class Places:
     keys: str | None
     recordings: str
     state: str
+
+
+def fleet_file(fleet: Fleet, text: str) -> str:
+    """Place of the fleet file within our folder there; another text has another one, so units change."""
+    return f"fleets/{fleet.fleet.name}/fleet-{hashlib.sha256(text.encode()).hexdigest()[:8]}.toml"
+
+
+def places(fleet: Fleet, root: str, version: str, text: str) -> Places:
+    """All places that units name.
+
+    Args:
+        root: our folder there.
+        version: what is installed there.
+        text: of the fleet file that robots read.
+    """
+    base = f"{root}/fleets/{fleet.fleet.name}"
+    return Places(
+        version=f"{root}/versions/{version}",
+        fleet_file=f"{root}/{fleet_file(fleet, text)}",
+        keys=f"{base}/keys" if fleet.is_secured else None,
+        recordings=f"{base}/recordings",
+        state=f"{base}/state",
+    )
 
 
 def roles(fleet: Fleet) -> tuple[str, ...]:

@@ -1,0 +1,229 @@
+"""Do trajectory, bodies and measurements suit each other: speeds, forces, hand offsets, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import atan2, exp, hypot, inf, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.fleet.fleet import Fleet
+from agent.fleet.sections import Robot
+from agent.formation import trajectory
+from agent.formation.geometry import Geometry, start_hands
+from agent.formation.trajectory import make_trajectory
+from deploy.check.finding import Finding
+from deploy.console.wording import counted, robots
+
+Floats = NDArray[np.float64]
+
+TURN_PER_TICK_WARN: Final = 0.5
+TURN_PER_TICK_MAX: Final = 2.0
+"""V / (L rate), what a robot driven across its heading turns in one tick, rad.
+
+The heading follows the hand with thetadot = V / L sin(.); held over a period this has the multiplier
+1 - V / (L rate), unstable from 2 on. Measured with unicycles turned by 90 to 179 degrees, the loop
+broke between 1 and 1.5 at 150 degrees and beyond; half of that is the warning.
+"""
+
+
+def check_motion(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
+    """Does the trajectory suit the law's limits, the bodies and the run's length."""
+    section, control = fleet.trajectory, fleet.control
+    try:
+        speed = trajectory.maximum_speed(section)
+        acceleration = trajectory.maximum_acceleration(section)
+        ends = trajectory.duration(section)
+    except ValueError:
+        return  # `deploy.check.shape` says so
+    place = "trajectory.corner_acceleration" if section.kind == "waypoints" else "trajectory.speed_mps"
+    source = (
+        f"a corner_acceleration of {acceleration:.3g} m/s2"
+        if section.kind == "waypoints"
+        else f"{speed:.3g} m/s on a circle of {section.radius_m} m ({acceleration:.3g} m/s2 to its centre)"
+    )
+    if acceleration > control.max_acceleration:
+        yield Finding(
+            "error",
+            place,
+            f"{source} is more than control.max_acceleration = {control.max_acceleration:.4g} m/s2: the "
+            f"robots cannot follow; {_slower(fleet, control.max_acceleration)}",
+        )
+    elif acceleration > 0.5 * control.max_acceleration:
+        yield Finding(
+            "warning",
+            place,
+            f"{source} takes {acceleration / control.max_acceleration:.0%} of control.max_acceleration = "
+            f"{control.max_acceleration:.4g} m/s2 and leaves little to form up with; "
+            f"{_slower(fleet, 0.5 * control.max_acceleration)}",
+        )
+    if ends is not None and 0.0 < ends < fleet.fleet.duration_s:
+        yield Finding(
+            "info",
+            "trajectory",
+            f"comes to rest after {ends:.4g} s, before the run ends at {fleet.fleet.duration_s:.4g} s: the "
+            "formation then stands",
+        )
+    if ends is not None and ends > fleet.fleet.duration_s:
+        yield Finding(
+            "info",
+            "trajectory",
+            f"needs {ends:.4g} s, but fleet.duration_s = {fleet.fleet.duration_s:.4g}: it is not driven to "
+            "its end",
+        )
+    slowed = [
+        (leg.speed, k, leg.length)
+        for k, leg in enumerate(trajectory.legs(section), 1)
+        if section.speed_mps is not None and leg.speed < section.speed_mps
+    ]
+    if slowed:
+        slowest, k, length = min(slowed)
+        yield Finding(
+            "info",
+            "trajectory.waypoints_m",
+            f"{counted('leg', [k for _, k, _ in slowed])} too short for {section.speed_mps:.4g} m/s with "
+            f"corner_acceleration = {section.corner_acceleration:.4g} m/s2 and driven slower: leg {k} "
+            f"({length:.4g} m) at {slowest:.3g} m/s; longer legs or a larger corner_acceleration would be "
+            "faster",
+        )
+    yield from _bodies(fleet, geometry, speed, acceleration)
+
+
+def _slower(fleet: Fleet, limit: float) -> str:
+    section = fleet.trajectory
+    if section.kind == "waypoints":
+        return f"take corner_acceleration = {limit:.3g} or less"
+    radius = section.radius_m or 0.0
+    return f"take speed_mps = {sqrt(limit * radius):.3g} or less, or a larger radius_m"
+
+
+def _bodies(fleet: Fleet, geometry: Geometry | None, speed: float, acceleration: float) -> Iterator[Finding]:
+    """Hand offsets, force and torque limits (5) against what is asked; one finding for all robots that "
+    "share it."""
+    section, control, rate = fleet.trajectory, fleet.control, fleet.fleet.rate_hz
+    rows = list(enumerate(fleet.robots, 1))
+    # The centre of a robot whose hand drives a circle of radius R drives one of sqrt(R^2 - L^2).
+    longest = max(fleet.robots, key=lambda robot: robot.hand_offset_m)
+    if (
+        section.kind == "circle"
+        and section.radius_m is not None
+        and section.radius_m <= longest.hand_offset_m
+    ):
+        yield Finding(
+            "error",
+            "trajectory.radius_m",
+            f"{section.radius_m:.4g} m is not above the hand offset of robot {longest.id}, "
+            f"{longest.hand_offset_m:.4g} m: its centre cannot follow a circle that small; take a radius "
+            "well above it",
+        )
+    approach = _approach_speeds(fleet, geometry)
+    turns = [(speed + approach[row - 1]) / (robot.hand_offset_m * rate) for row, robot in rows]
+    quick = [row for row, turn in enumerate(turns, 1) if turn > TURN_PER_TICK_WARN]
+    if quick:
+        row = max(quick, key=lambda row: turns[row - 1])
+        robot, turn, forming = fleet.robots[row - 1], turns[row - 1], approach[row - 1]
+        enough = (speed + forming) / (TURN_PER_TICK_WARN * rate)
+        yield Finding(
+            "error" if turn >= TURN_PER_TICK_MAX else "warning",
+            f"robot[{row}].hand_offset_m",
+            f"{counted('robot', [fleet.robots[k - 1].id for k in quick])} quick for the hand offset: "
+            f"robot {robot.id}'s is {robot.hand_offset_m:.4g} m at up to {speed + forming:.3g} m/s "
+            f"(trajectory {speed:.3g}, forming up {forming:.3g}), so its heading may turn by {turn:.2g} rad "
+            f"within one tick at {rate:.4g} Hz, and the loop breaks from about 1 on; take {enough:.3g} m or "
+            "more, or a higher rate",
+        )
+    able = {row: robot.max_force_n / robot.mass_kg for row, robot in rows if robot.max_force_n is not None}
+    weak = [row for row, most in able.items() if most < acceleration]
+    if weak:
+        row = min(weak, key=lambda row: able[row])
+        robot = fleet.robots[row - 1]
+        # On a circle the wheels' side force does it, not the drive; legs begin and end along the heading.
+        yield Finding(
+            "error" if section.kind == "waypoints" else "warning",
+            f"robot[{row}].max_force_n",
+            f"{counted('robot', [fleet.robots[k - 1].id for k in weak])} too weak: {robot.max_force_n:.4g} N "
+            f"gives robot {robot.id} ({robot.mass_kg:.4g} kg) {able[row]:.3g} m/s2, but the trajectory asks "
+            f"for {acceleration:.3g} m/s2; it takes {acceleration * robot.mass_kg:.3g} N, or a slower "
+            "trajectory",
+        )
+    clipped = [row for row, most in able.items() if acceleration <= most < control.max_acceleration]
+    if clipped:
+        row = min(clipped, key=lambda row: able[row])
+        robot = fleet.robots[row - 1]
+        yield Finding(
+            "info",
+            f"robot[{row}].max_force_n",
+            f"the drive clips before the law does ({robots([fleet.robots[k - 1].id for k in clipped])}): "
+            f"{robot.max_force_n:.4g} N gives robot {robot.id} ({robot.mass_kg:.4g} kg) {able[row]:.3g} "
+            f"m/s2, less than control.max_acceleration = {control.max_acceleration:.4g}; lower that, so "
+            "that the law knows",
+        )
+    for row, robot in rows:
+        needed = robot.inertia_kgm2 * acceleration / robot.hand_offset_m  # L tau / J = acceleration across
+        if robot.max_torque_nm is not None and needed > robot.max_torque_nm:
+            yield Finding(
+                "warning",
+                f"robot[{row}].max_torque_nm",
+                f"{robot.max_torque_nm:.4g} N m, but the trajectory's {acceleration:.3g} m/s2 across the "
+                f"heading takes {needed:.3g} N m of robot {robot.id} (J a / L)",
+            )
+
+
+def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
+    """Greatest speed (m/s) that navigation alone gives each robot from its start to its place, (n,).
+
+    From rest at the distance e0: e0 w exp(-z acos(z) / sqrt(1 - z^2)) with w^2 = c1, 2 z w = c2; 0 for robots
+    in reserve.
+    """
+    if geometry is None:
+        return np.zeros(len(fleet.robots))
+    control = fleet.control
+    x, y = make_trajectory(fleet.trajectory).at(0.0)[:2]
+    away = np.hypot(*(start_hands(fleet) - geometry.offsets - (x, y)).T)
+    natural = sqrt(max(control.c1, 0.0))
+    damping = control.c2 / (2.0 * natural) if natural > 0.0 else inf
+    if damping < 0.999:
+        root = sqrt(1.0 - damping * damping)
+        share = exp(-damping * atan2(root, damping) / root)
+    elif damping < 1.001:
+        share = exp(-1.0)
+    else:
+        share = 1.0 / (2.0 * damping)  # overdamped: the speed is about c1 e / c2, never above it
+    speeds = np.zeros(len(fleet.robots))
+    speeds[[fleet.index(robot) for robot in geometry.ids]] = away * natural * share
+    return speeds
+
+
+def check_noise(fleet: Fleet) -> Iterator[Finding]:
+    noisy = [
+        robot
+        for robot in fleet.robots
+        if max(
+            robot.position_noise_m, robot.heading_noise_rad, robot.speed_noise_mps, robot.yaw_rate_noise_radps
+        )
+        > 0.0
+    ]
+    if not noisy:
+        return
+    control = fleet.control
+    k1, k2 = max(control.c1, control.kp), max(control.c2, control.kd)
+
+    def hand(robot: Robot) -> tuple[float, float]:
+        offset = robot.hand_offset_m
+        return (
+            hypot(robot.position_noise_m, offset * robot.heading_noise_rad),
+            hypot(robot.speed_noise_mps, offset * robot.yaw_rate_noise_radps),
+        )
+
+    worst = max(noisy, key=lambda robot: hypot(k1 * hand(robot)[0], k2 * hand(robot)[1]))
+    position, velocity = hand(worst)
+    yield Finding(
+        "info",
+        "robot",
+        f"measurements of {robots([robot.id for robot in noisy])} are noisy: up to {position:.2g} m and "
+        f"{velocity:.2g} m/s (standard deviation) at the hand point of robot {worst.id}, which the gains "
+        f"turn into about {hypot(k1 * position, k2 * velocity):.2g} m/s2 of commanded acceleration. "
+        "Distances settle to about the noise, not to zero",
+    )

@@ -1,0 +1,166 @@
+"""Is the control loop stable at this rate, with these gains and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import inf, sqrt
+from typing import Final
+
+import numpy as np
+
+from agent.fleet.fleet import Fleet
+from agent.formation.geometry import Geometry
+from deploy.analysis.stability import (
+    SETTLED,
+    Mode,
+    at_start,
+    modes,
+    sampled_radius,
+    settling_time,
+    sweep_radius,
+)
+from deploy.check.finding import Finding
+from deploy.console.wording import robots
+
+SWEEP_ROBOTS_MAX: Final = 60
+"""Largest fleet whose multiplier sweeps are in the sampled eigenvalues: their matrix grows with n."""
+KP_HIGH: Final = 4.0
+"""k_p above which wrong local minima were measured (facts: 84 % of random starts converged at 4)."""
+
+
+def check_saturation(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
+    """Saturation at the start."""
+    start = at_start(fleet, geometry)
+    limit = fleet.control.max_acceleration
+    over = np.flatnonzero(start.demand > limit)
+    if len(over):
+        worst = int(np.argmax(start.demand))
+        yield Finding(
+            "info",
+            "control.max_acceleration",
+            f"{robots([geometry.ids[k] for k in over.tolist()])} will be clipped at {limit:.4g} m/s2 at "
+            f"first: the law asks for {start.demand[worst]:.3g} m/s2 of robot {geometry.ids[worst]}, which "
+            f"starts {start.error[worst]:.3g} m from its place. The guarantee of the theory holds from where "
+            "it is no longer clipped; start nearer, or raise the limit if the robots can do it",
+        )
+
+
+def check_gains(fleet: Fleet) -> Iterator[Finding]:
+    control, n = fleet.control, len(fleet.members)
+    if control.coupling == "edge" and n > 2:
+        name = "the paper's law" if control.kp == 0.0 else 'the law edge by edge (coupling = "edge")'
+        yield Finding(
+            "info",
+            "control.coupling",
+            f"{name} is not proved stable for {n} robots: a robot with several edges feels forces that "
+            "(33) leaves "
+            'out (docs/theory.md). coupling = "joint" is proved',
+        )
+    if control.coupling == "penalty":
+        yield Finding(
+            "info",
+            "control.coupling",
+            'the potential-field law (coupling = "penalty") is a yardstick: its forces are not bounded '
+            "near the safe "
+            'distance and compete with navigation (docs/theory.md). coupling = "joint" is the one to drive '
+            "with",
+        )
+    if control.kp == 0.0:
+        yield Finding(
+            "info",
+            "control.kp",
+            "0: nothing pulls an edge back to its distance but navigation, so close pairs creep apart "
+            "(measured: 45 % of random starts not settled in 40 s even with the joint law); 1 is the "
+            "measured best",
+        )
+    elif control.kp > KP_HIGH:
+        yield Finding(
+            "warning",
+            "control.kp",
+            f"{control.kp:.4g} is above {KP_HIGH:g}: edges become so stiff against navigation that "
+            "triangles stay folded the wrong way (measured: 16 % of random starts at 4); about 1 is the "
+            "measured best",
+        )
+
+
+def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
+    """Is the law stable at the formation: as it is, sampled, and with its delay not predicted."""
+    control, rate = fleet.control, fleet.fleet.rate_hz
+    safe = fleet.formation.safe_distance_m
+    linear = modes(geometry, control, safe)
+    if not linear:
+        return
+    softest = min(linear, key=lambda mode: min(mode.k1, mode.k2))
+    if min(softest.k1, softest.k2) <= 0.0:
+        yield Finding(
+            "error",
+            "control.coupling",
+            "the law is unstable at the formation itself: in one of its modes it pulls with "
+            f"{softest.k1:.3g} 1/s2 and damps with {softest.k2:.3g} 1/s, where both must be above 0 (edges "
+            "that share a robot overcorrect "
+            'each other); take coupling = "joint", or kp of about 1',
+        )
+        return
+    # Near the safe distance phi' grows without limit and the joint law's modes become (kp, kd).
+    extreme = (
+        (*linear, Mode(control.kp, control.kd, True)) if control.kp > 0.0 and control.kd > 0.0 else linear
+    )
+
+    def radius(at: float, predicted: bool) -> float:
+        return max(sampled_radius(mode, at, predicted=predicted) for mode in set(extreme))
+
+    def whole(at: float) -> float:
+        result = radius(at, True)
+        if control.coupling == "joint" and len(geometry.edges) and len(geometry.ids) <= SWEEP_ROBOTS_MAX:
+            result = max(result, sweep_radius(geometry, control, safe, at))
+        return result
+
+    stiffest = max(extreme, key=lambda mode: max(mode.k2, sqrt(mode.k1)))
+    gains = f"its stiffest mode has {stiffest.k1:.3g} 1/s2 and {stiffest.k2:.3g} 1/s"
+    if whole(rate) >= 1.0:
+        needed = _rate_for(whole, rate)
+        yield Finding(
+            "error",
+            "fleet.rate_hz",
+            f"{rate:.4g} Hz is too slow for these gains: the sampled loop is unstable (largest eigenvalue "
+            f"{whole(rate):.4g}; {gains}); take at least {needed:.3g} Hz, or lower kd and kp",
+        )
+    elif radius(rate, False) >= 1.0 or whole(0.5 * rate) >= 1.0:
+        needed = _rate_for(lambda at: max(whole(0.5 * at), radius(at, False)), rate)
+        yield Finding(
+            "warning",
+            "fleet.rate_hz",
+            f"{rate:.4g} Hz leaves little margin: the loop is stable only while a delay of one period is "
+            f"predicted and no two periods in a row are missed ({gains}); take at least {needed:.3g} Hz, or "
+            "lower kd and kp",
+        )
+    # s^2 (lag s + 1) + K2 s + K1 is stable while K2 > lag K1 (Routh).
+    row, robot = max(enumerate(fleet.robots, 1), key=lambda item: item[1].actuator_lag_s)
+    slow = max(linear, key=lambda mode: mode.k1 / mode.k2)
+    share = robot.actuator_lag_s * slow.k1 / slow.k2
+    if share > 0.5:
+        yield Finding(
+            "error" if share >= 1.0 else "warning",
+            f"robot[{row}].actuator_lag_s",
+            f"{robot.actuator_lag_s:.4g} s is {'too ' if share >= 1.0 else ''}long for these gains: a mode "
+            f"with {slow.k1:.3g} 1/s2 and {slow.k2:.3g} 1/s is unstable from {slow.k2 / slow.k1:.3g} s on; "
+            "lower kp or raise kd",
+        )
+    settling = settling_time(fleet, geometry)
+    if settling is not None and settling > fleet.fleet.duration_s:
+        yield Finding(
+            "info",
+            "fleet.duration_s",
+            f"{fleet.fleet.duration_s:.4g} s may end before the formation stands: with these gains and "
+            f"starts edges need about {settling:.3g} s to come within {SETTLED:.0%}",
+        )
+
+
+def _rate_for(radius: Callable[[float], float], rate: float) -> float:
+    """A rate (Hz) near the lowest, at or above `rate`, at which `radius` is below 1; inf if none up
+    to 1 MHz."""
+    while radius(rate) >= 1.0:
+        rate *= 1.2
+        if rate > 1e6:
+            return inf
+    return rate

@@ -1,0 +1,68 @@
+"""The picture of forces and torques over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
+from deploy.report.plotting import (
+    LEGEND_MAX,
+    PALETTE,
+    SECOND_ROUND,
+    draw_many,
+    new_figure,
+    note,
+    nth_color,
+)
+
+
+def forces(recording: Recording) -> Figure:
+    """Navigation and constraint forces per unit mass, and what is asked of each body, over time."""
+    figure = new_figure(8.6, 5.6)
+    panels = figure.subplots(2, 2, sharex=True)
+    grid = recording.grid
+    unit = "per unit mass (m/s²)"
+    columns: list[tuple[str, str, Callable[[Any], tuple[Floats, Floats]]]] = [
+        ("Navigation force", f"$|F_n|$ {unit}", lambda r: (r.hand.t, _length(r.hand, "navigation"))),
+        ("Constraint force", f"$|F_c|$ {unit}", lambda r: (r.hand.t, _length(r.hand, "constraint"))),
+        ("Force asked of the plant", "force (N)", lambda r: (r.wrench.t, r.wrench["force"])),
+        ("Torque asked of the plant", "torque (N m)", lambda r: (r.wrench.t, r.wrench["torque"])),
+    ]
+    few = len(recording.ids) <= LEGEND_MAX
+    for axes, (title, label, column) in zip(panels.flat, columns, strict=True):
+        axes.set_title(title)
+        axes.set_ylabel(label)
+        axes.set_xlim(0.0, max(float(grid[-1]), 1e-3))
+        series = [column(robot) for robot in recording.robots.values()]
+        if not any(len(t) for t, _ in series):
+            note(axes, "nothing was recorded")
+        elif few:
+            for index, (t, values) in enumerate(series):
+                inside = (t >= 0) & (t <= grid[-1])
+                style = "solid" if index < len(PALETTE) else SECOND_ROUND
+                axes.plot(t[inside], values[inside], color=nth_color(index), linewidth=0.9, linestyle=style)
+        else:
+            table = np.column_stack([np.interp(grid, t, values) for t, values in series if len(t)])
+            draw_many(axes, grid, table, "robot")
+    for axes in panels[1]:
+        axes.set_xlabel("fleet time (s)")
+    if few:
+        for index, robot in enumerate(recording.ids):
+            style = "solid" if index < len(PALETTE) else SECOND_ROUND
+            label = f"robot {robot}"
+            panels[0, 0].plot([], [], color=nth_color(index), linewidth=1.3, linestyle=style, label=label)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    if handles:
+        rows = 1 if len(handles) <= 6 else 2
+        figure.legend(handles, labels, loc="outside upper left", ncols=-(-len(handles) // rows))
+    return figure
+
+
+def _length(table: Any, name: str) -> Floats:
+    length: Floats = np.hypot(table[f"{name}_x"], table[f"{name}_y"])
+    return length

@@ -1,0 +1,91 @@
+"""The picture of time: how long ticks took, how old neighbours' states were."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
+from deploy.report.plotting import (
+    GREY,
+    INK,
+    PALETTE,
+    new_figure,
+    note,
+)
+
+
+def timing(recording: Recording) -> Figure:
+    """How long ticks took and how old the neighbours' states were, over time and as distributions."""
+    figure = new_figure(8.6, 5.6)
+    panels = figure.subplots(2, 2, width_ratios=(1.6, 1.0))
+    statuses = [robot.status for robot in recording.robots.values()]
+    end = max(recording.end_s, 1e-3)
+    ticks = [(s.t, s.tick_counts, s.tick_us) for s in statuses]
+    ages = [(s.t, s.age_counts, s.ages_us) for s in statuses]
+    rows = (
+        ("Duration of a tick", "µs", 1.0, ticks, PALETTE[0]),
+        ("Age of the neighbours' states", "ms", 1e3, ages, PALETTE[2]),
+    )
+    for (over_time, spread), (title, unit, scale, series, color) in zip(panels, rows, strict=True):
+        over_time.set_title(title)
+        over_time.set_ylabel(f"{title.split()[0].lower()} ({unit})")
+        over_time.set_xlabel("fleet time (s)")
+        over_time.set_xlim(0.0, end)
+        spread.set_title("Distribution")
+        spread.set_xlabel(f"{title.split()[0].lower()} ({unit})")
+        spread.set_ylabel("share of all (%)")
+        times = np.concatenate([np.repeat(t, counts) for t, counts, _ in series])
+        values = np.concatenate([values for _, _, values in series]) / scale
+        if recording.mode == "simulate" and unit == "µs":
+            for axes in (over_time, spread):
+                note(axes, "virtual time: ticks take none")
+        elif not len(values):
+            for axes in (over_time, spread):
+                note(axes, "nothing was recorded")
+        else:
+            _draw_over_time(over_time, times, values, end, color)
+            _draw_spread(spread, values, color, unit)
+    return figure
+
+
+def _draw_over_time(axes: Axes, times: Floats, values: Floats, end: float, color: str) -> None:
+    """Median, 99th percentile and maximum in each of at most 60 bins of time."""
+    width = max(end / 60, 0.2)
+    bins = np.floor(times / width).astype(np.int64)
+    inside = (times >= 0) & (times <= end)
+    rows = []
+    for number in np.unique(bins[inside]):
+        chosen = values[inside & (bins == number)]
+        rows.append((min((number + 0.5) * width, end), *np.percentile(chosen, (50, 99, 100))))
+    if not rows:
+        note(axes, "nothing was recorded during the drive")
+        return
+    middle, median, high, top = np.array(rows).T
+    axes.fill_between(middle, median, high, color=color, alpha=0.18, linewidth=0)
+    axes.plot(middle, top, ".", color=GREY, markersize=3.5, label="greatest")
+    axes.plot(middle, high, color=color, linewidth=0.9, linestyle=(0, (4, 2)), label="99th percentile")
+    axes.plot(middle, median, color=color, linewidth=1.5, label="median")
+    axes.set_ylim(0.0, 1.25 * float(top.max()) or 1.0)
+    axes.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.5)
+
+
+def _draw_spread(axes: Axes, values: Floats, color: str, unit: str) -> None:
+    median, high, top = np.percentile(values, (50, 99, 100))
+    # The longest few would squeeze all others into one bar: they are counted in the last one.
+    limit = 1.1 * float(min(top, max(3 * high, 1e-3))) or 1.0
+    counts, edges = np.histogram(np.minimum(values, limit), bins=40, range=(0.0, limit))
+    axes.stairs(100 * counts / len(values), edges, fill=True, color=color, alpha=0.45)
+    for value, name in ((median, "median"), (high, "99 %")):
+        number = f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+        axes.axvline(value, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
+        axes.annotate(
+            f"{name} {number} {unit}", (value, 1.0), xycoords=("data", "axes fraction"),
+            xytext=(3 if value < 0.6 * limit else -3, -2 if name == "median" else -13),
+            textcoords="offset points", ha="left" if value < 0.6 * limit else "right", va="top", fontsize=8,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )  # fmt: skip
+    axes.set_xlim(0.0, limit)
+    axes.set_ylim(0.0, 1.3 * 100 * float(counts.max()) / len(values))  # room for the two labels
