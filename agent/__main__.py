@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from agent.common.clock import Clock
+from agent.common.time import Clock
 from agent.core import Agent
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.runtime.process import Log, Start, main
 

@@ -10,19 +10,21 @@ from collections import Counter
 from math import exp, hypot, isfinite
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.control.controller import Controller
-from agent.control.peers import FUTURE_NS_MAX
 from agent.control.prediction import BRAKING_TIME_S
-from agent.fleet.fleet import Fleet, digest
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, plan_of
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode, newer
+from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     FLOAT_MAX,
+    FUTURE_NS_MAX,
     NO_FORCES,
     TOPICS,
     Ask,
@@ -31,6 +33,7 @@ from agent.messages.types import (
     HandState,
     Heartbeat,
     Mission,
+    Outgoing,
     PlantState,
     Resume,
     Status,
@@ -39,7 +42,6 @@ from agent.messages.types import (
     clipped,
 )
 from agent.messages.validation import Malformed
-from agent.node import Outgoing, SequenceNumbers
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
@@ -64,7 +66,7 @@ class Agent:
     """The agent of robot `robot` of `fleet`.
 
     Raises:
-        agent.fleet.fleet.FleetError: the fleet has no such robot, or its formation cannot be resolved.
+        agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, robot: int) -> None:

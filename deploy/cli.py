@@ -11,8 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import FleetError
+from agent.common.time import NS_PER_S
+from agent.fleet.model import FleetError
 from agent.runtime.version import handfast_version
 from deploy.commands import (
     chaos,

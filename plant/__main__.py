@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 
-from agent.common.clock import Clock
-from agent.fleet.fleet import Fleet
+from agent.common.time import Clock
+from agent.fleet.model import Fleet
 from agent.messages.types import FLOAT_MAX
 from agent.runtime.process import FAILED, Log, StartError
 from plant.backend import PlantBackend

@@ -9,7 +9,8 @@ from agent.common import random_streams
 from agent.control.hand import Pose
 from agent.fleet.fault_rules import SENSOR_FIELDS
 from agent.fleet.sections import Robot
-from agent.links.fault_plan import FaultPlan, SensorFaults
+from agent.links.fault_plan import FaultPlan
+from agent.links.timed_rules import SensorFaults
 
 _NONE: Final = SensorFaults()
 

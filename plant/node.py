@@ -9,23 +9,26 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.control.peers import FUTURE_NS_MAX
-from agent.fleet.fleet import Fleet, digest
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
+from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     BYTES_MAX,
     CHECK_TEXT_MIN,
     CHECKS_MAX,
+    FUTURE_NS_MAX,
     LEVELS,
     TEXT_MAX,
     TOPICS,
     Checks,
     Faults,
     Mission,
+    Outgoing,
     PlantState,
     Resume,
     Stop,
@@ -33,7 +36,6 @@ from agent.messages.types import (
     clipped,
 )
 from agent.messages.validation import Malformed
-from agent.node import Outgoing, SequenceNumbers
 from agent.supervision.state_machine import at_rest
 from agent.supervision.stop_latch import StopLatch
 from plant.backend import Check, Command, PlantBackend, Reading
@@ -47,7 +49,7 @@ class PlantNode:
     """Hosts `backend` as the plant of robot `robot`; an `agent.node.Node`.
 
     Raises:
-        agent.fleet.fleet.FleetError: the fleet has no such robot.
+        agent.fleet.model.FleetError: the fleet has no such robot.
     """
 
     def __init__(self, fleet: Fleet, robot: int, backend: PlantBackend) -> None:

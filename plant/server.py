@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from agent.common.clock import Clock
-from agent.fleet.fleet import Fleet
+from agent.common.time import Clock
+from agent.fleet.model import Fleet
 from agent.runtime.process import Log, Start
 from agent.runtime.process import main as process_main
 from plant.backend import PlantBackend

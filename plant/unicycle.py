@@ -9,9 +9,9 @@ from dataclasses import replace
 from math import ceil, cos, exp, inf, sin
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from plant.backend import Command, PlantBackend, Reading
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import hand
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.trajectory import make_trajectory
 from agent.messages import key_expressions

@@ -64,8 +64,8 @@ def drives() -> list[str]:
 
 def fleet_of(name: str) -> Any:
     """The resolved fleet of a drive."""
-    fleet = module("agent.fleet.fleet.loading", "agent.fleet.fleet")
-    geometry = module("agent.formation.geometry.geometry", "agent.formation.geometry")
+    fleet = module("agent.fleet.loading", "agent.fleet.model", "agent.fleet")
+    geometry = module("agent.formation.geometry", "agent.formation")
     if name.startswith("chaos-"):
         text = module("deploy.chaos.run.run", "deploy.chaos.run").scenario_text(
             module("deploy.chaos.run.draw", "deploy.chaos.draw").draw(int(name.removeprefix("chaos-")))

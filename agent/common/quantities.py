@@ -18,6 +18,8 @@ _NUMBER = re.compile(r"([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})
 _QUANTITY_MAX = 60  # characters
 _SETTING_MAX = 200
 _SHOWN_MAX = 60
+DISTANCE_MIN: Final = 1e-9
+"""Nearer to each other than this (m), two points have no direction between them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from math import hypot, inf
 from operator import attrgetter
 from typing import Final, NamedTuple, Protocol
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 
 _SAME_PLACE_M: Final = 1e-6
 """Two places of a boundary nearer to each other than this, felt from the same side, are one."""
@@ -116,7 +116,7 @@ class Polygon:
     """A closed line of straight sides that do not cross. `inside`: whether the allowed side is inside.
 
     Args:
-        points: corners, either way round, as `agent.fleet.safety_checks` lets them pass.
+        points: corners, either way round, as `agent.fleet.safety` lets them pass.
     """
 
     __slots__ = ("_centre_x", "_centre_y", "_radius", "_sides", "inside", "name", "points")

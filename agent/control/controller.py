@@ -11,19 +11,20 @@ from __future__ import annotations
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.quantities import DISTANCE_MIN
+from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
 from agent.control.detour import Blocker, Detour
 from agent.control.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
 from agent.control.prediction import Prediction, approach, constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.safety_distances import barrier_rate
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
+from agent.links.ticks import next_tick_ns
 from agent.messages.types import NEIGHBOURS_MAX, PlantState
-from agent.node import next_tick_ns
 
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
@@ -283,7 +284,7 @@ class Controller:
         velocity = own.vx - other.velocity[0], own.vy - other.velocity[1]
         navigation = scene.nx - other.navigation[0], scene.ny - other.navigation[1]
         if rate or bend:
-            scale = 1.0 / max(hypot(*offset), law.DISTANCE_MIN)
+            scale = 1.0 / max(hypot(*offset), DISTANCE_MIN)
             away = scale * offset[0], scale * offset[1]
             velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
             navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
@@ -304,7 +305,7 @@ class Controller:
         silent = now_ns + peer.clock.used_ns - peer.time_ns >= UNSURE_NS
         supposed = silent and peer.here
         if pushes and not supposed and rho - doubt < self.proximity.distance:
-            scale = max(rho - doubt, law.DISTANCE_MIN) / max(rho, law.DISTANCE_MIN)
+            scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
             constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.proximity.distance)
             scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
@@ -348,7 +349,7 @@ class Controller:
                 if near.distance < clearance + band and not near.ahead:
                     # Along the boundary no motion changes the distance: only the part across it counts.
                     closing = near.nx * own.vx + near.ny * own.vy
-                    room = max(near.distance, law.DISTANCE_MIN)
+                    room = max(near.distance, DISTANCE_MIN)
                     constraint = law.edges(
                         (near.nx * room, near.ny * room),
                         (near.nx * closing, near.ny * closing),

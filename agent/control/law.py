@@ -17,6 +17,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.common.quantities import DISTANCE_MIN
+
 Array = NDArray[np.float64]
 Scalar = Any
 """A float, or an array of shape (m,)."""
@@ -26,8 +28,6 @@ Vector = Any
 RELAXATION_MIN: Final = 1e-3
 """Least `Gains.relaxation`: phi has a pole at rho = r_s and changes its sign below it, so that a pair
 that noise or a fault has put there would be pulled together."""
-DISTANCE_MIN: Final = 1e-9
-"""Least rho (m): two coincident hand points have no direction between them, and then no force."""
 
 
 class Gains(NamedTuple):

@@ -12,14 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.clock_offset import ClockOffset
 from agent.control.prediction import Prediction, as_it_came, coasting, following
 from agent.formation.trajectory import Sample
-from agent.messages.types import NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
 
-FUTURE_NS_MAX: Final = 250_000_000
-"""A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
 DOUBT_RATE: Final = 0.15
 """How fast it becomes uncertain where a robot is that is not heard, m/s: about what another acceleration
 than the predicted one makes of a robot's place in a second."""

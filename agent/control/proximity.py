@@ -10,13 +10,13 @@ from collections.abc import Collection
 from math import hypot, inf
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.quantities import DISTANCE_MIN
+from agent.common.time import NS_PER_S
 from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
-from agent.control.law import DISTANCE_MIN
 from agent.control.peers import UNSURE_NS, Peer, Peers
 from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 
 LOOK_PERIOD_NS: Final = NS_PER_S // 10

@@ -11,6 +11,7 @@ from __future__ import annotations
 from math import cos, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
+from agent.common.quantities import DISTANCE_MIN
 from agent.control.hand import Pose
 
 BODY: Final = 0
@@ -25,8 +26,6 @@ LEAST_MAX: Final = 1e6
 _TOLERANCE: Final = 1e-9
 _PARALLEL: Final = 1e-12
 _INWARD: Final = 1.0 - 1e-15
-DISTANCE_MIN: Final = 1e-9
-"""Nearer to each other than this (m), two points have no direction between them."""
 
 
 class HalfPlane(NamedTuple):

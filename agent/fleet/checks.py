@@ -1,6 +1,6 @@
 """What is wrong with a fleet file whose fields are valid each, but do not go together (PURE).
 
-The checks see what `agent.common.schema.Reader.read` returned: valid values only, None for an element with a
+The checks see what `agent.common.reader.Reader.read` returned: valid values only, None for an element with a
 problem of its own.
 """
 
@@ -11,12 +11,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.common.schema import Reader, show
+from agent.common.reader import Reader
+from agent.common.wording import show
 from agent.fleet.fault_checks import check_faults
-from agent.fleet.host_checks import check_hosts
-from agent.fleet.host_sections import PORT_MAX
-from agent.fleet.order_checks import check_orders
-from agent.fleet.safety_checks import check_safety
+from agent.fleet.hosts import PORT_MAX, check_hosts
+from agent.fleet.orders import check_orders
+from agent.fleet.safety import check_safety
 from agent.fleet.sections import SHARED_LINKS, SIMULATOR
 from agent.fleet.trajectory_checks import check_trajectory
 from agent.messages.types import NEIGHBOURS_MAX

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.common.schema import Reader, show
+from agent.common.reader import Reader
+from agent.common.wording import show
 from agent.fleet.fault_rules import (
     ACTION_FIELDS,
     CLOCK_FIELDS,

@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Generic, Literal, TypeVar, cast
 
-from agent.common.schema import about, setting, show
+from agent.common.settings import about, setting
+from agent.common.wording import show
 from agent.fleet.fault_targets import LinkSet, Partition
 from agent.impairments.impairments import (
     Corrupt,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from agent.common.schema import about, setting
+from agent.common.settings import about, setting
 from agent.security.identity import MAIN
 
 PORT_MIN: Final = 1024

@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.common.schema import Reader, entries, example, show
-from agent.fleet.order_sections import ORDER_FIELDS, OrderSection
+from agent.common.reader import Reader
+from agent.common.settings import entries
+from agent.common.wording import example, show
+from agent.fleet.orders import ORDER_FIELDS, OrderSection
 from agent.fleet.trajectory_checks import check_trajectory
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from agent.common.schema import Reader, show
-from agent.fleet.safety_sections import CORNERS_MAX, Pair
+from agent.common.reader import Reader
+from agent.common.wording import show
+from agent.fleet.safety import CORNERS_MAX, Pair
 
 _CIRCLE = ("centre_m", "radius_m")
 _EITHER = (

@@ -1,14 +1,22 @@
-"""A file of faults, or the text of live ones: the tables of a fleet file, and nothing else (PURE)."""
+"""Files of faults or of orders: some tables of a fleet file, and nothing else (PURE).
+
+The text of live faults, and orders that are given by hand, are read as such files are.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-from agent.common.schema import Problem, Reader, about, build, show
+from agent.common.models import build
+from agent.common.reader import Problem, Reader
+from agent.common.settings import about
+from agent.common.wording import show
 from agent.fleet.fault_checks import check_faults
 from agent.fleet.fault_rules import FaultsSection
+from agent.fleet.orders import OrderSection, check_orders
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,3 +50,22 @@ def parse_scenario(text: str, ids: Sequence[int]) -> FaultsSection:
     if reader.problems:
         raise ScenarioError(reader.problems)
     return build(Scenario, values).faults
+
+
+@dataclass(frozen=True, slots=True)
+class _Orders:
+    orders: tuple[OrderSection, ...] = field(default=(), metadata=about("Orders.", key="order"))
+
+
+def read_orders(raw: Mapping[str, Any], ids: Sequence[int]) -> tuple[OrderSection, ...]:
+    """The orders in these tables, for a fleet of the robots `ids`.
+
+    Raises:
+        agent.fleet.scenario.ScenarioError: with every problem; something else than ``[[order]]`` is one.
+    """
+    reader = Reader(_Orders)
+    values = reader.read(raw)
+    check_orders(values.get("orders", ()), raw, ids, reader)
+    if reader.problems:
+        raise ScenarioError(reader.problems)
+    return build(_Orders, values).orders

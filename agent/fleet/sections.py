@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from agent.common.schema import about, setting
+from agent.common.settings import about, setting
 
 Pair = tuple[float, float]
 Coupling = Literal["edge", "joint", "penalty"]

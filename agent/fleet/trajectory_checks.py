@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent.common.schema import Reader, entries, show
+from agent.common.reader import Reader
+from agent.common.settings import entries
+from agent.common.wording import show
 from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 
 

@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 from math import hypot
 from typing import Any, Final
 
-from agent.common.clock import NS_PER_S
-from agent.common.schema import Reader, about, build, show
-from agent.fleet.fleet import Fleet
+from agent.common.models import build
+from agent.common.reader import Reader
+from agent.common.settings import about
+from agent.common.time import NS_PER_S
+from agent.common.wording import show
+from agent.fleet.model import Fleet
 from agent.fleet.sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
 from agent.formation.geometry import Geometry
@@ -66,7 +69,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Root:
-    """What `agent.common.schema.Reader` reads a mission's trajectory as."""
+    """What `agent.common.reader.Reader` reads a mission's trajectory as."""
 
     trajectory: TrajectorySection = field(default_factory=TrajectorySection, metadata=about("Trajectory."))
 

@@ -20,9 +20,9 @@ from dataclasses import replace
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
-from agent.control.law import DISTANCE_MIN
-from agent.fleet.fleet import Fleet
+from agent.common.quantities import DISTANCE_MIN
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Pair
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan, plan_of

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
-from agent.common.clock import NS_PER_S
-from agent.control.peers import FUTURE_NS_MAX
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import Arrival, LinkEmulator, Sample
 from agent.messages import key_expressions
 from agent.messages.codec import encode
-from agent.messages.types import Faults
-from agent.node import Outgoing
+from agent.messages.types import FUTURE_NS_MAX, Faults, Outgoing
 
 HELD_PERIOD_NS: Final = NS_PER_S
 """Live rules that are held are said again so often."""

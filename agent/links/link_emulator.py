@@ -17,10 +17,12 @@ from math import dist
 from typing import Final, NamedTuple
 
 from agent.common import random_streams
-from agent.common.clock import NS_PER_S, LocalTime
+from agent.common.time import NS_PER_S, LocalTime
 from agent.impairments import recorded_fates
 from agent.impairments.impairments import Delay, from_trace
-from agent.links.fault_plan import NONE, FaultPlan, LinkEffects, LinkRules
+from agent.links.fault_plan import FaultPlan
+from agent.links.timed_rules import NONE, LinkEffects, LinkRules
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
@@ -37,7 +39,6 @@ from agent.messages.types import (
     PlantState,
     Wrench,
 )
-from agent.node import FIRST_ROUND
 
 TRACE_PERIOD_NS: Final = NS_PER_S // 5
 _LOST_US: Final = -1

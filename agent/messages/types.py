@@ -28,6 +28,8 @@ TRACE_MAX: Final = 128
 FLOAT_MAX: Final = 1e15
 """No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
+FUTURE_NS_MAX: Final = 250_000_000
+"""A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
 DEGREE_MAX: Final = 1000
 """Constraints that act on one robot."""
 ROBOT_MAX: Final = 9999
@@ -53,6 +55,9 @@ CHECKS_MAX: Final = 32
 """Lines of one `Checks`."""
 CHECK_TEXT_MIN: Final = 100
 """Bytes of a text of `Checks` that there is room for, however many lines it has."""
+
+Outgoing = tuple[str, bytes]
+"""A message to publish: its key and its bytes."""
 
 
 class HandState(NamedTuple):

@@ -1,4 +1,4 @@
-"""``python -m agent.recorder.__main__ --fleet FILE --robot ID --folder DIR``: records what one robot says.
+"""``python -m agent.recorder --fleet FILE --robot ID --folder DIR``: records what one robot says.
 
 A process of its own on the robot's computer: a slow disk stalls only this one. It is linked to the robot's
 agent and plant and to nobody else, and it publishes nothing. Peers do not relay, so it hears what these
@@ -16,14 +16,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet.fleet import Fleet, FleetError, digest, load_fleet, read_text
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, load_fleet, read_text
+from agent.fleet.model import Fleet, FleetError
 from agent.messages import key_expressions
 from agent.recorder.recorder import AGAIN, RETRY_NS, RobotRecorder, known_orders, order_keys
 from agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFolder, segment_paths
 from agent.recorder.segments import About, Received
 from agent.recorder.writer_thread import RecorderThread
 from agent.runtime.bus import Bus, BusError
+from agent.runtime.clock import RealClock
 from agent.runtime.process import (
     BAD_INPUT,
     FAILED,
@@ -168,7 +170,7 @@ def _bus(fleet: Fleet, robot: int, folder: str | None, log: Log) -> Bus:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
     for bad input."""
-    parser = robot_arguments("python -m agent.recorder.__main__", "Records what one robot of a fleet says.")
+    parser = robot_arguments("python -m agent.recorder", "Records what one robot of a fleet says.")
     parser.add_argument("--folder", required=True, type=Path, metavar="DIR", help="where the recording goes")
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)

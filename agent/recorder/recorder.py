@@ -1,6 +1,6 @@
 """Makes blocks of what a robot says, and puts them on the disk of its computer, come what may.
 
-No clock, no bus: `agent.recorder.__main__` has both. What the disk does not take is counted, and the block
+No clock, no bus: the process around it has both. What the disk does not take is counted, and the block
 after it says how much is missing.
 """
 
@@ -10,7 +10,7 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.recorder.segment_folder import SegmentFolder
 from agent.recorder.segments import (

@@ -12,13 +12,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.common.clock import NS_PER_S, Clock, RealClock
-from agent.common.schema import printable
-from agent.fleet.fleet import Fleet, FleetError, load_fleet
+from agent.common.time import NS_PER_S, Clock
+from agent.common.wording import printable
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet, FleetError
 from agent.links.fault_plan import FaultPlan
+from agent.links.ticks import Ticks
 from agent.messages import key_expressions
-from agent.node import Node, Ticks
+from agent.node import Node
 from agent.runtime.bus import Bus, BusError
+from agent.runtime.clock import RealClock
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotYetValidError
@@ -67,7 +70,7 @@ class Shutdown:
 
 
 def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: SystemdNotifier) -> None:
-    """Ticks `node` at absolute deadlines (`agent.node.Ticks`) until it has been asked to end and is done.
+    """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
 
     Wakes at the deadline, drains the bus, ticks, publishes. A tick is told the time of its
     deadline, not of its waking; skipped ones are counted.

@@ -13,8 +13,8 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.runtime.bus import LINK_TIMEOUT_S, Bus, init_log
 from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security

@@ -1,4 +1,4 @@
-"""``python -m agent.security.credentials``: robots' part in getting their certificates, called over ssh.
+"""``python -m agent.security``: robots' part in getting their certificates, called over ssh.
 
     request   says as JSON whether a certificate is needed, and then the request for it; a line for each robot
     store     takes the certificate and the authority's from standard input
@@ -27,9 +27,7 @@ _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status: 0, or 2 with one line on standard error."""
-    parser = argparse.ArgumentParser(
-        prog="python -m agent.security.credentials", description="Credentials of robots."
-    )
+    parser = argparse.ArgumentParser(prog="python -m agent.security", description="Credentials of robots.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     request = commands.add_parser("request", help="whether a certificate is needed, and the request for it")
     request.add_argument(
@@ -91,3 +89,7 @@ def _input() -> bytes:
     if len(data) > _INPUT_MAX:
         raise CredentialsError(f"over {_INPUT_MAX} bytes came on standard input: these are no certificates")
     return data
+
+
+if __name__ == "__main__":
+    sys.exit(main())

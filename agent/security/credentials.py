@@ -8,7 +8,6 @@ leaves; a request for a certificate goes to the operator's authority
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -280,9 +279,3 @@ def _waiting(files: Files) -> EllipticCurvePrivateKey | None:
         return key_from_pem(data)
     except CertificateError:
         return None  # nothing depends on it yet: another one is made
-
-
-if __name__ == "__main__":
-    from agent.security.__main__ import main
-
-    sys.exit(main())

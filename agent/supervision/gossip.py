@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 
 AGAIN_NS: Final = NS_PER_S // 2
 """What was said is not said again for so long."""

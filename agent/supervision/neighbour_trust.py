@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers import TRUST_GAINED_S, Peer
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.supervision.state_machine import DRIVING, State
 
 SLOWEST: Final = 0.3

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode, tag
-from agent.messages.types import Beacon, Mission, PlantState, Resume, Stop
-from agent.node import Outgoing, SequenceNumbers
+from agent.messages.sequence_numbers import SequenceNumbers
+from agent.messages.types import Beacon, Mission, Outgoing, PlantState, Resume, Stop
 from agent.supervision.gossip import AGAIN_NS, Gossip, Mark
 from agent.supervision.stop_latch import StopLatch
 

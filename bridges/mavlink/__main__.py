@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from agent.common.clock import Clock
-from agent.fleet.fleet import Fleet
+from agent.common.time import Clock
+from agent.fleet.model import Fleet
 from agent.fleet.sections import SIMULATOR
 from agent.runtime.process import Log, StartError
 from bridges.mavlink.session.signing import SigningError, open_signing

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agent.control import law
 from agent.control.prediction import approach
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 
 STILL_S: Final = 2.0

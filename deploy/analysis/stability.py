@@ -25,9 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.control import law
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
-from agent.formation.geometry import Geometry, edge_lengths, rigidity_matrix, start_hands
+from agent.formation.geometry import Geometry, start_hands
+from agent.formation.points import edge_lengths
+from agent.formation.rigidity import rigidity_matrix
 from agent.formation.trajectory import make_trajectory
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from agent.formation.trajectory import make_trajectory
 from deploy.chaos.dice import Dice
 from deploy.chaos.draw_faults import draw_faults

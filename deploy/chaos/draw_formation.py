@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.formation.geometry import assign_slots
+from agent.formation.assignment import assign_slots
 from deploy.chaos.dice import Dice
 
 APART_FACTOR: Final = 2.2

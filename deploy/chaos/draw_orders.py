@@ -12,8 +12,9 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.formation.mission_plan import Plan
 from deploy.chaos.dice import Dice

@@ -16,7 +16,8 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.balance import caught
@@ -82,7 +83,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     """Drives a scenario and judges it. A program that fails is a violation.
 
     Raises:
-        agent.fleet.fleet.FleetError: the text is not a valid fleet file.
+        agent.fleet.model.FleetError: the text is not a valid fleet file.
         Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
     """
     begun_s = time.perf_counter()

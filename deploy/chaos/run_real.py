@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from deploy.chaos.draw import draw, name_of
 from deploy.chaos.report import Driven

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any, Final
 
-from agent.fleet.fleet import FleetError
+from agent.fleet.model import FleetError
 from deploy.chaos.run import CRASH, Outcome, drive, scenario_text
 from deploy.simulate.worker_pool import GoOn
 

@@ -8,7 +8,7 @@ from math import dist, floor, inf, log10
 from typing import Final
 
 from agent.control.safety_distances import AHEAD_M, barrier_rate, braking_room
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry

@@ -1,6 +1,6 @@
 """What a fleet will do, and what in its file would go wrong: `handfast check`.
 
-`check` looks for what is valid field by field (`agent.fleet.fleet` sees to that) but does not fit together:
+`check` looks for what is valid field by field (`agent.fleet.model` sees to that) but does not fit together:
 distances that contradict places, robots that start too close, gains that the rate cannot carry. It
 computes and never drives: everything here is geometry and linear algebra, in well under a second
 for a few dozen robots. All findings come at once.
@@ -11,8 +11,8 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-from agent.fleet.fleet import Fleet
-from agent.formation.geometry import FormationError, Geometry, resolve
+from agent.fleet.model import Fleet, FormationError
+from agent.formation.geometry import Geometry, resolve
 from deploy.check.bodies import check_motion, check_noise
 from deploy.check.faults import check_faults
 from deploy.check.finding import Finding

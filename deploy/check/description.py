@@ -10,10 +10,11 @@ import numpy as np
 
 from agent.control.boundaries import obstacles_of
 from agent.control.safety_distances import clearance, sensing_distance
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import SIMULATOR, ControlSection
 from agent.formation import trajectory
-from agent.formation.geometry import Geometry, is_rigid, resolve, start_hands
+from agent.formation.geometry import Geometry, resolve, start_hands
+from agent.formation.rigidity import is_rigid
 from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time

@@ -10,16 +10,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control.peers import FUTURE_NS_MAX
 from agent.core import HEARD_ROUNDS
 from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import start_hands
 from agent.impairments.impairments import Delay, Loss
-from agent.links.fault_plan import FaultPlan, LinkEffects
+from agent.links.fault_plan import FaultPlan
+from agent.links.timed_rules import LinkEffects
 from agent.messages.codec import encode
-from agent.messages.types import HandState
-from agent.node import FIRST_ROUND
+from agent.messages.sequence_numbers import FIRST_ROUND
+from agent.messages.types import FUTURE_NS_MAX, HandState
 from deploy.check.finding import Finding, Level
 from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.faults.windows import windows

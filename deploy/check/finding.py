@@ -14,7 +14,7 @@ class Finding:
 
     Attributes:
         level: error: it would not work; warning: it may not; info: good to know.
-        place: field of the fleet file; arrays count from 1 as in `agent.common.schema`.
+        place: field of the fleet file; arrays count from 1 as in `agent.common.reader`.
         message: what is found, its values, and what would be right.
     """
 

@@ -13,8 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final, Literal, get_args, get_origin
 
 from agent.common.quantities import UNITS
-from agent.common.schema import Entry, entries, example, show
-from agent.fleet.fleet import Fleet
+from agent.common.settings import Entry, entries
+from agent.common.wording import example, show
+from agent.fleet.model import Fleet
 from agent.fleet.sections import LAWS, TRAJECTORY_FIELDS
 from deploy.console.data_files import ROOT, TEMPLATE
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from deploy.analysis.stability import (
     SETTLED,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
-from agent.formation.geometry import Geometry, components
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
+from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan
+from agent.formation.rigidity import components
 from deploy.check.finding import Finding
 from deploy.console.wording import some
 from deploy.orders.mission_editing import OrderError

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.control.boundaries import Circle, Polygon
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
 from agent.formation.trajectory import make_trajectory

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agent.control.boundaries import Circle, Polygon, fence_of, obstacles_of
 from agent.control.hand import Pose, hand
 from agent.control.safety_distances import avoidance_distance, clearance, least_apart
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from deploy.analysis.clearances import distances
 from deploy.check.braking import check_braking, check_room

@@ -8,21 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.fleet.fleet import Fleet
-from agent.formation.geometry import (
-    FormationError,
-    Geometry,
-    components,
-    connected,
-    edge_indices,
-    edge_lengths,
-    given_distances,
-    given_offsets,
-    is_collinear,
-    is_rigid,
-    loose,
-    rigidity_rank,
-)
+from agent.fleet.model import Fleet, FormationError
+from agent.formation.geometry import Geometry, edge_indices, given_distances, given_offsets
+from agent.formation.points import edge_lengths
+from agent.formation.rigidity import components, connected, is_collinear, is_rigid, loose, rigidity_rank
 from agent.formation.trajectory import make_trajectory
 from deploy.check.finding import Finding
 from deploy.check.safety import start_points

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from math import sqrt
 from typing import Final, NamedTuple
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
 from agent.formation import trajectory
 from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection

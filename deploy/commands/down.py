@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, NoAnswerError, handled

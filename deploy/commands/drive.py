@@ -9,7 +9,8 @@ from contextlib import suppress
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, fleet_path
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled
@@ -100,7 +101,7 @@ def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:
     """The fleet as its robots read it, and as it is to be driven.
 
     Raises:
-        InputError, agent.fleet.fleet.FleetError: it cannot be.
+        InputError, agent.fleet.model.FleetError: it cannot be.
     """
     from agent.formation.geometry import resolved
 
@@ -184,7 +185,7 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
     """
     import tomli_w
 
-    from agent.fleet.fleet import to_dict
+    from agent.fleet.loading import to_dict
     from agent.runtime.runtime_folder import NotPrivateError
     from deploy.inventory.registry import Registration
 

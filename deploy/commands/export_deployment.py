@@ -50,7 +50,7 @@ def add_parser(commands: Any) -> None:
 def _export(options: argparse.Namespace) -> int:
     import tomli_w
 
-    from agent.fleet.fleet import to_dict
+    from agent.fleet.loading import to_dict
     from deploy.drive.outcome import refuse_errors
     from deploy.hosts.ansible import DeploymentError, texts
     from deploy.hosts.bundle import BundleError

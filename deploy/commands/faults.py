@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from math import isinf
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, read_text
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import read_text
+from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, scenario_path
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, MEANING, handled, running_fleet
 
 if TYPE_CHECKING:
-    from agent.common.schema import Entry
+    from agent.common.settings import Entry
     from agent.fleet.fault_rules import Rule
     from deploy.console.interrupt import Interrupt
     from deploy.session.faults import FaultsSession

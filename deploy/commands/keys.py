@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.security import private_files
 from agent.security.certificates import DAY_S
 from agent.security.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting

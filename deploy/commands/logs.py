@@ -15,9 +15,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
-from agent.common.schema import printable
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import HostSection
+from agent.common.wording import printable
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
 from deploy.console.arguments import (
     InputError,
     fleet_path,

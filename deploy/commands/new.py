@@ -21,7 +21,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _new(options: argparse.Namespace) -> int:
-    from agent.fleet.fleet import parse_fleet
+    from agent.fleet.loading import parse_fleet
 
     path = Path(f"{options.name}.toml")
     text = TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)

@@ -6,13 +6,14 @@ import argparse
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet.fleet import Fleet, fleet_tables, read_text
+from agent.fleet.loading import fleet_tables, read_text
+from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, fleet_path
 from deploy.inventory.running import DONE, FAILED, MEANING, handled, running_fleet
 from deploy.orders.options import OPTIONS, order_of_options, shape_tables
 
 if TYPE_CHECKING:
-    from agent.fleet.order_sections import OrderSection
+    from agent.fleet.orders import OrderSection
     from agent.formation.mission_plan import Plan
 
 EXIT: Final = (

@@ -15,7 +15,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import DONE, INTERRUPTED, handled
 
 if TYPE_CHECKING:
-    from agent.fleet.fleet import Fleet
+    from agent.fleet.model import Fleet
     from agent.security.access_control import Security
 
 POLL_S: Final = 0.1

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from deploy.console.arguments import (
     InputError,
@@ -76,7 +76,7 @@ def _signing(options: argparse.Namespace) -> int:
 
 def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
     """Gives these robots their keys, and says of each what became of it; how many sign."""
-    from agent.common.clock import RealClock
+    from agent.runtime.clock import RealClock
     from bridges.mavlink.bridge.signing_setup import Outcome, SigningSetup, give_keys, open_setup
     from bridges.mavlink.session.signing import SigningError
 

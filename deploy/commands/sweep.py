@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.fleet.fleet import FleetError
+from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     InputError,
     change_arguments,
@@ -201,7 +201,7 @@ def _write(folder: SweepFolder, run: int) -> int:
     """Writes the fleet file of one run beside the results."""
     import tomli_w
 
-    from agent.fleet.fleet import to_dict
+    from agent.fleet.loading import to_dict
     from deploy.sweep.plan import SweepError
 
     plan = folder.plan

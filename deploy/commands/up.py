@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED, handled

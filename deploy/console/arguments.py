@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from agent.fleet.fleet import Fleet, add_scenario, fleet_tables, load_fleet, read_text
+from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
+from agent.fleet.model import Fleet
 from agent.fleet.sections import LAWS
 from deploy.console.data_files import FLEETS, SCENARIOS
 from deploy.console.wording import some
@@ -114,11 +115,9 @@ def load(options: argparse.Namespace) -> Fleet:
     """The fleet as the options have it, resolved: offsets, edges and distances written out.
 
     Raises:
-        InputError, agent.fleet.fleet.FleetError: it cannot be.
+        InputError, agent.fleet.model.FleetError: it cannot be.
     """
-    from agent.formation.geometry import (
-        resolved,  # here: numpy takes its time, and nothing can be said before
-    )
+    from agent.formation.geometry import resolved
 
     return resolved(load_unresolved(options))
 
@@ -133,7 +132,7 @@ def fleet_text(path: Path, scenario: Path | None = None) -> str:
     """The text of a fleet file, with the faults of a scenario in it if one is given.
 
     Raises:
-        agent.fleet.fleet.FleetError: one of them cannot be read, or is not valid.
+        agent.fleet.model.FleetError: one of them cannot be read, or is not valid.
     """
     text = read_text(path, "fleet file")
     if scenario is None:

@@ -15,7 +15,7 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from agent.common.schema import printable
+from agent.common.wording import printable
 
 _DEAD = (OSError, ValueError)
 """What writing to an output raises that is gone, or closed."""

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots

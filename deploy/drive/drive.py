@@ -8,14 +8,14 @@ from functools import partial
 from operator import itemgetter
 from typing import Final
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
-from agent.fleet.order_sections import OrderSection
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection
 from agent.links.fault_plan import FaultPlan
+from agent.links.ticks import next_tick_ns
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
-from agent.node import next_tick_ns
 from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots

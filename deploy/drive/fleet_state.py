@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.common.clock import NS_PER_S, RealClock
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
 from agent.runtime.bus import Bus
+from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
 from deploy.console.wording import robots
 from deploy.drive.live_view import Watch, fleet_time_s

@@ -12,8 +12,8 @@ from rich.console import Group
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.reference import Reference
 from agent.links.fault_plan import FaultPlan

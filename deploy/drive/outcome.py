@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.common.schema import printable
-from agent.fleet.fleet import Fleet
+from agent.common.wording import printable
+from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError
 from deploy.inventory.running import DONE, FAILED, INTERRUPTED
 from deploy.recording.run_files import REPORT_FILE

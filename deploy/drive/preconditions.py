@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agent.common.clock import NS_PER_S
-from agent.common.schema import printable
-from agent.fleet.fleet import digest
+from agent.common.time import NS_PER_S
+from agent.common.wording import printable
+from agent.fleet.loading import digest
 from agent.messages.types import Stop
 from deploy.orders.operator import Known
 

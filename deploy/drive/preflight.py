@@ -14,12 +14,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from agent.common.clock import RealClock
-from agent.fleet.fleet import Fleet, to_dict
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.runtime.bus import Bus
+from agent.runtime.clock import RealClock
 from deploy.console.interrupt import Interrupt
 from deploy.drive.vehicle_checks import BLOCKING, OK, WARNING, Line, VehicleChecks
 from deploy.processes.local import VEHICLE, Processes

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import LEVELS, Checks, Message
 from deploy.console.wording import robots

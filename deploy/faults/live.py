@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.fleet.fault_rules import Rule
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
 from agent.messages import key_expressions

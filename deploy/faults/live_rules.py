@@ -6,10 +6,12 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, get_args, get_origin
 
-from agent.common.schema import Entry, Reader, entries, plain
+from agent.common.models import plain
+from agent.common.reader import Reader
+from agent.common.settings import Entry, entries
 from agent.fleet.fault_rules import ACTION_FIELDS, CLOCK_FIELDS, FaultsSection, Rule
 from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.links.fault_plan import named
+from agent.links.timed_rules import named
 from agent.messages.types import RULES_MAX
 from deploy.console.arguments import InputError
 from deploy.faults.wording import defaults

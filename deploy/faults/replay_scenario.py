@@ -11,8 +11,8 @@ import tomli_w
 
 from agent.impairments.recorded_fates import DELAY_US_MAX, FATES_MAX, UNTOUCHED, encode_fates
 from agent.impairments.recorded_fates import LOST as FATE_LOST
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import CORRUPTED, LOST
-from agent.node import FIRST_ROUND
 from deploy.recording.link_table import Ints, Link, LinkTable
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError

@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 
 from agent.fleet.fault_rules import Rule
 from agent.fleet.scenario import ScenarioError, parse_scenario
-from agent.links.fault_plan import FaultPlan, named
+from agent.links.fault_plan import FaultPlan
+from agent.links.timed_rules import named
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.faults.wording import lasts
 from deploy.recording.recording import Recording

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from math import floor, inf
 from typing import Any
 
+from agent.common.models import plain
 from agent.common.quantities import UNITS, text
-from agent.common.schema import entries, plain
+from agent.common.settings import entries
 from agent.fleet.fault_rules import (
     LINK_FIELDS,
     PROCESS_FIELDS,
@@ -50,7 +51,7 @@ def _effect(name: str, value: object) -> str:
 
 
 def effects_text(effects: Mapping[str, Effect[Any]]) -> str:
-    """`delay 200ms, loss 30%`: effects on links (`agent.links.fault_plan.link_effects`) as a fleet file has
+    """`delay 200ms, loss 30%`: effects on links (`agent.links.timed_rules.link_effects`) as a fleet file has
     them."""
     return ", ".join(name if effect.start is True else f"{name} {effect}" for name, effect in effects.items())
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
 from agent.supervision.state_machine import DRIVING
 from deploy.console.data_files import ANSIBLE
 from deploy.hosts import remote_program, systemd_units

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING, State
 from deploy.drive.readiness import is_ready

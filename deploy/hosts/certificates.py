@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.security.identity import of_robot
 from agent.security.private_files import reason
 from deploy.console.arguments import InputError
@@ -21,7 +21,7 @@ from deploy.hosts.connection import HostConnection, HostError
 from deploy.inventory.certificate_authority import Authority, AuthorityError
 from deploy.inventory.hosts import located, robots_on
 
-MODULE: Final = "agent.security.credentials"
+MODULE: Final = "agent.security"
 REQUESTS_BYTES_MAX: Final = 4_000_000
 REQUESTS_SHAPE: Final = 'must be JSON, a certificate request (PEM) by robot: {"1": "-----BEGIN ..."}'
 
@@ -101,7 +101,7 @@ def _is_text(value: object) -> bool:
 
 
 def answer(fleet: Fleet, authority: Authority, requests: dict[int, str], now_s: float) -> str:
-    """JSON: the authority's own certificate, and for each robot what ``agent.security.credentials store``
+    """JSON: the authority's own certificate, and for each robot what ``agent.security store``
     takes.
 
     A certificate holds for the address of the robot's host.

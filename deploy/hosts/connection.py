@@ -13,8 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, NamedTuple
 
-from agent.common.schema import printable
-from agent.fleet.host_sections import HostSection
+from agent.common.wording import printable
+from agent.fleet.hosts import HostSection
 from deploy.hosts import remote_program
 from deploy.inventory import ssh
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.view import Row

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Final
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
 from deploy.console.interrupt import Interrupt
 from deploy.hosts.bundle import end_downloads
 from deploy.hosts.connection import HostConnection, HostError

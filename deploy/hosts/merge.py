@@ -16,8 +16,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
@@ -87,7 +88,7 @@ def merge(
 
     Raises:
         MergeError: there is nothing to make it of, or something cannot be read.
-        agent.fleet.fleet.FleetError: the fleet file in the recordings is none that this version can read.
+        agent.fleet.model.FleetError: the fleet file in the recordings is none that this version can read.
         deploy.report.run_folder.FolderError: `out` is not empty or cannot be written.
         deploy.recording.recorder.RecordingError: the recording cannot be written.
     """

@@ -1,4 +1,4 @@
-"""What robots' computers recorded (`agent.recorder.__main__`), in folders that were brought here: what
+"""What robots' computers recorded (`agent.recorder`), in folders that were brought here: what
 there is of it, and its messages by time.
 
 A recording is believed about its own robot only: whose it is its folder says, and what its robot and its
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Mission, Resume, Stop

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
 from deploy.hosts import systemd_units
 from deploy.hosts.bundle import Bundle, BundleError, Platform, bundle_for
 from deploy.hosts.connection import Clock, HostConnection, HostError

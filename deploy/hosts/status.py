@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from agent.common.schema import printable
-from agent.fleet.fleet import Fleet
+from agent.common.wording import printable
+from agent.fleet.model import Fleet
 from agent.messages.types import Status
 from deploy.console.wording import robots
 from deploy.drive.live_view import STYLES

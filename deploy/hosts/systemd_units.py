@@ -13,13 +13,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.security.identity import of_robot
 from deploy.processes.child import ONE_THREAD
 from deploy.processes.local import MODULES
 
 RECORDER: Final = "recorder"
-RECORDER_MODULE: Final = "agent.recorder.__main__"
+RECORDER_MODULE: Final = "agent.recorder"
 WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0}
 """A process whose loop is silent for so long is killed and started again. A recorder's disk may stall."""
 RESTART_DELAY_MS: Final = 200

@@ -12,8 +12,8 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING
 from deploy.console.interrupt import Interrupt

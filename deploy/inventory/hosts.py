@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from agent.common.schema import Problem
-from agent.fleet.fleet import Fleet, FleetError, to_dict
-from agent.fleet.host_sections import HostSection
+from agent.common.reader import Problem
+from agent.fleet.hosts import HostSection
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
 from deploy.console.wording import some
 from deploy.inventory import ssh

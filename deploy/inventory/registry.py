@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent.common.schema import show
-from agent.fleet.fleet import load_fleet
+from agent.common.wording import show
+from agent.fleet.loading import load_fleet
 from agent.runtime.runtime_folder import private_folder
 from deploy.console.arguments import bundled, fleet_path
 from deploy.console.wording import NAMES_SHOWN
@@ -113,7 +113,7 @@ def find(what: str) -> Path:
 
     Raises:
         NotRunningError: nothing of the kind runs here, or two runs have that name.
-        agent.fleet.fleet.FleetError: it is a fleet file that is not valid.
+        agent.fleet.model.FleetError: it is a fleet file that is not valid.
     """
     path, runs = Path(what), running()
     if path.is_dir():

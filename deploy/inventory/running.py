@@ -6,7 +6,8 @@ import argparse
 import sys
 from collections.abc import Callable
 
-from agent.fleet.fleet import Fleet, FleetError, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -26,7 +27,7 @@ def running_fleet(what: str) -> Fleet:
     """The fleet that is meant, as its processes read it, with the addresses of its hosts.
 
     Raises:
-        deploy.inventory.registry.NotRunningError, agent.fleet.fleet.FleetError: see
+        deploy.inventory.registry.NotRunningError, agent.fleet.model.FleetError: see
         `deploy.inventory.registry.find`. InputError: nobody knows where a host is.
     """
     from deploy.inventory.registry import find

@@ -17,8 +17,8 @@ from typing import Final
 
 import numpy as np
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import blend_shape
 

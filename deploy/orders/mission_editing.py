@@ -15,17 +15,19 @@ from typing import Final
 
 import numpy as np
 
-from agent.common.clock import NS_PER_S
-from agent.common.schema import show
-from agent.fleet.fleet import Fleet, digest
-from agent.fleet.order_sections import ORDER_FIELDS, OrderSection, ShapeSection
+from agent.common.time import NS_PER_S
+from agent.common.wording import show
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet, FormationError
+from agent.fleet.orders import ORDER_FIELDS, OrderSection, ShapeSection
 from agent.fleet.sections import Pair, TrajectorySection
-from agent.formation.geometry import DISTANCE_TOLERANCE, FormationError, components, realise_near, worst_edge
 from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
+from agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
+from agent.formation.rigidity import components
+from agent.links.ticks import next_tick_ns
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, clipped
 from agent.messages.validation import Malformed
-from agent.node import next_tick_ns
 from deploy.orders.blend_time import blend_ns_for
 from deploy.orders.trilateration import place_apart
 
@@ -61,7 +63,7 @@ def ordered(
     What is ordered before the drive begins holds from its begin.
 
     Args:
-        order: its fields for its kind are looked at (`agent.fleet.order_sections.ORDER_FIELDS`); `at` is not.
+        order: its fields for its kind are looked at (`agent.fleet.orders.ORDER_FIELDS`); `at` is not.
         plan: the latest.
         version: of the new mission, greater than any that is known.
 

@@ -9,25 +9,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
-from agent.fleet.fleet import Fleet, digest
-from agent.fleet.order_sections import OrderSection
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan, PlanError, plan_of
 from agent.messages import key_expressions
 from agent.messages.codec import encode, newer
+from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     Ask,
     Beacon,
     Heartbeat,
     Message,
     Mission,
+    Outgoing,
     PlantState,
     Resume,
     Status,
     Stop,
     clipped,
 )
-from agent.node import Outgoing, SequenceNumbers
 from agent.supervision.state_machine import DRIVING
 from deploy.orders.mission_editing import OrderError, first_mission, ordered
 from deploy.orders.versions import can_be

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.schema import Problem, Reader, entries
-from agent.fleet.order_file import read_orders
-from agent.fleet.order_sections import OrderSection, ShapeSection
-from agent.fleet.scenario import ScenarioError
+from agent.common.reader import Problem, Reader
+from agent.common.settings import entries
+from agent.fleet.orders import OrderSection, ShapeSection
+from agent.fleet.scenario import ScenarioError, read_orders
 from agent.fleet.sections import TRAJECTORY_FIELDS
 from deploy.console.arguments import InputError
 

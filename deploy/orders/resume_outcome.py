@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Resume, Status
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, State

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
 from agent.supervision.state_machine import State

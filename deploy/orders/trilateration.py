@@ -7,7 +7,7 @@ from math import dist, hypot, sqrt
 from typing import Final
 
 from agent.fleet.sections import Pair
-from agent.formation.geometry import DISTANCE_TOLERANCE
+from agent.formation.realisation import DISTANCE_TOLERANCE
 
 _STEPS: Final = 20
 _SAME: Final = 1e-6  # places nearer to each other than this share of a distance are one

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from deploy.faults.process_actions import Action, Process
 from deploy.processes.child import Child, end_all

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import NetworkSection
+from agent.fleet.hosts import NetworkSection
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from deploy.processes.ports import Reservation
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from math import cos, sin
 from typing import Any, Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import PlanError, plan_of
 from agent.formation.reference import Reference

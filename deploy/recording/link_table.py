@@ -24,7 +24,7 @@ EXACT: Final[Clock] = (0, 0.0)
 
 def true_ns(stamps_ns: Ints, clock: Clock, epoch_ns: int) -> Ints:
     """True times (n,) of stamps by a clock that was made wrong: the inverse of
-    `agent.common.clock.LocalTime`."""
+    `agent.common.time.LocalTime`."""
     if clock == EXACT:
         return stamps_ns
     skew_ns, drift = clock

@@ -20,7 +20,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.fleet.model import Fleet
 from agent.messages.types import Message
 from deploy.recording.collector import RunData
 from deploy.recording.foxglove import SCHEMA_PREFIX

@@ -14,6 +14,7 @@ from json.encoder import encode_basestring_ascii as _quoted
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, get_type_hints
 
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import (
     TOPICS,
     Ask,
@@ -32,7 +33,6 @@ from agent.messages.types import (
     Stop,
     Wrench,
 )
-from agent.node import FIRST_ROUND
 
 CLASSES: Final[tuple[type[Message], ...]] = (
     HandState, PlantState, Wrench, Mission, Stop, Status, Faults, LinkTrace, Event, Resume, Checks, Beacon,

@@ -19,7 +19,8 @@ from typing import IO, Final, Self
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
-from agent.fleet.fleet import Fleet, law_name, to_dict
+from agent.fleet.loading import law_name, to_dict
+from agent.fleet.model import Fleet
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, PlantState
 from agent.messages.validation import Malformed

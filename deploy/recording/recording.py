@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages.codec import newer
 from agent.messages.types import (
     Event,

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.stability import SETTLED
 from deploy.recording.link_table import Floats

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 from deploy.recording.recording import Recording
 from deploy.report import link_figure

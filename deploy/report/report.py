@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, resolve
 from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State

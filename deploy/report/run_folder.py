@@ -8,7 +8,8 @@ from typing import Any
 
 import tomli_w
 
-from agent.fleet.fleet import Fleet, to_dict
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages.types import Message
 from deploy.recording.collector import RunData

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from agent.control.boundaries import fence_of, obstacles_of
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isinf
 from typing import Final, Protocol, TextIO
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.fleet.fault_rules import Rule
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.console.wording import some
 from deploy.faults.live import Held, Receiver

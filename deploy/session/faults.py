@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import Faults, Message, PlantState
-from agent.node import FIRST_ROUND
 from deploy.faults.live import Held, Receiver
 from deploy.session.author import author
 from deploy.session.session import Session

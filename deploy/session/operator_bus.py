@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from agent.common.schema import printable
-from agent.fleet.fleet import Fleet
+from agent.common.wording import printable
+from agent.fleet.model import Fleet
 from agent.runtime.bus import Bus
 from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError

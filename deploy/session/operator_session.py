@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, Status

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from agent.fleet.order_sections import OrderSection
+from agent.fleet.orders import OrderSection
 from agent.formation.mission_plan import Plan
 from agent.messages.types import Message, Mission
 from deploy.inventory.running import NoAnswerError

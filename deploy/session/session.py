@@ -7,12 +7,12 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final, TypeVar
 
-from agent.common.clock import RealClock
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message
 from agent.messages.validation import Malformed
+from agent.runtime.clock import RealClock
 from deploy.console.interrupt import Interrupt
 from deploy.faults.live import Receiver, receivers
 from deploy.inventory.running import NoAnswerError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from plant.unicycle import Unicycle, from_fleet
 
 if TYPE_CHECKING:

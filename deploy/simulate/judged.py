@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from deploy.recording.collector import RunData

@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.formation.trajectory import make_trajectory
 

@@ -5,7 +5,7 @@ does what rules do to processes, clocks and ticks. A message is there `LATENCY_N
 about what a loopback link takes; the same fleet file and seed give the same bytes.
 
 Times are true time, the operator's. A robot's clock may be wrong on purpose
-(`agent.common.clock.LocalTime`): its nodes are told what it shows.
+(`agent.common.time.LocalTime`): its nodes are told what it shows.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from functools import partial
 from math import ceil
 from typing import Final
 
-from agent.common.clock import NS_PER_S, LocalTime
+from agent.common.time import NS_PER_S, LocalTime
 from agent.core import LISTEN_ROUNDS, Agent
-from agent.fleet.fleet import Fleet
-from agent.fleet.order_sections import OrderSection
+from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection
 from agent.formation.geometry import resolve
 from agent.links.fault_plan import FaultPlan
+from agent.links.ticks import Ticks, next_tick_ns
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
-from agent.messages.types import Event, Heartbeat, Mission, Resume, Stop
+from agent.messages.types import Event, Heartbeat, Mission, Outgoing, Resume, Stop
 from agent.messages.validation import Malformed
-from agent.node import INBOX_SIZE, Node, Outgoing, Ticks, next_tick_ns
+from agent.node import INBOX_SIZE, Node
 from agent.supervision.state_machine import State
 from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
@@ -214,7 +215,7 @@ class Simulation:
         attended: whether the operator is there: its heartbeats come, where the fleet needs them.
 
     Raises:
-        agent.fleet.fleet.FleetError: the formation cannot be resolved.
+        agent.fleet.model.FleetError: the formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, sink: Sink | None = None) -> None:

@@ -15,8 +15,11 @@ from typing import Any, Final
 
 from agent.common import random_streams
 from agent.common.quantities import UNITS, quantity
-from agent.common.schema import Problem, entries, printable, show
-from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
+from agent.common.reader import Problem
+from agent.common.settings import entries
+from agent.common.wording import printable, show
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import resolved
 from deploy.simulate.random_starts import random_fleet
 
@@ -150,7 +153,7 @@ class Question:
     Attributes:
         source: names the fleet file in messages.
         text: its text.
-        law, overrides: as `agent.fleet.fleet.parse_fleet` takes them.
+        law, overrides: as `agent.fleet.loading.parse_fleet` takes them.
         axes: the varied fields; none: one cell.
         repeat: runs of each cell.
         random_starts: None; or the side of the square that hand points start in, m; or 0.0 for one that

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
 from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from agent.fleet.fault_rules import ACTION_FIELDS, Rule
-from agent.links.fault_plan import FaultPlan, link_effects
+from agent.links.fault_plan import FaultPlan
+from agent.links.timed_rules import link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, mean, number, percentile

@@ -15,7 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from agent.fleet.fleet import Fleet, law_name
+from agent.fleet.loading import law_name
+from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis.analysis import Analysis, Approach, analyse, norm

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 from deploy.recording.recording import Recording
 from deploy.verdict import oracles_distance, oracles_drive, oracles_reaction

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.control.safety_distances import clearance as clearance_of
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis.analysis import Analysis, Approaches
 from deploy.analysis.clearances import distances

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from agent.common.quantities import DISTANCE_MIN
 from agent.control.boundaries import fence_of, obstacles_of
-from agent.control.law import DISTANCE_MIN
 from agent.control.safety_distances import avoidance_distance, barrier_rate
 from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fault_rules import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING, State

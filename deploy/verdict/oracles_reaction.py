@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from agent.fleet.fault_rules import Impairments, Rule
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages.types import TOPICS
 from agent.supervision.state_machine import DRIVING, REST_SPEED
 from deploy.analysis.analysis import Analysis

@@ -22,9 +22,9 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.core import Agent
-from agent.fleet.fleet import digest
+from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

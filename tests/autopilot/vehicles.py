@@ -16,9 +16,10 @@ from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink.ardupilot import constants

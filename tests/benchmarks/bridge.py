@@ -30,8 +30,9 @@ from typing import Final
 
 import tomli_w
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, load_fleet, to_dict
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import load_fleet, to_dict
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.streams import wanted_messages

@@ -18,7 +18,8 @@ from statistics import median
 from typing import Any, Final
 
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.node import Node
 from agent.runtime import bus

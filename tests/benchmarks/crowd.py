@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import analyse
 from deploy.analysis.balance import caught

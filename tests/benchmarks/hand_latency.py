@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import zenoh
 
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import HandState

@@ -23,7 +23,7 @@ from tests.benchmarks.host_faults import SETTLE_S, drive_alone
 from tests.benchmarks.processes import BenchmarkError, cpu_s
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 
-MODULES: Final = {"agent": "-m agent ", "plant": "-m plant ", "recorder": "-m agent.recorder.__main__ "}
+MODULES: Final = {"agent": "-m agent ", "plant": "-m plant ", "recorder": "-m agent.recorder "}
 SECURED: Final = "secured"
 OPEN: Final = "open"
 LISTEN_S: Final = 6.0

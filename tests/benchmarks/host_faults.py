@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.peers import UNSURE_NS
 from agent.supervision.state_machine import State
 from deploy.recording.mcap_reader import read_run

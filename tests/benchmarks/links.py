@@ -11,9 +11,10 @@ from collections.abc import Callable
 from statistics import median
 from typing import Any, Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import LinkEmulator

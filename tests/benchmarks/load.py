@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
 from tests.benchmarks.figures import Figure, Options, Result

@@ -21,10 +21,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages.codec import decode
 from deploy.analysis.analysis import Analysis, analyse

@@ -16,14 +16,16 @@ from typing import Final, Self
 
 import tomli_w
 
-from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet.fleet import Fleet, digest, to_dict
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, to_dict
+from agent.fleet.model import Fleet
+from agent.links.ticks import next_tick_ns
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Status
 from agent.messages.validation import Malformed
-from agent.node import next_tick_ns
 from agent.runtime.bus import Bus
+from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
 from deploy.processes.child import ONE_THREAD
 from deploy.processes.placement import place

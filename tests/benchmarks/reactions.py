@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Ask, PlantState, Status, Stop, Wrench

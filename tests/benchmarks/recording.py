@@ -17,7 +17,8 @@ from typing import Final
 
 import tomli_w
 
-from agent.fleet.fleet import Fleet, load_fleet, to_dict
+from agent.fleet.loading import load_fleet, to_dict
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Segment
@@ -126,7 +127,7 @@ def _result(found: _Found) -> Result:
 
 def _record(group: Group, fleet: Fleet, fleet_file: Path, recordings: Path) -> None:
     for robot in fleet.ids:
-        command = [sys.executable, "-P", "-m", "agent.recorder.__main__", "--fleet", str(fleet_file)]
+        command = [sys.executable, "-P", "-m", "agent.recorder", "--fleet", str(fleet_file)]
         command += ["--robot", str(robot), "--folder", str(recordings / str(robot)), "--exit-with-parent"]
         group.start(robot, RECORDER, command, {})
 

@@ -15,7 +15,7 @@ from itertools import count
 from math import hypot, inf, sqrt
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import RoverDynamics

@@ -23,9 +23,10 @@ import numpy as np
 from agent import core
 from agent.control import law, safety_filter
 from agent.control.peers import Peers
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolved
-from agent.node import Node, Outgoing
+from agent.messages.types import Outgoing
+from agent.node import Node
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.state_machine import State
 from deploy.console.arguments import fleet_path

@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
 from deploy.simulate.simulation import Simulation

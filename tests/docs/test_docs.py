@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.schema import entries
-from agent.fleet.fleet import load_fleet, parse_fleet
-from agent.fleet.safety_sections import AvoidanceSection, SupervisionSection
+from agent.common.settings import entries
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.fleet.safety import AvoidanceSection, SupervisionSection
 from agent.formation.geometry import resolve, resolved
 from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from bridges.mavlink.session.parameters import AUDITED
 from deploy.check.check import check
 

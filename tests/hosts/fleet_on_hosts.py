@@ -94,7 +94,7 @@ class FleetOnHosts:
     def process(self, robot: int, role: str) -> int:
         """The process of a robot, as this machine counts."""
         host = self.host_of(robot)
-        module = {"agent": "-m agent ", "plant": "-m plant ", "recorder": "-m agent.recorder.__main__ "}[role]
+        module = {"agent": "-m agent ", "plant": "-m plant ", "recorder": "-m agent.recorder "}[role]
         found = [pid for pid, words in host.pids(module).items() if f"--robot {robot} " in f"{words} "]
         assert len(found) == 1, host.pids()
         return found[0]

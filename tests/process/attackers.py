@@ -20,8 +20,9 @@ import zenoh
 from cryptography.hazmat.primitives.asymmetric.ec import ECDSA
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, digest
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (

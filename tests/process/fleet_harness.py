@@ -15,8 +15,9 @@ from typing import Any, Final, TypeVar
 
 import tomli_w
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, digest, load_fleet, to_dict
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, load_fleet, to_dict
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.runtime.bus import Bus, Presence, Router, init_log
 from agent.runtime.sealed_bus import SealedBus, secured

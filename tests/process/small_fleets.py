@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import secrets
 
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 
 TRIANGLE = """

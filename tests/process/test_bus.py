@@ -25,7 +25,8 @@ import pytest
 import tomli_w
 import zenoh
 
-from agent.fleet.fleet import Fleet, load_fleet, to_dict
+from agent.fleet.loading import load_fleet, to_dict
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode
 from agent.messages.types import (

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Stop

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import LOST
-from agent.node import FIRST_ROUND
 from deploy.recording.link_table import Link, LinkTable
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording

@@ -12,8 +12,8 @@ from types import TracebackType
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.validation import Malformed
@@ -62,9 +62,7 @@ class Recorded(Robots):
 
     def start_recorder(self, robot: int) -> None:
         arguments = ("--fleet", str(self.fleet_file), "--robot", str(robot))
-        self.run(
-            robot, RECORDER, "agent.recorder.__main__", *arguments, "--folder", str(self.recording(robot))
-        )
+        self.run(robot, RECORDER, "agent.recorder", *arguments, "--folder", str(self.recording(robot)))
 
     def recorded(self, robot: int) -> list[Received]:
         """All that is on the disk of a robot's computer now."""

@@ -9,7 +9,7 @@ import signal
 import time
 from pathlib import Path
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages.types import HandState, PlantState, Status, Wrench
 from agent.supervision.stop_latch import AWAITED
 from bridges.mavlink.ardupilot import constants

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop

@@ -6,7 +6,7 @@ import signal
 import time
 from pathlib import Path
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Ask, PlantState, Status, Stop, Wrench

@@ -6,7 +6,7 @@ import signal
 import time
 from pathlib import Path
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages.types import Status, Wrench
 from tests.process.fleet_harness import Robots, all_ready, robots
 from tests.process.harness import measured, no_trouble_in_logs

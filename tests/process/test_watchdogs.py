@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.messages.types import PlantState, Status
 from agent.runtime.bus import LEASE_MS
 from tests.process.fleet_harness import Robots, robots

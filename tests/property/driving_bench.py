@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from math import cos, dist, hypot, inf, sin
 from typing import NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Pose, advance, hand
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
 from agent.messages.types import HandState, Mission, PlantState

@@ -10,8 +10,9 @@ import tomli_w
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from agent.common.schema import Entry, entries
-from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
+from agent.common.settings import Entry, entries
+from agent.fleet.loading import digest, parse_fleet, to_dict
+from agent.fleet.model import Fleet, FleetError
 from agent.fleet.sections import MavlinkSection
 
 

@@ -9,19 +9,13 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation.geometry import (
-    DISTANCE_TOLERANCE,
-    assign_slots,
-    edge_lengths,
-    is_rigid,
-    loose,
-    realise,
-    resolve,
-    resolved,
-    rigidity_rank,
-)
+from agent.formation.assignment import assign_slots
+from agent.formation.geometry import resolve, resolved
+from agent.formation.points import edge_lengths
+from agent.formation.realisation import DISTANCE_TOLERANCE, realise
+from agent.formation.rigidity import is_rigid, loose, rigidity_rank
 
 SEEDS = st.integers(0, 2**32 - 1)
 

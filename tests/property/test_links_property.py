@@ -8,8 +8,9 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import LinkEmulator
 from agent.messages.codec import decode, encode

@@ -6,8 +6,9 @@ from math import hypot
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.common.clock import NS_PER_S, LocalTime
+from agent.common.time import NS_PER_S, LocalTime
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions

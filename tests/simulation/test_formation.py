@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import law
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, digest, load_fleet
-from agent.formation.geometry import edge_lengths, resolve, resolved, start_hands
+from agent.fleet.loading import digest, load_fleet
+from agent.fleet.model import Fleet
+from agent.formation.geometry import resolve, resolved, start_hands
+from agent.formation.points import edge_lengths
 from agent.formation.trajectory import make_trajectory
 from agent.messages import key_expressions
 from agent.messages.codec import encode
-from agent.messages.types import Mission
-from agent.node import Node, Outgoing
+from agent.messages.types import Mission, Outgoing
+from agent.node import Node
 from agent.supervision.state_machine import State
 from deploy.console.data_files import FLEETS
 from deploy.simulate.random_starts import random_fleet

@@ -9,7 +9,8 @@ from math import cos, sin
 import numpy as np
 import pytest
 
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.console.data_files import FLEETS
 from tests.hand_trace import Floats, Trace, drive

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.core import Agent
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

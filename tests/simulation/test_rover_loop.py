@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import hand
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from deploy.console.data_files import FLEETS
 from deploy.simulate.simulation import Simulation

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.frames import datum_of

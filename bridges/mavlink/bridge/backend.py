@@ -6,9 +6,9 @@ import re
 from math import radians
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import MavlinkSection
 from agent.runtime.process import Log
 from agent.supervision.state_machine import at_rest

@@ -15,7 +15,7 @@ from collections import deque
 from math import cos, degrees, hypot, isfinite, sin
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import DEFAULTS, Limits, RoverDynamics
 from bridges.mavlink.ardupilot.frames import wrapped

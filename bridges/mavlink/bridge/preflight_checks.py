@@ -11,7 +11,7 @@ from functools import lru_cache
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants

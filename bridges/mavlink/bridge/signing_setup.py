@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S, Clock
-from agent.fleet.fleet import Fleet
+from agent.common.time import NS_PER_S, Clock
+from agent.fleet.model import Fleet
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.session.session import Session
 from bridges.mavlink.session.settings import SessionSettings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 
 TRIES: Final = 3

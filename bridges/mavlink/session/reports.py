@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, wrapped
 

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.session import reports
 from bridges.mavlink.session.commands import Outcome

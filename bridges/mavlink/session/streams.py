@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 
 LOWER_RATES_HZ: Final = (25.0, 20.0, 12.5, 10.0, 5.0)

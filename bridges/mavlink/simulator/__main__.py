@@ -10,7 +10,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from agent.common.clock import NS_PER_S, Clock, RealClock
+from agent.common.time import NS_PER_S, Clock
+from agent.runtime.clock import RealClock
 from agent.runtime.process import PARENT_PERIOD_NS, Shutdown
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.simulator.rover import Rover

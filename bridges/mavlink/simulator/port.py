@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.clock import NS_PER_S
 from agent.common.random_streams import stream, uniform
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.session.signing import timestamp_at
 from bridges.mavlink.simulator.telemetry import BUILDERS, DEFAULT_STREAMS, Message

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.clock import NS_PER_S
 from agent.common.random_streams import stream, uniform
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.simulator.protocol import Protocol

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import isfinite, radians
 from typing import Final, Literal
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, datum_of, world_to_geodetic, yaw_from_heading

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.simulator.settings import SettingsError
 
 RECEIVE_BYTES: Final = 65_536

@@ -10,7 +10,7 @@ import socket
 import termios
 from typing import Any, Final, Protocol
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.transport.connection_string import Connection, Unusable
 
 READ_BYTES: Final = 8192

@@ -6,13 +6,14 @@ from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any, NamedTuple
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode
+from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import Beacon, HandState, Message, Mission, PlantState, Resume, Status, Stop, Wrench
-from agent.node import SequenceNumbers
 from agent.supervision.state_machine import State
 
 FLEET = """

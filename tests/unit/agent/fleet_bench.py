@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Message, Mission

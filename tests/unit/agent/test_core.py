@@ -10,15 +10,16 @@ import msgpack
 import numpy as np
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose, hand, hand_acceleration
-from agent.control.peers import FUTURE_NS_MAX
 from agent.core import LAST_PLACE_NS, Agent
-from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet, FleetError
 from agent.formation.trajectory import make_trajectory
 from agent.messages import key_expressions
 from agent.messages.codec import VERSION, decode, encode
 from agent.messages.types import (
+    FUTURE_NS_MAX,
     TEXT_MAX,
     Ask,
     Beacon,

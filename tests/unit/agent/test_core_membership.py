@@ -7,7 +7,7 @@ from math import hypot, sqrt
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import hand_acceleration
 from agent.formation.reference import Edge
 from agent.messages import key_expressions

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose, hand
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, digest
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Resume, Stop
 from agent.supervision.state_machine import State

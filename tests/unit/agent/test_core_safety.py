@@ -7,10 +7,11 @@ from math import hypot
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control import law
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.messages.types import Beacon, Heartbeat, Resume, Stop, Wrench
 from agent.supervision.state_machine import State
 from plant.node import PlantNode

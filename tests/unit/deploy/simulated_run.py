@@ -7,7 +7,8 @@ from pathlib import Path
 
 import tomli_w
 
-from agent.fleet.fleet import Fleet, parse_fleet, to_dict
+from agent.fleet.loading import parse_fleet, to_dict
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode

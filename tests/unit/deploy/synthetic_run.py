@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from math import cos, exp, pi, sin, sqrt
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.messages import key_expressions
 from agent.messages.codec import encode

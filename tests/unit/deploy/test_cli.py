@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from deploy.check.check import check
 from deploy.cli import main
 from deploy.console.data_files import FLEETS

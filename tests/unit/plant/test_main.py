@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 
-from agent.common.clock import NS_PER_S, RealClock
-from agent.fleet.fleet import Fleet, digest, load_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission
+from agent.runtime.clock import RealClock
 from deploy.console.data_files import FLEETS
 from plant import server
 from plant.__main__ import place

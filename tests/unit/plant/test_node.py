@@ -7,15 +7,16 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.control.peers import FUTURE_NS_MAX
-from agent.fleet.fleet import Fleet, digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import (
     CHECK_TEXT_MIN,
     CHECKS_MAX,
+    FUTURE_NS_MAX,
     TEXT_MAX,
     Checks,
     Faults,

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from deploy.console.data_files import FLEETS
 from plant.__main__ import main as plant
 from plant.backend import Check, Command, PlantBackend, Reading

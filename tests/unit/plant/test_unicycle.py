@@ -10,9 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from plant import unicycle
 from plant.backend import Command, Reading

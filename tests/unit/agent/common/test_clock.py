@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.common import clock
-from agent.common.clock import NS_PER_S, LocalTime, RealClock
+from agent.common.time import NS_PER_S, LocalTime
+from agent.runtime.clock import RealClock
 
 EPOCH = 1_700_000_000 * NS_PER_S
 MS = 1_000_000

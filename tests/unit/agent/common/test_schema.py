@@ -1,4 +1,4 @@
-"""agent.common.schema: what a raw table reads as, and every message that it can give."""
+"""agent.common.reader: what a raw table reads as, and every message that it can give."""
 
 from __future__ import annotations
 
@@ -8,18 +8,10 @@ from typing import Any, Literal
 
 import pytest
 
-from agent.common.schema import (
-    Problem,
-    Reader,
-    Setting,
-    about,
-    build,
-    entries,
-    plain,
-    printable,
-    setting,
-    show,
-)
+from agent.common.models import build, plain
+from agent.common.reader import Problem, Reader
+from agent.common.settings import Setting, about, entries, setting
+from agent.common.wording import printable, show
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import pytest
 from agent.control.controller import Controller
 from agent.control.hand import Pose, advance, hand, wrench
 from agent.control.safety_distances import barrier_rate
-from agent.fleet.fleet import load_fleet, parse_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.formation.geometry import resolve
 from agent.messages.types import NEIGHBOURS_MAX, HandState, PlantState
 from deploy.console.arguments import fleet_path

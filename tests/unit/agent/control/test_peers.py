@@ -13,7 +13,6 @@ from agent.control.peers import (
     DOUBT_AFTER_S,
     DOUBT_MAX,
     DOUBT_RATE,
-    FUTURE_NS_MAX,
     HEARSAY_NS,
     TRUST_GAINED_S,
     TRUST_LOST_S,
@@ -23,7 +22,7 @@ from agent.control.peers import (
 from agent.control.prediction import Prediction, approach, as_it_came, coasting, following, transition
 from agent.formation.trajectory import Sample
 from agent.messages.codec import decode, encode
-from agent.messages.types import NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
 
 PERIOD = 20_000_000
 S = 1_000_000_000

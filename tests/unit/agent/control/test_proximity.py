@@ -9,7 +9,8 @@ import pytest
 from agent.control.hand import Hand
 from agent.control.peers import DOUBT_MAX, Peers
 from agent.control.proximity import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Proximity
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
 from agent.messages.types import Beacon, HandState, Mission

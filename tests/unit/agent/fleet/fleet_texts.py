@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.fleet import Fleet, FleetError, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet, FleetError
 
 SMALL = """
 [fleet]

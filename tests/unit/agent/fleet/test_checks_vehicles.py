@@ -1,4 +1,4 @@
-"""agent.fleet.fleet: robots that are real vehicles, `[datum]` and `[robot.mavlink]`."""
+"""agent.fleet.model: robots that are real vehicles, `[datum]` and `[robot.mavlink]`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import digest, parse_fleet, to_dict
+from agent.fleet.loading import digest, parse_fleet, to_dict
 from agent.fleet.sections import DatumSection, MavlinkSection
 from tests.unit.agent.fleet.fleet_texts import DATUM, MIXED, ROVERS, problems, small
 

@@ -6,7 +6,8 @@ import pytest
 import tomli_w
 
 from agent.fleet.fault_targets import LinkSet, Partition
-from agent.fleet.fleet import FleetError, digest, parse_fleet, to_dict
+from agent.fleet.loading import digest, parse_fleet, to_dict
+from agent.fleet.model import FleetError
 from agent.fleet.scenario import ScenarioError, parse_scenario
 from agent.impairments.recorded_fates import encode_fates
 

@@ -1,4 +1,4 @@
-"""agent.fleet.fleet: the fleet file, its checks across fields, and what a robot asks of it."""
+"""agent.fleet.model: the fleet file, its checks across fields, and what a robot asks of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import FILE_BYTES_MAX, FleetError, digest, law_name, load_fleet, parse_fleet, to_dict
+from agent.fleet.loading import FILE_BYTES_MAX, digest, law_name, load_fleet, parse_fleet, to_dict
+from agent.fleet.model import FleetError
 from agent.fleet.sections import LAWS, ControlSection
 from deploy.check import fleet_reference
 from deploy.console.data_files import FLEETS, TEMPLATE
@@ -468,7 +469,7 @@ def test_a_stale_page_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_it_starts_without_numpy() -> None:
     code = (
-        "import sys, agent.fleet.fleet; print(sorted({'numpy', 'zenoh', 'difflib', 'asyncio'} & "
+        "import sys, agent.fleet.model; print(sorted({'numpy', 'zenoh', 'difflib', 'asyncio'} & "
         "set(sys.modules)))"
     )
     done = subprocess.run(

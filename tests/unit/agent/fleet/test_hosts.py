@@ -8,8 +8,9 @@ import pytest
 import tomli_w
 
 from agent.__main__ import start as agent_start
-from agent.common.clock import RealClock
-from agent.fleet.fleet import Fleet, FleetError, digest, parse_fleet, to_dict
+from agent.fleet.loading import digest, parse_fleet, to_dict
+from agent.fleet.model import Fleet, FleetError
+from agent.runtime.clock import RealClock
 from plant import server
 from plant.unicycle import from_fleet
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.schema import entries
-from agent.fleet.fleet import FleetError, parse_fleet
-from agent.fleet.order_sections import ORDER_FIELDS, OrderSection
+from agent.common.settings import entries
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import FleetError
+from agent.fleet.orders import ORDER_FIELDS, OrderSection
 from agent.fleet.sections import TrajectorySection
 from tests.unit.deploy.orders.order_fleets import SQUARE, square
 

@@ -1,39 +1,20 @@
-"""Formation: graph, rigidity, slots, and offsets found from distances."""
+"""The formation of a fleet: slots, offsets that are given or found, and fields that do not fit together."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, hypot, pi, sin, sqrt
-from time import perf_counter
+from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet, FormationError
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
-from agent.formation.geometry import (
-    FormationError,
-    assign_slots,
-    components,
-    connected,
-    edge_lengths,
-    is_collinear,
-    is_rigid,
-    loose,
-    realise,
-    resolve,
-    resolved,
-    rigidity_rank,
-    start_hands,
-)
+from agent.formation.geometry import resolve, resolved, start_hands
+from agent.formation.points import edge_lengths
+from tests.unit.agent.formation.delta import DELTA, DELTA_EDGES
 
-H = sqrt(3.0) / 2.0
-DELTA_EDGES = ((1, 2), (1, 3), (2, 3), (2, 4), (2, 5), (3, 5), (3, 6), (4, 5), (5, 6))
-DELTA = ((0.0, -2 * H), (-0.5, -H), (0.5, -H), (-1.0, 0.0), (0.0, 0.0), (1.0, 0.0))
 STARTS = ((-1.0, 1.4), (-0.7, -0.9), (-0.2, 0.3), (1.0, 2.0), (0.1, 1.0), (-0.18, 0.0))  # the paper's
-SQUARE = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
-RING = ((0, 1), (1, 2), (2, 3), (3, 0))
 
 
 def fleet(starts=STARTS, edges=DELTA_EDGES, offsets=DELTA, ids=None, **formation_fields) -> Fleet:
@@ -54,135 +35,6 @@ def moved_squared(given: Fleet) -> float:
     geometry = resolve(given)
     places = geometry.offsets + given.trajectory.start_m
     return float(np.sum((start_hands(given) - places) ** 2))
-
-
-# --- graph and rigidity ---
-
-
-def test_components_and_connected():
-    assert components(5, [(0, 1), (3, 4), (1, 0)]) == ((0, 1), (2,), (3, 4))
-    assert not connected(5, [(0, 1), (3, 4)])
-    assert connected(4, [(3, 2), (2, 1), (1, 0)])
-    assert connected(1, [])
-
-
-def test_a_triangle_is_rigid_and_a_square_without_diagonal_is_not():
-    assert rigidity_rank(DELTA, np.array(DELTA_EDGES) - 1) == 9
-    assert is_rigid(DELTA, np.array(DELTA_EDGES) - 1)
-    assert not is_rigid(SQUARE, RING)
-    assert rigidity_rank(SQUARE, RING) == 4
-    assert is_rigid(SQUARE, (*RING, (0, 2)))
-
-
-def test_too_few_robots_to_bend_are_rigid():
-    assert is_rigid([(0.0, 0.0)], [])
-    assert is_rigid([(0.0, 0.0), (1.0, 0.0)], [(0, 1)])
-    assert not is_rigid([(0.0, 0.0), (1.0, 0.0)], [])
-
-
-def test_robots_in_one_line_are_not_rigid_however_many_edges():
-    line = [(0.0, 0.0), (0.6, 0.8), (1.2, 1.6)]
-    assert is_collinear(line)
-    assert not is_collinear(SQUARE)
-    assert not is_rigid(line, [(0, 1), (1, 2), (0, 2)])
-    assert loose(line, [(0, 1), (1, 2), (0, 2)]) == (2,)
-
-
-def test_the_smallest_singular_value_of_a_long_truss_still_counts():
-    places = [(k * 0.5, H * (k % 2)) for k in range(300)]
-    edges = [(k, k + step) for step in (1, 2) for k in range(300 - step)]
-    assert is_rigid(places, edges)
-    assert not is_rigid(places, [edge for edge in edges if edge != (150, 151)])
-
-
-def test_loose_robots_are_those_outside_the_largest_rigid_part():
-    arm = [(0.0, 0.0), (1.0, 0.0), (0.5, 1.0), (0.5, 2.0)]
-    assert loose(arm, [(0, 1), (1, 2), (0, 2), (2, 3)]) == (3,)
-    assert loose(arm, [(0, 1), (1, 2), (0, 2), (2, 3), (1, 3)]) == ()
-    # Two triangles that share robot 2; the second one is the larger part with its extra robot.
-    butterfly = [(-1.0, 1.0), (-1.0, -1.0), (0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)]
-    edges = [(0, 1), (0, 2), (1, 2), (2, 3), (2, 4), (3, 4), (3, 5), (4, 5)]
-    assert loose(butterfly, edges) == (0, 1)
-
-
-def test_without_edges_all_but_the_first_are_loose():
-    assert loose(SQUARE, []) == (1, 2, 3)
-
-
-# --- slots ---
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 7, 20, 45])
-def test_assignment_costs_what_scipys_costs(n: int):
-    generator = np.random.default_rng(n)
-    for _ in range(20):
-        cost = generator.normal(size=(n, n)) * 10.0
-        slots = assign_slots(cost)
-        assert sorted(slots) == list(range(n))
-        rows, columns = linear_sum_assignment(cost)
-        assert cost[range(n), slots].sum() == pytest.approx(cost[rows, columns].sum(), abs=1e-9)
-
-
-def test_assignment_of_equal_costs_is_the_identity_and_of_none_is_empty():
-    assert assign_slots(np.ones((4, 4))) == (0, 1, 2, 3)
-    assert assign_slots(np.zeros((0, 0))) == ()
-
-
-@pytest.mark.parametrize(("n", "limit"), [(45, 0.05), (200, 2.0)])
-def test_assignment_is_fast_enough_for_places_in_the_plane(n: int, limit: float):
-    generator = np.random.default_rng(3)
-    a, b = generator.random((2, n, 2))
-    cost = np.sum((a[:, None] - b) ** 2, axis=2)
-    spent = []
-    for _ in range(3):  # the best of three: this machine may be busy
-        start = perf_counter()
-        assign_slots(cost)
-        spent.append(perf_counter() - start)
-    assert min(spent) < limit
-
-
-@pytest.mark.parametrize("bad", [np.ones((2, 3)), np.ones(4), np.array([[1.0, np.nan], [0.0, 1.0]])])
-def test_assignment_refuses_what_is_not_square_or_not_finite(bad):
-    with pytest.raises(ValueError, match="cost must be"):
-        assign_slots(bad)
-
-
-# --- realisation ---
-
-
-def test_the_delta_is_found_from_its_distances():
-    shape = realise(6, np.array(DELTA_EDGES) - 1, np.ones(9), 0.22)
-    assert np.abs(shape.error).max() < 1e-9
-    assert shape.offsets.mean(axis=0) == pytest.approx((0.0, 0.0), abs=1e-12)
-    # unfolded: the corners of the triangle are 2 m apart, which no edge says
-    corners = shape.offsets[[0, 3, 5]]
-    for a in range(3):
-        assert hypot(*(corners[a] - corners[a - 1])) == pytest.approx(2.0)
-
-
-def test_a_chain_spreads_out():
-    shape = realise(5, [(k, k + 1) for k in range(4)], np.ones(4))
-    assert np.abs(shape.error).max() < 1e-9
-    assert hypot(*(shape.offsets[4] - shape.offsets[0])) > 3.5
-
-
-def test_rounded_distances_of_a_square_are_met_as_nearly_as_possible():
-    edges = (*RING, (0, 2), (1, 3))
-    shape = realise(4, edges, [1.0, 1.0, 1.0, 1.0, 1.41, 1.41])
-    assert 1e-4 < np.abs(shape.error).max() < 0.004
-
-
-def test_distances_that_no_plane_has_leave_an_error():
-    shape = realise(4, [(a, b) for a in range(4) for b in range(a)], np.ones(6))  # a tetrahedron
-    assert np.abs(shape.error).max() > 0.1
-
-
-def test_a_graph_in_parts_has_no_realisation():
-    with pytest.raises(FormationError, match="2 parts"):
-        realise(4, [(0, 1), (2, 3)], [1.0, 1.0])
-
-
-# --- resolve ---
 
 
 def test_given_offsets_are_taken_as_they_are_and_distances_from_them():

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.order_sections import ShapeSection
+from agent.fleet.model import Fleet
+from agent.fleet.orders import ShapeSection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
 from agent.formation.reference import LEAVE_FADE_NS, Edge, Reference

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import AUTHORS_MAX, FaultPlan
 from agent.links.ingress import Ingress
 from agent.messages.codec import decode, encode

@@ -7,13 +7,16 @@ from itertools import pairwise
 import pytest
 
 from agent.common import random_streams
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, FleetError, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet, FleetError
 from agent.impairments import recorded_fates
 from agent.impairments.recorded_fates import encode_fates
-from agent.links.fault_plan import NONE, FaultPlan
+from agent.links.fault_plan import FaultPlan
 from agent.links.link_emulator import LinkEmulator
+from agent.links.timed_rules import NONE
 from agent.messages.codec import decode, encode
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import (
     CORRUPTED,
     DUPLICATED,
@@ -29,7 +32,6 @@ from agent.messages.types import (
     Wrench,
 )
 from agent.messages.validation import Malformed
-from agent.node import FIRST_ROUND
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }, { id = 3, x_m = 3, y_m = 0 }]

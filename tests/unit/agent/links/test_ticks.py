@@ -1,17 +1,18 @@
-"""When a node ticks, and how its messages are numbered: the grid, late ticks, skipped ticks."""
+"""When a node ticks: the grid, late ticks, skipped ticks."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy import stats
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.core import Agent
-from agent.fleet.fleet import Fleet, digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet
+from agent.links.ticks import Ticks
 from agent.messages.codec import encode
 from agent.messages.types import Faults, Mission
-from agent.node import FIRST_ROUND, Node, SequenceNumbers, Ticks
+from agent.node import Node
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
 
@@ -21,8 +22,11 @@ fleet = { name = "two", rate_hz = 50, seed = %d }
 formation = { edges = [[1, 2]], distance_m = 1.0, safe_distance_m = 0.2 }
 faults = { rule = [%s] }
 """
+
 T0 = 1000 * NS_PER_S
+
 PERIOD = 20_000_000
+
 MS = 1_000_000
 
 
@@ -65,8 +69,6 @@ def test_deadlines_that_have_passed_are_skipped_and_counted():
     ticks.plan(time_ns)
     assert ticks.due_ns == T0 + 5 * PERIOD
 
-
-# ---------------------------------------------------------------------- late on purpose
 
 JITTER = "{ robot = 1, tick_jitter = 0.005 }"
 
@@ -138,15 +140,3 @@ def test_a_frozen_process_finds_its_late_tick_again():
     late_ns = ticks.due_ns - (T0 + PERIOD)
     assert late_ns > 0
     assert ticks.take(ticks.due_ns + 3 * PERIOD + 1) == (T0 + 4 * PERIOD + late_ns, 3)
-
-
-# ---------------------------------------------------------------------- numbers
-
-
-@pytest.mark.parametrize("phase_ns", [0, PERIOD // 2])
-def test_a_late_tick_has_the_number_of_its_round(phase_ns: int):
-    numbers = SequenceNumbers(PERIOD, phase_ns)
-    assert [numbers.next(T0 + k) for k in range(3)] == [0, 1, 2]
-    numbers.begin(T0)
-    stamps = [T0 + phase_ns + k * PERIOD + (13 * MS if k % 2 else 0) for k in range(-3, 4)]
-    assert [numbers.next(stamp) for stamp in stamps] == [FIRST_ROUND + k for k in range(-3, 4)]

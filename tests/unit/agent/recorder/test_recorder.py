@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import digest, load_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, load_fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.recorder import __main__

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.recorder import __main__, writer_thread
 from agent.recorder.recorder import RobotRecorder
 from agent.recorder.segments import MESSAGES, OVERFLOW

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.runtime import sealed_bus
 from agent.runtime.bus import LINK_TIMEOUT_S, Bus, settings_of
 from agent.runtime.sealed_bus import bus_for

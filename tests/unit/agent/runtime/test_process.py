@@ -7,8 +7,8 @@ from typing import cast
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import digest, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.runtime.bus import Bus

@@ -1,10 +1,15 @@
-"""Zenoh's log is taken from standard output, which is then given back."""
+"""Zenoh's log is taken from standard output, which is then given back, unless somebody has asked for it."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from agent.runtime.zenoh_log import WANTED, ZenohLog
 
 CODE = """
 import os, sys
@@ -30,3 +35,20 @@ def test_only_what_the_library_writes_is_taken() -> None:
         timeout=30,
     )
     assert (done.stdout, done.stderr) == ("before\nmeanwhile\nafter\n", "")
+
+
+def test_a_log_that_somebody_wants_is_left_to_him(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(WANTED, "zenoh=debug")
+    before = sys.stdout
+    with ZenohLog() as log:
+        os.write(1, b"of Zenoh\n")
+        (line,) = log.lines(0)
+        assert line.startswith("RUST_LOG is set: ")
+        # What is refused here is told all the same.
+        log.refusals.add("an order")
+        assert [*log.lines(1)] == ["refused: an order"]
+        assert sys.stdout is before
+    assert [*log.lines(2)] == []
+    assert capfd.readouterr().out == "of Zenoh\n"

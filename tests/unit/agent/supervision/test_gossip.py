@@ -6,11 +6,12 @@ from math import cos, pi, sin
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import Ask, Mission, PlantState, Resume, Stop, Wrench
-from agent.node import FIRST_ROUND
 from agent.supervision.gossip import AGAIN_NS, LACKING_NS, SPREAD_NS, STEPS, Gossip
 from agent.supervision.state_machine import DRIVING, State
 from plant.node import PlantNode

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import hand_acceleration
 from agent.control.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.messages.types import HandState, Status, Stop, Wrench

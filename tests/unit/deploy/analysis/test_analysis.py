@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of
 from agent.formation.reference import Reference

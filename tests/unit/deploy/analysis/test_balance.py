@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from agent.control import law
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.balance import STILL_S, caught, last_caught_s

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from agent.control.boundaries import obstacles_of
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved, start_hands
 from deploy.chaos.dice import Dice
 from deploy.chaos.draw import QUIET_S, draw

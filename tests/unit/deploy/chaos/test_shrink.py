@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from deploy.chaos import shrink as shrinking
 from deploy.chaos.draw import draw
 from deploy.chaos.report import parts

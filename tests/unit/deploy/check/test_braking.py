@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from agent.control.safety_distances import barrier_rate
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import analyse
 from deploy.check.braking import check_braking

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.control import law
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation.geometry import resolve, start_hands
 from deploy.analysis.stability import Mode, modes, sampled_radius, settling_time, sweep_radius

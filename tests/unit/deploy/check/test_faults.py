@@ -7,7 +7,8 @@ import re
 import pytest
 
 from agent.common.random_streams import stream
-from agent.fleet.fleet import Fleet, load_fleet, parse_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.impairments.impairments import Loss
 from agent.messages.codec import encode

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from agent.control.boundaries import Circle, Polygon
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from deploy.check.description import describe
 from deploy.check.finding import Finding

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from deploy.check.check import check
 from deploy.check.description import describe
 from deploy.check.finding import Finding

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from agent.supervision.state_machine import TRANSITIONS
 from deploy.chaos.draw import draw
 from deploy.chaos.report import NOT_DRAWN, Driven, Tally, conclusion, lines

@@ -9,9 +9,9 @@ from math import inf
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.fleet.fault_rules import Rule
-from agent.fleet.fleet import load_fleet
+from agent.fleet.loading import load_fleet
 from agent.fleet.scenario import parse_scenario
 from agent.links.fault_plan import AUTHORS_MAX, ENDED_MAX
 from agent.links.ingress import Ingress

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
 from agent.security.credentials import RENEW_DAYS, load, make_request
 from agent.security.identity import of_operator, of_robot, of_router
 from deploy.commands import keys as keys_command

@@ -15,7 +15,7 @@ from typing import Any, cast
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import to_dict
+from agent.fleet.loading import to_dict
 from deploy.commands import logs as logs_command
 from deploy.commands.logs import Line, Reader
 from deploy.console.arguments import InputError, no_changes

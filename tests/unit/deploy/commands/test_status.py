@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import to_dict
+from agent.fleet.loading import to_dict
 from deploy.commands import down, status
 from deploy.console.arguments import no_changes
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet

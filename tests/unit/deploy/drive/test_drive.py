@@ -11,12 +11,13 @@ from typing import Any, cast
 
 import pytest
 
-from agent.fleet.fleet import Fleet, digest, parse_fleet
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
-from agent.node import FIRST_ROUND
 from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.drive.attached import Attached

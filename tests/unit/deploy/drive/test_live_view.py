@@ -6,8 +6,9 @@ import io
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, digest, parse_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, parse_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Mission, Status, Stop

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from agent.fleet.fleet import digest
+from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Stop

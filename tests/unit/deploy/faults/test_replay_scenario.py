@@ -13,8 +13,8 @@ import pytest
 
 from agent.impairments import recorded_fates
 from agent.impairments.recorded_fates import DELAY_US_MAX, UNTOUCHED, decode_fates, encode_fates
+from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import CORRUPTED, LOST
-from agent.node import FIRST_ROUND
 from deploy.faults.replay_scenario import write_scenario
 from deploy.recording.link_table import Link
 from deploy.recording.recorder import RecordingError

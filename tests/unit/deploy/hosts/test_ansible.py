@@ -17,8 +17,9 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import Fleet, load_fleet, parse_fleet, to_dict
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.loading import load_fleet, parse_fleet, to_dict
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.check.finding import Finding
 from deploy.commands import export_deployment

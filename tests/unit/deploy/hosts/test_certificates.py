@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import Fleet, to_dict
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet
 from agent.security import __main__
 from agent.security.credentials import load, make_request, store
 from agent.security.identity import of_robot
@@ -36,7 +37,7 @@ class There:
         self.asked: list[str] = []
 
     def ask(self, what: str, *, module: str, arguments: list[str], version: str, text: str) -> Any:
-        assert (what, module, version) == ("run", "agent.security.credentials", "1-aa")
+        assert (what, module, version) == ("run", "agent.security", "1-aa")
         self.asked.append(arguments[0])
         self._patch.setattr("sys.stdin", Standard(text.encode()))
         assert __main__.main(arguments) == 0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
 from deploy.hosts import connection, remote_program
 from deploy.hosts.connection import HostConnection, HostError
 

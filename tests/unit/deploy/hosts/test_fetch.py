@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import to_dict
+from agent.fleet.loading import to_dict
 from deploy.commands import fetch as fetch_command
 from deploy.console.arguments import InputError, no_changes
 from deploy.hosts.connection import HostError

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, FleetError, digest, to_dict
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import digest, to_dict
+from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import encode

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
 from deploy.hosts import remote_program
 from deploy.hosts.connection import HostConnection, HostError
 from tests.process.harness import wait_for

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.fleet import Fleet, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
 from agent.security.credentials import Files
 from agent.security.identity import of_robot
 from deploy.hosts import systemd_units

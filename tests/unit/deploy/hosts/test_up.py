@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fleet import Fleet
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Status

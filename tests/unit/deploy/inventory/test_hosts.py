@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.fleet import Fleet, FleetError, parse_fleet
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
 from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, RIGHT, fleet

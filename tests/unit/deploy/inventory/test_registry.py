@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
 from deploy.console.data_files import FLEETS
 from deploy.inventory import registry, ssh
 from deploy.inventory.registry import NotRunningError, Registration, find, running

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.fleet.host_sections import HostSection
+from agent.fleet.hosts import HostSection
 from deploy.inventory import ssh
 
 

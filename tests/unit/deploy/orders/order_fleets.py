@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.fleet.fleet import Fleet, parse_fleet
-from agent.fleet.order_sections import OrderSection
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, plan_of
 from agent.messages.types import Mission

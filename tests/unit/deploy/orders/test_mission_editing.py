@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from agent.fleet.fleet import Fleet, digest
-from agent.fleet.order_sections import OrderSection, ShapeSection
+from agent.fleet.loading import digest
+from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection, ShapeSection
 from agent.fleet.sections import TrajectorySection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts

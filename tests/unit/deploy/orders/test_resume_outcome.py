@@ -6,8 +6,8 @@ from argparse import Namespace
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import load_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import load_fleet
 from agent.messages import key_expressions
 from agent.messages.types import PlantState, Resume, Status
 from agent.supervision.state_machine import MISSION_OVER

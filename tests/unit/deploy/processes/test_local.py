@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from agent.control.hand import Pose
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from deploy.console.data_files import FLEETS
 from deploy.faults.process_actions import Action
 from deploy.processes import local

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.fleet import Fleet, digest, load_fleet, parse_fleet, to_dict
+from agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
+from agent.fleet.model import Fleet
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.simulator.settings import parse_home
 from deploy.console.data_files import FLEETS

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (

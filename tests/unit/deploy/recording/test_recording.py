@@ -17,9 +17,10 @@ import tomli_w
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from agent.common.clock import LocalTime
+from agent.common.time import LocalTime
 from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.fleet.fleet import Fleet, FleetError, to_dict
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet, FleetError
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-from agent.fleet.fleet import Fleet, to_dict
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet
 from agent.fleet.sections import TrajectorySection
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions

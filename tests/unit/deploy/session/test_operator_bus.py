@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.fleet import Fleet
+from agent.fleet.model import Fleet
 from agent.security.identity import of_operator
 from deploy.console.arguments import InputError
 from deploy.session.operator_bus import KEYS, OPERATOR, operator_bus

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.clock import NS_PER_S
-from agent.fleet.fleet import Fleet, load_fleet
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages.codec import decode
 from agent.messages.types import Checks, Message, PlantState

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from agent.fleet.fleet import Fleet, FleetError, to_dict
+from agent.fleet.loading import to_dict
+from agent.fleet.model import Fleet, FleetError
 from agent.formation.geometry import resolve, start_hands
 from agent.messages.codec import decode
 from deploy.console.arguments import fleet_text

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from agent.fleet.fleet import parse_fleet
+from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message

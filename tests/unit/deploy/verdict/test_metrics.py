@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from agent.fleet.fault_rules import FaultsSection, Rule
-from agent.fleet.fleet import Fleet
-from agent.fleet.order_sections import OrderSection
-from agent.fleet.safety_sections import AvoidanceSection
+from agent.fleet.model import Fleet
+from agent.fleet.orders import OrderSection
+from agent.fleet.safety import AvoidanceSection
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Message, Mission, PlantState, Status, Stop

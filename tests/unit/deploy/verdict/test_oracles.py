@@ -10,8 +10,8 @@ import pytest
 
 from agent.fleet.fault_rules import Effect, FaultsSection, Rule
 from agent.fleet.fault_targets import Partition
-from agent.fleet.fleet import Fleet
-from agent.fleet.safety_sections import AvoidanceSection, GeofenceSection, ObstacleSection
+from agent.fleet.model import Fleet
+from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
 from agent.formation.geometry import resolve
 from agent.impairments.impairments import Delay
 from agent.impairments.loss_models import Loss

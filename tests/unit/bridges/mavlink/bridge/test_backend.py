@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot.frames import datum_of
 from bridges.mavlink.bridge.backend import BRAKE_NS_MAX, session
 from bridges.mavlink.simulator.in_memory import LATENCY_NS, SimulatedRoverPlant

@@ -6,7 +6,7 @@ from math import cos, inf, nan, pi, radians, sin
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import DEFAULTS, RoverDynamics
 from bridges.mavlink.bridge.estimate import JUMP_M, STALE_S, Estimate, Prediction

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.bridge import preflight_checks

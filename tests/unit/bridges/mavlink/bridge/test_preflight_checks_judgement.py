@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.bridge.backend import JUDGED_NS
 from bridges.mavlink.bridge.preflight_checks import REPORTED_NS

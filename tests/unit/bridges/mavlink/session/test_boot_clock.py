@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.session.boot_clock import BootClock
 from tests.unit.bridges.mavlink.session.clock_error import error_ns
 

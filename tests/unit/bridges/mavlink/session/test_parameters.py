@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.session.parameters import AUDITED, Parameters
 

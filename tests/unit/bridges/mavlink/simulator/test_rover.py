@@ -8,8 +8,8 @@ from statistics import mean
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.common.clock import NS_PER_S
 from agent.common.random_streams import bits, stream
+from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import Settings

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.simulator.__main__ import serve
 from bridges.mavlink.simulator.rover import Rover, Settings
 from bridges.mavlink.simulator.settings import SettingsError

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.common.clock import NS_PER_S
+from agent.common.time import NS_PER_S
 from bridges.mavlink.transport import channels, lock
 from bridges.mavlink.transport import transport as transport_module
 from bridges.mavlink.transport.channels import PEER_NS, Tcp, UdpIn, UdpOut

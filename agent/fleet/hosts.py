@@ -1,0 +1,212 @@
+"""The tables of a fleet file about hosts, network and recording, and what can be wrong in them (PURE).
+
+Robots need not agree on these.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+from agent.common.reader import Reader
+from agent.common.settings import about, setting
+from agent.common.wording import show
+from agent.security.identity import MAIN, IdentityError, of_operator
+
+PORT_MIN: Final = 1024
+
+PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
+
+_ADDRESS: Final = r"[A-Za-z0-9]([A-Za-z0-9._-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]"
+
+_ADDRESS_SAYS: Final = "a host name, an IPv4 address or an IPv6 address in [ ]"
+
+_FILE: Final = r"[^\x00\r\n]{1,400}"
+
+
+@dataclass(frozen=True, slots=True)
+class HostSection:
+    """One ``[host.NAME]``."""
+
+    name: str = field(
+        metadata=about(
+            "",
+            pattern=r"[A-Za-z0-9]([A-Za-z0-9._-]{0,61}[A-Za-z0-9])?",
+            pattern_says="1 to 63 letters, digits, -, _ or ., as a host name has them",
+        )
+    )
+    address: str | None = setting(
+        None,
+        "Where other robots and the operator reach it. Left out: the NAME, or the `HostName` that your ssh "
+        "configuration has for it.",
+        pattern=_ADDRESS,
+        pattern_says=_ADDRESS_SAYS,
+        example='"192.168.1.11"',
+    )
+    listen: str | None = setting(
+        None,
+        "Address that its processes listen on. Left out: `address`. For a computer whose own name means "
+        '127.0.1.1 to itself, or behind a forwarded address: "0.0.0.0".',
+        pattern=_ADDRESS,
+        pattern_says=_ADDRESS_SAYS,
+        example='"0.0.0.0"',
+    )
+    user: str | None = setting(
+        None,
+        "User to log in as. Left out: what your ssh configuration says for NAME.",
+        pattern=r"[A-Za-z_][A-Za-z0-9_.-]{0,31}\$?",
+        pattern_says="a user name",
+        example='"robot"',
+    )
+    port: int | None = setting(
+        None,
+        "Port of its ssh server. Left out: as your ssh configuration says.",
+        ge=1,
+        le=65535,
+        example="22",
+    )
+    key: str | None = setting(
+        None,
+        "File of the private key to log in with. Left out: as your ssh configuration and agent say.",
+        pattern=_FILE,
+        pattern_says="a file name",
+        example='"~/.ssh/id_ed25519"',
+    )
+    python: str | None = setting(
+        None,
+        "Its Python, 3.11 or later. Left out: the first that is found.",
+        pattern=r"[A-Za-z0-9_./+@-]{1,400}",  # a shell there reads it
+        pattern_says="a command or a path there of letters, digits and _ . / + @ - (~ is not expanded)",
+        example='"/usr/bin/python3.12"',
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSection:
+    """``[network]``."""
+
+    address: str = setting(
+        "127.0.0.1",
+        "Host name or address on which every process listens that has no `[host.NAME]`.",
+        pattern=_ADDRESS,
+        pattern_says=_ADDRESS_SAYS,
+    )
+    base_port: int = setting(
+        7600,
+        "First TCP port. The k-th robot of the file (from 0) listens on `base_port` + 2 k (agent) and "
+        f"+ 2 k + 1 (plant); all must lie within {PORT_MIN} and {PORT_MAX}.",
+        ge=PORT_MIN,
+        le=PORT_MAX - 1,
+    )
+    security: Literal["mtls", "off"] | None = setting(
+        None,
+        '`"mtls"`: every link is encrypted and both its ends prove who they are, orders are signed '
+        '(docs/security.md). Left out: `"mtls"` for robots with a host, `"off"` where all runs on one '
+        "machine (`handfast run`).",
+    )
+    operators: tuple[str, ...] = setting(
+        (MAIN,),
+        "Names of those whose orders robots take, where links are secured: `handfast keys --operator NAME` "
+        "makes each a certificate.",
+        example='["main", "anna"]',
+    )
+    routers: tuple[str, ...] = setting(
+        (),
+        "Zenoh routers, as `HOST:PORT`. With them robots do not connect to each other but to the first of "
+        "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd).",
+        example='["192.168.1.2:7447"]',
+    )
+    link_timeout_s: float = setting(
+        0.4,
+        "A link between robots, or to a router, that is not open by then is tried anew: so soon do robots "
+        "find each other again. Opening one takes four round trips; with radios that need longer for these, "
+        "raise it. (Operators' commands wait longer.)",
+        unit="s",
+        ge=0.1,
+        le=10.0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSection:
+    """``[recording]``."""
+
+    enabled: bool = setting(True, "Each robot with a host records what it says, for `handfast fetch`.")
+    max_mb: int = setting(
+        256, "Largest size of one robot's recordings, 10^6 bytes; the oldest goes first.", ge=16, le=1_000_000
+    )
+
+
+_ROUTER = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]{0,252}|\[[0-9A-Fa-f:.]{2,45}\]):([1-9][0-9]{0,4})")
+
+
+def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
+    """Adds to `reader` what is wrong with hosts, who is on them, and routers."""
+    _check_operators(values.get("fleet", {}).get("name"), values.get("network", {}).get("operators"), reader)
+    _check_routers(values.get("network", {}).get("routers") or (), reader)
+    hosts, robots = values.get("hosts"), values.get("robots")
+    if hosts is None or robots is None:
+        return  # they have problems of their own
+    _check_addresses(hosts, reader)
+    names = [host.get("name") for host in hosts]
+    given = [row["host"] for row in robots if row.get("host") is not None]
+    for number, row in enumerate(robots, 1):
+        if "host" not in row:
+            continue
+        host, place = row["host"], f"robot[{number}].host"
+        if host is None:
+            if given:
+                reader.add(
+                    place,
+                    f"is missing: other robots have a host, so all must have one, such as {show(given[0])}",
+                )
+        elif host not in names and None not in names:
+            there_are = f"hosts are {', '.join(names)}" if names else "there is none"
+            reader.add(place, f"there is no [host.{host}]; {there_are}")
+
+
+def _check_addresses(hosts: Sequence[Mapping[str, Any]], reader: Reader) -> None:
+    """Two names for one computer would have two sets of processes fight for its files."""
+    first: dict[str, str] = {}
+    for host in hosts:
+        name, address = host.get("name"), host.get("address")
+        if name is None or "address" not in host:
+            continue
+        address = (address or name).lower()
+        if first.setdefault(address, name) != name:
+            reader.add(
+                f"host.{name}.address",
+                f"host {first[address]} has the address {address} already: robots may share a host by its "
+                "name",
+            )
+
+
+def _check_operators(fleet: str | None, operators: Sequence[str | None] | None, reader: Reader) -> None:
+    if operators is None or fleet is None:
+        return
+    if not operators:
+        reader.add("network.operators", f"names nobody: nobody could drive or stop it, write [{show(MAIN)}]")
+    for number, name in enumerate(operators, 1):
+        try:
+            of_operator(fleet, name or MAIN)
+        except IdentityError as error:
+            reader.add(f"network.operators[{number}]", str(error))
+
+
+def _check_routers(routers: Sequence[str | None], reader: Reader) -> None:
+    for number, router in enumerate(routers, 1):
+        if router is None:
+            continue
+        found = _ROUTER.fullmatch(router)
+        if found is None or int(found[2]) > 65535:
+            reader.add(
+                f"network.routers[{number}]",
+                f'must be HOST:PORT, such as "192.168.1.2:7447", got {show(router)}',
+            )
+        elif int(found[2]) > PORT_MAX:
+            reader.add(
+                f"network.routers[{number}]",
+                f"port {found[2]} must be at most {PORT_MAX}: Linux gives those above to outgoing links",
+            )

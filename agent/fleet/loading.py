@@ -1,0 +1,269 @@
+"""From the text of a fleet file to a `Fleet`, and back to tables.
+
+`parse_fleet` turns the text, with what the command line sets over it, into a `Fleet`, or raises one
+`FleetError` with every problem of the file, each with its place. `digest` says whether two are the same.
+PURE but for `load_fleet`, which reads the file that it is given.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, Final
+
+from agent.common.models import build, plain
+from agent.common.reader import Problem, Reader
+from agent.common.wording import printable, show
+from agent.fleet.checks import check_fleet
+from agent.fleet.model import Fleet, FleetError
+from agent.fleet.orders import ORDER_FIELDS
+from agent.fleet.scenario import ScenarioError, parse_scenario, read_orders
+from agent.fleet.sections import (
+    LAWS,
+    LINK_FIELDS,
+    TRAJECTORY_FIELDS,
+    ControlSection,
+)
+from agent.fleet.trajectory_checks import kinds_by_field
+
+FILE_BYTES_MAX: Final = 1 << 20
+
+
+def load_fleet(
+    path: str | Path,
+    overrides: Sequence[str] = (),
+    law: str | None = None,
+    scenario: str | Path | None = None,
+    orders: str | Path | None = None,
+) -> Fleet:
+    """Reads and parses a fleet file, with the faults of a scenario file and the orders of another one if they
+    are given; see `parse_fleet`.
+
+    Raises:
+        FleetError: of one line when a file cannot be read.
+    """
+    return parse_fleet(
+        read_text(path, "fleet file"),
+        source=str(path),
+        overrides=overrides,
+        law=law,
+        scenario=None if scenario is None else read_text(scenario, "scenario"),
+        scenario_source=str(scenario),
+        orders=None if orders is None else read_text(orders, "file of orders"),
+        orders_source=str(orders),
+    )
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a file; `what` names it in messages. `FleetError` of one line when it cannot be read."""
+    source = str(path)
+    try:
+        with open(path, "rb") as file:
+            data = file.read(FILE_BYTES_MAX + 1)  # not all of it: it may be endless
+    except OSError as error:
+        reason = (error.strerror or type(error).__name__).lower()
+        raise FleetError(source, [Problem("", f"cannot read the {what}: {reason}")]) from None
+    except ValueError:  # a NUL in the path
+        raise FleetError(source, [Problem("", f"cannot read the {what}: not a possible file name")]) from None
+    if len(data) > FILE_BYTES_MAX:
+        raise FleetError(source, [_too_large(what)])
+    try:
+        return data.decode("utf-8-sig")  # some editors write a byte order mark
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        message = f"a {what} must be text in UTF-8: byte 0x{data[error.start]:02x} on line {line} is not"
+        raise FleetError(source, [Problem("", message)]) from None
+
+
+def parse_fleet(
+    text: str,
+    *,
+    source: str,
+    overrides: Sequence[str] = (),
+    law: str | None = None,
+    scenario: str | None = None,
+    scenario_source: str = "the scenario",
+    orders: str | None = None,
+    orders_source: str = "the orders",
+) -> Fleet:
+    """The fleet that a TOML text describes.
+
+    `source` names the text in messages. `law` is a name of `LAWS`; `overrides` are ``table.field=value`` as
+    typed after ``--set``. They win over the law, and the law over the text. `scenario` is the text of a file
+    of faults: its rules come before the text's, its other settings win over them. `orders` is the text of one
+    of orders, which are added to the text's. Raises `FleetError` with every problem at once (of a text that
+    is not TOML, the one that its parser stops at), and nothing else.
+    """
+    raw = fleet_tables(text, source)
+    if scenario is not None:
+        add_scenario(raw, scenario, scenario_source)
+    if orders is not None:
+        _add_orders(raw, orders, orders_source)
+
+    reader = Reader(Fleet)
+    law_problems = _apply_law(raw, law)
+    kind_before = _table(raw, "trajectory").get("kind", "hold")
+    for override in overrides:
+        reader.override(raw, override)
+    _forget_old_kind(raw, kind_before, reader)
+    values = reader.read(raw)
+    check_fleet(values, raw, reader)
+    problems = (*law_problems, *_with_ids(reader.problems, raw))
+    if problems:
+        raise FleetError(source, problems)
+    return build(Fleet, values)
+
+
+def fleet_tables(text: str, source: str) -> dict[str, Any]:
+    """The tables of a TOML text, of which nothing is known yet. `FleetError` when it is not TOML."""
+    if len(text) > FILE_BYTES_MAX:
+        raise FleetError(source, [_too_large("fleet file")])
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
+        raise FleetError(source, [_syntax_problem(error)]) from None
+    except RecursionError:
+        too_deep = Problem("", "not valid TOML: arrays or tables nested too deeply")
+        raise FleetError(source, [too_deep]) from None
+
+
+def add_scenario(raw: dict[str, Any], text: str, source: str) -> None:
+    """Puts the faults of a scenario into the tables of a fleet file.
+
+    Raises:
+        FleetError: of `source`, for what is wrong with the scenario.
+    """
+    added = fleet_tables(text, source)
+    try:
+        parse_scenario(text, _ids(raw))
+    except ScenarioError as error:
+        raise FleetError(source, error.problems) from None
+    own = raw.setdefault("faults", {})
+    if isinstance(own, dict):
+        for key, value in added.get("faults", {}).items():
+            before = own.get(key, [])
+            own[key] = [*value, *before] if isinstance(value, list) and isinstance(before, list) else value
+
+
+def _add_orders(raw: dict[str, Any], text: str, source: str) -> None:
+    """Adds the orders of a file of orders to the tables of a fleet file; raises as `add_scenario`."""
+    added = fleet_tables(text, source)
+    try:
+        read_orders(added, _ids(raw))
+    except ScenarioError as error:
+        raise FleetError(source, error.problems) from None
+    own = raw.setdefault("order", [])
+    if isinstance(own, list):
+        own += added.get("order", [])
+
+
+def _ids(raw: Mapping[str, Any]) -> list[int]:
+    """Ids of the robots of a fleet file of which nothing is known yet."""
+    rows = raw.get("robot")
+    ids = [row.get("id") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    return [number for number in ids if isinstance(number, int)]
+
+
+def _too_large(what: str) -> Problem:
+    return Problem("", f"larger than {FILE_BYTES_MAX // 1024} KiB: this is not a {what}")
+
+
+def _syntax_problem(error: ValueError) -> Problem:
+    message = printable(str(error))
+    match = re.fullmatch(r"(.*) \(at (?:line (\d+), column (\d+)|(end of document))\)", message)
+    if match is None:
+        return Problem("", f"not valid TOML: {message[:200]}")
+    place = match[4] or f"line {match[2]}, column {match[3]}"
+    return Problem(place, f"not valid TOML: {match[1]}")
+
+
+def _table(raw: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = raw.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _apply_law(raw: dict[str, Any], law: str | None) -> tuple[Problem, ...]:
+    if law is None:
+        return ()
+    if law not in LAWS:
+        return (Problem("--law", f"must be one of {', '.join(LAWS)}, got {show(law)}"),)
+    for table, preset in LAWS[law].items():
+        given = raw.setdefault(table, {})
+        if isinstance(given, dict):
+            given.update(preset)
+    return ()
+
+
+def _forget_old_kind(raw: dict[str, Any], before: object, reader: Reader) -> None:
+    """Drops the file's velocity when ``--set trajectory.kind=hold`` turns its line into another kind."""
+    trajectory = _table(raw, "trajectory")
+    kind = trajectory.get("kind")
+    if kind == before or not isinstance(kind, str) or kind not in TRAJECTORY_FIELDS:
+        return
+    needed, taken = TRAJECTORY_FIELDS[kind]
+    for key in set(kinds_by_field()) - {*needed, *taken}:
+        if not reader.overridden(f"trajectory.{key}"):
+            trajectory.pop(key, None)
+
+
+def _with_ids(problems: Sequence[Problem], raw: Mapping[str, Any]) -> Iterator[Problem]:
+    """``robot[3]`` counts entries: says the id as well where that is another number."""
+    rows = raw.get("robot")
+    for problem in problems:
+        match = re.match(r"robot\[(\d+)\]", problem.place)
+        if match is not None and isinstance(rows, list):
+            row = rows[int(match[1]) - 1]
+            number = row.get("id") if isinstance(row, dict) else None
+            if type(number) is int and number != int(match[1]):
+                yield Problem(problem.place, f"{problem.message} (the robot with id {show(number)})")
+                continue
+        yield problem
+
+
+def law_name(control: ControlSection) -> str:
+    """The name in `LAWS` whose coupling and kp these are, else "custom"."""
+    for name, preset in LAWS.items():
+        if all(getattr(control, key) == value for key, value in preset["control"].items()):
+            return name
+    return "custom"
+
+
+def to_dict(fleet: Fleet) -> dict[str, Any]:
+    """A complete table for a TOML writer: ``parse_fleet`` of what it writes gives an equal `Fleet`."""
+    table = plain(fleet)
+    table["trajectory"] = _of_kind(table["trajectory"], TRAJECTORY_FIELDS)
+    table["order"] = [{"at": row["at"], **_of_kind(row, ORDER_FIELDS)} for row in table["order"]]
+    for row in table["order"]:
+        if "trajectory" in row:
+            row["trajectory"] = _of_kind(row["trajectory"], TRAJECTORY_FIELDS)
+    return table
+
+
+def _of_kind(
+    row: Mapping[str, Any], fields: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+) -> dict[str, Any]:
+    """A table without the fields that its kind does not take: to read them would be an error."""
+    needed, taken = fields[row["kind"]]
+    return {key: value for key, value in row.items() if key in ("kind", *needed, *taken)}
+
+
+def digest(fleet: Fleet) -> str:
+    """16 hex digits over what all robots must agree on.
+
+    That is everything but where processes run and how they reach each other, the description, what is
+    recorded, and how a vehicle's own computer reaches it.
+    """
+    table = to_dict(fleet)
+    for key in ("network", "host", "recording"):
+        table.pop(key, None)
+    del table["fleet"]["description"]
+    for robot in table["robot"]:
+        robot.pop("host", None)
+        for key in LINK_FIELDS:
+            robot.get("mavlink", {}).pop(key, None)
+    canonical = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return blake2b(canonical.encode(), digest_size=8).hexdigest()

@@ -1,0 +1,356 @@
+"""The tables of a fleet file about safety, and what can be wrong in them (PURE).
+
+Avoidance, obstacles, geofence, supervision. Lengths in m, times in s; frame W (ENU: x east, y north).
+"""
+
+# ruff: noqa: RUF009 (setting() is dataclasses.field)
+# ruff: noqa: RUF009 (setting() is dataclasses.field)
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+from agent.common.reader import Reader
+from agent.common.settings import about, setting
+from agent.common.wording import show
+
+Pair = tuple[float, float]
+
+_FAR_M: Final = 1e6
+
+CORNERS_MAX: Final = 200
+"""Corners of one polygon: every robot measures its way to each side in every tick."""
+
+_SLOW_SHARE: Final = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class AvoidanceSection:
+    """``[avoidance]``."""
+
+    enabled: bool = setting(
+        True,
+        "Robots keep away from robots that they share no edge with, from obstacles and from the geofence, "
+        "and what the law asks for passes a last filter. false: the bare law, as published.",
+    )
+    distance_m: float | None = setting(
+        None,
+        "d_a: robots that share no edge push each other apart when they are nearer than this. Left out: half "
+        "way between the safe distance and the shortest edge, but less than what the formation itself "
+        "puts between two such robots.",
+        unit="m",
+        gt=0,
+        le=_FAR_M,
+        example="0.6",
+    )
+    clearance_m: float | None = setting(
+        None,
+        "No hand point comes nearer to an obstacle than this. Left out: half of `formation.safe_distance_m`.",
+        unit="m",
+        gt=0,
+        le=_FAR_M,
+        example="0.3",
+    )
+    sensing_m: float | None = setting(
+        None,
+        "Robots nearer than this are listened to closely, in every tick. Left out: 0.9 m more than "
+        "`distance_m`, or more where two robots at `control.max_speed_mps` need it to brake in.",
+        unit="m",
+        gt=0,
+        le=_FAR_M,
+        example="2.0",
+    )
+    beacon_hz: float = setting(
+        5.0, "How often every robot tells all others where it is.", unit="Hz", ge=0.5, le=50
+    )
+    barrier_rate: float | None = setting(
+        None,
+        "p of the last filter: the share of what is left of a distance that a robot may close in a second "
+        "(docs/theory.md). Left out: 3, or `control.max_acceleration` / `control.max_speed_mps` if that is "
+        "less: braking from full speed takes p times that speed.",
+        unit="1/s",
+        gt=0,
+        le=100,
+        example="2.0",
+    )
+    margin_m: float = setting(
+        0.05, "The last filter keeps this much more than the safe distance.", unit="m", ge=0, le=100
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ObstacleSection:
+    """One ``[[obstacle]]``: a circle, or a polygon."""
+
+    name: str = setting(
+        "",
+        "What messages call it; left out: `obstacle 1`, `obstacle 2`, ...",
+        pattern=r"[^\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]{0,40}",
+        pattern_says="up to 40 printable characters",
+        example='"shed"',
+    )
+    centre_m: Pair | None = setting(
+        None, "Of a circle: its centre.", unit="m", ge=-_FAR_M, le=_FAR_M, example="[2.0, 1.0]"
+    )
+    radius_m: float | None = setting(
+        None, "Of a circle: its radius.", unit="m", gt=0, le=_FAR_M, example="0.4"
+    )
+    points_m: tuple[Pair, ...] | None = setting(
+        None,
+        f"Of a polygon: its corners in order, either way round, 3 to {CORNERS_MAX}; it need not be convex.",
+        unit="m",
+        ge=-_FAR_M,
+        le=_FAR_M,
+        example="[[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]]",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class GeofenceSection:
+    """``[geofence]``: where robots may be."""
+
+    points_m: tuple[Pair, ...] = field(
+        metadata=about(
+            f"Its corners in order, either way round, 3 to {CORNERS_MAX}. A robot whose hand point is "
+            "outside holds.",
+            unit="m",
+            ge=-_FAR_M,
+            le=_FAR_M,
+            example="[[-10.0, -10.0], [30.0, -10.0], [30.0, 30.0], [-10.0, 30.0]]",
+        )
+    )
+    warn_m: float = setting(
+        0.5, "Nearer to it than this, a robot is pushed back, and says so.", unit="m", gt=0, le=_FAR_M
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SupervisionSection:
+    """``[supervision]``."""
+
+    slow_after_s: float | None = setting(
+        None,
+        "A neighbour that has been silent for so long makes a robot drive slower and slower, until at "
+        "`control.prediction_horizon_s` it is given up. Left out: three quarters of that.",
+        unit="s",
+        gt=0,
+        le=60,
+        example="1.5",
+    )
+    silence: Literal["drop", "hold"] = setting(
+        "drop",
+        "What a robot does when it has given up a neighbour: `drop`: drives on without that edge, and keeps "
+        "away from where that neighbour may be, but holds when it hears none of its neighbours any more; "
+        "`hold`: brakes until it hears all of them.",
+    )
+    deadman_s: float | None = setting(
+        None,
+        "Dead-man's switch: robots hold when no operator's heartbeat has come for so long. `handfast run` "
+        "sends it, and `handfast heartbeat`. Left out: robots need no operator.",
+        unit="s",
+        ge=0.2,
+        le=600,
+        example="1.0",
+    )
+
+    def slow_from_s(self, prediction_horizon_s: float) -> float:
+        """Age (s) of a neighbour's last state from which on a robot slows down."""
+        return _SLOW_SHARE * prediction_horizon_s if self.slow_after_s is None else self.slow_after_s
+
+
+_CIRCLE = ("centre_m", "radius_m")
+
+_EITHER = (
+    "a circle has centre_m and radius_m, a polygon points_m: write for example centre_m = [2.0, 1.0] and "
+    "radius_m = 0.4"
+)
+
+_SIDE_M: Final = 1e-3
+"""Shortest side of a polygon: shorter ones have no direction worth the name."""
+
+
+def check_safety(values: Mapping[str, Any], reader: Reader) -> None:
+    """Adds to `reader` what is wrong with valid values that do not go together."""
+    _check_obstacles(values.get("obstacles", ()), reader)
+    fence = values.get("geofence")
+    if fence and fence.get("points_m") is not None:
+        _check_polygon(fence["points_m"], "geofence.points_m", reader)
+    _check_avoidance(values.get("avoidance", {}), values.get("formation", {}).get("safe_distance_m"), reader)
+    _check_supervision(values, reader)
+
+
+def _check_obstacles(rows: Sequence[Mapping[str, Any]], reader: Reader) -> None:
+    first: dict[str, int] = {"geofence": 0}
+    for number, row in enumerate(rows, 1):
+        place = f"obstacle[{number}]"
+        _check_kind(row, place, reader)
+        if row.get("points_m") is not None:
+            _check_polygon(row["points_m"], f"{place}.points_m", reader)
+        if "name" not in row:
+            continue
+        name = row["name"] or f"obstacle {number}"  # as `agent.control.boundaries.obstacles_of` calls it
+        other = first.setdefault(name, number)
+        if other != number:
+            whose = f"obstacle[{other}]" if other else "the fence"
+            reader.add(
+                f"{place}.name", f"{whose} has the name {show(name)} already: messages could mean either"
+            )
+
+
+def _check_kind(row: Mapping[str, Any], place: str, reader: Reader) -> None:
+    if not {*_CIRCLE, "points_m"} <= row.keys():
+        return  # one has a problem of its own
+    given = [key for key in _CIRCLE if row[key] is not None]
+    if row["points_m"] is not None:
+        if given:
+            reader.add(place, f"has {' and '.join(given)} beside points_m: {_EITHER}; leave one kind out")
+    elif not given:
+        reader.add(place, f"has no shape: {_EITHER}")
+    elif len(given) == 1:
+        (missing,) = set(_CIRCLE) - set(given)
+        example = "[2.0, 1.0]" if missing == "centre_m" else "0.4"
+        reader.add(
+            f"{place}.{missing}",
+            f"is missing: a circle, which {given[0]} makes it, needs it, for example {missing} = {example}",
+        )
+
+
+def _check_polygon(points: Sequence[Pair | None], place: str, reader: Reader) -> None:
+    count = len(points)
+    if not 3 <= count <= CORNERS_MAX:
+        reader.add(place, f"must have 3 to {CORNERS_MAX} corners, got {count}")
+        return
+    corners = [point for point in points if point is not None]
+    if len(corners) < count:
+        return  # one has a problem of its own
+    first: dict[Pair, int] = {}
+    for number, corner in enumerate(corners, 1):
+        if first.setdefault(corner, number) != number:
+            again = (
+                "the last side closes by itself" if number == count and first[corner] == 1 else "leave it out"
+            )
+            reader.add(f"{place}[{number}]", f"{show(corner)} is corner {first[corner]} again: {again}")
+    if len(first) < count:
+        return
+    for number, corner in enumerate(corners, 1):
+        if _square(corners[number - 2], corner) < _SIDE_M**2:
+            reader.add(
+                f"{place}[{number}]",
+                f"{show(corner)} is nearer than {1000 * _SIDE_M:g} mm to the corner before it: leave one out",
+            )
+            return
+    if _is_flat(corners):
+        reader.add(place, "all corners lie on one line: a polygon needs an area")
+        return
+    crossing = _crossing(corners)
+    if crossing is not None:
+        i, j = crossing
+        reader.add(
+            place,
+            f"the sides from corner {i + 1} to {(i + 1) % count + 1} and from corner {j + 1} to "
+            f"{(j + 1) % count + 1} meet: give the corners in the order in which one walks around",
+        )
+
+
+def _is_flat(corners: Sequence[Pair]) -> bool:
+    a, b = corners[0], max(corners, key=lambda corner: _square(corners[0], corner))
+    return all(_turn(a, b, corner) == 0 for corner in corners)
+
+
+def _crossing(corners: Sequence[Pair]) -> tuple[int, int] | None:
+    """Numbers (from 0) of the first two sides that have a point in common which is not a corner of both."""
+    count = len(corners)
+    sides = [(corners[k], corners[(k + 1) % count]) for k in range(count)]
+    order = sorted(range(count), key=lambda k: min(sides[k][0][0], sides[k][1][0]))
+    found: list[tuple[int, int]] = []
+    for position, i in enumerate(order):
+        east = max(sides[i][0][0], sides[i][1][0])
+        for j in order[position + 1 :]:
+            if min(sides[j][0][0], sides[j][1][0]) > east:
+                break  # this side, and all after it, begin further east
+            a, b = min(i, j), max(i, j)
+            if b - a == 1 or (a == 0 and b == count - 1):
+                before, at, after = _corner(corners, a, b)
+                touches = _turn(before, at, after) == 0 and _ahead(before, at, after) < 0.0
+            else:
+                touches = _meet(*sides[a], *sides[b])
+            if touches:
+                found.append((a, b))
+    return min(found, default=None)
+
+
+def _corner(corners: Sequence[Pair], a: int, b: int) -> tuple[Pair, Pair, Pair]:
+    """The corner that two next sides a < b share, with the corners before and after it."""
+    count = len(corners)
+    at = b if b - a == 1 else 0
+    return corners[at - 1], corners[at], corners[(at + 1) % count]
+
+
+def _meet(a: Pair, b: Pair, c: Pair, d: Pair) -> bool:
+    """Whether the segments ab and cd have a point in common."""
+    turns = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
+    if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
+        return True
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(turn == 0 and _is_between(*three) for turn, three in zip(turns, ends, strict=True))
+
+
+def _turn(a: Pair, b: Pair, c: Pair) -> int:
+    """1 when c lies to the left of the way from a to b, -1 to the right, 0 on it within rounding."""
+    first, second = (b[0] - a[0]) * (c[1] - a[1]), (b[1] - a[1]) * (c[0] - a[0])
+    if abs(first - second) <= 1e-12 * (abs(first) + abs(second)):
+        return 0
+    return 1 if first > second else -1
+
+
+def _ahead(a: Pair, b: Pair, c: Pair) -> float:
+    """Above 0 when the way from b to c goes on as that from a to b, below when it goes back."""
+    return (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
+
+
+def _is_between(a: Pair, b: Pair, c: Pair) -> bool:
+    return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
+
+
+def _square(a: Pair, b: Pair) -> float:
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2
+
+
+def _check_avoidance(avoidance: Mapping[str, Any], safe: float | None, reader: Reader) -> None:
+    distance, sensing = avoidance.get("distance_m"), avoidance.get("sensing_m")
+    if distance is not None and safe is not None and distance <= safe:
+        reader.add(
+            "avoidance.distance_m",
+            f"{show(distance)} is too small: robots begin to part at this distance, which must be above "
+            f"formation.safe_distance_m = {show(safe)}, that they must not come below",
+        )
+    least, name = (
+        (distance, "avoidance.distance_m") if distance is not None else (safe, "formation.safe_distance_m")
+    )
+    if sensing is not None and least is not None and sensing <= least:
+        reader.add(
+            "avoidance.sensing_m",
+            f"{show(sensing)} is too small: a robot must be listened to before it comes as near as "
+            f"{name} = {show(least)}",
+        )
+
+
+def _check_supervision(values: Mapping[str, Any], reader: Reader) -> None:
+    slow = values.get("supervision", {}).get("slow_after_s")
+    horizon = values.get("control", {}).get("prediction_horizon_s")
+    rate = values.get("fleet", {}).get("rate_hz")
+    if slow is None:
+        return
+    if horizon is not None and slow >= horizon:
+        reader.add(
+            "supervision.slow_after_s",
+            f"{show(slow)} is too long: a robot slows down before it gives a neighbour up, which it does "
+            f"after control.prediction_horizon_s = {show(horizon)}; leave it out for three quarters of that",
+        )
+    elif rate is not None and slow < 2 / rate * (1 - 1e-9):
+        reader.add(
+            "supervision.slow_after_s",
+            f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
+            f"got {show(slow)}",
+        )

@@ -1,0 +1,85 @@
+"""When a node ticks, by its own clock: on the fleet's grid, or late where a fault rule wants it (PURE)."""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+from agent.common import random_streams
+from agent.links.fault_plan import FaultPlan
+from agent.messages import key_expressions
+
+
+def next_tick_ns(now_ns: int, period_ns: int, phase_ns: int) -> int:
+    """The first tick after `now_ns`: ticks lie on one grid of the wall clock for every process."""
+    return (now_ns - phase_ns) // period_ns * period_ns + period_ns + phase_ns
+
+
+class Ticked(Protocol):
+    """What `Ticks` needs to know of a node; members as those of `agent.node.Node`."""
+
+    @property
+    def plan(self) -> FaultPlan: ...
+
+    @property
+    def period_ns(self) -> int: ...
+
+    @property
+    def phase_ns(self) -> int: ...
+
+    @property
+    def alive_key(self) -> str: ...
+
+
+class Ticks:
+    """When a node ticks, by its own clock: at deadlines on the grid, or later where a rule wants it.
+
+    What drives a node waits until `due_ns`, asks `take` for the time to tell it, ticks it and calls `plan`.
+
+    Args:
+        now_ns: the node's clock now; its first deadline is the next of the grid.
+
+    Attributes:
+        due_ns: time of the next tick.
+    """
+
+    def __init__(self, node: Ticked, now_ns: int) -> None:
+        self._plan: Final = node.plan
+        self._period_ns, self._phase_ns = node.period_ns, node.phase_ns
+        robot, role = key_expressions.robot_of_alive(node.alive_key) or (0, "")
+        self._robot = robot
+        self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
+        self._changes = -1
+        self._jittery = False
+        self.plan(now_ns)
+
+    @property
+    def epoch_ns(self) -> int | None:
+        """The mission's epoch, None while the node knows of none."""
+        return self._plan.epoch_ns
+
+    def plan(self, told_ns: int) -> None:
+        """Finds the tick after one that was told `told_ns`."""
+        self._deadline_ns = next_tick_ns(told_ns, self._period_ns, self._phase_ns)
+        plan = self._plan
+        if self._changes != plan.changes:
+            self._changes = plan.changes
+            self._jittery = any(rule.tick_jitter is not None for rule in plan.rules())
+        self.due_ns = self._deadline_ns + (self._late_ns() if self._jittery else 0)
+
+    def take(self, now_ns: int) -> tuple[int, int]:
+        """The time that a tick is told which begins at `now_ns`, and the number of ticks that are skipped.
+
+        The time is that which was planned, not `now_ns`: what is decided then does not depend on a
+        scheduler. Deadlines that have passed meanwhile are skipped.
+        """
+        period_ns, told_ns = self._period_ns, self.due_ns
+        if now_ns >= told_ns + period_ns:
+            told_ns += (now_ns - told_ns) // period_ns * period_ns
+        return told_ns, (told_ns - self._deadline_ns) // period_ns
+
+    def _late_ns(self) -> int:
+        """By how much the next tick comes late: a draw for its round, uniform up to the rule's limit."""
+        plan = self._plan
+        most_ns = plan.tick_jitter_ns(self._robot, self._deadline_ns)
+        since_ns = self._deadline_ns - self._phase_ns - (plan.epoch_ns or 0)
+        return int(most_ns * random_streams.uniform(self._stream, since_ns // self._period_ns))

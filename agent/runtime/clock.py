@@ -1,0 +1,41 @@
+"""The machine's clock."""
+
+from __future__ import annotations
+
+import time
+
+from agent.common.time import NS_PER_S, LocalTime
+
+
+class RealClock:
+    """The machine's clock: wall time at the start of the process, carried on by the monotonic clock.
+
+    A wall clock that is set while robots drive must not move them: it is read once.
+
+    Args:
+        skew_ns, drift: by how much it is to be wrong, `LocalTime`.
+    """
+
+    def __init__(self, skew_ns: int = 0, drift: float = 0.0) -> None:
+        # The reading of the wall clock lies between two of the monotonic one: the closest of a
+        # few pairs keeps a preempted process from starting with an offset.
+        samples = []
+        for _ in range(5):
+            before = time.monotonic_ns()
+            wall = time.time_ns()
+            after = time.monotonic_ns()
+            samples.append((after - before, wall - (before + after) // 2))
+        self._offset_ns = min(samples)[1]
+        self._local = LocalTime(skew_ns, drift)
+
+    def begin(self, epoch_ns: int) -> None:
+        if self._local.epoch_ns is None:
+            self._local = self._local._replace(epoch_ns=epoch_ns)
+
+    def now_ns(self) -> int:
+        return self._local.local_ns(time.monotonic_ns() + self._offset_ns)
+
+    def sleep_until(self, time_ns: int) -> None:
+        remaining = self._local.true_ns(time_ns) - time.monotonic_ns() - self._offset_ns
+        if remaining > 0:
+            time.sleep(remaining / NS_PER_S)
