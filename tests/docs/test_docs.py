@@ -28,43 +28,46 @@ def text(name: str) -> str:
     return (ROOT / "docs" / name).read_text(encoding="utf-8")
 
 
-def rows(name: str, heading: str) -> list[list[str]]:
-    """Cells of the first table below a heading, without its own."""
+def items(name: str, heading: str) -> list[str]:
+    """The items of the first list below a heading, each as one line."""
     (part,) = re.findall(rf"^## {heading}\n(.*?)(?=^## |\Z)", text(name), re.MULTILINE | re.DOTALL)
-    lines = [line for line in part.splitlines() if line.startswith("| ")]
-    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[1:]]
+    (found,) = re.findall(r"(?:^- .*\n(?:  .*\n)*)+", part, re.MULTILINE)[:1]
+    return [" ".join(item.split()) for item in re.split(r"^- ", found, flags=re.MULTILINE)[1:]]
 
 
 def words(cell: str) -> list[str]:
     return re.findall(r"`([^`]+)`", cell)
 
 
-# --- tables ---------------------------------------------------------------------------------------
+# --- lists ----------------------------------------------------------------------------------------
 
 
 def test_states() -> None:
-    shown = [(words(name)[0], does) for name, does in rows("supervision.md", "States")]
-    assert shown == [(state.value, does) for state, does in DOES.items()]
+    shown = [item.split(": ", 1) for item in items("supervision.md", "States")]
+    assert shown == [[f"`{state.value}`", does] for state, does in DOES.items()]
 
 
 def test_transitions() -> None:
     shown = []
-    for name, sources, target, when in rows("supervision.md", "Transitions"):
+    for item in items("supervision.md", "Transitions"):
+        name, sources, target, when = re.findall(r"^`(\w+)`: from (.*), to `(\w+)`: (.+)$", item)[0]
         named = set(words(sources))
         assert when
-        shown.append((words(name)[0], ALL - named if sources.startswith("any") else named, words(target)[0]))
+        shown.append((name, ALL - named if sources.startswith("any") else named, target))
     assert shown == [
         (row.name, {state.value for state in row.sources}, row.target.value) for row in TRANSITIONS
     ]
 
 
 def test_oracles() -> None:
-    shown = [(words(name)[0], says) for name, says, _ in rows("supervision.md", "Oracles")]
+    shown = [
+        re.findall(r"^`(\w+)`: (.*) Not judged: ", item)[0] for item in items("supervision.md", "Oracles")
+    ]
     assert shown == [(oracle.name, oracle.says) for oracle in ORACLES]
 
 
 def test_parameters_of_avoidance() -> None:
-    shown = [words(name)[0] for name, *_ in rows("avoidance.md", "Parameters")]
+    shown = [words(item)[0] for item in items("avoidance.md", "Parameters")]
     assert sorted(shown) == sorted(entries(AvoidanceSection).keys() - {"enabled"})
     assert (
         set(re.findall(r"`supervision\.(\w+)", text("supervision.md"))) <= entries(SupervisionSection).keys()

@@ -1,4 +1,4 @@
-"""docs/rovers.md: its fleet file drives, and the tests that it names are there."""
+"""docs/rovers.md: its fleet file drives; docs/rovers-measurements.md: the tests that it names are there."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from deploy.check.check import check
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "rovers.md").read_text(encoding="utf-8")
+MEASURED = (ROOT / "docs" / "rovers-measurements.md").read_text(encoding="utf-8")
 
 
 def fleet(*overrides: str) -> Fleet:
@@ -32,7 +33,7 @@ def test_one_rover_can_be_tried_with_a_simulated_partner() -> None:
 
 
 def test_the_tests_that_it_names_exist() -> None:
-    named = set(re.findall(r"`(test_\w+)`", TEXT))
+    named = set(re.findall(r"`(test_\w+)`", MEASURED))
     assert len(named) > 15
     tests = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
     missing = sorted(name for name in named if f"def {name}(" not in tests)
@@ -40,7 +41,8 @@ def test_the_tests_that_it_names_exist() -> None:
 
 
 def test_the_parameters_in_bold_are_those_that_are_read() -> None:
-    rows = re.findall(r"^\| ((?:\*\*|`).*?) \|", TEXT.split("## Parameters")[1].split("## ")[0], re.MULTILINE)
+    part = TEXT.split("## Parameters")[1].split("## ")[0]
+    rows = re.findall(r"^- ((?:\*\*|`).*?): ", part, re.MULTILINE)
     bold = {name for row in rows for name in re.findall(r"\*\*`(\w+)`\*\*", row)}
     assert bold
     assert bold <= set(AUDITED)
