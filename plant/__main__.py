@@ -18,7 +18,7 @@ from agent.fleet.model import Fleet
 from agent.messages.types import FLOAT_MAX
 from agent.runtime.process import FAILED, Log, StartError
 from plant.backend import PlantBackend
-from plant.pose_file import Place, PoseFile, StandingBody, StandingError
+from plant.pose_file import PersistentBody, Place, PoseFile, PoseFileError
 from plant.server import main as serve
 from plant.unicycle import from_fleet
 
@@ -51,16 +51,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.pose_file is None:
             return from_fleet(fleet, robot, options.pose)
         try:
-            standing = PoseFile(options.pose_file)
-        except StandingError as error:
-            if error.passes:
+            pose_file = PoseFile(options.pose_file)
+        except PoseFileError as error:
+            if error.transient:
                 raise
             raise StartError(str(error)) from None
-        return StandingBody(from_fleet(fleet, robot, options.pose or standing.place), standing)
+        return PersistentBody(from_fleet(fleet, robot, options.pose or pose_file.place), pose_file)
 
     try:
         return serve(rest, "python -m plant", make)
-    except StandingError as error:
+    except PoseFileError as error:
         print(f"plant: {error}", file=sys.stderr)
         return FAILED
 

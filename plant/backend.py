@@ -63,7 +63,7 @@ class PlantBackend(Protocol):
         """Lets go of the body, which is left braking."""
         ...
 
-    def go_ahead(self) -> None:
+    def clear_to_drive(self) -> None:
         """The fleet was told to drive: by a new mission, or by leave to resume.
 
         A body that its operator has taken away and given back obeys again only after this.

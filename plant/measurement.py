@@ -79,11 +79,11 @@ class Measurement:
             faults.position_noise_m, faults.position_noise_m, faults.heading_noise_rad,
             faults.speed_noise_mps, faults.yaw_rate_noise_radps,
         )  # fmt: skip
-        told = []
+        measured = []
         for value, bias, own, added, stream in zip(
             pose, biases, self._noise, noises, self._streams, strict=True
         ):
             deviation = hypot(own, added)
             error = deviation * random_streams.normal(stream, sequence) if deviation else 0.0
-            told.append(value + bias + error)
-        return Pose._make(told)
+            measured.append(value + bias + error)
+        return Pose._make(measured)

@@ -64,14 +64,14 @@ class PlantNode:
         self._key_wrench = key_expressions.wrench(name, robot)
         self.alive_key: Final = key_expressions.alive(name, robot, "plant")
         # Its agent passes on what operators order; that of another robot has no say here.
-        self._key_told = key_expressions.relayed(name, robot)
-        self._missions_from = key_expressions.mission(name), self._key_told
-        self._stops_from = key_expressions.stop(name), self._key_told
-        self._resumes_from = key_expressions.resume(name), self._key_told
+        self._key_relayed = key_expressions.relayed(name, robot)
+        self._missions_from = key_expressions.mission(name), self._key_relayed
+        self._stops_from = key_expressions.stop(name), self._key_relayed
+        self._resumes_from = key_expressions.resume(name), self._key_relayed
         self._key_checks = key_expressions.checks(name, robot)
         self._digest = digest(fleet)
         self._mission_version = self._epoch_ns = -1
-        self._latch = StopLatch(robot, backend.go_ahead)
+        self._latch = StopLatch(robot, backend.clear_to_drive)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
         self._checks_due_ns = self._checks_sequence = 0
@@ -81,7 +81,7 @@ class PlantNode:
         self.subscriptions: Final = (
             key_expressions.stop(name),
             key_expressions.resume(name),
-            self._key_told,
+            self._key_relayed,
             self._key_wrench,
             key_expressions.mission(name),
             *self._ingress.subscriptions,
@@ -96,7 +96,7 @@ class PlantNode:
         self.rejected: Counter[str] = Counter()
         self.overruns = 0
         self._wrench: Wrench | None = None
-        self._leaving = False
+        self._ending = False
         self._at_rest = self._obeying = True
         self._numbers = SequenceNumbers(self.period_ns)
         self._condition = ("braking", "no wrench yet")
@@ -107,11 +107,11 @@ class PlantNode:
 
     @property
     def done(self) -> bool:
-        return self._leaving and (self._at_rest or not self._obeying)
+        return self._ending and (self._at_rest or not self._obeying)
 
     def leave(self) -> None:
         """The process is about to end: brakes, whatever the agent says."""
-        self._leaving = True
+        self._ending = True
 
     def present(self, key: str, here: bool) -> None:
         """It watches nobody: silence of its agent is what it goes by."""
@@ -170,7 +170,7 @@ class PlantNode:
                 self._epoch_ns = mission.epoch_ns
                 self._numbers.begin(mission.epoch_ns)
                 self._ingress.begin(mission.epoch_ns)
-                self._backend.go_ahead()
+                self._backend.clear_to_drive()
         return None
 
     def _arrive(self, now_ns: int) -> None:
@@ -188,7 +188,7 @@ class PlantNode:
 
     def _command(self, now_ns: int) -> Command | None:
         wrench = self._wrench
-        if self._leaving:
+        if self._ending:
             self._condition = "braking", "the plant was told to end"
         elif self._latch.stopped:
             # Its agent brakes as well: a stop must not hang on one process.
@@ -220,7 +220,7 @@ class PlantNode:
             out.append((self._key_truth, encode(self._state(sequence, reading, pose, command))))
         checks = self._backend.checks(now_ns)
         if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
-            out.append((self._key_checks, self._told(checks, now_ns)))
+            out.append((self._key_checks, self._checks_message(checks, now_ns)))
         out += self._ingress.outgoing(now_ns, flush=command is None)
         return out
 
@@ -234,7 +234,7 @@ class PlantNode:
         self._levels = [(check.name, check.level) for check in checks]
         return self._levels != levels
 
-    def _told(self, checks: Sequence[Check], now_ns: int) -> bytes:
+    def _checks_message(self, checks: Sequence[Check], now_ns: int) -> bytes:
         """The checks as a message that fits: of too many lines the worst, of too much text the beginnings."""
         self._checks_due_ns = now_ns + CHECKS_PERIOD_NS
         self._checks_sequence += 1

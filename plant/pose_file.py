@@ -28,16 +28,16 @@ Place = tuple[float, float, float]
 """x, y (m, W), heading (rad)."""
 
 
-class StandingError(RuntimeError):
+class PoseFileError(RuntimeError):
     """The file cannot be used; the text is one clear line.
 
     Attributes:
-        passes: whether it may be usable later, as one on a disk that is full.
+        transient: whether it may be usable later, as one on a disk that is full.
     """
 
-    def __init__(self, text: str, *, passes: bool) -> None:
+    def __init__(self, text: str, *, transient: bool) -> None:
         super().__init__(text)
-        self.passes = passes
+        self.transient = transient
 
 
 class PoseFile:
@@ -46,7 +46,7 @@ class PoseFile:
     Two records take turns, so that one is whole whenever the process dies.
 
     Raises:
-        StandingError: it cannot be opened or made.
+        PoseFileError: it cannot be opened or made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,7 +60,7 @@ class PoseFile:
                 os.close(handle)
         except OSError as error:
             text = f"cannot use the pose file {path}: {error.strerror or error}"
-            raise StandingError(text, passes=error.errno in PASSING) from None
+            raise PoseFileError(text, transient=error.errno in PASSING) from None
         found = [record for slot in (0, 1) if (record := self._read(slot)) is not None]
         self._number = max((number for number, _ in found), default=0)
         self.place: Place | None = dict(found).get(self._number)
@@ -94,23 +94,23 @@ def _allocate(handle: int) -> None:
     os.ftruncate(handle, 2 * _SLOT)
 
 
-class StandingBody(PlantBackend):
+class PersistentBody(PlantBackend):
     """`body`, whose place is noted at every step."""
 
-    def __init__(self, body: PlantBackend, standing: PoseFile) -> None:
-        self._body, self._standing = body, standing
+    def __init__(self, body: PlantBackend, pose_file: PoseFile) -> None:
+        self._body, self._pose_file = body, pose_file
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
         reading = self._body.step(now_ns, command)
-        self._standing.write(reading.pose)
+        self._pose_file.write(reading.pose)
         return reading
 
-    def go_ahead(self) -> None:
-        self._body.go_ahead()
+    def clear_to_drive(self) -> None:
+        self._body.clear_to_drive()
 
     def checks(self, now_ns: int) -> Sequence[Check]:
         return self._body.checks(now_ns)
 
     def close(self) -> None:
         self._body.close()
-        self._standing.close()
+        self._pose_file.close()

@@ -43,7 +43,7 @@ class Port:
         self.arriving: deque[tuple[int, bytes]] = deque()
         self.sent: list[tuple[int, bytes]] = []
         self.trouble = self.note = ""
-        self.waits = True
+        self.transient = True
         self.epoch, self.dropped = 1, 0
         self.cut = False
 
@@ -122,8 +122,8 @@ class Bridge:
         sent = self.port.messages("SET_POSITION_TARGET_LOCAL_NED", max(since_ns, self.born_ns))
         return [(at_ns, m.vx, frames.yaw_rate(m.yaw_rate)) for at_ns, m in sent]
 
-    def go_ahead(self) -> None:
-        self.plant.go_ahead()
+    def clear_to_drive(self) -> None:
+        self.plant.clear_to_drive()
 
     def check(self, name: str) -> Check:
         """The preflight line of that name."""
@@ -208,7 +208,7 @@ class Scene:
     def drive(self, speed: float = 0.5) -> None:
         """Waits until the rover obeys, gives the mission, and brings it to a speed."""
         self.until(lambda: self.bridge.reading.obeying)
-        self.bridge.go_ahead()
+        self.bridge.clear_to_drive()
         self.bridge.command = Command(MASS * 0.4 * (1.0 if speed > 0.0 else -1.0), 0.0)
         self.until(lambda: abs(self.bridge.reading.pose.speed) >= abs(speed) - 1e-9)
         self.bridge.command = Command(0.0, 0.0)

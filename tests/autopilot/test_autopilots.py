@@ -201,7 +201,7 @@ def test_all_are_in_one_world(field: Field) -> None:
 
 def test_it_is_armed_and_put_into_guided(field: Field, vehicle: Vehicle) -> None:
     field.ready(vehicle)
-    assert (vehicle.link.mode, vehicle.link.armed) == (constants.GUIDED, True)
+    assert (vehicle.link.mode, vehicle.link.armed) == (constants.MODE_GUIDED, True)
     place = vehicle.pose
     field.run(3.0)
     assert hypot(vehicle.pose.x - place.x, vehicle.pose.y - place.y) < STILL_M, "armed, it stands"
@@ -275,7 +275,7 @@ def test_without_a_wrench_it_stops_and_is_left_in_peace(field: Field, vehicle: V
     field.run(4.0)
     assert vehicle.standing
     assert setpoints(vehicle, time.time_ns() - NS_PER_S // 2) == 0, "silence once it stands"
-    assert (vehicle.link.mode, vehicle.link.armed) == (constants.GUIDED, True)
+    assert (vehicle.link.mode, vehicle.link.armed) == (constants.MODE_GUIDED, True)
 
 
 def setpoints(vehicle: Vehicle, since_ns: int) -> int:
@@ -303,7 +303,7 @@ def test_the_operator_wins_and_gives_back_and_it_waits_for_leave(field: Field, v
     assert not vehicle.reading.obeying
     assert hypot(vehicle.pose.x - place.x, vehicle.pose.y - place.y) < STILL_M
     assert setpoints(vehicle, since_ns) == 0
-    vehicle.plant.go_ahead()
+    vehicle.plant.clear_to_drive()
     field.until(lambda: vehicle.pose.speed > 0.2, "drives again", 5.0)
     vehicle.command = lambda _: None
     field.until(lambda: vehicle.standing, "stands", 5.0)

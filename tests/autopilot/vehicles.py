@@ -249,9 +249,9 @@ class Field:
             vehicle.ask_operators_streams()
             self.until(lambda v=vehicle: v.reading is not None and v.reading.healthy, "healthy", BOOT_S)
             if AWAITED in vehicle.plant.authority.why:
-                vehicle.plant.go_ahead()
+                vehicle.plant.clear_to_drive()
             self.until(lambda v=vehicle: v.reading.obeying and v.standing, "armed, in GUIDED, standing", 60.0)
-            vehicle.plant.go_ahead()
+            vehicle.plant.clear_to_drive()
 
     def close(self) -> None:
         """All stand, those that were armed here are disarmed, and connections are given back."""

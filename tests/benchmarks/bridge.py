@@ -186,7 +186,7 @@ def profile(window_s: float) -> tuple[list[str], float]:
             spent_ns += 0 if profiled else took_ns
         if reading.obeying and not obeying:
             obeying = True
-            joined.plant.go_ahead()
+            joined.plant.clear_to_drive()
         if obeying:
             command = Command(
                 body.mass_kg * 0.3 * sin(0.5 * time_s), body.inertia_kgm2 * 0.3 * cos(0.7 * time_s)

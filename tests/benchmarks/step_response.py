@@ -20,7 +20,7 @@ from agent.control import hand
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import RoverDynamics
 from bridges.mavlink.bridge.estimate import Estimate
-from bridges.mavlink.bridge.setpoint import LEAD_SPEED_S, LEAD_YAW_S, TOLD_WITHIN, Bounds, Setpoint
+from bridges.mavlink.bridge.setpoint import LEAD_SPEED_S, LEAD_YAW_S, REPORT_DEAD_BAND, Bounds, Setpoint
 from plant.backend import Command
 from plant.unicycle import Actuator, integrate
 from tests.benchmarks.figures import Figure, Options, Result, table
@@ -70,7 +70,7 @@ class Ideal:
 class Rover:
     """A rover that has driven at `start.speed` for a while, behind the bridge's control parts."""
 
-    def __init__(self, start: Pose, leads: Pair, told_within: Pair) -> None:
+    def __init__(self, start: Pose, leads: Pair, report_dead_band: Pair) -> None:
         self._rover = RoverDynamics(start.x, start.y, start.heading)  # its north is x here, clockwise is not
         self._estimate = Estimate()
         self._setpoint = Setpoint(
@@ -79,7 +79,7 @@ class Rover:
             Bounds(),
             lead_speed_s=leads[0],
             lead_yaw_s=leads[1],
-            told_within=told_within,
+            report_dead_band=report_dead_band,
         )
         self._now_ns = 0
         self._asked = (start.speed, 0.0)
@@ -89,7 +89,7 @@ class Rover:
             self._move()
             self._estimate.pose_at(self._now_ns)
             self._estimate.command(self._now_ns, *self._asked)
-        self._setpoint.step(DT, None, self._estimate.pose_at(self._now_ns).pose, self._estimate.surprise)
+        self._setpoint.step(DT, None, self._estimate.pose_at(self._now_ns).pose, self._estimate.residual)
 
     @property
     def pose(self) -> Pose:
@@ -101,7 +101,7 @@ class Rover:
         self._move()
         estimate, setpoint = self._estimate, self._setpoint
         pose = estimate.pose_at(self._now_ns).pose
-        self._asked = setpoint.step(DT, command, pose, estimate.surprise)
+        self._asked = setpoint.step(DT, command, pose, estimate.residual)
         estimate.command(self._now_ns, *self._asked)
         pose = pose._replace(speed=setpoint.speed, yaw_rate=setpoint.yaw_rate)
         return pose, Command(setpoint.force, setpoint.torque)
@@ -182,7 +182,7 @@ VARIANTS: Final = (
     ("no lead, reference", NO_LEADS, REFERENCE),
     ("lead, measured", LEADS, MEASURED),
     ("lead, reference", LEADS, REFERENCE),
-    ("as shipped", LEADS, TOLD_WITHIN),
+    ("as shipped", LEADS, REPORT_DEAD_BAND),
 )
 
 
@@ -214,16 +214,16 @@ def _started(case: Case, body: Callable[[Pose], Ideal | Rover]) -> Trace:
     return drive(driven, law, case.seconds)
 
 
-def deviations(leads: Pair, told_within: Pair) -> list[Deviation]:
+def deviations(leads: Pair, report_dead_band: Pair) -> list[Deviation]:
     """One for each of `CASES`."""
     return [
-        deviation(_started(case, lambda start: Rover(start, leads, told_within)), _started(case, Ideal))
+        deviation(_started(case, lambda start: Rover(start, leads, report_dead_band)), _started(case, Ideal))
         for case in CASES
     ]
 
 
 def run(options: Options) -> Result:
-    found = {name: deviations(leads, told_within) for name, leads, told_within in VARIANTS}
+    found = {name: deviations(leads, report_dead_band) for name, leads, report_dead_band in VARIANTS}
     rows = [
         [case.name, *(f"{1e3 * each[k].way:.0f} / {1e3 * each[k].velocity:.0f}" for each in found.values())]
         for k, case in enumerate(CASES)

@@ -117,7 +117,7 @@ def test_a_bridge_that_is_killed_and_started_again(tmp_path: Path) -> None:
         fleet.start(2, "plant")
         # Its agent asks it to drive as soon as it is well, and tells it by which mission: no operator has to.
         drives_again(fleet, operator)
-        assert (operator.mode, operator.armed) == (constants.GUIDED, True)
+        assert (operator.mode, operator.armed) == (constants.MODE_GUIDED, True)
         operator.set_mode("HOLD")
         operator.set_mode("GUIDED")
         waits_for_leave(fleet, operator)
@@ -186,7 +186,7 @@ def test_a_jammed_gps_is_told_and_ends_in_the_operators_hands(tmp_path: Path) ->
         took, state = fleet.first(jammed_ns, PlantState, 2, lambda m: not m.healthy, "the bridge knows")
         measured("seconds to unhealthy", took)
         assert "GPS" in state.note
-        fleet.wait_with(operator, lambda: operator.mode == constants.HOLD, "HOLD", 20.0)
+        fleet.wait_with(operator, lambda: operator.mode == constants.MODE_HOLD, "HOLD", 20.0)
         assert 13.0 < measured("seconds to HOLD", (time.time_ns() - jammed_ns) / NS_PER_S) < 16.5
         fleet.wait(lambda: "EKF failsafe" in fleet.log(2, "plant").read_text(), "its words are in the log")
         assert not fleet.plant(2).obeying

@@ -17,7 +17,7 @@ from agent.common.time import NS_PER_S
 from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.ardupilot.frames import datum_of
-from bridges.mavlink.bridge.backend import UNTOLD
+from bridges.mavlink.bridge.backend import NO_MISSION
 from bridges.mavlink.session.signing import Signing, Timestamps
 from bridges.mavlink.simulator.rover import Rover
 from plant.backend import Command
@@ -74,7 +74,7 @@ def test_a_mode_that_is_heard_is_looked_at_before_anything_is_sent() -> None:
     scene.drive()
     bridge = scene.bridge
     scene.rover.set_mode("MANUAL")
-    while bridge.link.mode == constants.GUIDED:
+    while bridge.link.mode == constants.MODE_GUIDED:
         before_ns = scene.now_ns
         scene.tick()
     assert bridge.setpoints(before_ns + 1) == []
@@ -86,7 +86,7 @@ def test_given_back_it_stays_released_until_the_fleet_is_told_to_resume() -> Non
     bridge = scene.bridge
     scene.rover.set_mode("MANUAL")
     scene.run(1.0)
-    bridge.go_ahead()  # too early: its operator still has it
+    bridge.clear_to_drive()  # too early: its operator still has it
     scene.run(1.0)
     back_ns = scene.now_ns
     assert scene.rover.set_mode("GUIDED")
@@ -96,7 +96,7 @@ def test_given_back_it_stays_released_until_the_fleet_is_told_to_resume() -> Non
     assert bridge.reading.note.endswith("waiting to be told to resume")
     assert not bridge.reading.obeying
     assert bridge.setpoints(back_ns) == []
-    bridge.go_ahead()
+    bridge.clear_to_drive()
     scene.until(lambda: bridge.reading.obeying, 0.1)
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
@@ -118,14 +118,14 @@ def test_a_rover_that_was_never_handed_over_is_not_commanded() -> None:
     assert scene.rover.arm()
     scene.run(2.0)
     assert bridge.setpoints() == [], "the fleet was not told to drive"
-    bridge.go_ahead()
+    bridge.clear_to_drive()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
 def test_a_mission_while_the_operator_drives_does_not_take_the_rover_from_him() -> None:
     scene = Scene(hand_over=False)
     scene.run(4.0)
-    scene.bridge.go_ahead()
+    scene.bridge.clear_to_drive()
     scene.bridge.command = GO
     scene.rover.set_mode("GUIDED")
     scene.rover.arm()
@@ -143,11 +143,11 @@ def test_a_wrench_before_any_mission_is_not_obeyed() -> None:
     assert scene.bridge.setpoints() == []
     assert scene.bridge.reading.healthy
     assert not scene.bridge.reading.obeying
-    assert scene.bridge.reading.note == UNTOLD
+    assert scene.bridge.reading.note == NO_MISSION
     scene.bridge.command = None  # what its agent does about it
     scene.tick()
     assert not scene.bridge.reading.obeying, "else it would ask it to drive again"
-    scene.bridge.go_ahead()
+    scene.bridge.clear_to_drive()
     scene.bridge.command = GO
     scene.until(lambda: scene.rover.speed > 0.3)
     assert scene.bridge.reading.obeying
@@ -188,10 +188,10 @@ def test_a_ground_station_is_let_be_and_its_mode_wins() -> None:
     scene.run(3.0, beat)
     assert bridge.reading.obeying
     assert bridge.link.type == constants.TYPE_GROUND_ROVER
-    assert bridge.link.mode == constants.GUIDED
+    assert bridge.link.mode == constants.MODE_GUIDED
     assert bridge.check("ground station").level == "ok"
     assert "255" in bridge.check("ground station").found
-    scene.say(set_mode(constants.HOLD))
+    scene.say(set_mode(constants.MODE_HOLD))
     scene.until(lambda: not bridge.reading.obeying, 0.2)
     released_ns = scene.now_ns
     scene.run(2.0, beat)
@@ -391,7 +391,7 @@ def test_a_rover_that_is_stuck_is_let_go(monkeypatch: pytest.MonkeyPatch) -> Non
     scene.run(2.0)
     assert scene.bridge.setpoints(since_ns) == [], "zeros at first, then nothing"
     monkeypatch.undo()
-    scene.bridge.go_ahead()
+    scene.bridge.clear_to_drive()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 
@@ -409,7 +409,7 @@ def test_when_the_bridge_dies_the_rover_stands_and_a_new_one_drives_on() -> None
     scene.world.ports[0].arriving.clear()
     scene.bridges[:] = [Bridge(scene.world, 0, scene.fleet, token=77)]
     scene.bridge.command = GO
-    scene.bridge.go_ahead()  # the operator says the mission again to a process that lacks it
+    scene.bridge.clear_to_drive()  # the operator says the mission again to a process that lacks it
     took = scene.until(lambda: scene.rover.speed > 0.2, 10.0)
     assert took < 5.0
     assert scene.bridge.reading.obeying
@@ -458,7 +458,7 @@ def test_two_bridges_at_two_ports_the_later_one_keeps_off() -> None:
     later.command = Command(-MASS * 0.5, 0.0)
     scene.bridges.append(later)
     scene.run(5.0)
-    later.go_ahead()
+    later.clear_to_drive()
     scene.run(5.0)
     assert later.setpoints() == []
     assert later.reading.note == OWN_ID
@@ -513,7 +513,7 @@ def test_a_vehicle_of_another_kind_is_never_commanded(kind: int, autopilot: int,
     bridge = scene.bridge
     bridge.command = GO
     scene.run(3.0)
-    bridge.go_ahead()
+    bridge.clear_to_drive()
     scene.run(5.0)
     assert bridge.setpoints() == []
     asked = {m.command for _, m in bridge.port.messages("COMMAND_LONG")}
@@ -539,7 +539,11 @@ def test_a_rover_that_reboots_is_released_and_asked_for_everything_again() -> No
     assert bridge.link.origin_ours, "it was offered anew"
     again = [m for _, m in bridge.port.messages("COMMAND_LONG", since_ns)]
     wanted = {m.param1 for m in again if m.command == constants.CMD_SET_MESSAGE_INTERVAL}
-    assert {constants.ATTITUDE, constants.LOCAL_POSITION_NED, constants.HEARTBEAT} <= wanted
+    assert {
+        constants.MESSAGE_ATTITUDE,
+        constants.MESSAGE_LOCAL_POSITION_NED,
+        constants.MESSAGE_HEARTBEAT,
+    } <= wanted
     scene.run(6.0)
     assert len(bridge.port.messages("PARAM_REQUEST_READ", since_ns)) >= min(10, asked)
     # While it was away the setpoints stopped; none has been sent since.
@@ -552,7 +556,7 @@ def test_a_rover_that_reboots_is_released_and_asked_for_everything_again() -> No
     bridge.command = GO
     scene.run(2.0)
     assert bridge.setpoints(back_ns) == []
-    bridge.go_ahead()
+    bridge.clear_to_drive()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
     assert (scene.pose.x, scene.pose.y) == pytest.approx(bridge.reading.pose[:2], abs=0.06)
 
@@ -637,7 +641,7 @@ def test_a_jammed_gps_ends_in_hold_and_a_release() -> None:
     bridge.command = GO
     scene.run(2.0)
     assert bridge.setpoints(since_ns) == []
-    bridge.go_ahead()
+    bridge.clear_to_drive()
     scene.until(lambda: scene.rover.speed > 0.2, 5.0)
 
 

@@ -1,4 +1,4 @@
-"""What ArduPilot Rover, and no other autopilot, means by its numbers (PURE).
+"""Numbers and names that ArduPilot Rover has for modes, messages, commands and parameters (PURE).
 
 Numbers as in MAVLink's ``common`` and ``ardupilotmega`` dialects and in ArduPilot's ``Rover/mode.h``; what
 the vehicle does with them is measured (``docs/rovers.md``). pymavlink's own enums stay out, so that pure
@@ -10,36 +10,36 @@ from __future__ import annotations
 from typing import Final
 
 # Flight modes: HEARTBEAT.custom_mode, SET_MODE, MAV_CMD_DO_SET_MODE.
-MANUAL: Final = 0
-ACRO: Final = 1
-STEERING: Final = 3
-HOLD: Final = 4
-LOITER: Final = 5
-FOLLOW: Final = 6
-SIMPLE: Final = 7
-DOCK: Final = 8
-CIRCLE: Final = 9
-AUTO: Final = 10
-RTL: Final = 11
-SMART_RTL: Final = 12
-GUIDED: Final = 15
-INITIALISING: Final = 16
+MODE_MANUAL: Final = 0
+MODE_ACRO: Final = 1
+MODE_STEERING: Final = 3
+MODE_HOLD: Final = 4
+MODE_LOITER: Final = 5
+MODE_FOLLOW: Final = 6
+MODE_SIMPLE: Final = 7
+MODE_DOCK: Final = 8
+MODE_CIRCLE: Final = 9
+MODE_AUTO: Final = 10
+MODE_RTL: Final = 11
+MODE_SMART_RTL: Final = 12
+MODE_GUIDED: Final = 15
+MODE_INITIALISING: Final = 16
 
 MODE_NAMES: Final = {
-    MANUAL: "MANUAL",
-    ACRO: "ACRO",
-    STEERING: "STEERING",
-    HOLD: "HOLD",
-    LOITER: "LOITER",
-    FOLLOW: "FOLLOW",
-    SIMPLE: "SIMPLE",
-    DOCK: "DOCK",
-    CIRCLE: "CIRCLE",
-    AUTO: "AUTO",
-    RTL: "RTL",
-    SMART_RTL: "SMART_RTL",
-    GUIDED: "GUIDED",
-    INITIALISING: "INITIALISING",
+    MODE_MANUAL: "MANUAL",
+    MODE_ACRO: "ACRO",
+    MODE_STEERING: "STEERING",
+    MODE_HOLD: "HOLD",
+    MODE_LOITER: "LOITER",
+    MODE_FOLLOW: "FOLLOW",
+    MODE_SIMPLE: "SIMPLE",
+    MODE_DOCK: "DOCK",
+    MODE_CIRCLE: "CIRCLE",
+    MODE_AUTO: "AUTO",
+    MODE_RTL: "RTL",
+    MODE_SMART_RTL: "SMART_RTL",
+    MODE_GUIDED: "GUIDED",
+    MODE_INITIALISING: "INITIALISING",
 }
 MODE_NUMBERS: Final = {name: number for number, name in MODE_NAMES.items()}
 
@@ -100,7 +100,7 @@ FLAG_ARMED: Final = 128
 COMPONENT_AUTOPILOT: Final = 1
 COMPONENT_ONBOARD_COMPUTER: Final = 191
 SYSTEM_GROUND_STATION: Final = 255
-"""The system id that a ground station and SYSID_MYGCS have unless they were told otherwise: never ours."""
+"""The system id that a ground station and SYSID_MYGCS have by default: never ours."""
 
 # POSITION_TARGET_TYPEMASK: a bit set means "ignore". The vertical ones Rover does not read.
 IGNORE_X: Final = 0x001
@@ -131,18 +131,18 @@ ACCEPTED_FRAMES: Final = frozenset(
 BODY_FRAMES: Final = frozenset({FRAME_BODY_NED, FRAME_BODY_OFFSET_NED})
 
 # Ids of messages.
-HEARTBEAT: Final = 0
-SYS_STATUS: Final = 1
-SYSTEM_TIME: Final = 2
-GPS_RAW_INT: Final = 24
-ATTITUDE: Final = 30
-LOCAL_POSITION_NED: Final = 32
-GLOBAL_POSITION_INT: Final = 33
-GPS_GLOBAL_ORIGIN: Final = 49
-BATTERY_STATUS: Final = 147
-AUTOPILOT_VERSION: Final = 148
-EKF_STATUS_REPORT: Final = 193
-HOME_POSITION: Final = 242
+MESSAGE_HEARTBEAT: Final = 0
+MESSAGE_SYS_STATUS: Final = 1
+MESSAGE_SYSTEM_TIME: Final = 2
+MESSAGE_GPS_RAW_INT: Final = 24
+MESSAGE_ATTITUDE: Final = 30
+MESSAGE_LOCAL_POSITION_NED: Final = 32
+MESSAGE_GLOBAL_POSITION_INT: Final = 33
+MESSAGE_GPS_GLOBAL_ORIGIN: Final = 49
+MESSAGE_BATTERY_STATUS: Final = 147
+MESSAGE_AUTOPILOT_VERSION: Final = 148
+MESSAGE_EKF_STATUS_REPORT: Final = 193
+MESSAGE_HOME_POSITION: Final = 242
 
 # MAV_CMD, and what COMMAND_ACK says of one (MAV_RESULT).
 CMD_DO_SET_MODE: Final = 176
@@ -218,10 +218,10 @@ def severity_name(number: int) -> str:
 
 
 # MAV_PARAM_TYPE of PARAM_VALUE.
-PARAM_INT8: Final = 2
-PARAM_INT16: Final = 4
-PARAM_INT32: Final = 6
-PARAM_REAL32: Final = 9
+PARAM_TYPE_INT8: Final = 2
+PARAM_TYPE_INT16: Final = 4
+PARAM_TYPE_INT32: Final = 6
+PARAM_TYPE_REAL32: Final = 9
 
 # Parameters. Newer firmware has renamed some: first today's name, then the older one.
 FS_ACTION: Final = "FS_ACTION"
@@ -255,8 +255,8 @@ STREAM_RATE_HZ: Final = 1.0
 SETPOINT_TIMEOUT_NS: Final = 3_000_000_000
 """After this silence in GUIDED the vehicle stops by itself; hard-coded in the firmware."""
 SETPOINT_TIMEOUT_TEXT: Final = "target not received last 3secs, stopping"
-WP_SPEED_MPS: Final = 3.0
-ATC_ACCEL_MAX_MPS2: Final = 1.0
-ATC_STR_RAT_MAX_DPS: Final = 120.0
-ATC_TURN_MAX_G_G: Final = 0.6
+DEFAULT_WP_SPEED_MPS: Final = 3.0
+DEFAULT_ATC_ACCEL_MAX_MPS2: Final = 1.0
+DEFAULT_ATC_STR_RAT_MAX_DPS: Final = 120.0
+DEFAULT_ATC_TURN_MAX_G: Final = 0.6
 """Defaults of the four parameters: m/s, m/s^2, degrees per second, g."""

@@ -1,4 +1,4 @@
-"""How a rover moves under the speeds and yaw rates that it is asked for (PURE).
+"""Dynamics of a rover under the speeds and yaw rates that it is asked for (PURE).
 
 The structure is ArduRover's: a command that takes `DELAY_S` to act, a speed reference limited in
 acceleration, a proportional-integral loop with feed-forward on a motor of first order, and a yaw-rate
@@ -46,10 +46,10 @@ class Limits(NamedTuple):
     """What a rover's parameters allow: WP_SPEED m/s, ATC_ACCEL_MAX m/s^2, ATC_STR_RAT_MAX rad/s and
     ATC_TURN_MAX_G in g; 0 means no limit, as the autopilot has it."""
 
-    speed: float = constants.WP_SPEED_MPS
-    acceleration: float = constants.ATC_ACCEL_MAX_MPS2
-    yaw_rate: float = radians(constants.ATC_STR_RAT_MAX_DPS)
-    turn_g: float = constants.ATC_TURN_MAX_G_G
+    speed: float = constants.DEFAULT_WP_SPEED_MPS
+    acceleration: float = constants.DEFAULT_ATC_ACCEL_MAX_MPS2
+    yaw_rate: float = radians(constants.DEFAULT_ATC_STR_RAT_MAX_DPS)
+    turn_g: float = constants.DEFAULT_ATC_TURN_MAX_G
 
 
 DEFAULTS: Final = Limits()
@@ -66,7 +66,7 @@ def or_inf(limit: float) -> float:
 
 
 class RoverDynamics:
-    """One rover.
+    """The motion of one rover, integrated in steps of `STEP_S` at most.
 
     Args:
         north, east: start, m, NED about the vehicle's origin.

@@ -1,4 +1,4 @@
-"""The one place where NED, FRD and geodetic coordinates meet the world (PURE).
+"""Converts NED, FRD and geodetic coordinates to the world and back, here and nowhere else (PURE).
 
 W is the world: ENU about the fleet's datum, x east, y north, heading counter-clockwise from x. A vehicle
 speaks NED about its own EKF origin, yaw clockwise from north, and of its body in FRD; the robot's frame is

@@ -1,11 +1,12 @@
-"""Who has the vehicle: its operator or the bridge (PURE).
+"""Decides who commands the vehicle: its operator or the bridge (PURE).
 
 The operator always wins. Commands may flow in `Holder.BRIDGE` only. The table `TRANSITIONS` is read from the
-top at every tick, and the first row that applies is taken; nothing else changes the holder but `go_ahead`.
+top at every tick, and the first row that applies is taken; nothing else changes the holder but
+`Authority.clear_to_drive`.
 
-Once the fleet has been told to drive, a vehicle that leaves GUIDED or is disarmed is **released**: at once,
-and for as long as its operator has not given it back (GUIDED, armed) *and* the fleet has then been told to
-drive again, by a new mission or by leave to resume. The bridge never goes back into GUIDED by itself.
+Once the fleet has clearance to drive, a vehicle that goes out of GUIDED or is disarmed is **released**: at
+once, and until its operator has given it back (GUIDED, armed) *and* the fleet has then been cleared again, by
+a new mission or a resume. The bridge never goes back into GUIDED by itself.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ class Holder(Enum):
     BRIDGE = "the bridge's"
     """Armed, in GUIDED: wrenches reach it."""
     RELEASED = "released"
-    """Its operator took it away. Given back or not, the bridge waits to be told to go on."""
+    """Its operator took it away. Given back or not, the bridge waits for a new mission or a resume."""
 
 
 class Situation(NamedTuple):
-    """One tick's. Each text is empty when all is well, else says what is wrong.
+    """What decides the holder at one tick. Each text is empty when all is well, else says what is wrong.
 
     vehicle: its link, what kind of vehicle it is, who else commands it.
     operator: its mode and arming: "" means GUIDED and armed, or that nothing is heard of it.
     refusal: what makes the bridge let go of a vehicle that is its own: it does not follow its commands.
-    driven: the fleet has been told to drive since the bridge started.
+    cleared: the fleet has had clearance to drive since the bridge started.
     """
 
     vehicle: str
     operator: str
     refusal: str
-    driven: bool
+    cleared: bool
 
 
 class Transition(NamedTuple):
@@ -58,7 +59,7 @@ _FREE: Final = frozenset({Holder.NOBODY, Holder.OPERATOR, Holder.BRIDGE})
 
 TRANSITIONS: Final[tuple[Transition, ...]] = (
     # First, so that a vehicle that was taken while its estimate was bad does not drive off when that is good.
-    Transition("taken", _FREE, Holder.RELEASED, lambda s: bool(s.operator) and s.driven),
+    Transition("taken", _FREE, Holder.RELEASED, lambda s: bool(s.operator) and s.cleared),
     # A released vehicle stays released whatever happens to its link: the row for a lost one spares it.
     Transition("lost", _FREE, Holder.NOBODY, lambda s: bool(s.vehicle)),
     Transition("refused", _FREE, Holder.RELEASED, lambda s: bool(s.refusal)),
@@ -73,7 +74,7 @@ def _given_back(operator: str) -> str:
 
 
 class Authority:
-    """Whether commands may flow.
+    """The state machine of who commands the vehicle: whether the bridge's commands may flow.
 
     Attributes:
         holder: who has the vehicle.
@@ -83,14 +84,14 @@ class Authority:
     def __init__(self) -> None:
         self.holder = Holder.NOBODY
         self.why = "waiting for the vehicle"
-        self._driven = False
+        self._cleared = False
         self._taken = ""
         self._settled: Holder | None = None  # whom the last situation left as the holder
-        self._situation = Situation(self.why, "", "", driven=False)
+        self._situation = Situation(self.why, "", "", cleared=False)
 
     def step(self, vehicle: str, operator: str, refusal: str = "") -> Transition | None:
         """One tick: see `Situation`. Returns the row that changed the holder, None when none did."""
-        situation = Situation(vehicle, operator, refusal, self._driven)
+        situation = Situation(vehicle, operator, refusal, self._cleared)
         if situation == self._situation and self.holder is self._settled:
             return None  # what did not change the holder then does not now
         self._situation = situation
@@ -117,13 +118,16 @@ class Authority:
         return situation.operator
 
     @property
-    def told(self) -> bool:
-        """Whether the fleet has been told to drive since the bridge started. Before, no wrench counts."""
-        return self._driven
+    def cleared(self) -> bool:
+        """Whether the fleet has had clearance to drive since the bridge started. Before, no wrench counts."""
+        return self._cleared
 
-    def go_ahead(self) -> bool:
-        """The fleet is told to drive. False when this vehicle cannot: its operator has not given it back."""
-        self._driven = True
+    def clear_to_drive(self) -> bool:
+        """Takes the fleet's clearance to drive: a new mission or a resume.
+
+        Returns False when this vehicle cannot drive: its operator has not given it back.
+        """
+        self._cleared = True
         given_back = not (self._situation.vehicle or self._situation.operator)
         if self.holder is Holder.RELEASED:
             if given_back:

@@ -1,4 +1,4 @@
-"""A rover as a plant: what comes of its link, whose it is, and what it is told, once a tick."""
+"""A rover as a plant: once a tick reads its link, decides who commands it, and sends its setpoint."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LISTEN_NS: Final = 2 * NS_PER_S
 JUDGED_NS: Final = NS_PER_S // 5
 """What was found of the vehicle's reports holds until it sends others, but no longer: they age, too."""
 DISARMED: Final = "disarmed"
-UNTOLD: Final = "its bridge has heard of no mission yet: waiting for one"
+NO_MISSION: Final = "its bridge has heard of no mission yet: waiting for one"
 PREARM: Final = ("PreArm: ", "Arm: ")
 _NUMBER: Final = re.compile(r"[0-9.]+")
 _NOWHERE: Final = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -70,7 +70,7 @@ def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Se
 def _operators(said: tuple[int | None, bool]) -> str:
     """What makes a vehicle its operator's, of the mode and arming that it said; "" when nothing does."""
     mode, armed = said
-    if mode != constants.GUIDED:
+    if mode != constants.MODE_GUIDED:
         return f"mode {constants.mode_name(mode) if mode is not None else 'unknown'}, not GUIDED"
     return "" if armed else DISARMED
 
@@ -104,7 +104,7 @@ class MavlinkPlant(PlantBackend):
         self._origin: Geodetic | None = None
         self._to_world: LocalToWorld | None = None
         self._limits_read = -1
-        self._connections, self._lives = transport.epoch, link.epoch
+        self._transport_epoch, self._session_epoch = transport.epoch, link.epoch
         self._pose = _NOWHERE
         self._known = self._located = False
         self._listening_since_ns: int | None = None
@@ -114,7 +114,7 @@ class MavlinkPlant(PlantBackend):
         self._resting_since_ns: int | None = None
         self._commanded_ns: int | None = None
         self._refusal = ""
-        self._untold = False
+        self._without_mission = False
         self._takeover = Takeover(link, log, wanted=section.arm and not look)
         self._interlude = ""  # what the operator did since the last tick, though it may be undone by now
         self._prearm = ""
@@ -135,11 +135,11 @@ class MavlinkPlant(PlantBackend):
         trouble = self._locate(now_ns)
         operator = self._operator if self._link.connected(now_ns) else ""
         self.authority.step(trouble, operator or self._interlude, self._refusal)
-        self._say_who_has_it()
+        self._log_holder()
         self._takeover.step(now_ns, self.authority.holder, trouble)
-        # Whose wrench it is, only a mission tells. Until one does, the agent is told of it.
-        self._untold = not self.authority.told and (self._untold or command is not None)
-        if self._untold:
+        # Only a mission says whose wrench it is. Until one has come, the note tells the agent.
+        self._without_mission = not self.authority.cleared and (self._without_mission or command is not None)
+        if self._without_mission:
             command = None
         out = self._drive(now_ns, dt, command) + self._link.tick(now_ns)
         if out:
@@ -149,14 +149,14 @@ class MavlinkPlant(PlantBackend):
     def _listen(self) -> None:
         """Takes what the vehicle has said since the last tick."""
         link = self._link
-        if self._connections != self._transport.epoch:
-            self._connections = self._transport.epoch
+        if self._transport_epoch != self._transport.epoch:
+            self._transport_epoch = self._transport.epoch
             link.restart()
         for arrival_ns, data in self._transport.receive():
             link.receive(arrival_ns, data)
         self._interlude = next(filter(None, map(_operators, link.take_modes())), "")
-        if self._lives != link.epoch:
-            self._lives = link.epoch
+        if self._session_epoch != link.epoch:
+            self._session_epoch = link.epoch
             self._estimate.forget()
             self._yaw = None
             self._known = self._located = False
@@ -196,7 +196,12 @@ class MavlinkPlant(PlantBackend):
         self._judge(now_ns)
         self._located = not self._unlocated
         return (
-            absence or link.problem or self._company(now_ns) or self._unfit or self._unlocated or found.note
+            absence
+            or link.problem
+            or self._other_bridge(now_ns)
+            or self._unfit
+            or self._unlocated
+            or found.note
         )
 
     def _judge(self, now_ns: int) -> None:
@@ -214,9 +219,9 @@ class MavlinkPlant(PlantBackend):
     def _trouble(self) -> str:
         """Of the connection, "" when it is open."""
         trouble = self._transport.trouble
-        return f"{WAITING}it: {trouble}" if trouble and self._transport.waits else trouble
+        return f"{WAITING}it: {trouble}" if trouble and self._transport.transient else trouble
 
-    def _company(self, now_ns: int) -> str:
+    def _other_bridge(self, now_ns: int) -> str:
         """Which other bridge keeps this one from driving; it listens for a while before it believes in none.
 
         Of two, the one that has the vehicle keeps it; of two that start at once neither takes it.
@@ -234,7 +239,7 @@ class MavlinkPlant(PlantBackend):
         """What the vehicle's operator has still to do, or has undone; "" when it is in GUIDED and armed."""
         return _operators((self._link.mode, self._link.armed))
 
-    def _say_who_has_it(self) -> None:
+    def _log_holder(self) -> None:
         why = self.authority.why
         said = why and _NUMBER.sub("", why)  # an age that grows is not news
         if said != self._said:
@@ -249,7 +254,7 @@ class MavlinkPlant(PlantBackend):
         if self._limits_read != self._link.parameter_changes:
             self._limits_read = self._link.parameter_changes
             self._setpoint.vehicle = self._vehicle_limits()
-        surprise = self._estimate.surprise
+        residual = self._estimate.residual
         obeys = self.authority.holder is Holder.BRIDGE
         if obeys and command is not None:
             self._driving, self._braking_since_ns = True, None
@@ -258,12 +263,12 @@ class MavlinkPlant(PlantBackend):
             taken = (self._operator or self._interlude) not in ("", DISARMED)
             self._driving = not taken and self._still_braking(now_ns)
         wanted = command if obeys else None
-        asked = self._setpoint.step(dt, wanted, self._pose, surprise)
+        asked = self._setpoint.step(dt, wanted, self._pose, residual)
         if self._setpoint.note:
             self._log(self._setpoint.note)
         predicted = self._estimate.predicted
         watched = self._driving and obeys
-        self._refusal = self._motion.step(min(dt, WATCHED_S), watched, predicted, surprise)
+        self._refusal = self._motion.step(min(dt, WATCHED_S), watched, predicted, residual)
         self._estimate.command(now_ns, *asked, self._setpoint.vehicle)
         if not self._driving:
             return b""
@@ -308,7 +313,7 @@ class MavlinkPlant(PlantBackend):
         )
 
     def _reading(self, now_ns: int, trouble: str) -> Reading:
-        """What the agent is told: where the vehicle is, and the motion of the body that the law drives.
+        """What the agent gets: where the vehicle is, and the motion of the body that the law drives.
 
         While the bridge drives, its speed and yaw rate are those of the reference (`setpoint`), else those
         measured: then `Setpoint.step` keeps the two alike.
@@ -316,18 +321,18 @@ class MavlinkPlant(PlantBackend):
         pose = self._pose
         if self._driving and self.authority.holder is Holder.BRIDGE:
             pose = Pose(pose.x, pose.y, pose.heading, self._setpoint.speed, self._setpoint.yaw_rate)
-        obeying = self.authority.holder is Holder.BRIDGE and not self._untold
+        obeying = self.authority.holder is Holder.BRIDGE and not self._without_mission
         if trouble or not self._known:
             return Reading(now_ns, pose, 0.0, 0.0, False, trouble or "no position yet", obeying)
-        note = self.authority.why or (UNTOLD if self._untold else "")
+        note = self.authority.why or (NO_MISSION if self._without_mission else "")
         return Reading(now_ns, pose, self._setpoint.force, self._setpoint.torque, True, note, obeying)
 
     # ------------------------------------------------------------------ before and after
 
-    def go_ahead(self) -> None:
-        """See `PlantBackend.go_ahead`."""
+    def clear_to_drive(self) -> None:
+        """See `PlantBackend.clear_to_drive`."""
         was = self.authority.holder
-        able = self.authority.go_ahead()
+        able = self.authority.clear_to_drive()
         if not able and self.authority.holder is Holder.RELEASED:
             self._log(f"told to drive, but cannot: {self.authority.why}")
         elif able and was is Holder.RELEASED:
@@ -339,7 +344,7 @@ class MavlinkPlant(PlantBackend):
             self._checks_due_ns = now_ns + CHECKS_PERIOD_NS
             link = self._link
             trip_ns = link.clock.round_trip_ns
-            found = preflight_checks.Found(
+            found = preflight_checks.BridgeState(
                 now_ns,
                 self._trouble,
                 self._transport.note,

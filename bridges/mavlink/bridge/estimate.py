@@ -1,10 +1,10 @@
-"""Where a rover is now, from what it said of where it was (PURE).
+"""Estimates where a rover is now, from what it said of where it was (PURE).
 
 Position and attitude come in messages of their own, valid at different instants and up to 0.15 s old. Both
 are carried to the time asked for along the motion that a model of the rover
 (`bridges.mavlink.ardupilot.dynamics`) makes of the commands that were sent since; what the measured speed
 and yaw rate differed from those of the model is added as if it stayed. So a rover that nobody here commands
-goes on as it was measured, and one that was just told to turn is already seen turning.
+goes on as it was measured, and one that was just commanded to turn is already seen turning.
 
 Poses are in W (world ENU), yaw rates counter-clockwise, times ns of the wall clock.
 """
@@ -34,7 +34,7 @@ KEPT_NS: Final = NS_PER_S
 BACK_NS: Final = NS_PER_S
 """A sample that is so much older than the last one is of a clock that was set: all begins anew."""
 STEP_MAX_S: Final = 0.5
-"""A model that was not told of commands for longer goes on from there."""
+"""s. A model that had no command for longer goes on from there."""
 
 
 class Motion(NamedTuple):
@@ -56,7 +56,7 @@ class Estimated(NamedTuple):
     note: str
 
 
-class Surprise(NamedTuple):
+class Residual(NamedTuple):
     """Measured minus predicted, of the newest samples: speed, m/s, and yaw rate, rad/s."""
 
     speed: float
@@ -209,10 +209,10 @@ class Estimate:
         )
 
     @property
-    def surprise(self) -> Surprise:
+    def residual(self) -> Residual:
         """How the newest measured speed and yaw rate differ from those `predicted`."""
         speed, yaw_rate = self.predicted
-        return Surprise(
+        return Residual(
             0.0 if self._position is None else self._position[3] - speed,
             0.0 if self._attitude is None else self._attitude[2] - yaw_rate,
         )
@@ -225,8 +225,8 @@ class Estimate:
         self.prediction.advance(now_ns)
         heading = self._heading_at(now_ns)
         x, y = self._carried(self._position, self._heading_at(self._position[0]), now_ns, heading)
-        model, surprise = self.prediction.at(now_ns), self.surprise
-        pose = Pose(x, y, wrapped(heading), model.speed + surprise.speed, model.yaw_rate + surprise.yaw_rate)
+        model, residual = self.prediction.at(now_ns), self.residual
+        pose = Pose(x, y, wrapped(heading), model.speed + residual.speed, model.yaw_rate + residual.yaw_rate)
         note = self._trouble(now_ns)
         return Estimated(pose, not note, note)
 

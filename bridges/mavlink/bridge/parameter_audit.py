@@ -1,4 +1,4 @@
-"""What a vehicle's parameters say of its failsafes, its limits and whom it obeys."""
+"""Checks a vehicle's parameters: its failsafes, its limits and whom it obeys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is to be known of a vehicle before it drives: the lines of `handfast preflight`.
+"""Checks a vehicle before it drives: the lines of `handfast preflight`.
 
 A line at level blocking keeps the fleet from starting. One whose text begins with "waiting" may change by
 itself within seconds.
@@ -44,8 +44,8 @@ BATTERY_WARN_PERCENT: Final = 30
 BATTERY_MIN_PERCENT: Final = 10
 
 
-class Found(NamedTuple):
-    """What the bridge knows besides its link, at `now_ns`.
+class BridgeState(NamedTuple):
+    """What the bridge knows of itself and its vehicle besides the session, at `now_ns`.
 
     trouble, note: of its transport. round_trip_s: of TIMESYNC, None while there was no answer. clock: what
     is wrong with the vehicle's clock, "" nothing. place: where it is (W), None while not known. start: x, y
@@ -62,31 +62,31 @@ class Found(NamedTuple):
     prearm: str
 
 
-def checks(link: Session, found: Found, section: MavlinkSection, datum: Geodetic) -> tuple[Check, ...]:
+def checks(link: Session, state: BridgeState, section: MavlinkSection, datum: Geodetic) -> tuple[Check, ...]:
     """All lines that can be said now; the first is that of the link, and without one there is no other."""
-    first = _link(link, found, section)
+    first = _link(link, state, section)
     if first.level == "blocking":
         return (first,)
     lines = [first, _type(link)]
     if lines[-1].level == "blocking":
         return tuple(lines)
-    lines += [_firmware(link), _mode(link, section), _arming(link, found, section)]
-    lines += [_ekf(link, found.now_ns), _gps(link, found.now_ns)]
-    lines += [_origin(link, datum), *_place(found), *_rates(link, found.now_ns), _round_trip(found)]
+    lines += [_firmware(link), _mode(link, section), _arming(link, state, section)]
+    lines += [_ekf(link, state.now_ns), _gps(link, state.now_ns)]
+    lines += [_origin(link, datum), *_place(state), *_rates(link, state.now_ns), _round_trip(state)]
     lines += [
         *parameter_audit.parameters(link, section),
         *_battery(link),
-        _signing(link, section, found),
-        *_others(link, found.now_ns),
+        _signing(link, section, state),
+        *_participants(link, state.now_ns),
     ]
     return tuple(lines)
 
 
-def _link(link: Session, found: Found, section: MavlinkSection) -> Check:
+def _link(link: Session, state: BridgeState, section: MavlinkSection) -> Check:
     where = section.connection or ""
-    if found.trouble:
-        return Check("link", "blocking", found.trouble, f"check {where} and what is behind it")
-    absence = link.absence(found.now_ns)
+    if state.trouble:
+        return Check("link", "blocking", state.trouble, f"check {where} and what is behind it")
+    absence = link.absence(state.now_ns)
     if absence:
         advice = "is it switched on, and does its telemetry go there?"
         if link.system is None and (link.unsigned_refused or link.bad_signatures):
@@ -95,7 +95,7 @@ def _link(link: Session, found: Found, section: MavlinkSection) -> Check:
     text = f"system {link.system} on {where}"
     if where.startswith("/dev/") and not where.startswith(BY_ID):
         return Check("link", "warning", text, "name the port by /dev/serial/by-id/: this name can change")
-    return Check("link", "warning" if found.note else "ok", text, found.note)
+    return Check("link", "warning" if state.note else "ok", text, state.note)
 
 
 def _type(link: Session) -> Check:
@@ -118,7 +118,7 @@ def _firmware(link: Session) -> Check:
 
 def _mode(link: Session, section: MavlinkSection) -> Check:
     name = constants.mode_name(link.mode) if link.mode is not None else "unknown"
-    if link.mode == constants.GUIDED:
+    if link.mode == constants.MODE_GUIDED:
         return Check("mode", "ok", name)
     advice = (
         "the bridge will put it into GUIDED"
@@ -128,11 +128,11 @@ def _mode(link: Session, section: MavlinkSection) -> Check:
     return Check("mode", "warning", name, advice)
 
 
-def _arming(link: Session, found: Found, section: MavlinkSection) -> Check:
+def _arming(link: Session, state: BridgeState, section: MavlinkSection) -> Check:
     if link.armed:
         return Check("arming", "ok", "armed")
     if link.prearm_ok is False:
-        text = f"{WAITING}its pre-arm checks{f': {found.prearm}' if found.prearm else ''}"
+        text = f"{WAITING}its pre-arm checks{f': {state.prearm}' if state.prearm else ''}"
         return Check("arming", "blocking", text, "see what its ground station says; mend that first")
     advice = "the bridge will arm it (mavlink.arm = true)" if section.arm else "its operator arms it"
     return Check("arming", "warning", "disarmed", advice)
@@ -251,12 +251,12 @@ def _origin(link: Session, datum: Geodetic) -> Check:
     return Check("origin", "ok", text)
 
 
-def _place(found: Found) -> Iterator[Check]:
-    if found.place is None:
+def _place(state: BridgeState) -> Iterator[Check]:
+    if state.place is None:
         return
-    x, y = found.start
-    apart = hypot(found.place.x - x, found.place.y - y)
-    text = f"({found.place.x:.2f}, {found.place.y:.2f}) m, {apart:.1f} m from its start in the fleet file"
+    x, y = state.start
+    apart = hypot(state.place.x - x, state.place.y - y)
+    text = f"({state.place.x:.2f}, {state.place.y:.2f}) m, {apart:.1f} m from its start in the fleet file"
     if apart > START_TOO_FAR_M:
         advice = "bring it there, or correct x_m, y_m or [datum]"
         yield Check("place", "blocking", text, advice)
@@ -293,20 +293,20 @@ def _rates(link: Session, now_ns: int) -> Iterator[Check]:
             yield Check(stream.name, "ok", text)
 
 
-def _round_trip(found: Found) -> Check:
-    if found.round_trip_s is None:
+def _round_trip(state: BridgeState) -> Check:
+    if state.round_trip_s is None:
         text = "it does not answer TIMESYNC: times of validity are those of arrival, less the shortest delay"
         return Check("round trip", "warning", text, "update the firmware, or let a router pass TIMESYNC")
-    text = f"{found.round_trip_s * 1000.0:.0f} ms"
-    if found.clock:
+    text = f"{state.round_trip_s * 1000.0:.0f} ms"
+    if state.clock:
         return Check(
-            "round trip", "warning", f"{text}; {found.clock}", "a simulated vehicle must run in real time"
+            "round trip", "warning", f"{text}; {state.clock}", "a simulated vehicle must run in real time"
         )
-    if found.round_trip_s > ROUND_TRIP_MAX_S:
+    if state.round_trip_s > ROUND_TRIP_MAX_S:
         return Check(
             "round trip", "blocking", text, f"more than {ROUND_TRIP_MAX_S * 1000:.0f} ms: take a faster link"
         )
-    if found.round_trip_s > ROUND_TRIP_WARN_S:
+    if state.round_trip_s > ROUND_TRIP_WARN_S:
         return Check("round trip", "warning", text, "the formation will be held less closely")
     return Check("round trip", "ok", text)
 
@@ -329,11 +329,11 @@ def _battery(link: Session) -> Iterator[Check]:
         yield Check("battery", "ok", text)
 
 
-def _signing(link: Session, section: MavlinkSection, found: Found) -> Check:
+def _signing(link: Session, section: MavlinkSection, state: BridgeState) -> Check:
     if section.signing_key is None and link.vehicle_signs:
         advice = "name its key in mavlink.signing_key"
-        answers = {stream.answer for stream in link.streams(found.now_ns)}
-        if found.round_trip_s is not None or answers & {"accepted", "denied"}:
+        answers = {stream.answer for stream in link.streams(state.now_ns)}
+        if state.round_trip_s is not None or answers & {"accepted", "denied"}:
             text = "the vehicle signs, and this port of it takes what is not signed"
             return Check("signing", "warning", text, advice)
         if answers == {"waiting"}:
@@ -349,7 +349,7 @@ def _signing(link: Session, section: MavlinkSection, found: Found) -> Check:
     return Check("signing", "ok", "on, the vehicle signs")
 
 
-def _others(link: Session, now_ns: int) -> Iterator[Check]:
+def _participants(link: Session, now_ns: int) -> Iterator[Check]:
     other = link.another_bridge(now_ns)
     if other:
         yield Check("other bridges", "blocking", other, "end it: two would pull the vehicle two ways")

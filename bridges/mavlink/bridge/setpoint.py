@@ -1,4 +1,4 @@
-"""A wrench becomes the forward speed and yaw rate that a rover is asked for (PURE).
+"""Turns wrenches into the forward speed and yaw rate that a rover is asked for (PURE).
 
 The agent drives a body with v' = F/m and w' = tau/J (`agent.control.hand`). A rover takes speeds and follows
 them late. So that body is kept here as a *reference*: its speed and yaw rate are what the wrenches integrate
@@ -9,14 +9,14 @@ there,
 
 with dt/2 for a command that is held for a period. The reference cannot run away from the rover: what the
 measured motion lacks of what the commands should have made of it
-(`bridges.mavlink.bridge.estimate.Surprise`, which ordinary lag does not show in) pulls it back, and it stays
+(`bridges.mavlink.bridge.estimate.Residual`, which ordinary lag does not show in) pulls it back, and it stays
 within a band about the estimate.
 
-The agent is told the reference's speed and yaw rate, with which its double integrator is an exact one; but
-where the rover's own differ by more than a little, those, less that little. Told the measured ones alone, a
-formation that stands would be pushed about by the phantom speed that an EKF reports at rest (errors of 7 cm,
-not 1); told the reference alone, rovers that are slower than they should be come nearer to each other on the
-way.
+What the agent gets is the reference's speed and yaw rate, with which its double integrator is an exact one;
+but where the rover's own differ by more than a dead band, those, less that band. With the measured ones alone
+a formation that stands would be pushed about by the phantom speed that an EKF reports at rest (errors of
+7 cm, not 1); with the reference alone, rovers that are slower than they should be come nearer to each other
+on the way.
 
 Everything is FLU: forward and counter-clockwise are positive. SI units.
 """
@@ -35,19 +35,19 @@ from bridges.mavlink.ardupilot.dynamics import (
     limited,
     or_inf,
 )
-from bridges.mavlink.bridge.estimate import Surprise
+from bridges.mavlink.bridge.estimate import Residual
 from plant.backend import Command
 
 LEAD_SPEED_S: Final = 0.15
 LEAD_YAW_S: Final = 0.02
 """T_v and T_w."""
-TOLD_WITHIN: Final = (0.06, 0.05)
-"""m/s, rad/s by which the rover's motion may differ from the reference without the agent being told of it."""
+REPORT_DEAD_BAND: Final = (0.06, 0.05)
+"""m/s, rad/s by which the rover's motion may differ from the reference before the agent sees it."""
 PULL: Final = 1.0
 """1/s: how fast the reference gives way to what the rover does."""
-SPEED_DEAD: Final = 0.1
-YAW_RATE_DEAD: Final = 0.15
-"""m/s, rad/s: less surprise than this is an estimator's error or a loop's; at rest the EKF reports up to
+SPEED_DEAD_BAND: Final = 0.1
+YAW_RATE_DEAD_BAND: Final = 0.15
+"""m/s, rad/s: less residual than this is an estimator's error or a loop's; at rest the EKF reports up to
 0.05 m/s, and a reference that followed that would push the formation out of shape."""
 SPEED_BAND: Final = 0.5
 YAW_RATE_BAND: Final = 0.8
@@ -79,10 +79,10 @@ class Setpoint:
         mass, inertia: kg, kg m^2, of the body that the agent drives.
         bounds: of what is asked for. The rover's own limits (`vehicle`) hold as well.
         lead_speed_s, lead_yaw_s: T_v and T_w.
-        told_within: see `TOLD_WITHIN`.
+        report_dead_band: see `REPORT_DEAD_BAND`.
 
     Attributes:
-        speed, yaw_rate: what the agent is to be told, m/s, rad/s.
+        speed, yaw_rate: what the agent gets, m/s, rad/s.
         force, torque: N, N m, that act on it from now on, after limits.
         vehicle: what the rover's parameters allow.
         note: "" or why nothing was asked for although there was a command.
@@ -96,11 +96,11 @@ class Setpoint:
         *,
         lead_speed_s: float = LEAD_SPEED_S,
         lead_yaw_s: float = LEAD_YAW_S,
-        told_within: tuple[float, float] = TOLD_WITHIN,
+        report_dead_band: tuple[float, float] = REPORT_DEAD_BAND,
     ) -> None:
         self._mass, self._inertia, self._bounds = mass, inertia, bounds
         self._lead_speed_s, self._lead_yaw_s = lead_speed_s, lead_yaw_s
-        self._told_within = told_within
+        self._report_dead_band = report_dead_band
         self.vehicle = DEFAULTS
         self.speed = self.yaw_rate = 0.0
         self.force = self.torque = 0.0
@@ -108,17 +108,17 @@ class Setpoint:
         self._speed = self._yaw_rate = 0.0
         self._acceleration = self._spin = 0.0
 
-    def step(self, dt: float, command: Command | None, pose: Pose, surprise: Surprise) -> tuple[float, float]:
+    def step(self, dt: float, command: Command | None, pose: Pose, residual: Residual) -> tuple[float, float]:
         """Speed and yaw rate to ask for now.
 
         Args:
             dt: since the last step, s.
             command: force and torque from now on; None to brake. One that is not finite brakes too.
             pose: the estimate now (`bridges.mavlink.bridge.estimate.Estimate.pose_at`).
-            surprise: of that estimate.
+            residual: of that estimate.
         """
         self.note = ""
-        if command is not None and not all(map(isfinite, (*command, pose.speed, pose.yaw_rate, *surprise))):
+        if command is not None and not all(map(isfinite, (*command, pose.speed, pose.yaw_rate, *residual))):
             command, self.note = None, "asked for a force or torque that is not a number: braking"
         if command is None:
             self._stand(pose)
@@ -129,13 +129,13 @@ class Setpoint:
         acceleration = limited(command.force / self._mass, acceleration_max)
         spin = limited(command.torque / self._inertia, spin_max)
         speed = _followed(
-            self._speed + self._acceleration * dt, pose.speed, surprise.speed, SPEED_DEAD, SPEED_BAND, dt
+            self._speed + self._acceleration * dt, pose.speed, residual.speed, SPEED_DEAD_BAND, SPEED_BAND, dt
         )
         yaw_rate = _followed(
             self._yaw_rate + self._spin * dt,
             pose.yaw_rate,
-            surprise.yaw_rate,
-            YAW_RATE_DEAD,
+            residual.yaw_rate,
+            YAW_RATE_DEAD_BAND,
             YAW_RATE_BAND,
             dt,
         )
@@ -144,8 +144,8 @@ class Setpoint:
         self._acceleration = 0.0 if abs(speed) >= top and acceleration * speed > 0.0 else acceleration
         self._spin = 0.0 if abs(yaw_rate) >= yaw_rate_max and spin * yaw_rate > 0.0 else spin
         self._speed, self._yaw_rate = speed, yaw_rate
-        self.speed = speed + beyond(pose.speed - speed, self._told_within[0])
-        self.yaw_rate = yaw_rate + beyond(pose.yaw_rate - yaw_rate, self._told_within[1])
+        self.speed = speed + beyond_dead_band(pose.speed - speed, self._report_dead_band[0])
+        self.yaw_rate = yaw_rate + beyond_dead_band(pose.yaw_rate - yaw_rate, self._report_dead_band[1])
         self.force, self.torque = self._mass * self._acceleration, self._inertia * self._spin
         return (
             limited(speed + (self._lead_speed_s + 0.5 * dt) * self._acceleration, top),
@@ -173,16 +173,16 @@ class Setpoint:
         self.force = self.torque = self._acceleration = self._spin = 0.0
 
 
-def beyond(value: float, dead: float) -> float:
-    """What `value` has beyond a dead band of -dead to dead."""
+def beyond_dead_band(value: float, dead: float) -> float:
+    """What `value` has outside a dead band of -dead to dead; 0 within it."""
     return value - limited(value, dead)
 
 
 def _followed(
-    reference: float, estimate: float, surprise: float, dead: float, band: float, dt: float
+    reference: float, estimate: float, residual: float, dead: float, band: float, dt: float
 ) -> float:
     """The reference, pulled towards what the rover does."""
-    reference += PULL * dt * beyond(surprise, dead)
+    reference += PULL * dt * beyond_dead_band(residual, dead)
     return limited(reference - estimate, band) + estimate
 
 
@@ -193,24 +193,24 @@ class MotionCheck:
         self._for_s = 0.0
         self._note = ""
 
-    def step(self, dt: float, driving: bool, predicted: tuple[float, float], surprise: Surprise) -> str:
+    def step(self, dt: float, driving: bool, predicted: tuple[float, float], residual: Residual) -> str:
         """What the rover does instead of what it is told; empty while it does that.
 
         Args:
             dt: since the last step, s.
             driving: False while nothing is asked of it.
             predicted: speed (m/s) and yaw rate (rad/s) that the commands should have made by then.
-            surprise: measured minus predicted, of the same instants.
+            residual: measured minus predicted, of the same instants.
         """
         if not driving:
             self._for_s, self._note = 0.0, ""
             return ""
         speed, yaw_rate = predicted
         note = ""
-        if abs(surprise.speed) > max(SPEED_DISAGREES, SHARE_DISAGREES * abs(speed)):
-            note = f"asked for {speed:.2f} m/s, moves at {speed + surprise.speed:.2f} m/s"
-        elif abs(surprise.yaw_rate) > max(YAW_RATE_DISAGREES, SHARE_DISAGREES * abs(yaw_rate)):
-            note = f"asked for {yaw_rate:.2f} rad/s, turns at {yaw_rate + surprise.yaw_rate:.2f} rad/s"
+        if abs(residual.speed) > max(SPEED_DISAGREES, SHARE_DISAGREES * abs(speed)):
+            note = f"asked for {speed:.2f} m/s, moves at {speed + residual.speed:.2f} m/s"
+        elif abs(residual.yaw_rate) > max(YAW_RATE_DISAGREES, SHARE_DISAGREES * abs(yaw_rate)):
+            note = f"asked for {yaw_rate:.2f} rad/s, turns at {yaw_rate + residual.yaw_rate:.2f} rad/s"
         # Forgotten as slowly as it is found: a rover whose wheels grip now and then is still stuck.
         self._for_s = min(DISAGREES_S, self._for_s + dt) if note else max(0.0, self._for_s - dt)
         if note and self._for_s >= DISAGREES_S - 1e-9:

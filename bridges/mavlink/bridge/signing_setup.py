@@ -1,4 +1,4 @@
-"""Giving rovers the key with which they sign from then on: `handfast signing`.
+"""Gives rovers the key with which they sign from then on: `handfast signing`.
 
 ArduPilot answers SETUP_SIGNING with nothing: that it took the key shows in what it sends, signed with it.
 """
@@ -23,10 +23,10 @@ VEHICLE_NS: Final = 15 * NS_PER_S
 """A vehicle must have been heard by then; it sends a heartbeat once a second."""
 LISTEN_NS: Final = 2 * NS_PER_S
 """So long all that is on the link is listened to before one vehicle is given a key."""
-DOUBT_NS: Final = 6 * NS_PER_S
+CATCH_UP_NS: Final = 6 * NS_PER_S
 """A vehicle with this key whose signing time is behind has caught up with ours by then."""
 GIVE_AGAIN_NS: Final = 2 * NS_PER_S
-GIVEN_MOST: Final = 3
+GIVE_MAX: Final = 3
 CONFIRM_NS: Final = 8 * NS_PER_S
 """From the first time the key was given to the last moment at which a signed message may come."""
 ANSWER_NS: Final = 3 * NS_PER_S
@@ -78,7 +78,7 @@ class SigningSetup:
         self._signing, self._transport = signing, transport
         self._open = Session(settings)
         self._signed = Session(replace(settings, signing=signing))
-        self._connections = transport.epoch
+        self._transport_epoch = transport.epoch
         self._begun_ns: int | None = None
         self._heard_ns: int | None = None
         self._given_ns: list[int] = []
@@ -89,8 +89,8 @@ class SigningSetup:
         """Takes what came and sends what is due; called at 10 Hz at least until there is an outcome."""
         if self._begun_ns is None:
             self._begun_ns = now_ns
-        if self._connections != self._transport.epoch:
-            self._connections = self._transport.epoch
+        if self._transport_epoch != self._transport.epoch:
+            self._transport_epoch = self._transport.epoch
             self._heard_ns = self._good_ns = None
             for link in (self._open, self._signed):
                 link.restart()
@@ -129,7 +129,7 @@ class SigningSetup:
             return self._confirmed(now_ns)
         if not self._given_ns:
             if vehicle.vehicle_signs:
-                if heard_for_ns < DOUBT_NS:
+                if heard_for_ns < CATCH_UP_NS:
                     return None
                 return Outcome(
                     False,
@@ -178,7 +178,7 @@ class SigningSetup:
             return False
         if not self._given_ns:
             return now_ns - self._heard_ns >= LISTEN_NS
-        return len(self._given_ns) < GIVEN_MOST and now_ns - self._given_ns[-1] >= GIVE_AGAIN_NS
+        return len(self._given_ns) < GIVE_MAX and now_ns - self._given_ns[-1] >= GIVE_AGAIN_NS
 
 
 def open_setup(fleet: Fleet, robot: int, clock: Clock) -> SigningSetup:
@@ -212,7 +212,7 @@ def give_keys(
 
     Args:
         setups: by robot; the caller closes them.
-        ended: told of each robot, once.
+        ended: called once for each robot with its outcome.
     """
     waiting = dict(setups)
     while waiting and not interrupted():

@@ -1,4 +1,4 @@
-"""A vehicle that its bridge itself puts into GUIDED and arms, because the fleet file says so."""
+"""Puts a vehicle into GUIDED and arms it, where the fleet file says so (`mavlink.arm`)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ PERIOD_NS: Final = 3 * NS_PER_S
 
 
 class Takeover:
-    """Claims a vehicle once: from when it obeys, or its operator undoes a step, its operator decides.
+    """Takes a vehicle over once: from when it obeys, or its operator undoes a step, its operator decides.
 
     Args:
-        wanted: whether to claim it at all (`mavlink.arm`).
+        wanted: whether to take it over at all (`mavlink.arm`).
 
     Attributes:
         armed_here: whether its being armed is the bridge's doing.
@@ -44,7 +44,7 @@ class Takeover:
         if holder is Holder.BRIDGE:
             self._wanted = False
             return
-        if link.mode == constants.GUIDED:
+        if link.mode == constants.MODE_GUIDED:
             self._was_guided = True
         elif self._was_guided:
             self._wanted = False
@@ -53,11 +53,11 @@ class Takeover:
         due = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
         if trouble or holder is not Holder.OPERATOR or not due:
             return
-        if link.mode == constants.GUIDED:
+        if link.mode == constants.MODE_GUIDED:
             self._log("arming it (mavlink.arm = true)")
             link.command_arm(True)
             self.armed_here = True
         elif not link.armed:  # else somebody drives it
             self._log("asking for GUIDED (mavlink.arm = true)")
-            link.command_mode(constants.GUIDED)
+            link.command_mode(constants.MODE_GUIDED)
         self._asked_ns = now_ns

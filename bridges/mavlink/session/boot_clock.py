@@ -1,4 +1,4 @@
-"""When, by the wall clock, a vehicle's boot clock showed a time (PURE).
+"""Converts times of a vehicle's boot clock to the wall clock (PURE).
 
 A vehicle stamps what it sends with the time since its boot. With o = wall clock - boot clock,
 
@@ -27,15 +27,15 @@ REBOOT_NS: Final = NS_PER_S
 """A boot clock that goes back further than this began anew; less is messages out of order."""
 EXCHANGES: Final = 8
 """That the rate and the round trip are taken from."""
-RATE_UNSURE: Final = 0.03
+RATE_UNCERTAINTY: Final = 0.03
 """Share of it by which a rate that is not 1 is taken to be wrong."""
 JUMP: Final = 0.3
 """Of a change of the offset: exchanges further than this from a line have seen a clock set, not its rate."""
 RATE_MIN: Final = 0.1
 RATE_MAX: Final = 2.0
 """No boot clock runs at less or more of the wall clock: then the wall clock was set."""
-RATE_TOLD: Final = 0.01
-"""A rate further than this from 1 is told of."""
+RATE_NOTED: Final = 0.01
+"""A rate further than this from 1 is noted."""
 _NS_PER_MS: Final = 1_000_000
 _WRAP_NS: Final = 2**32 * _NS_PER_MS
 
@@ -108,7 +108,7 @@ class BootClock:
     @property
     def note(self) -> str:
         """What to tell of the clock; "" when it is fine."""
-        if abs(self._slope) < RATE_TOLD:
+        if abs(self._slope) < RATE_NOTED:
             return ""
         return f"its clock runs at {self.rate:.2f} of ours"
 
@@ -128,7 +128,7 @@ class BootClock:
             return
         self._at_ns = now_ns
         moved = round(self._slope * elapsed)
-        parted = round(max(DRIFT, RATE_UNSURE * abs(self._slope)) * elapsed)
+        parted = round(max(DRIFT, RATE_UNCERTAINTY * abs(self._slope)) * elapsed)
         if self._high_ns is not None:
             self._high_ns += moved + parted
         if self._low_ns is not None:

@@ -1,4 +1,4 @@
-"""pymavlink's parser and packer with what a bridge wants of them otherwise."""
+"""A MAVLink 2 codec: pymavlink's parser and packer, skipping unwanted messages, strict about signatures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that are acknowledged: sent, repeated, answered (PURE)."""
+"""Sends commands until they are acknowledged (PURE)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 
 TRIES: Final = 3
-PATIENCE_NS: Final = NS_PER_S
+ANSWER_TIMEOUT_NS: Final = NS_PER_S
 
 Parameters7 = tuple[float, float, float, float, float, float, float]
 
@@ -69,7 +69,7 @@ class Commands:
                 del self._pending[command]
                 self._outcomes[command] = Outcome("no answer")
                 continue
-            self._pending[command] = _Pending(pending.values, pending.tries + 1, now_ns + PATIENCE_NS)
+            self._pending[command] = _Pending(pending.values, pending.tries + 1, now_ns + ANSWER_TIMEOUT_NS)
             out.append((command, pending.tries, pending.values))
         return out
 
@@ -91,7 +91,7 @@ class Commands:
         if pending is None or not pending.tries:
             return
         if result == constants.RESULT_IN_PROGRESS:
-            self._pending[command] = pending._replace(due_ns=arrival_ns + 5 * PATIENCE_NS)
+            self._pending[command] = pending._replace(due_ns=arrival_ns + 5 * ANSWER_TIMEOUT_NS)
             return
         del self._pending[command]
         state = "accepted" if result == constants.RESULT_ACCEPTED else "refused"

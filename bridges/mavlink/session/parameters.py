@@ -1,4 +1,4 @@
-"""Reading a vehicle's parameters by name, few at a time (PURE)."""
+"""Reads a vehicle's parameters by name, few at a time (PURE)."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ RENAMED: Final = (
 """Of each a firmware has one name: when that has answered, nobody waits for the other."""
 IN_FLIGHT: Final = 4
 SPACING_NS: Final = NS_PER_S // 10
-PATIENCE_NS: Final = 3 * NS_PER_S // 2
+ANSWER_TIMEOUT_NS: Final = 3 * NS_PER_S // 2
 TRIES: Final = 6
 """Over a radio that loses 30 % each way, one in fifty goes unanswered so often; three times, one in eight."""
 
 
 class Parameters:
-    """What is known of the parameters `names`.
+    """Asks for the parameters `names` and keeps their values.
 
     Attributes:
         values: by name; None for one that the vehicle does not have: it leaves such a request unanswered
@@ -87,7 +87,7 @@ class Parameters:
         if self.done:
             return None
         for name, sent_ns in list(self._waiting.items()):
-            if now_ns - sent_ns >= PATIENCE_NS:
+            if now_ns - sent_ns >= ANSWER_TIMEOUT_NS:
                 del self._waiting[name]
                 if self._tries[name] >= TRIES:
                     self.missing(name)

@@ -1,4 +1,4 @@
-"""Who else is on a vehicle's link: ground stations, other bridges, other vehicles (PURE)."""
+"""The other participants of a vehicle's link: ground stations, other bridges, other vehicles (PURE)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Participant(NamedTuple):
 
 
 class Participants:
-    """All of them, `KEPT` at most."""
+    """Those that were heard, `KEPT` at most; of more the first."""
 
     def __init__(self) -> None:
         self._heard: dict[tuple[int, int, bool], Participant] = {}
@@ -33,25 +33,25 @@ class Participants:
         """Nobody is here."""
         self._heard.clear()
 
-    def heard(self, other: Participant, *, vehicle: bool) -> None:
-        """A heartbeat came; `vehicle`: of an autopilot."""
-        key = other.system, other.component, vehicle
+    def heard(self, sender: Participant, *, vehicle: bool) -> None:
+        """Takes a heartbeat; `vehicle`: of an autopilot."""
+        key = sender.system, sender.component, vehicle
         if key not in self._heard and len(self._heard) >= KEPT:
-            self._heard = {k: o for k, o in self._heard.items() if other.heard_ns - o.heard_ns <= HEARD_NS}
+            self._heard = {k: p for k, p in self._heard.items() if sender.heard_ns - p.heard_ns <= HEARD_NS}
             if len(self._heard) >= KEPT:
                 return
-        self._heard[key] = other
+        self._heard[key] = sender
 
     def _now(self, now_ns: int, *, vehicle: bool) -> list[Participant]:
         return [
-            other
-            for (_, _, is_vehicle), other in self._heard.items()
-            if is_vehicle is vehicle and now_ns - other.heard_ns <= HEARD_NS
+            participant
+            for (_, _, is_vehicle), participant in self._heard.items()
+            if is_vehicle is vehicle and now_ns - participant.heard_ns <= HEARD_NS
         ]
 
     def ground_stations(self, now_ns: int) -> list[Participant]:
         """Those of MAV_TYPE_GCS."""
-        return [o for o in self._now(now_ns, vehicle=False) if o.type == constants.TYPE_GCS]
+        return [p for p in self._now(now_ns, vehicle=False) if p.type == constants.TYPE_GCS]
 
     def vehicles(self, now_ns: int) -> list[Participant]:
         """Autopilots that are not the one of this link."""
@@ -59,7 +59,7 @@ class Participants:
 
     def strangers(self) -> dict[int, int]:
         """MAV_TYPE by system id of such autopilots, also of those that have gone silent."""
-        return {other.system: other.type for (_, _, vehicle), other in self._heard.items() if vehicle}
+        return {p.system: p.type for (_, _, vehicle), p in self._heard.items() if vehicle}
 
     def another_bridge(self, now_ns: int, own: tuple[int, int], vehicle: int) -> str:
         """Who else may steer the vehicle, "" nobody. A ground station is the operator's: it may be there."""

@@ -1,4 +1,4 @@
-"""What a rover says in a MAVLink session: the half of `link.Session` that listens."""
+"""Takes what a rover says in a MAVLink session: the half of `session.Session` that listens."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Receiver:
         epoch: grows with each restart of the connection or of the vehicle.
         clock: its boot clock against ours.
         ekf, gps, status: the last reports, None before the first.
-        origin: of its EKF, None until it was told.
+        origin: of its EKF, None while unknown.
         counts: what was refused or was odd, by kind.
     """
 
@@ -53,7 +53,7 @@ class Receiver:
         self.counts: Counter[str] = Counter()
         self.epoch = 0
         self.clock = BootClock()
-        self._audit: Final = Parameters(settings.parameters)
+        self._parameters: Final = Parameters(settings.parameters)
         self._handlers: dict[int, Callable[[int, Any], None]] = {
             dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
             dialect.MAVLINK_MSG_ID_ATTITUDE: self._on_attitude,
@@ -74,7 +74,7 @@ class Receiver:
         self._codec.srcComponent = settings.own_component
         self._commands = Commands()
         self._streams = Streams(wanted_messages(settings.state_rate_hz))
-        self._others = Participants()
+        self._participants = Participants()
         self._positions: deque[PositionSample] = deque(maxlen=QUEUE_MAX)
         self._attitudes: deque[AttitudeSample] = deque(maxlen=QUEUE_MAX)
         self._texts: deque[Text] = deque(maxlen=QUEUE_MAX)
@@ -93,7 +93,7 @@ class Receiver:
         self.problem = ""
 
     def _forget_vehicle(self) -> None:
-        """What a vehicle that has begun anew no longer is, or no longer knows."""
+        """Drops what a vehicle that has begun anew no longer is, or has forgotten."""
         self.heartbeat_ns: int | None = None
         self.mode: int | None = None
         self.armed = False
@@ -103,7 +103,7 @@ class Receiver:
         self.gps: Gps | None = None
         self.status: Status | None = None
         self.origin: Geodetic | None = None
-        self._audit.restart()
+        self._parameters.restart()
         self._commands.restart()
         self._streams.restart()
         self._positions.clear()
@@ -119,7 +119,7 @@ class Receiver:
         self._asked.clear()
         self._replies.clear()
         self._codec.forget()
-        self._others.clear()
+        self._participants.clear()
         self._forget_identity()
         self._forget_vehicle()
         self._due.clear()
@@ -157,7 +157,7 @@ class Receiver:
             self._replies.append(message.ts1)
         elif sender == self.own and self.system is not None and message.ts1 not in self._own_times:
             twin = Participant(*sender, constants.TYPE_ONBOARD_CONTROLLER, arrival_ns)
-            self._others.heard(twin, vehicle=False)
+            self._participants.heard(twin, vehicle=False)
 
     def _on_any_heartbeat(self, arrival_ns: int, message: Any, sender: tuple[int, int]) -> None:
         system, component = sender
@@ -176,7 +176,7 @@ class Receiver:
         token = self.settings.token
         if sender == self.own and token and message.custom_mode == token:
             return  # an echo
-        self._others.heard(Participant(system, component, message.type, arrival_ns), vehicle=autopilot)
+        self._participants.heard(Participant(system, component, message.type, arrival_ns), vehicle=autopilot)
 
     def _on_heartbeat(self, arrival_ns: int, message: Any) -> None:
         if message.autopilot == constants.AUTOPILOT_INVALID or message.type == constants.TYPE_GCS:
@@ -188,7 +188,7 @@ class Receiver:
         armed = bool(message.base_mode & constants.FLAG_ARMED)
         if mode != self.mode:
             self._commands.no_more(constants.CMD_DO_SET_MODE)
-        if armed != self.armed or (mode != self.mode and mode != constants.GUIDED):
+        if armed != self.armed or (mode != self.mode and mode != constants.MODE_GUIDED):
             self._commands.no_more(constants.CMD_COMPONENT_ARM_DISARM)
         self.mode, self.armed = mode, armed
         if not self._modes or self._modes[-1] != (mode, armed):
@@ -264,12 +264,12 @@ class Receiver:
             self._commands.answered(arrival_ns, message.command, message.result)
 
     def _on_parameter(self, _arrival_ns: int, message: Any) -> None:
-        if not self._audit.received(message.param_id, message.param_value):
+        if not self._parameters.received(message.param_id, message.param_value):
             self.counts["not finite"] += 1
 
     def _on_no_parameter(self, _arrival_ns: int, message: Any) -> None:
         if (message.target_system, message.target_component) == self.own:
-            self._audit.missing(message.param_id)
+            self._parameters.missing(message.param_id)
 
     def _on_version(self, _arrival_ns: int, message: Any) -> None:
         self.firmware = reports.firmware(message)

@@ -1,4 +1,4 @@
-"""What a vehicle reports, taken out of its messages (PURE: it sees them as objects with MAVLink's fields)."""
+"""Takes a vehicle's reports out of its messages (PURE: it sees objects with MAVLink's fields)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SAME_E7: Final = 2
 _TEXT_LENGTH: Final = 50
 _CHUNKS_MAX: Final = 20
 _TEXTS_MAX: Final = 8
-_CHUNK_PATIENCE_NS: Final = NS_PER_S
+_CHUNK_TIMEOUT_NS: Final = NS_PER_S
 _RELEASES: Final = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
 
 
@@ -214,7 +214,7 @@ class Texts:
         """Those whose last chunk does not come."""
         if not self._open:
             return []
-        late = [n for n, found in self._open.items() if now_ns - found.arrival_ns > _CHUNK_PATIENCE_NS]
+        late = [n for n, found in self._open.items() if now_ns - found.arrival_ns > _CHUNK_TIMEOUT_NS]
         return [self._finish(number) for number in late]
 
     def _finish(self, number: int) -> Text:

@@ -45,8 +45,10 @@ _T = TypeVar("_T")
 
 
 class Session(Receiver):
-    """One session. The caller brings bytes with their times of arrival (`receive`), sends what `tick` and
-    `setpoint` return, and calls `restart` when the connection was opened (again).
+    """The session with one rover: what it says (`Receiver`), and what is said to it.
+
+    The caller brings bytes with their times of arrival (`receive`), sends what `tick` and `setpoint` return,
+    and calls `restart` when the connection was opened (again).
     """
 
     def __init__(self, settings: SessionSettings) -> None:
@@ -85,21 +87,21 @@ class Session(Receiver):
     @property
     def parameters(self) -> Mapping[str, float | None]:
         """Values read; None for a parameter it does not have, missing while it is still asked for."""
-        return self._audit.values
+        return self._parameters.values
 
     @property
     def parameters_done(self) -> bool:
         """Whether all have been read, or given up."""
-        return self._audit.done
+        return self._parameters.done
 
     @property
     def parameter_changes(self) -> int:
         """Grows whenever a value may have changed."""
-        return self._audit.changes
+        return self._parameters.changes
 
     def parameter(self, names: str | Sequence[str]) -> float | None:
         """The value of the first of these names that the vehicle has."""
-        return self._audit.first(names)
+        return self._parameters.first(names)
 
     @property
     def signed(self) -> int:
@@ -133,9 +135,9 @@ class Session(Receiver):
         age_ns = self.heartbeat_age_ns(now_ns)
         if age_ns is not None:
             return f"no heartbeat of the vehicle for {age_ns / NS_PER_S:.1f} s"
-        vehicles = self._others.vehicles(now_ns)
+        vehicles = self._participants.vehicles(now_ns)
         if vehicles:
-            heard = ", ".join(f"{o.system} ({constants.TYPE_NAMES.get(o.type, o.type)})" for o in vehicles)
+            heard = ", ".join(f"{v.system} ({constants.TYPE_NAMES.get(v.type, v.type)})" for v in vehicles)
             meant = self.settings.system or f"from 1 to {constants.SYSTEM_GROUND_STATION - 1}"
             return f"no vehicle with system id {meant} here, but with {heard}"
         if self.unsigned_refused:
@@ -154,16 +156,16 @@ class Session(Receiver):
 
     def another_bridge(self, now_ns: int) -> str:
         """Who else may steer the vehicle, "" nobody."""
-        return self._others.another_bridge(now_ns, self.own, self.system or 0)
+        return self._participants.another_bridge(now_ns, self.own, self.system or 0)
 
     def ground_stations(self, now_ns: int) -> list[tuple[int, int]]:
         """System and component of those heard in the last 5 s; they may be there."""
-        return [(other.system, other.component) for other in self._others.ground_stations(now_ns)]
+        return [(station.system, station.component) for station in self._participants.ground_stations(now_ns)]
 
     @property
     def strangers(self) -> dict[int, int]:
         """Other vehicles that were heard on this link: MAV_TYPE by system id."""
-        return self._others.strangers()
+        return self._participants.strangers()
 
     def take_positions(self) -> list[PositionSample]:
         """The samples since the last call, in order of their stamps."""
@@ -269,7 +271,7 @@ class Session(Receiver):
 
     def _requests(self, now_ns: int, system: int) -> list[Any]:
         settled = (
-            not self._commands.waiting and self._audit.done and self.firmware and self.origin is not None
+            not self._commands.waiting and self._parameters.done and self.firmware and self.origin is not None
         )
         if settled and not self._is_due("look", now_ns, LOOK_PERIOD_NS):
             return []
@@ -285,10 +287,10 @@ class Session(Receiver):
             if self.origin is None and self.settings.set_origin and datum is not None and not self.problem:
                 place = reports.scaled(datum)
                 out.append(dialect.MAVLink_set_gps_global_origin_message(system, *place, now_ns // 1000))
-            out.append(_request_message(system, constants.GPS_GLOBAL_ORIGIN))
+            out.append(_request_message(system, constants.MESSAGE_GPS_GLOBAL_ORIGIN))
         if not self.firmware and self._is_due("version", now_ns, VERSION_PERIOD_NS):
-            out.append(_request_message(system, constants.AUTOPILOT_VERSION))
-        name = self._audit.ask(now_ns)
+            out.append(_request_message(system, constants.MESSAGE_AUTOPILOT_VERSION))
+        name = self._parameters.ask(now_ns)
         if name is not None:
             out.append(
                 dialect.MAVLink_param_request_read_message(system, component, name.encode("ascii"), -1)

@@ -1,4 +1,4 @@
-"""Which messages a vehicle is asked for, how often, and what came of it (PURE).
+"""Asks a vehicle for its messages at a rate, and watches that they come (PURE).
 
 A vehicle sends little unless it is asked (SET_MESSAGE_INTERVAL), forgets what it was asked at a reboot, and
 does what the last one asked who shares its link. So what is granted is also counted, and asked for again.
@@ -54,12 +54,12 @@ def wanted_messages(state_rate_hz: float) -> tuple[Wanted, ...]:
     """
     rates = (state_rate_hz, *(rate for rate in LOWER_RATES_HZ if rate < state_rate_hz))
     return (
-        Wanted(constants.ATTITUDE, "ATTITUDE", rates),
-        Wanted(constants.LOCAL_POSITION_NED, "LOCAL_POSITION_NED", rates),
-        Wanted(constants.HEARTBEAT, "HEARTBEAT", (5.0,)),
-        Wanted(constants.EKF_STATUS_REPORT, "EKF_STATUS_REPORT", (2.0,)),
-        Wanted(constants.SYS_STATUS, "SYS_STATUS", (1.0,)),
-        Wanted(constants.GPS_RAW_INT, "GPS_RAW_INT", (1.0,)),
+        Wanted(constants.MESSAGE_ATTITUDE, "ATTITUDE", rates),
+        Wanted(constants.MESSAGE_LOCAL_POSITION_NED, "LOCAL_POSITION_NED", rates),
+        Wanted(constants.MESSAGE_HEARTBEAT, "HEARTBEAT", (5.0,)),
+        Wanted(constants.MESSAGE_EKF_STATUS_REPORT, "EKF_STATUS_REPORT", (2.0,)),
+        Wanted(constants.MESSAGE_SYS_STATUS, "SYS_STATUS", (1.0,)),
+        Wanted(constants.MESSAGE_GPS_RAW_INT, "GPS_RAW_INT", (1.0,)),
     )
 
 

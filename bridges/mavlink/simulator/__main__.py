@@ -22,7 +22,7 @@ from bridges.mavlink.simulator.settings import (
     parse_home,
     parse_parameter,
 )
-from bridges.mavlink.simulator.sockets import Endpoint, Line, open_lines, parse_endpoint, with_something
+from bridges.mavlink.simulator.sockets import Endpoint, Line, open_lines, parse_endpoint, readable
 
 DEFAULT_ENDPOINTS: Final = tuple(Endpoint("tcp", "127.0.0.1", port, True) for port in (5760, 5762, 5763))
 """Ports as ArduPilot's own simulator has them, of this machine only."""
@@ -55,7 +55,7 @@ def serve(rover: Rover, lines: Sequence[Line], clock: Clock, shutdown: Shutdown,
             log(f"was held up for {late_ns / NS_PER_S:.1f} s")
             lost_ns += late_ns
             now_ns -= late_ns
-        for number, line in with_something(lines):
+        for number, line in readable(lines):
             data = line.receive(now_ns)
             rover.set_open(number, line.is_open)
             if data:

@@ -1,4 +1,4 @@
-"""What a simulated rover does at a command (COMMAND_LONG, COMMAND_INT), and how it acknowledges it."""
+"""Carries out commands (COMMAND_LONG, COMMAND_INT) on a simulated rover, and acknowledges them."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _reboot(context: Context, parameters: Sequence[float]) -> int:
 
 
 def _home(context: Context, _parameters: Sequence[float]) -> int:
-    context.answer(BUILDERS[constants.HOME_POSITION](context.vehicle, context.now_ns))
+    context.answer(BUILDERS[constants.MESSAGE_HOME_POSITION](context.vehicle, context.now_ns))
     return constants.RESULT_ACCEPTED if context.vehicle.navigation.ready else constants.RESULT_FAILED
 
 

@@ -1,4 +1,4 @@
-"""What a rover in GUIDED makes of setpoints: which it takes, and what it then asks of itself (PURE).
+"""GUIDED mode of a simulated rover: which setpoints it takes, and what it then asks of itself (PURE).
 
 NED and FRD throughout, yaw clockwise from north, SI units.
 """
@@ -147,7 +147,7 @@ class Guided:
         self._since_ns = 0
 
     def clear(self) -> None:
-        """The mode was entered or left: it stands until it is told something."""
+        """The mode was entered or left: it stands until a setpoint comes."""
         self._target = None
 
     def take(self, target: Target, now_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""A bridge and a simulated rover joined in memory, for virtual time: no socket, no thread, no clock."""
+"""Joins a bridge and a simulated rover in memory, for virtual time: no socket, no thread, no clock."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class MemoryTransport:
         self._to_bridge: deque[tuple[int, bytes]] = deque()
         self._to_rover: deque[tuple[int, bytes]] = deque()
         self.trouble = self.note = ""
-        self.waits = True
+        self.transient = True
         self.epoch, self.dropped = 1, 0
         self.cut = False
 
@@ -94,9 +94,9 @@ class SimulatedRoverPlant(PlantBackend):
         x, y = frames.geodetic_to_world(self._datum, rover.place)
         return Pose(x, y, frames.heading_from_yaw(rover.yaw), rover.speed, frames.yaw_rate(rover.yaw_rate))
 
-    def go_ahead(self) -> None:
-        """See `PlantBackend.go_ahead`."""
-        self.plant.go_ahead()
+    def clear_to_drive(self) -> None:
+        """See `PlantBackend.clear_to_drive`."""
+        self.plant.clear_to_drive()
 
     def checks(self, now_ns: int) -> tuple[Check, ...]:
         """See `PlantBackend.checks`."""

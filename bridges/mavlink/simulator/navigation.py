@@ -1,4 +1,4 @@
-"""What a simulated rover's GPS and EKF say of where it is, and when (PURE).
+"""GPS and EKF of a simulated rover: what they say of where it is, and when (PURE).
 
 Measured: the EKF has its origin 17 s after the boot and its position 40 s after it; at rest it reports a
 phantom 0.02 to 0.05 m/s; a jammed GPS costs it its position after 13.5 s; a GPS that lags 300 ms instead of

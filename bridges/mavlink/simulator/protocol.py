@@ -1,4 +1,4 @@
-"""What a simulated rover answers to the messages that it gets, and what it says unasked: one boot long."""
+"""The MAVLink protocol of a simulated rover, one boot long: what it answers, and what it says unasked."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Protocol:
             self._send_all(heartbeat(vehicle, now_ns), now_ns)
         if vehicle.navigation.origin is not None and not self._origin_said:
             self._origin_said = True
-            self._send_all(BUILDERS[constants.GPS_GLOBAL_ORIGIN](vehicle, now_ns), now_ns)
+            self._send_all(BUILDERS[constants.MESSAGE_GPS_GLOBAL_ORIGIN](vehicle, now_ns), now_ns)
         if now_ns >= self._timesync_ns:
             # It asks for the time itself, too: whoever takes that for an answer gets it wrong.
             self._timesync_ns = now_ns + TIMESYNC_PERIOD_NS
@@ -142,7 +142,7 @@ class Protocol:
         """Passes a message on to whom it concerns; whether it concerns the vehicle."""
         id_, sender = message.get_msgId(), (message.get_srcSystem(), message.get_srcComponent())
         self._routes.learn(port.number, *sender)
-        if id_ == constants.HEARTBEAT:
+        if id_ == constants.MESSAGE_HEARTBEAT:
             ports, ours = self._routes.of_heartbeat(len(self._ports), port.number, *sender), True
         else:
             # SET_MODE has a system but no component; what is for everybody has neither.

@@ -1,4 +1,4 @@
-"""Which messages an autopilot passes on between its ports, as ArduPilot does (PURE).
+"""Routes messages between the ports of an autopilot, as ArduPilot does (PURE).
 
 A heartbeat goes to every other port that its sender was not heard on. What is addressed to somebody goes to
 the ports on which that somebody was heard, what is addressed to nobody to all on which anybody was. So two

@@ -1,7 +1,7 @@
-"""A MAVLink vehicle that behaves as ArduPilot Rover was measured to: bytes in, bytes out, time an argument.
+"""A simulated rover, sans-IO, as ArduPilot Rover was measured: bytes in, bytes out, time an argument.
 
-`Rover` has no socket and no clock (`rover_server` has them): joined to a bridge's core by an in-memory link
-it makes tests in virtual time. It runs at the autopilot's loop rate; what arrives waits for the next loop.
+`Rover` has no socket and no clock (`simulator.__main__` has them): joined to a bridge by `in_memory` it makes
+tests in virtual time. It runs at the autopilot's loop rate; what arrives waits for the next loop.
 """
 
 from __future__ import annotations

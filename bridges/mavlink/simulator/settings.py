@@ -1,4 +1,4 @@
-"""What a simulated rover is told before it boots: who and where it is, and its parameters (PURE)."""
+"""Settings of a simulated rover before it boots: who and where it is, and its parameters (PURE)."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ DEFAULT_HOME: Final = Geodetic(-35.363262, 149.165237, 584.0)
 """Where ArduPilot's own simulator stands when it is not told otherwise."""
 
 PARAMETERS: Final[Mapping[str, tuple[float, int]]] = {
-    "SYSID_THISMAV": (1, constants.PARAM_INT16),
-    "SYSID_MYGCS": (constants.SYSTEM_GROUND_STATION, constants.PARAM_INT16),
-    "SYSID_ENFORCE": (0, constants.PARAM_INT8),
-    "ARMING_CHECK": (1, constants.PARAM_INT32),
-    "ARMING_REQUIRE": (1, constants.PARAM_INT8),
-    "ATC_ACCEL_MAX": (constants.ATC_ACCEL_MAX_MPS2, constants.PARAM_REAL32),
-    "ATC_STR_RAT_MAX": (constants.ATC_STR_RAT_MAX_DPS, constants.PARAM_REAL32),
-    "ATC_TURN_MAX_G": (constants.ATC_TURN_MAX_G_G, constants.PARAM_REAL32),
-    "BATT_CRT_VOLT": (0, constants.PARAM_REAL32),
-    "BATT_FS_CRT_ACT": (0, constants.PARAM_INT8),
-    "BATT_FS_LOW_ACT": (0, constants.PARAM_INT8),
-    "BATT_LOW_TIMER": (10, constants.PARAM_INT16),
-    "BATT_LOW_VOLT": (10.5, constants.PARAM_REAL32),
-    "BATT_MONITOR": (4, constants.PARAM_INT8),
-    "CRUISE_SPEED": (2, constants.PARAM_REAL32),
-    "FRAME_CLASS": (1, constants.PARAM_INT8),
-    "FS_ACTION": (2, constants.PARAM_INT8),
-    "FS_CRASH_CHECK": (0, constants.PARAM_INT8),
-    "FS_EKF_ACTION": (1, constants.PARAM_INT8),
-    "FS_EKF_THRESH": (0.8, constants.PARAM_REAL32),
-    "FS_GCS_ENABLE": (0, constants.PARAM_INT8),
-    "FS_GCS_TIMEOUT": (5, constants.PARAM_REAL32),
-    "FS_THR_ENABLE": (1, constants.PARAM_INT8),
-    "FS_TIMEOUT": (1.5, constants.PARAM_REAL32),
-    "SCHED_LOOP_RATE": (constants.LOOP_RATE_HZ, constants.PARAM_INT16),
-    "SIM_BATT_VOLTAGE": (12.6, constants.PARAM_REAL32),
-    "SIM_GPS1_ENABLE": (1, constants.PARAM_INT8),
-    "SIM_GPS1_JAM": (0, constants.PARAM_INT8),
-    "SIM_GPS1_LAG_MS": (100, constants.PARAM_INT32),
-    "WP_RADIUS": (2, constants.PARAM_REAL32),
-    "WP_SPEED": (constants.WP_SPEED_MPS, constants.PARAM_REAL32),
+    "SYSID_THISMAV": (1, constants.PARAM_TYPE_INT16),
+    "SYSID_MYGCS": (constants.SYSTEM_GROUND_STATION, constants.PARAM_TYPE_INT16),
+    "SYSID_ENFORCE": (0, constants.PARAM_TYPE_INT8),
+    "ARMING_CHECK": (1, constants.PARAM_TYPE_INT32),
+    "ARMING_REQUIRE": (1, constants.PARAM_TYPE_INT8),
+    "ATC_ACCEL_MAX": (constants.DEFAULT_ATC_ACCEL_MAX_MPS2, constants.PARAM_TYPE_REAL32),
+    "ATC_STR_RAT_MAX": (constants.DEFAULT_ATC_STR_RAT_MAX_DPS, constants.PARAM_TYPE_REAL32),
+    "ATC_TURN_MAX_G": (constants.DEFAULT_ATC_TURN_MAX_G, constants.PARAM_TYPE_REAL32),
+    "BATT_CRT_VOLT": (0, constants.PARAM_TYPE_REAL32),
+    "BATT_FS_CRT_ACT": (0, constants.PARAM_TYPE_INT8),
+    "BATT_FS_LOW_ACT": (0, constants.PARAM_TYPE_INT8),
+    "BATT_LOW_TIMER": (10, constants.PARAM_TYPE_INT16),
+    "BATT_LOW_VOLT": (10.5, constants.PARAM_TYPE_REAL32),
+    "BATT_MONITOR": (4, constants.PARAM_TYPE_INT8),
+    "CRUISE_SPEED": (2, constants.PARAM_TYPE_REAL32),
+    "FRAME_CLASS": (1, constants.PARAM_TYPE_INT8),
+    "FS_ACTION": (2, constants.PARAM_TYPE_INT8),
+    "FS_CRASH_CHECK": (0, constants.PARAM_TYPE_INT8),
+    "FS_EKF_ACTION": (1, constants.PARAM_TYPE_INT8),
+    "FS_EKF_THRESH": (0.8, constants.PARAM_TYPE_REAL32),
+    "FS_GCS_ENABLE": (0, constants.PARAM_TYPE_INT8),
+    "FS_GCS_TIMEOUT": (5, constants.PARAM_TYPE_REAL32),
+    "FS_THR_ENABLE": (1, constants.PARAM_TYPE_INT8),
+    "FS_TIMEOUT": (1.5, constants.PARAM_TYPE_REAL32),
+    "SCHED_LOOP_RATE": (constants.LOOP_RATE_HZ, constants.PARAM_TYPE_INT16),
+    "SIM_BATT_VOLTAGE": (12.6, constants.PARAM_TYPE_REAL32),
+    "SIM_GPS1_ENABLE": (1, constants.PARAM_TYPE_INT8),
+    "SIM_GPS1_JAM": (0, constants.PARAM_TYPE_INT8),
+    "SIM_GPS1_LAG_MS": (100, constants.PARAM_TYPE_INT32),
+    "WP_RADIUS": (2, constants.PARAM_TYPE_REAL32),
+    "WP_SPEED": (constants.DEFAULT_WP_SPEED_MPS, constants.PARAM_TYPE_REAL32),
 }
 """Name: default, MAV_PARAM_TYPE. Those that change what the simulated rover does, or that an audit reads."""
 RANGES: Final = {
@@ -159,7 +159,9 @@ class Parameters:
     def set(self, name: str, value: float) -> None:
         """Raises `SettingsError`; whole numbers are rounded to."""
         check_parameter(name, value)
-        self._values[name] = float(value if PARAMETERS[name][1] == constants.PARAM_REAL32 else round(value))
+        self._values[name] = float(
+            value if PARAMETERS[name][1] == constants.PARAM_TYPE_REAL32 else round(value)
+        )
 
 
 def parse_home(text: str) -> tuple[Geodetic, float]:

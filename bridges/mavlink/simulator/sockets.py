@@ -241,7 +241,7 @@ def open_lines(endpoints: Iterable[Endpoint]) -> list[Line]:
     return lines
 
 
-def with_something(lines: Sequence[Line]) -> list[tuple[int, Line]]:
-    """Those on which something came, with their numbers."""
+def readable(lines: Sequence[Line]) -> list[tuple[int, Line]]:
+    """The lines on which something came, with their numbers."""
     ready = set(select.select([line.watched() for line in lines], [], [], 0)[0])
     return [(number, line) for number, line in enumerate(lines) if line.watched() in ready]

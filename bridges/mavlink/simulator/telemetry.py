@@ -1,4 +1,4 @@
-"""The messages in which a simulated rover says how it is: from the vehicle to MAVLink's fields and units."""
+"""Makes a simulated rover's telemetry: from the vehicle to MAVLink's fields and units."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic
 from bridges.mavlink.simulator.vehicle import Vehicle
 
-MANUAL_MODES: Final = frozenset({constants.MANUAL, constants.ACRO, constants.STEERING, constants.SIMPLE})
-NOT_AUTOPILOT: Final = MANUAL_MODES | {constants.HOLD, constants.INITIALISING}
+MANUAL_MODES: Final = frozenset(
+    {constants.MODE_MANUAL, constants.MODE_ACRO, constants.MODE_STEERING, constants.MODE_SIMPLE}
+)
+NOT_AUTOPILOT: Final = MANUAL_MODES | {constants.MODE_HOLD, constants.MODE_INITIALISING}
 SENSORS: Final = constants.SENSOR_GPS | constants.SENSOR_AHRS | constants.SENSOR_PREARM_CHECK
 CAPABILITIES: Final = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -43,7 +45,7 @@ def heartbeat(vehicle: Vehicle, _now_ns: int) -> Message:
     if vehicle.failsafe or vehicle.ekf_failsafe:
         state = constants.STATE_CRITICAL
     else:
-        state = constants.STATE_STANDBY if mode == constants.HOLD else constants.STATE_ACTIVE
+        state = constants.STATE_STANDBY if mode == constants.MODE_HOLD else constants.STATE_ACTIVE
     settings = vehicle.settings
     return mavlink.MAVLink_heartbeat_message(settings.vehicle_type, settings.autopilot, base, mode, state, 3)
 
@@ -193,29 +195,29 @@ def _version(vehicle: Vehicle, _now_ns: int) -> Message:
 
 
 BUILDERS: Final[Mapping[int, Callable[[Vehicle, int], Message | None]]] = {
-    constants.HEARTBEAT: heartbeat,
-    constants.SYS_STATUS: _system,
-    constants.SYSTEM_TIME: _system_time,
-    constants.GPS_RAW_INT: _gps,
-    constants.ATTITUDE: _attitude,
-    constants.LOCAL_POSITION_NED: _local_position,
-    constants.GLOBAL_POSITION_INT: _global_position,
-    constants.GPS_GLOBAL_ORIGIN: _origin,
-    constants.BATTERY_STATUS: _battery,
-    constants.AUTOPILOT_VERSION: _version,
-    constants.EKF_STATUS_REPORT: _ekf,
-    constants.HOME_POSITION: _home,
+    constants.MESSAGE_HEARTBEAT: heartbeat,
+    constants.MESSAGE_SYS_STATUS: _system,
+    constants.MESSAGE_SYSTEM_TIME: _system_time,
+    constants.MESSAGE_GPS_RAW_INT: _gps,
+    constants.MESSAGE_ATTITUDE: _attitude,
+    constants.MESSAGE_LOCAL_POSITION_NED: _local_position,
+    constants.MESSAGE_GLOBAL_POSITION_INT: _global_position,
+    constants.MESSAGE_GPS_GLOBAL_ORIGIN: _origin,
+    constants.MESSAGE_BATTERY_STATUS: _battery,
+    constants.MESSAGE_AUTOPILOT_VERSION: _version,
+    constants.MESSAGE_EKF_STATUS_REPORT: _ekf,
+    constants.MESSAGE_HOME_POSITION: _home,
 }
 """All that can be asked for by its id. None: it has nothing to say yet, and sends nothing."""
 DEFAULT_STREAMS: Final = (
-    constants.HEARTBEAT,
-    constants.SYS_STATUS,
-    constants.SYSTEM_TIME,
-    constants.GPS_RAW_INT,
-    constants.ATTITUDE,
-    constants.LOCAL_POSITION_NED,
-    constants.GLOBAL_POSITION_INT,
-    constants.BATTERY_STATUS,
-    constants.EKF_STATUS_REPORT,
+    constants.MESSAGE_HEARTBEAT,
+    constants.MESSAGE_SYS_STATUS,
+    constants.MESSAGE_SYSTEM_TIME,
+    constants.MESSAGE_GPS_RAW_INT,
+    constants.MESSAGE_ATTITUDE,
+    constants.MESSAGE_LOCAL_POSITION_NED,
+    constants.MESSAGE_GLOBAL_POSITION_INT,
+    constants.MESSAGE_BATTERY_STATUS,
+    constants.MESSAGE_EKF_STATUS_REPORT,
 )
 """What is sent at 1 Hz by itself."""

@@ -32,22 +32,22 @@ PREARM_PERIOD_NS: Final = 30_000_000_000
 """How often a disarmed rover says why it cannot be armed."""
 NEED_POSITION: Final = frozenset(
     {
-        constants.LOITER,
-        constants.FOLLOW,
-        constants.DOCK,
-        constants.CIRCLE,
-        constants.AUTO,
-        constants.RTL,
-        constants.SMART_RTL,
-        constants.GUIDED,
+        constants.MODE_LOITER,
+        constants.MODE_FOLLOW,
+        constants.MODE_DOCK,
+        constants.MODE_CIRCLE,
+        constants.MODE_AUTO,
+        constants.MODE_RTL,
+        constants.MODE_SMART_RTL,
+        constants.MODE_GUIDED,
     }
 )
-NOT_ARMABLE: Final = frozenset({constants.RTL, constants.SMART_RTL, constants.INITIALISING})
+NOT_ARMABLE: Final = frozenset({constants.MODE_RTL, constants.MODE_SMART_RTL, constants.MODE_INITIALISING})
 ACTIONS: Final = {
-    1: (constants.RTL, constants.HOLD),
-    2: (constants.HOLD,),
-    3: (constants.SMART_RTL, constants.RTL, constants.HOLD),
-    4: (constants.SMART_RTL, constants.HOLD),
+    1: (constants.MODE_RTL, constants.MODE_HOLD),
+    2: (constants.MODE_HOLD,),
+    3: (constants.MODE_SMART_RTL, constants.MODE_RTL, constants.MODE_HOLD),
+    4: (constants.MODE_SMART_RTL, constants.MODE_HOLD),
 }
 """Modes that FS_ACTION and BATT_FS_*_ACT try, in this order."""
 CRITICAL, WARNING, INFO = 2, 4, 6
@@ -89,7 +89,7 @@ class Vehicle:
         draws = stream("rover creep", seed, self.system, self.boots)
         least, most = CREEP_M
         self._creep = least + (most - least) * uniform(draws, 0)
-        self.mode = constants.MANUAL
+        self.mode = constants.MODE_MANUAL
         self.armed = False
         self.changed = True
         self.guided = Guided()
@@ -121,7 +121,7 @@ class Vehicle:
     @property
     def takes_setpoints(self) -> bool:
         """GUIDED, with an EKF origin: only then is a setpoint even looked at."""
-        return self.mode == constants.GUIDED and self.navigation.origin is not None
+        return self.mode == constants.MODE_GUIDED and self.navigation.origin is not None
 
     def say(self, severity: int, text: str) -> None:
         """A STATUSTEXT."""
@@ -134,13 +134,13 @@ class Vehicle:
 
     def set_mode(self, mode: int) -> bool:
         """Whether it is in `mode` now. An armed rover without a position refuses modes that need one."""
-        if mode not in constants.MODE_NAMES or mode == constants.INITIALISING:
+        if mode not in constants.MODE_NAMES or mode == constants.MODE_INITIALISING:
             return False
         if mode == self.mode:
             return True
         lost = not self.navigation.ready or self.ekf_failsafe
         # AUTO wants a mission, and this one never has any; DOCK wants a beacon, FOLLOW somebody to follow.
-        if mode in {constants.AUTO, constants.DOCK, constants.FOLLOW} or (
+        if mode in {constants.MODE_AUTO, constants.MODE_DOCK, constants.MODE_FOLLOW} or (
             self.armed and lost and mode in NEED_POSITION
         ):
             self.say(WARNING, "Flight mode change failed")
@@ -191,7 +191,7 @@ class Vehicle:
             self.truth.step(dt, 0.0, 0.0, powered=False)
             return
         if not self._handed_over and not self.armed and not self.arming_refused():
-            self._handed_over = self.set_mode(constants.GUIDED) and self.arm()
+            self._handed_over = self.set_mode(constants.MODE_GUIDED) and self.arm()
         self._look_at_failsafes(now_ns)
         parameters = self.parameters
         limits = Limits(
@@ -201,7 +201,7 @@ class Vehicle:
             parameters["ATC_TURN_MAX_G"],
         )
         speed = yaw_rate = 0.0
-        if self.mode == constants.GUIDED:
+        if self.mode == constants.MODE_GUIDED:
             if self.guided.timed_out(now_ns):
                 self.say(WARNING, constants.SETPOINT_TIMEOUT_TEXT)
             speed, yaw_rate = self.guided.demand(self.pose, limits.speed, parameters["WP_RADIUS"])
@@ -242,7 +242,7 @@ class Vehicle:
             self.ekf_failsafe = True
             if self.mode in NEED_POSITION and parameters["FS_EKF_ACTION"] != 0:
                 if parameters["FS_EKF_ACTION"] == 1:
-                    self.set_mode(constants.HOLD)
+                    self.set_mode(constants.MODE_HOLD)
                 self.say(CRITICAL, "EKF failsafe")
         elif self.ekf_failsafe and self._ekf_checks == 0:
             self.ekf_failsafe = False
@@ -266,7 +266,7 @@ class Vehicle:
         if (
             not self.failsafe
             and now_ns - self._ground_station_bad_ns > parameters["FS_TIMEOUT"] * 1e9
-            and self.mode not in {constants.RTL, constants.HOLD}
+            and self.mode not in {constants.MODE_RTL, constants.MODE_HOLD}
         ):
             self.failsafe = True
             self.say(WARNING, "GCS Failsafe")

@@ -1,4 +1,4 @@
-"""Sockets and serial ports behind one face: opened, read when poll says so, written without waiting."""
+"""UDP, TCP and serial channels behind one interface: read when poll says so, written without waiting."""
 
 from __future__ import annotations
 

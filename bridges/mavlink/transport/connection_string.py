@@ -1,4 +1,4 @@
-"""Where a vehicle is: the connection strings of pymavlink and MAVProxy (PURE)."""
+"""Reads connection strings as of pymavlink and MAVProxy: where a vehicle is (PURE)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One bridge to a connection: a lock among the programs of one user on one machine."""
+"""Locks a connection for one bridge, among the programs of one user on one machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class InUse(Unusable):
 
 
 def _name(connection: Connection, system: int | None) -> str:
-    """The same for all ways to write one connection, as far as can be told."""
+    """Name of the lock's file: the same for all ways to write one connection, as far as can be known."""
     if connection.kind == "serial":
         text = os.path.realpath(connection.device)
     else:
@@ -28,7 +28,7 @@ def _name(connection: Connection, system: int | None) -> str:
 
 
 class ConnectionLock:
-    """A connection held until `close`, or until the process ends, however it ends.
+    """The lock of a connection, held until `close`, or until the process ends, however it ends.
 
     Args:
         system: which vehicle behind it is meant, where that is said. A router serves several bridges at one

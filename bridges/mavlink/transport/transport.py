@@ -1,4 +1,4 @@
-"""Bytes to and from a vehicle, without ever holding up the loop that steers it.
+"""Carries bytes to and from a vehicle, without ever holding up the loop that steers it.
 
 pymavlink's own `mavutil` is not used for this: it waits inside its constructor until there is a connection,
 prints what goes wrong, opens serial devices without exclusion, and a `udpin` of it sends commands to
@@ -47,7 +47,7 @@ class Transport(Protocol):
 
     Attributes:
         trouble: why there is none, "" while there is one. Changes at any time.
-        waits: whether that may end by itself; else somebody has to change something first.
+        transient: whether that trouble may end by itself; else somebody has to change something first.
         epoch: how often it was opened: when it has grown, the session starts afresh (`Session.restart`).
         note: something odd that does not keep it from working, "" when nothing is.
         dropped: how many `send`s went nowhere.
@@ -57,7 +57,7 @@ class Transport(Protocol):
     def trouble(self) -> str: ...
 
     @property
-    def waits(self) -> bool: ...
+    def transient(self) -> bool: ...
 
     @property
     def epoch(self) -> int: ...
@@ -101,7 +101,7 @@ class ThreadedTransport:
         timing: Timing = TIMING,
     ) -> None:
         self.trouble = f"{connection.text} is being opened"
-        self.waits = True
+        self.transient = True
         self.epoch = 0
         self.dropped = 0
         self._connection, self._baud, self._clock, self._system = connection, baud, clock, system
@@ -165,10 +165,10 @@ class ThreadedTransport:
                     lock = ConnectionLock(self._connection, self._system)
                 channel = open_channel(self._connection, self._baud)
             except OSError as error:
-                self.waits = not isinstance(error, Unusable | NotPrivateError)
+                self.transient = not isinstance(error, Unusable | NotPrivateError)
                 self.trouble = f"cannot open {self._connection.text}: {_reason(error)}"
             except Exception as error:  # this thread must not end without a word
-                self.waits = False
+                self.transient = False
                 self.trouble = f"cannot open {self._connection.text}: {type(error).__name__}: {error}"
             else:
                 if self._read(channel):
@@ -206,7 +206,7 @@ class ThreadedTransport:
                         self._queue.append((now_ns, data))
                         came = True
         except OSError as error:
-            self.waits = True
+            self.transient = True
             self.trouble = f"{self._connection.text}: {_reason(error)}"
         finally:
             with self._lock:

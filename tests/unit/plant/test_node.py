@@ -67,7 +67,7 @@ class Backend(PlantBackend):
         self.calls: list[Call] = []
         self.pose = REST
         self.healthy, self.obeying, self.note = True, True, ""
-        self.go_aheads = 0
+        self.clearances = 0
         self.told: Sequence[Check] = ()
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
@@ -77,8 +77,8 @@ class Backend(PlantBackend):
 
     def close(self) -> None: ...
 
-    def go_ahead(self) -> None:
-        self.go_aheads += 1
+    def clear_to_drive(self) -> None:
+        self.clearances += 1
 
     def checks(self, now_ns: int) -> Sequence[Check]:
         return self.told
@@ -251,17 +251,17 @@ def test_a_mission_is_leave_to_drive_once(node: PlantNode, backend: Backend):
     for now in (T0, T0 + 1, T0 + 2):
         node.receive(now, MISSION_KEY, mission(4))
     node.receive(T0 + 3, MISSION_KEY, mission(3))
-    assert backend.go_aheads == 1
+    assert backend.clearances == 1
     node.receive(T0 + 4, MISSION_KEY, mission(5))  # another formation of the same drive: no leave either
-    assert backend.go_aheads == 1
+    assert backend.clearances == 1
     node.receive(T0 + 5, MISSION_KEY, mission(6, epoch_ns=T0 + 9 * NS_PER_S))
-    assert backend.go_aheads == 2
+    assert backend.clearances == 2
     assert not node.rejected
 
 
 def test_a_mission_for_another_fleet_file_is_no_leave_to_drive(node: PlantNode, backend: Backend):
     node.receive(T0, MISSION_KEY, mission(1, "0123456789abcdef"))
-    assert backend.go_aheads == 0
+    assert backend.clearances == 0
     assert dict(node.rejected) == {"digest": 1}
 
 
@@ -269,25 +269,25 @@ def test_a_mission_for_another_fleet_file_is_no_leave_to_drive(node: PlantNode, 
 def test_leave_to_resume_is_taken_once(node: PlantNode, backend: Backend, robots: tuple[int, ...]):
     node.receive(T0, RESUME_KEY, resume(7, *robots))
     node.receive(T0 + 1, RESUME_KEY, resume(7, *robots))
-    assert backend.go_aheads == 1
+    assert backend.clearances == 1
     node.receive(T0 + 2, RESUME_KEY, resume(8, *robots))
-    assert backend.go_aheads == 2
+    assert backend.clearances == 2
     assert not node.rejected
 
 
 def test_leave_to_resume_for_others_is_not_for_this_one(node: PlantNode, backend: Backend):
     node.receive(T0, RESUME_KEY, resume(7, 2))
     node.receive(T0, RESUME_KEY, resume(8, 2, 11, 9999))
-    assert backend.go_aheads == 0
+    assert backend.clearances == 0
     assert not node.rejected
     node.receive(T0 + 1, RESUME_KEY, resume(7, 1))  # of another operator, who counts for himself
-    assert backend.go_aheads == 1
+    assert backend.clearances == 1
 
 
 def test_old_leave_to_resume_is_refused(node: PlantNode, backend: Backend):
     node.receive(T0, RESUME_KEY, resume(7))
     node.receive(T0 + 1, RESUME_KEY, resume(6))
-    assert backend.go_aheads == 1
+    assert backend.clearances == 1
     assert dict(node.rejected) == {"out_of_order": 1}
 
 
@@ -325,7 +325,7 @@ def test_what_its_agent_tells_is_as_good_as_an_operators_word(node: PlantNode, b
     node.receive(T0, TOLD_KEY, resume(8))
     node.receive(T0, TOLD_KEY, mission(9))
     assert state(node, T0).driving
-    assert backend.go_aheads == 2
+    assert backend.clearances == 2
     assert not node.rejected
 
 
@@ -367,7 +367,7 @@ def test_a_stop_on_another_key_is_none(node: PlantNode, key: str, payload: bytes
 )
 def test_leave_on_another_key_is_none(node: PlantNode, backend: Backend, key: str, payload: bytes):
     node.receive(T0, key, payload)
-    assert backend.go_aheads == 0
+    assert backend.clearances == 0
     assert dict(node.rejected) == {"wrong_key": 1}
 
 

@@ -19,7 +19,7 @@ from agent.fleet.loading import parse_fleet
 from deploy.console.data_files import FLEETS
 from plant.__main__ import main as plant
 from plant.backend import Check, Command, PlantBackend, Reading
-from plant.pose_file import PoseFile, StandingBody, StandingError
+from plant.pose_file import PersistentBody, PoseFile, PoseFileError
 from plant.unicycle import from_fleet
 from tests.unit.agent.fleet.fleet_texts import SMALL
 
@@ -29,7 +29,7 @@ FLEET = parse_fleet(SMALL, source="here")
 def test_a_body_stands_again_where_it_was(tmp_path: Path):
     file = tmp_path / "deep" / "robot-1.pose"
     robot = FLEET.ids[0]
-    body = StandingBody(from_fleet(FLEET, robot), PoseFile(file))
+    body = PersistentBody(from_fleet(FLEET, robot), PoseFile(file))
     for k in range(100):
         reading = body.step(k * NS_PER_S // 50, Command(20.0, 0.3))
     again = from_fleet(FLEET, robot, PoseFile(file).place)
@@ -74,9 +74,9 @@ def test_a_record_that_was_cut_or_damaged_leaves_the_one_before(
 
 
 def test_a_folder_is_refused_in_one_line(tmp_path: Path):
-    with pytest.raises(StandingError, match=r"cannot use the pose file .*: Is a directory") as caught:
+    with pytest.raises(PoseFileError, match=r"cannot use the pose file .*: Is a directory") as caught:
         PoseFile(tmp_path)
-    assert not caught.value.passes
+    assert not caught.value.transient
 
 
 def full(*_: object) -> int:
@@ -87,9 +87,9 @@ def test_a_full_disk_is_told_at_the_start_and_kills_nobody(tmp_path: Path, monke
     PoseFile(tmp_path / "pose").write(Pose(1.0, 2.0, 3.0, 0.0, 0.0))
     assert (tmp_path / "pose").stat().st_blocks > 0, "not a hole that a write would have to fill"
     monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(StandingError, match="No space left on device") as caught:
+    with pytest.raises(PoseFileError, match="No space left on device") as caught:
         PoseFile(tmp_path / "new")
-    assert caught.value.passes
+    assert caught.value.transient
 
 
 def test_a_full_disk_may_have_room_at_the_next_start(
@@ -111,14 +111,14 @@ def test_what_is_asked_of_the_body_reaches_it(tmp_path: Path):
 
         def close(self) -> None: ...
 
-        def go_ahead(self) -> None:
+        def clear_to_drive(self) -> None:
             self.told += 1
 
         def checks(self, now_ns: int) -> Sequence[Check]:
             return (Check("battery", "good", f"at {now_ns}"),)
 
     body = Body()
-    standing = StandingBody(body, PoseFile(tmp_path / "pose"))
-    standing.go_ahead()
+    standing = PersistentBody(body, PoseFile(tmp_path / "pose"))
+    standing.clear_to_drive()
     assert body.told == 1
     assert standing.checks(7) == (Check("battery", "good", "at 7"),)

@@ -17,7 +17,7 @@ def driving() -> Authority:
     """A vehicle that was handed over and told to drive."""
     authority = Authority()
     authority.step("", "")
-    assert authority.go_ahead()
+    assert authority.clear_to_drive()
     authority.step("", "")
     assert authority.holder is Holder.BRIDGE
     assert authority.why == ""
@@ -51,7 +51,7 @@ def test_another_mode_releases_at_once_and_going_back_is_not_enough() -> None:
     assert authority.holder is Holder.RELEASED
     assert authority.why.endswith(AWAITED)
     assert MANUAL in authority.why
-    assert authority.go_ahead()
+    assert authority.clear_to_drive()
     authority.step("", "")
     assert authority.holder is Holder.BRIDGE
 
@@ -59,7 +59,7 @@ def test_another_mode_releases_at_once_and_going_back_is_not_enough() -> None:
 def test_leave_to_resume_counts_only_once_the_operator_has_given_it_back() -> None:
     authority = driving()
     authority.step("", MANUAL)
-    assert not authority.go_ahead()
+    assert not authority.clear_to_drive()
     authority.step("", "")
     assert authority.holder is Holder.RELEASED
     authority.step("", "")
@@ -69,7 +69,7 @@ def test_leave_to_resume_counts_only_once_the_operator_has_given_it_back() -> No
 def test_a_mission_that_finds_the_operator_driving_does_not_take_the_vehicle_from_him_later() -> None:
     authority = Authority()
     authority.step("", MANUAL)
-    assert not authority.go_ahead()
+    assert not authority.clear_to_drive()
     authority.step("", MANUAL)
     authority.step("", "")
     assert authority.holder is Holder.RELEASED
@@ -105,15 +105,15 @@ def test_a_vehicle_that_was_taken_while_its_estimate_was_bad_is_released() -> No
 def test_no_order_to_drive_is_known_before_one_was_given() -> None:
     authority = Authority()
     authority.step("", "")
-    assert not authority.told
-    authority.go_ahead()
-    assert authority.told
+    assert not authority.cleared
+    authority.clear_to_drive()
+    assert authority.cleared
 
 
 def test_an_order_to_drive_while_the_operator_has_it_counts_at_once() -> None:
     authority = Authority()
     authority.step("", MANUAL)
-    authority.go_ahead()
+    authority.clear_to_drive()
     authority.step("", "")  # given back before the next look
     assert authority.holder is Holder.RELEASED
 
@@ -121,7 +121,7 @@ def test_an_order_to_drive_while_the_operator_has_it_counts_at_once() -> None:
 def test_a_restarted_bridge_drives_on_only_where_nobody_took_the_vehicle() -> None:
     untouched, taken = Authority(), Authority()
     for authority in (untouched, taken):
-        authority.go_ahead()  # the mission comes again before the vehicle is heard
+        authority.clear_to_drive()  # the mission comes again before the vehicle is heard
     untouched.step("", "")
     assert untouched.holder is Holder.BRIDGE
     taken.step("", MANUAL)
@@ -134,7 +134,7 @@ def test_a_vehicle_that_does_not_follow_is_let_go_until_told() -> None:
     authority.step("", "", "does not follow its commands")
     assert authority.holder is Holder.RELEASED
     assert "does not follow" in authority.why
-    assert authority.go_ahead()
+    assert authority.clear_to_drive()
     authority.step("", "")
     assert authority.holder is Holder.BRIDGE
 
@@ -154,7 +154,7 @@ steps = st.lists(
 def test_commands_flow_only_when_all_is_well_and_never_again_without_leave(
     steps: list[tuple[str, str, bool]],
 ) -> None:
-    authority, driven, latched = Authority(), False, False
+    authority, cleared, latched = Authority(), False, False
     for vehicle, operator, told in steps:
         authority.step(vehicle, operator)
         if authority.holder is Holder.BRIDGE:
@@ -162,15 +162,15 @@ def test_commands_flow_only_when_all_is_well_and_never_again_without_leave(
             assert authority.why == ""
         else:
             assert authority.why
-        latched = latched or (driven and bool(operator))
+        latched = latched or (cleared and bool(operator))
         if told:
-            driven = True
+            cleared = True
             latched = bool(operator) or (latched and bool(vehicle))
-            authority.go_ahead()
+            authority.clear_to_drive()
 
 
 @pytest.mark.parametrize("trouble", ["", LOST])
 def test_going_ahead_says_whether_the_vehicle_can(trouble: str) -> None:
     authority = Authority()
     authority.step(trouble, "")
-    assert authority.go_ahead() is (trouble == "")
+    assert authority.clear_to_drive() is (trouble == "")

@@ -36,7 +36,7 @@ def test_trouble_with_the_connection_comes_first() -> None:
     assert scene.bridge.reading.note == f"waiting for it: {refused}"
     assert not scene.bridge.reading.healthy
     assert scene.bridge.log[-1] == f"waiting for it: {refused}"
-    scene.bridge.port.waits = False  # as of a port that another program has
+    scene.bridge.port.transient = False  # as of a port that another program has
     scene.tick()
     assert scene.bridge.reading.note == refused
 
@@ -104,7 +104,7 @@ def test_braking_ends_though_the_vehicle_seems_to_move(monkeypatch: pytest.Monke
 def test_the_vehicles_own_limits_hold_as_well(parameter: str, value: float) -> None:
     scene = Scene(parameters={parameter: value})
     scene.until(lambda: scene.bridge.link.parameters_done)
-    scene.bridge.go_ahead()
+    scene.bridge.clear_to_drive()
     scene.bridge.command = Command(MASS * 5.0, 5.0)
     scene.run(4.0)
     sent = scene.bridge.setpoints()
@@ -131,7 +131,7 @@ def test_who_has_it_is_in_the_log_when_it_changes() -> None:
     scene.rover.set_mode("GUIDED")
     scene.run(1.0)
     waits = scene.bridge.reading.note
-    scene.bridge.go_ahead()
+    scene.bridge.clear_to_drive()
     scene.run(0.2)
     told = [line for line in scene.bridge.log if not line.startswith("the vehicle says")]
     assert told == [
@@ -154,10 +154,10 @@ def test_a_silent_link_does_not_fill_the_log() -> None:
     assert len(scene.bridge.log) - before <= 2, scene.bridge.log[before:]
 
 
-def test_a_go_ahead_that_cannot_be_followed_is_told() -> None:
+def test_a_clearance_that_cannot_be_followed_is_logged() -> None:
     scene = Scene(hand_over=False)
     scene.run(4.0)
-    scene.bridge.go_ahead()
+    scene.bridge.clear_to_drive()
     assert scene.bridge.log[-1] == "told to drive, but cannot: mode MANUAL, not GUIDED"
 
 

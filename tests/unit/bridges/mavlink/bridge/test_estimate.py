@@ -117,8 +117,8 @@ def test_surprise_is_not_lag():
     driven = Driven(Pose(0.0, 0.0, 0.0, 0.0, 0.0))
     for _ in range(50):
         driven.tick(0.8, 0.5)
-        assert abs(driven.estimate.surprise.speed) < 0.02
-        assert abs(driven.estimate.surprise.yaw_rate) < 0.03
+        assert abs(driven.estimate.residual.speed) < 0.02
+        assert abs(driven.estimate.residual.yaw_rate) < 0.03
 
 
 def test_surprise_is_what_a_stuck_rover_lacks():
@@ -129,7 +129,7 @@ def test_surprise_is_what_a_stuck_rover_lacks():
         estimate.attitude(now - 60 * MS, 0.0, 0.0)
         estimate.pose_at(now)
         estimate.command(now, 0.5, 0.3)
-    assert estimate.surprise == pytest.approx((-0.5, -0.3), abs=0.03)
+    assert estimate.residual == pytest.approx((-0.5, -0.3), abs=0.03)
     assert estimate.pose_at(at(4.0)).pose.speed == pytest.approx(0.0, abs=0.03)
 
 

@@ -13,7 +13,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.bridge import preflight_checks
-from bridges.mavlink.bridge.preflight_checks import Found
+from bridges.mavlink.bridge.preflight_checks import BridgeState
 from plant.backend import Check
 from tests.rover_scene import Scene, heartbeat
 
@@ -29,7 +29,7 @@ class Looked:
         self.scene.run(seconds)
         self.link = self.scene.bridge.link
         self.section = self.scene.fleet.robot(1).mavlink or MavlinkSection()
-        self.found = Found(
+        self.found = BridgeState(
             self.scene.now_ns, "", "", 0.02, "", self.scene.bridge.reading.pose, (-3.0, 4.2), ""
         )
 
@@ -305,6 +305,6 @@ def test_who_else_is_there() -> None:
 def test_failsafes_that_it_does_not_tell_of_are_named() -> None:
     looked = Looked(parameters=SAFE)
     assert looked.line("parameters").level == "ok"
-    looked.link._audit.values["FS_EKF_ACTION"] = None
+    looked.link._parameters.values["FS_EKF_ACTION"] = None
     line = looked.line("parameters")
     assert (line.level, line.found) == ("warning", "FS_EKF_ACTION not told")

@@ -13,7 +13,7 @@ from tests.rover_scene import Scene
 
 @pytest.mark.parametrize(
     ("report", "found", "name"),
-    [(constants.EKF_STATUS_REPORT, "ekf", "EKF"), (constants.GPS_RAW_INT, "gps", "GPS")],
+    [(constants.MESSAGE_EKF_STATUS_REPORT, "ekf", "EKF"), (constants.MESSAGE_GPS_RAW_INT, "gps", "GPS")],
 )
 def test_a_report_that_comes_no_more_stops_it(report: int, found: str, name: str) -> None:
     scene = Scene()

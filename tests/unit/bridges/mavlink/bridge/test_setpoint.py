@@ -9,14 +9,14 @@ import pytest
 
 from agent.control.hand import Pose
 from bridges.mavlink.ardupilot.dynamics import Limits
-from bridges.mavlink.bridge.estimate import Surprise
+from bridges.mavlink.bridge.estimate import Residual
 from bridges.mavlink.bridge.setpoint import (
     DISAGREES_S,
     LEAD_SPEED_S,
     LEAD_YAW_S,
+    REPORT_DEAD_BAND,
     SPEED_BAND,
     STEP_MAX_S,
-    TOLD_WITHIN,
     YAW_RATE_BAND,
     Bounds,
     MotionCheck,
@@ -26,7 +26,7 @@ from plant.backend import Command
 
 MASS, INERTIA, DT = 20.0, 2.0, 0.04
 REST = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
-NONE = Surprise(0.0, 0.0)
+NONE = Residual(0.0, 0.0)
 
 
 def setpoint(bounds: Bounds = Bounds(), limits: Limits | None = None) -> Setpoint:  # noqa: B008
@@ -114,7 +114,7 @@ def test_a_stuck_rover_is_not_wound_up(sign: float):
     made = setpoint()
     speed = yaw_rate = 0.0
     for _ in range(250):
-        stuck = Surprise(-speed, -yaw_rate)
+        stuck = Residual(-speed, -yaw_rate)
         speed, yaw_rate = made.step(DT, Command(sign * MASS * 0.8, sign * INERTIA), REST, stuck)
         assert abs(speed) <= SPEED_BAND + 0.8 * (LEAD_SPEED_S + DT)
         assert abs(yaw_rate) <= YAW_RATE_BAND + 1.0 * (LEAD_YAW_S + DT)
@@ -131,7 +131,7 @@ def test_a_slow_rover_pulls_the_reference_down():
     speed, _ = push(made, 0.5, 0.0, 1.0)
     speed, _ = made.step(DT, Command(0.0, 0.0), moving(made), NONE)
     for _ in range(25):
-        speed, _ = made.step(DT, Command(0.0, 0.0), REST._replace(speed=speed - 0.3), Surprise(-0.3, 0.0))
+        speed, _ = made.step(DT, Command(0.0, 0.0), REST._replace(speed=speed - 0.3), Residual(-0.3, 0.0))
     assert speed == pytest.approx(0.5 - 0.2, abs=0.01)  # by what is beyond the dead band, in 1 s
 
 
@@ -140,7 +140,9 @@ def test_the_agent_is_told_of_a_rover_that_is_elsewhere():
     push(made, 0.5, 0.2, 1.0)
     reference = made.speed, made.yaw_rate
     made.step(DT, Command(0.0, 0.0), REST._replace(speed=0.3, yaw_rate=0.4), NONE)
-    assert (made.speed, made.yaw_rate) == pytest.approx((0.3 + TOLD_WITHIN[0], 0.4 - TOLD_WITHIN[1]))
+    assert (made.speed, made.yaw_rate) == pytest.approx(
+        (0.3 + REPORT_DEAD_BAND[0], 0.4 - REPORT_DEAD_BAND[1])
+    )
     made.step(DT, Command(0.0, 0.0), REST._replace(speed=0.47, yaw_rate=0.19), NONE)
     assert (made.speed, made.yaw_rate) == pytest.approx((reference[0] + 0.02, reference[1] + 0.008))
 
@@ -150,7 +152,7 @@ def test_phantom_speed_does_not_move_it():
     for k in range(250):
         phantom = 0.05 if k % 50 < 25 else -0.02
         asked = made.step(
-            DT, Command(0.0, 0.0), REST._replace(speed=phantom, yaw_rate=0.01), Surprise(phantom, 0.01)
+            DT, Command(0.0, 0.0), REST._replace(speed=phantom, yaw_rate=0.01), Residual(phantom, 0.01)
         )
         assert asked == (0.0, 0.0)
 
@@ -171,18 +173,18 @@ def test_a_rover_that_stands_is_told_to_stand():
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
-@pytest.mark.parametrize("where", ["force", "torque", "speed", "yaw_rate", "surprise"])
+@pytest.mark.parametrize("where", ["force", "torque", "speed", "yaw_rate", "residual"])
 def test_what_is_not_a_number_brakes(bad: float, where: str):
     made = setpoint()
     push(made, 0.5, 0.3, 1.0)
-    command, pose, surprise = Command(1.0, 1.0), moving(made), NONE
+    command, pose, residual = Command(1.0, 1.0), moving(made), NONE
     if where in ("force", "torque"):
         command = command._replace(**{where: bad})
-    elif where == "surprise":
-        surprise = Surprise(bad, 0.0)
+    elif where == "residual":
+        residual = Residual(bad, 0.0)
     else:
         pose = pose._replace(**{where: bad})
-    assert made.step(DT, command, pose, surprise) == (0.0, 0.0)
+    assert made.step(DT, command, pose, residual) == (0.0, 0.0)
     assert "not a number" in made.note
     assert all(abs(value) < 1.0 for value in (made.speed, made.yaw_rate, made.force, made.torque))
     made.step(DT, Command(1.0, 1.0), REST, NONE)
@@ -207,48 +209,48 @@ def test_a_step_that_comes_late_does_not_leap():
 
 
 def checked(
-    predicted: tuple[float, float], surprise: Surprise, seconds: float, *, driving: bool = True
+    predicted: tuple[float, float], residual: Residual, seconds: float, *, driving: bool = True
 ) -> str:
     check = MotionCheck()
-    return [check.step(DT, driving, predicted, surprise) for _ in range(round(seconds / DT))][-1]
+    return [check.step(DT, driving, predicted, residual) for _ in range(round(seconds / DT))][-1]
 
 
 def test_a_stuck_rover_is_told_of():
-    assert checked((0.5, 0.0), Surprise(-0.48, 0.0), DISAGREES_S - DT) == ""
-    note = checked((0.5, 0.0), Surprise(-0.48, 0.0), DISAGREES_S)
+    assert checked((0.5, 0.0), Residual(-0.48, 0.0), DISAGREES_S - DT) == ""
+    note = checked((0.5, 0.0), Residual(-0.48, 0.0), DISAGREES_S)
     assert note == "does not follow its commands: asked for 0.50 m/s, moves at 0.02 m/s"
-    assert checked((-0.5, 0.0), Surprise(0.48, 0.0), 4.0).endswith("asked for -0.50 m/s, moves at -0.02 m/s")
+    assert checked((-0.5, 0.0), Residual(0.48, 0.0), 4.0).endswith("asked for -0.50 m/s, moves at -0.02 m/s")
 
 
 def test_one_that_does_not_turn_is_told_of():
-    note = checked((0.3, 0.6), Surprise(0.0, -0.6), 4.0)
+    note = checked((0.3, 0.6), Residual(0.0, -0.6), 4.0)
     assert note == "does not follow its commands: asked for 0.60 rad/s, turns at 0.00 rad/s"
 
 
 def test_one_that_moves_unasked_is_told_of():
-    assert checked((0.0, 0.0), Surprise(0.4, 0.0), 4.0).endswith("asked for 0.00 m/s, moves at 0.40 m/s")
+    assert checked((0.0, 0.0), Residual(0.4, 0.0), 4.0).endswith("asked for 0.00 m/s, moves at 0.40 m/s")
 
 
 @pytest.mark.parametrize(
-    ("predicted", "surprise"),
+    ("predicted", "residual"),
     [
-        ((0.0, 0.0), Surprise(0.05, 0.01)),  # phantom speed
-        ((0.5, 0.3), Surprise(0.1, 0.1)),
-        ((1.0, 0.0), Surprise(-0.55, 0.0)),  # a slope, tall grass
-        ((0.1, 0.1), Surprise(-0.1, -0.1)),  # too slow to tell
+        ((0.0, 0.0), Residual(0.05, 0.01)),  # phantom speed
+        ((0.5, 0.3), Residual(0.1, 0.1)),
+        ((1.0, 0.0), Residual(-0.55, 0.0)),  # a slope, tall grass
+        ((0.1, 0.1), Residual(-0.1, -0.1)),  # too slow to tell
     ],
 )
-def test_what_is_ordinary_is_not(predicted: tuple[float, float], surprise: Surprise):
-    assert checked(predicted, surprise, 10.0) == ""
+def test_what_is_ordinary_is_not(predicted: tuple[float, float], residual: Residual):
+    assert checked(predicted, residual, 10.0) == ""
 
 
 def test_one_that_others_drive_is_not_checked():
-    assert checked((0.0, 0.0), Surprise(1.0, 0.0), 10.0, driving=False) == ""
+    assert checked((0.0, 0.0), Residual(1.0, 0.0), 10.0, driving=False) == ""
 
 
 def test_told_until_it_follows_again():
     check = MotionCheck()
-    stuck, free = Surprise(-0.5, 0.0), NONE
+    stuck, free = Residual(-0.5, 0.0), NONE
     for _ in range(round(DISAGREES_S / DT)):
         check.step(DT, True, (0.5, 0.0), stuck)
     assert check.step(DT, True, (0.5, 0.0), free)

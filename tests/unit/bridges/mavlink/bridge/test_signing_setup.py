@@ -15,7 +15,7 @@ from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.bridge.signing_setup import (
     CONFIRM_NS,
-    GIVEN_MOST,
+    GIVE_MAX,
     PERIOD_NS,
     VEHICLE_NS,
     Outcome,
@@ -200,7 +200,7 @@ def test_one_that_does_not_sign_is_told(bench: MakeBench) -> None:
     outcome = made.run(made.world.to_rover.clear)
     assert not outcome.done
     assert outcome.text.startswith("it was given the key and does not sign with it: ")
-    assert len(made.given) == GIVEN_MOST
+    assert len(made.given) == GIVE_MAX
     assert made.time < 4.0 + CONFIRM_NS / NS_PER_S
 
 

@@ -41,7 +41,7 @@ class Speaker:
         return pack
 
     def alive(
-        self, mode: int = constants.GUIDED, armed: bool = True, kind: int = 10, autopilot: int = 3
+        self, mode: int = constants.MODE_GUIDED, armed: bool = True, kind: int = 10, autopilot: int = 3
     ) -> bytes:
         return self.heartbeat(kind, autopilot, 1 | (128 if armed else 0), mode, 4, 3)
 
@@ -99,8 +99,8 @@ def test_the_first_autopilot_is_the_vehicle_and_nobody_else() -> None:
     assert link.system is None
     assert link.absence(T0) == "no heartbeat of a vehicle yet"
     link.receive(T0, Speaker(3).alive())
-    link.receive(T0, Speaker(4).alive(mode=constants.HOLD))
-    assert (link.system, link.mode, link.armed) == (3, constants.GUIDED, True)
+    link.receive(T0, Speaker(4).alive(mode=constants.MODE_HOLD))
+    assert (link.system, link.mode, link.armed) == (3, constants.MODE_GUIDED, True)
     assert link.absence(T0) == ""
     assert link.strangers == {4: constants.TYPE_GROUND_ROVER}
 
@@ -141,7 +141,7 @@ def test_only_a_rover_of_ardupilot_is_driven(kind: int, autopilot: int, problem:
     assert link.problem == problem
     assert bool(link.setpoint(0.1, 0.0)) is not bool(problem)
     link.command_arm(True)
-    link.command_mode(constants.GUIDED)
+    link.command_mode(constants.MODE_GUIDED)
     sent = link.tick(T0)
     for command in (constants.CMD_COMPONENT_ARM_DISARM, constants.CMD_DO_SET_MODE):
         assert bool(requests(sent, command)) is not bool(problem)
@@ -154,10 +154,10 @@ def test_what_others_say_changes_nothing(sender: tuple[int, int]) -> None:
     other = Speaker(*sender)
     link.receive(T0, other.position(1000) + other.yaw(1000) + other.gps_global_origin(47 * 10**7, 8, 0))
     link.receive(T0, other.ekf_status_report(831, 0, 0, 0, 0, 0) + other.statustext(2, b"PreArm: no"))
-    link.receive(T0, other.heartbeat(18, 8, 0, constants.HOLD, 4, 3))
+    link.receive(T0, other.heartbeat(18, 8, 0, constants.MODE_HOLD, 4, 3))
     assert [*link.take_positions(), *link.take_attitudes(), *link.take_texts()] == []
     assert link.origin is link.ekf is None
-    assert (link.mode, link.armed) == (constants.GUIDED, True)
+    assert (link.mode, link.armed) == (constants.MODE_GUIDED, True)
 
 
 @pytest.mark.parametrize(
@@ -245,7 +245,7 @@ def test_message_rates_are_asked_for_one_after_the_other_and_lowered_when_denied
         for message in requests(link.tick(now_ns), constants.CMD_SET_MESSAGE_INTERVAL):
             asked.append((round(message.param1), round(message.param2)))
             assert (message.target_system, message.target_component) == (3, 1)
-            denied = message.param1 == constants.ATTITUDE and message.param2 < 50_000
+            denied = message.param1 == constants.MESSAGE_ATTITUDE and message.param2 < 50_000
             result = constants.RESULT_DENIED if denied else constants.RESULT_ACCEPTED
             link.receive(now_ns + 20 * MS, rover.command_ack(511, result, 0, 0, 3, 191))
         now_ns += TICK_NS
@@ -343,14 +343,14 @@ def test_a_request_that_the_link_was_lost_over_is_made_at_once_when_it_is_back()
     later_ns = T0 + 10 * NS_PER_S
     link.tick(later_ns)
     link.receive(later_ns, rover.alive())
-    assert [m.param1 for m in requests(link.tick(later_ns), 511)] == [constants.ATTITUDE]
+    assert [m.param1 for m in requests(link.tick(later_ns), 511)] == [constants.MESSAGE_ATTITUDE]
 
 
-@pytest.mark.parametrize(("mode", "armed"), [(constants.HOLD, False), (constants.GUIDED, True)])
+@pytest.mark.parametrize(("mode", "armed"), [(constants.MODE_HOLD, False), (constants.MODE_GUIDED, True)])
 def test_an_order_is_not_repeated_after_the_operator_acted(mode: int, armed: bool) -> None:
     link, rover = joined()
-    link.receive(T0, rover.alive(constants.MANUAL, armed=False))
-    link.command_mode(constants.GUIDED)
+    link.receive(T0, rover.alive(constants.MODE_MANUAL, armed=False))
+    link.command_mode(constants.MODE_GUIDED)
     link.command_arm(True)
     sent = link.tick(T0)
     assert [(m.param1, m.param2) for m in requests(sent, 176)] == [(1.0, 15.0)]
@@ -509,14 +509,14 @@ def test_messages_of_no_use_are_skipped_unread() -> None:
     link, rover = joined()
     useless = bytearray(rover.vfr_hud(0, 0, 0, 0, 0, 0))
     useless[-1] ^= 1
-    link.receive(T0, bytes(useless) + rover.alive(constants.HOLD))
-    assert link.mode == constants.HOLD
+    link.receive(T0, bytes(useless) + rover.alive(constants.MODE_HOLD))
+    assert link.mode == constants.MODE_HOLD
     assert not link.counts
     broken = bytearray(rover.alive())
     broken[-1] ^= 1
     link.receive(T0, bytes(broken))
     assert link.counts == {"bad data": 1}
-    assert link.mode == constants.HOLD
+    assert link.mode == constants.MODE_HOLD
 
 
 # Beginning anew.
@@ -556,10 +556,10 @@ def test_after_a_reboot_nothing_is_believed_and_all_is_asked_again(by: str) -> N
     assert [s.stamp_ms for s in link.take_positions()] == ([1500] if by == "stamp" else [])
     assert link.take_attitudes() == []
     assert link.system == 3
-    link.receive(now_ns, rover.alive(constants.HOLD, armed=False))
+    link.receive(now_ns, rover.alive(constants.MODE_HOLD, armed=False))
     sent = link.tick(now_ns)
     assert requests(sent, 511)
-    assert link.mode == constants.HOLD
+    assert link.mode == constants.MODE_HOLD
     link.receive(now_ns + TICK_NS, rover.position(1540))
     assert link.epoch == epoch + 1
 
@@ -576,7 +576,7 @@ def test_after_a_reboot_the_parameters_are_read_again() -> None:
 def test_a_message_that_is_merely_late_is_no_reboot() -> None:
     link, rover = known()
     link.receive(T0 + NS_PER_S, rover.position(59_500))
-    assert (link.epoch, link.mode) == (0, constants.GUIDED)
+    assert (link.epoch, link.mode) == (0, constants.MODE_GUIDED)
 
 
 def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> None:
@@ -590,8 +590,8 @@ def test_after_the_connection_was_opened_again_the_vehicle_may_be_another() -> N
     assert link.setpoint(0.1, 0.0) == b""
     assert error_ns(link.clock) is None
     assert not requests(link.tick(T0 + NS_PER_S), 511)
-    link.receive(T0 + NS_PER_S, Speaker(5).alive(constants.HOLD))
-    assert (link.system, link.mode) == (5, constants.HOLD)
+    link.receive(T0 + NS_PER_S, Speaker(5).alive(constants.MODE_HOLD))
+    assert (link.system, link.mode) == (5, constants.MODE_HOLD)
     sent = link.tick(T0 + NS_PER_S)
     assert requests(sent, 511)
     assert {m.get_srcSystem() for m in read(sent)} == {5}

@@ -96,7 +96,7 @@ def test_from_switching_on_to_driving() -> None:
     wire = Wire(link(system=3), rover)
     took = wire.run(60.0, lambda: wire.link.armed)
     assert 35.0 < took < 45.0
-    assert wire.link.mode == constants.GUIDED
+    assert wire.link.mode == constants.MODE_GUIDED
     assert wire.link.origin == HOME == rover.origin
     assert wire.link.origin_ours
     assert wire.link.prearm_ok is not None
@@ -181,7 +181,7 @@ def test_a_reboot_is_noticed_and_the_rates_are_asked_for_again() -> None:
     assert not wire.link.armed
     wire.run(8.0)
     assert wire.link.epoch == 1
-    assert wire.link.mode != constants.GUIDED
+    assert wire.link.mode != constants.MODE_GUIDED
     assert wire.rates()["ATTITUDE"] == pytest.approx(25.0, rel=0.03)
     assert wire.run(60.0, lambda: wire.link.origin is not None) < 60.0
 
@@ -205,9 +205,9 @@ def test_mode_and_arming_are_asked_for_and_answered() -> None:
     wire = Wire(link(), rover)
     wire.run(5.0)
     assert not rover.armed
-    wire.link.command_mode(constants.GUIDED)
+    wire.link.command_mode(constants.MODE_GUIDED)
     wire.run(1.0)
-    assert (wire.link.mode, rover.mode) == (constants.GUIDED, "GUIDED")
+    assert (wire.link.mode, rover.mode) == (constants.MODE_GUIDED, "GUIDED")
     wire.link.command_arm(True)
     wire.run(1.0)
     assert wire.link.armed

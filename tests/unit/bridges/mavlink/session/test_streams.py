@@ -6,8 +6,8 @@ from agent.common.time import NS_PER_S
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.session.streams import Streams, Wanted, wanted_messages
 
-ATTITUDE = Wanted(constants.ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
-GPS = Wanted(constants.GPS_RAW_INT, "GPS_RAW_INT", (1.0,))
+ATTITUDE = Wanted(constants.MESSAGE_ATTITUDE, "ATTITUDE", (25.0, 20.0, 12.5))
+GPS = Wanted(constants.MESSAGE_GPS_RAW_INT, "GPS_RAW_INT", (1.0,))
 
 
 def feed(streams: Streams, message: int, since_ns: int, until_ns: int, rate_hz: float) -> None:
@@ -18,10 +18,10 @@ def feed(streams: Streams, message: int, since_ns: int, until_ns: int, rate_hz: 
 
 def test_one_request_at_a_time_in_whole_microseconds() -> None:
     streams = Streams((ATTITUDE, GPS))
-    assert streams.ask(0) == (constants.ATTITUDE, 40_000)
+    assert streams.ask(0) == (constants.MESSAGE_ATTITUDE, 40_000)
     assert streams.ask(0) is None
     streams.answered(5, constants.RESULT_ACCEPTED)
-    assert streams.ask(5) == (constants.GPS_RAW_INT, 1_000_000)
+    assert streams.ask(5) == (constants.MESSAGE_GPS_RAW_INT, 1_000_000)
     streams.answered(9, constants.RESULT_ACCEPTED)
     assert streams.ask(9) is None
 
@@ -69,7 +69,7 @@ def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
     streams = Streams((ATTITUDE,))
     assert streams.ask(0)
     streams.answered(0, constants.RESULT_ACCEPTED)
-    feed(streams, constants.ATTITUDE, 0, 10 * NS_PER_S, 25.0)
+    feed(streams, constants.MESSAGE_ATTITUDE, 0, 10 * NS_PER_S, 25.0)
     assert streams.ask(10 * NS_PER_S) is None
     row = streams.rows(10 * NS_PER_S)[0]
     assert abs(row.measured_hz - 25.0) < 0.5
@@ -77,10 +77,10 @@ def test_a_rate_that_is_kept_is_left_alone_and_measured() -> None:
 
 def test_what_came_before_it_was_granted_does_not_count() -> None:
     streams = Streams((ATTITUDE,))
-    feed(streams, constants.ATTITUDE, 0, 3 * NS_PER_S, 1.0)
+    feed(streams, constants.MESSAGE_ATTITUDE, 0, 3 * NS_PER_S, 1.0)
     assert streams.ask(3 * NS_PER_S)
     streams.answered(3 * NS_PER_S, constants.RESULT_ACCEPTED)
-    feed(streams, constants.ATTITUDE, 3 * NS_PER_S, 4 * NS_PER_S, 25.0)
+    feed(streams, constants.MESSAGE_ATTITUDE, 3 * NS_PER_S, 4 * NS_PER_S, 25.0)
     assert abs(streams.rows(4 * NS_PER_S)[0].measured_hz - 25.0) < 0.5
 
 
@@ -91,7 +91,7 @@ def test_less_than_seven_tenths_for_three_seconds_is_asked_again_ever_more_rarel
     asked, now_ns = [], 0
     while now_ns < 60 * NS_PER_S:
         now_ns += NS_PER_S // 10
-        streams.heard(constants.ATTITUDE, now_ns)
+        streams.heard(constants.MESSAGE_ATTITUDE, now_ns)
         if streams.ask(now_ns) is not None:
             asked.append(round(now_ns / NS_PER_S))
             streams.answered(now_ns, constants.RESULT_ACCEPTED)
@@ -104,9 +104,9 @@ def test_a_slow_message_is_judged_over_five_of_them() -> None:
     streams = Streams((GPS,))
     assert streams.ask(0)
     streams.answered(0, constants.RESULT_ACCEPTED)
-    feed(streams, constants.GPS_RAW_INT, 0, 4 * NS_PER_S, 0.5)
+    feed(streams, constants.MESSAGE_GPS_RAW_INT, 0, 4 * NS_PER_S, 0.5)
     assert streams.ask(4 * NS_PER_S) is None
-    feed(streams, constants.GPS_RAW_INT, 4 * NS_PER_S, 6 * NS_PER_S, 0.5)
+    feed(streams, constants.MESSAGE_GPS_RAW_INT, 4 * NS_PER_S, 6 * NS_PER_S, 0.5)
     assert streams.ask(6 * NS_PER_S) is not None
 
 
@@ -115,10 +115,10 @@ def test_a_restart_begins_anew_at_the_first_rate() -> None:
     for result in (constants.RESULT_DENIED, constants.RESULT_ACCEPTED):
         streams.ask(0)
         streams.answered(0, result)
-    feed(streams, constants.ATTITUDE, 0, 3 * NS_PER_S, 20.0)
+    feed(streams, constants.MESSAGE_ATTITUDE, 0, 3 * NS_PER_S, 20.0)
     streams.restart()
     assert streams.rows(3 * NS_PER_S)[0].measured_hz == 0.0
-    assert streams.ask(3 * NS_PER_S) == (constants.ATTITUDE, 40_000)
+    assert streams.ask(3 * NS_PER_S) == (constants.MESSAGE_ATTITUDE, 40_000)
 
 
 def test_a_withdrawn_request_is_made_again() -> None:

@@ -62,7 +62,7 @@ def test_a_value_that_cannot_be_is_answered_with_the_one_that_is() -> None:
 
 def test_the_list_of_parameters_is_whole_and_slows_the_streams() -> None:
     bench = Bench(boot="warm")
-    assert bench.interval(constants.ATTITUDE, 25.0) == ACCEPTED
+    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0) == ACCEPTED
     bench.run(0.2)
     bench.send(mavlink.MAVLink_param_request_list_message(1, 1))
     since = bench.time

@@ -231,7 +231,7 @@ def test_delay_in_truth_and_as_seen() -> None:
     truths, seens = [], []
     for seed in range(12):
         bench = ready(seed=seed)
-        assert bench.interval(constants.ATTITUDE, 25.0) == ACCEPTED
+        assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0) == ACCEPTED
         bench.run(0.4 + 0.007 * seed)
         truth, seen = response(bench)
         truths.append(truth)

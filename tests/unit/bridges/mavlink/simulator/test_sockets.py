@@ -21,7 +21,7 @@ from bridges.mavlink.simulator.sockets import (
     UdpLine,
     open_lines,
     parse_endpoint,
-    with_something,
+    readable,
 )
 
 HOST = "127.0.0.1"
@@ -170,7 +170,7 @@ def test_only_lines_with_something_are_named(listening: UdpLine, peers: list[soc
     try:
         peers[0].send(b"x")
         came(listening.watched())
-        assert with_something([other, listening]) == [(1, listening)]
+        assert readable([other, listening]) == [(1, listening)]
     finally:
         other.close()
 

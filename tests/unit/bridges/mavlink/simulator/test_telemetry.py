@@ -30,7 +30,7 @@ def test_at_first_everything_comes_once_a_second() -> None:
 )
 def test_forty_a_second_are_granted_and_no_more(rate: float, result: int) -> None:
     bench = Bench(boot="warm")
-    assert bench.interval(constants.LOCAL_POSITION_NED, rate) == result
+    assert bench.interval(constants.MESSAGE_LOCAL_POSITION_NED, rate) == result
     since = bench.time
     bench.run(10.0)
     expected = rate if result == ACCEPTED else 1.0
@@ -39,12 +39,12 @@ def test_forty_a_second_are_granted_and_no_more(rate: float, result: int) -> Non
 
 def test_the_ceiling_follows_the_loop_rate() -> None:
     bench = Bench(boot="warm", parameters={"SCHED_LOOP_RATE": 25})
-    assert bench.interval(constants.ATTITUDE, 25.0) == DENIED
-    assert bench.interval(constants.ATTITUDE, 20.0) == ACCEPTED
+    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0) == DENIED
+    assert bench.interval(constants.MESSAGE_ATTITUDE, 20.0) == ACCEPTED
 
 
 def gaps(bench: Bench, rate: float) -> list[float]:
-    assert bench.interval(constants.ATTITUDE, rate) == ACCEPTED
+    assert bench.interval(constants.MESSAGE_ATTITUDE, rate) == ACCEPTED
     bench.run(0.2)
     since = bench.time
     bench.run(60.0)
@@ -64,7 +64,7 @@ def test_25_hz_is_steady_and_40_hz_alternates() -> None:
 
 def test_intervals_belong_to_a_port_and_end_with_a_reboot() -> None:
     bench = Bench(boot="warm", ports=2, boot_s=4.0)
-    assert bench.interval(constants.ATTITUDE, 25.0, port=1) == ACCEPTED
+    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0, port=1) == ACCEPTED
     bench.run(4.0)
     assert len(bench.of("ATTITUDE", port=0)) < 8
     assert len(bench.of("ATTITUDE", port=1)) > 80
@@ -77,11 +77,13 @@ def test_intervals_belong_to_a_port_and_end_with_a_reboot() -> None:
 
 def test_an_interval_can_be_asked_for_ended_and_brought_back() -> None:
     bench = Bench(boot="warm")
-    assert bench.interval(constants.ATTITUDE, 25.0) == ACCEPTED
-    assert bench.command(constants.CMD_GET_MESSAGE_INTERVAL, constants.ATTITUDE) == ACCEPTED
+    assert bench.interval(constants.MESSAGE_ATTITUDE, 25.0) == ACCEPTED
+    assert bench.command(constants.CMD_GET_MESSAGE_INTERVAL, constants.MESSAGE_ATTITUDE) == ACCEPTED
     assert bench.last("MESSAGE_INTERVAL").interval_us == 40_000
     for asked, count in ((-1, 0), (0, 5)):
-        assert bench.command(constants.CMD_SET_MESSAGE_INTERVAL, constants.ATTITUDE, asked) == ACCEPTED
+        assert (
+            bench.command(constants.CMD_SET_MESSAGE_INTERVAL, constants.MESSAGE_ATTITUDE, asked) == ACCEPTED
+        )
         since = bench.time
         bench.run(5.0)
         assert len(bench.of("ATTITUDE", since)) == pytest.approx(count, abs=1)
@@ -110,7 +112,7 @@ def test_a_change_of_mode_is_said_at_once() -> None:
     since = bench.time
     bench.rover.set_mode("HOLD")
     bench.run(0.03)
-    assert [m.custom_mode for m in bench.of("HEARTBEAT", since)][-1] == constants.HOLD
+    assert [m.custom_mode for m in bench.of("HEARTBEAT", since)][-1] == constants.MODE_HOLD
 
 
 def test_a_change_of_arming_waits_for_the_next_heartbeat() -> None:
@@ -226,7 +228,7 @@ def test_before_its_ekf_runs_an_origin_is_lost() -> None:
     bench.send(origin_message(Geodetic(47.4, 8.5)))
     bench.run(5.0)
     assert bench.rover.origin is None
-    assert bench.command(constants.CMD_REQUEST_MESSAGE, constants.GPS_GLOBAL_ORIGIN) == ACCEPTED
+    assert bench.command(constants.CMD_REQUEST_MESSAGE, constants.MESSAGE_GPS_GLOBAL_ORIGIN) == ACCEPTED
     assert bench.of("GPS_GLOBAL_ORIGIN") == bench.of("LOCAL_POSITION_NED") == []
 
 
@@ -245,7 +247,7 @@ def test_a_lagging_gps_puts_it_behind() -> None:
     bench.run(15.0, lambda: bench.drive(1.0))
     origin = bench.rover.origin
     assert origin is not None
-    assert bench.interval(constants.LOCAL_POSITION_NED, 25.0) == ACCEPTED
+    assert bench.interval(constants.MESSAGE_LOCAL_POSITION_NED, 25.0) == ACCEPTED
     behind = []
     for _ in range(100):
         bench.run(0.02, lambda: bench.drive(1.0))

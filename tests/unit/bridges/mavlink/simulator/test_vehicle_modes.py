@@ -43,14 +43,14 @@ def test_arming_by_force_before_it_is_ready_ends_the_autopilot() -> None:
 def test_modes_by_command_and_by_message() -> None:
     bench = Bench(boot="warm")
     flag = constants.FLAG_CUSTOM_MODE
-    assert bench.command(constants.CMD_DO_SET_MODE, flag, constants.GUIDED) == ACCEPTED
+    assert bench.command(constants.CMD_DO_SET_MODE, flag, constants.MODE_GUIDED) == ACCEPTED
     assert bench.rover.mode == "GUIDED"
-    bench.send(mavlink.MAVLink_set_mode_message(1, flag, constants.HOLD))
+    bench.send(mavlink.MAVLink_set_mode_message(1, flag, constants.MODE_HOLD))
     bench.run(0.05)
     assert bench.rover.mode == "HOLD"
     assert bench.last("COMMAND_ACK").command == 11
     assert bench.command(constants.CMD_DO_SET_MODE, flag, 42) == FAILED
-    assert bench.command(constants.CMD_DO_SET_MODE, 0, constants.GUIDED) == DENIED
+    assert bench.command(constants.CMD_DO_SET_MODE, 0, constants.MODE_GUIDED) == DENIED
     assert bench.rover.mode == "HOLD"
 
 
@@ -58,7 +58,7 @@ def test_an_armed_rover_without_a_position_refuses_guided() -> None:
     bench = Bench(parameters={"ARMING_CHECK": 0})
     bench.run(10.0)
     assert bench.rover.arm()
-    assert bench.command(constants.CMD_DO_SET_MODE, 1, constants.GUIDED) == FAILED
+    assert bench.command(constants.CMD_DO_SET_MODE, 1, constants.MODE_GUIDED) == FAILED
     assert bench.texts()[-1] == "Flight mode change failed"
     assert bench.rover.mode == "MANUAL"
 

@@ -140,7 +140,7 @@ def test_nobody_there_is_told_and_tried_again(opened: Callable[[str], Transport]
     transport = opened(f"tcp:{LOCALHOST}:{port}")
     until(lambda: "cannot open" in transport.trouble)
     assert transport.trouble == f"cannot open tcp:{LOCALHOST}:{port}: connection refused"
-    assert transport.waits, "a simulator that is started later is found"
+    assert transport.transient, "a simulator that is started later is found"
     transport.send(b"lost")
     assert transport.dropped == 1
     with socket.create_server((LOCALHOST, port)) as server:
@@ -341,7 +341,7 @@ def test_a_udp_port_of_another_program_is_told(
     transport = opened(f"udpin:{LOCALHOST}:{port}")
     until(lambda: "cannot open" in transport.trouble)
     assert transport.trouble.endswith(f"port {port} is in use by another program")
-    assert not transport.waits
+    assert not transport.transient
     vehicle.close()
     until(lambda: transport.epoch)
     assert transport.trouble == ""
@@ -390,7 +390,7 @@ def test_a_serial_device_that_cannot_be_opened_is_told(
     missing = opened(str(tmp_path / "none"))
     until(lambda: "cannot open" in missing.trouble)
     assert missing.trouble.endswith("there is no such device: is it plugged in?")
-    assert missing.waits
+    assert missing.transient
 
 
 def test_why_a_serial_device_cannot_be_opened() -> None:
@@ -429,7 +429,7 @@ def test_two_bridges_cannot_use_one_connection(
     second = opened(f"tcp:localhost:{port}")
     until(lambda: "cannot open" in second.trouble)
     assert second.trouble.endswith(f"another handfast program uses it (process {os.getpid()})")
-    assert not second.waits
+    assert not second.transient
     first.close()
     until(lambda: second.epoch)
     assert second.trouble == ""
