@@ -1,1 +1,1 @@
-"""Bodies of robots: the contract of a plant, the simulated unicycle, and the process that hosts a plant."""
+"""Bodies of robots: the contract of a plant, the simulated unicycle, the process that hosts a plant."""

@@ -1,7 +1,7 @@
 """``python -m plant --fleet FILE --robot ID``: a simulated body as a process.
 
-It stands where the fleet file has it start; with ``--pose=X,Y,HEADING`` (m, m, W; rad, counter-clockwise from
-x) there; with ``--pose-file FILE`` where that says it stood last. So a process that starts again finds its
+It starts where the fleet file has it start; with ``--pose=X,Y,HEADING`` (m, m, W; rad, counter-clockwise from
+x) there; with ``--pose-file FILE`` where that file has it last, so that a process that starts again finds its
 body where it was.
 """
 
@@ -24,7 +24,7 @@ from plant.unicycle import from_fleet
 
 
 def place(text: str) -> Place:
-    """What ``--pose`` says.
+    """Reads the value of ``--pose``: x, y (m, W), heading (rad, counter-clockwise from x).
 
     Raises:
         argparse.ArgumentTypeError: it is not three finite numbers.
@@ -41,7 +41,11 @@ def place(text: str) -> Place:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the process; returns its exit status."""
+    """Runs the process; returns its exit status.
+
+    Args:
+        argv: the command line after the program's name; None: that of this process.
+    """
     parser = argparse.ArgumentParser(prog="python -m plant", add_help=False, allow_abbrev=False)
     parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
     parser.add_argument("--pose-file", type=Path, metavar="FILE")

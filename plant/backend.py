@@ -1,4 +1,4 @@
-"""The contract of a plant: one body, simulated or real, behind one method."""
+"""The contract of a plant: one body, simulated or real, that is stepped at a fixed rate."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ class Command(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What a plant knows of its body.
+    """The state of a body at one instant.
 
-    `time_ns` (wall clock) is when `pose` was true, not when it was read. `force` (N) and `torque`
-    (N m) act on the body from then on. `healthy` is False when the pose must not be used; `obeying` is
-    False when it may, but commands do not reach the body, because its operator has it. `note` says why.
-    The pose of a simulated body is exact: `plant.measurement` adds what its sensors get wrong.
+    The pose of a simulated body is exact: `plant.measurement` adds the errors of its sensors.
+
+    Attributes:
+        time_ns: when `pose` was true, not when it was read; ns of the wall clock.
+        pose: position (m), heading (rad), in W; speed along the heading (m/s), yaw rate (rad/s).
+        force, torque: N, N m, along the heading and about the axis up: act on the body from then on.
+        healthy: False when the pose must not be used.
+        note: why it is not healthy or not obeying; "" when it is both.
+        obeying: False when the pose may be used, but commands do not reach the body: its operator has it.
     """
 
     time_ns: int
@@ -38,9 +43,13 @@ WAITING: Final = "waiting for "
 
 
 class Check(NamedTuple):
-    """One thing to know of a body before it drives: a line of `agent.messages.types.Checks`.
+    """The result of one check of a body before it drives: a line of `agent.messages.types.Checks`.
 
-    `level` is one of `agent.messages.types.LEVELS`; `advice` says what to do, "" when there is nothing to do.
+    Attributes:
+        name: of what was checked.
+        level: one of `agent.messages.types.LEVELS`.
+        found: what was found, for people.
+        advice: what to do about it; "" when there is nothing to do.
     """
 
     name: str
@@ -53,23 +62,31 @@ class PlantBackend(Protocol):
     """A body. `PlantNode` calls `step` at a fixed rate and decides what is asked of the body."""
 
     def step(self, now_ns: int, command: Command | None) -> Reading:
-        """Brings the body to `now_ns`, then gives it `command`; None means: brake, and stay stopped.
+        """Brings the body to `now_ns`, then gives it `command`; returns its state there.
 
         Never blocks and never raises: what fails makes the reading unhealthy.
+
+        Args:
+            now_ns: the present, ns of the wall clock.
+            command: acts from now on; None: brake, and stay stopped.
         """
         ...
 
     def close(self) -> None:
-        """Lets go of the body, which is left braking."""
+        """Releases the body, which goes on braking."""
         ...
 
     def clear_to_drive(self) -> None:
-        """The fleet was told to drive: by a new mission, or by leave to resume.
+        """Takes the fleet's clearance to drive: a new mission, or a resume.
 
         A body that its operator has taken away and given back obeys again only after this.
         """
         return None
 
     def checks(self, now_ns: int) -> Sequence[Check]:
-        """What is to be said of the body before a drive; nothing of a simulated one."""
+        """The checks of the body before a drive; none of a simulated one.
+
+        Args:
+            now_ns: the present, ns of the wall clock.
+        """
         return ()

@@ -1,4 +1,4 @@
-"""What a plant's sensors tell of its body: noise, and the sensor faults of the rules (PURE)."""
+"""Simulates the sensors of a body: their noise, and the sensor faults of the rules (PURE)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ _NONE: Final = SensorFaults()
 
 
 class Measurement:
-    """The sensors of one robot.
+    """The sensors of one robot: measured = pose + bias + noise, and now and then a jump or nothing.
 
-    Errors are added to whatever its backend says. Noise of the body and of a fault are independent: their
-    variances add. Each quantity's draw is a function of the seed, the robot and the sequence number of the
-    plant's state.
+    Noise is normal. That of the body and that of a fault are independent: their variances add. Each draw is a
+    function of the seed, the robot, the quantity and the sequence number of the plant's state.
 
     Args:
         seed: of every draw.
-        body: with its own noise.
+        body: with its own noise: m, rad, m/s, rad/s.
         plan: the rules; they may change.
     """
 
@@ -48,7 +47,7 @@ class Measurement:
 
     @property
     def exact(self) -> bool:
-        """True while nothing can make a measurement differ from the pose; no rule, at whatever time."""
+        """Whether no measurement differs from the pose: no noise, and no sensor rule at any time."""
         if self._changes != self._plan.changes:
             self._changes = self._plan.changes
             rules = self._plan.rules()
@@ -59,11 +58,12 @@ class Measurement:
         return not (self._ruled or any(self._noise))
 
     def measured(self, pose: Pose, time_ns: int, sequence: int) -> Pose | None:
-        """The pose (W) that is told, None for a dropout.
+        """The pose (W) as measured, None for a dropout.
 
         Args:
-            pose: at `time_ns`, as the backend has it.
-            sequence: number of the plant's state that will tell it.
+            pose: the true one (W) at `time_ns`, as the backend has it.
+            time_ns: ns of the wall clock: which rules hold.
+            sequence: number of the plant's state that will carry it.
         """
         if self.exact:
             return pose

@@ -1,6 +1,6 @@
-"""A plant on the bus, without clock, socket or thread of its own: the watchdog between agent and body.
+"""Hosts a body on the bus, sans-IO: takes wrenches, publishes states, and is the watchdog in between (PURE).
 
-Pure. The plant obeys a fresh wrench and brakes in any other case.
+The body obeys a fresh wrench and brakes in any other case.
 """
 
 from __future__ import annotations
@@ -46,7 +46,11 @@ _WRENCH: Final = TOPICS.index("wrench")
 
 
 class PlantNode:
-    """Hosts `backend` as the plant of robot `robot`; an `agent.node.Node`.
+    """The plant of robot `robot`, whose body is `backend`; an `agent.node.Node`.
+
+    Attributes:
+        rejected: messages that were refused, by reason.
+        overruns: ticks that were missed.
 
     Raises:
         agent.fleet.model.FleetError: the fleet has no such robot.
@@ -103,28 +107,31 @@ class PlantNode:
 
     @property
     def condition(self) -> tuple[str, str]:
+        """What it does, driving or braking, and why it brakes."""
         return self._condition
 
     @property
     def done(self) -> bool:
+        """Whether the process may end: it was asked to, and the body is at rest or is its operator's."""
         return self._ending and (self._at_rest or not self._obeying)
 
     def leave(self) -> None:
-        """The process is about to end: brakes, whatever the agent says."""
+        """Brakes from now on, whatever the agent says: the process is about to end."""
         self._ending = True
 
     def present(self, key: str, here: bool) -> None:
-        """It watches nobody: silence of its agent is what it goes by."""
+        """Nothing: it watches nobody's presence, and goes by the age of the last wrench."""
 
     def timed(self, duration_ns: int, missed: int) -> None:
+        """Counts the `missed` ticks before one that took `duration_ns`."""
         self.overruns += missed
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
-        """Takes a wrench; anything else, and one that is older than the last, is counted and ignored.
+        """Takes a message: a wrench of its agent, a mission, a stop, a resume, live faults.
 
-        A stop makes it brake until leave to drive again. The mission and live faults are taken too: they say
-        which faults hold on the way from the agent. A mission of another drive, and leave to drive again,
-        also let a body obey again that its operator has given back.
+        A stop makes it brake until a resume. The mission and live faults say which faults hold on the way
+        from the agent. A mission of another drive, and a resume, also let a body obey again that its operator
+        has given back. A message that is malformed, not for it or older than the last is counted and ignored.
         """
         try:
             message = decode(payload)
@@ -153,6 +160,7 @@ class PlantNode:
             self.rejected[reason] += 1
 
     def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
+        """Takes a wrench; returns why it is refused, None when it is not."""
         if wrench.time_ns > now_ns + FUTURE_NS_MAX:
             return "future"
         if self._wrench is not None and wrench.time_ns <= self._wrench.time_ns:
@@ -161,11 +169,12 @@ class PlantNode:
         return None
 
     def _accept_mission(self, mission: Mission) -> str | None:
+        """Takes a mission; returns why it is refused, None when it is not."""
         if mission.digest != self._digest:
             return "digest"
         if mission.version > self._mission_version:
             self._mission_version = mission.version
-            # A change of a drive that goes on is no leave for a body that its operator has taken meanwhile.
+            # A change of a drive that goes on is no clearance for a body that its operator has taken.
             if mission.epoch_ns != self._epoch_ns:
                 self._epoch_ns = mission.epoch_ns
                 self._numbers.begin(mission.epoch_ns)
@@ -187,6 +196,7 @@ class PlantNode:
                     self.rejected[reason] += 1
 
     def _command(self, now_ns: int) -> Command | None:
+        """What the body is to do now, None to brake; sets `condition`."""
         wrench = self._wrench
         if self._ending:
             self._condition = "braking", "the plant was told to end"
@@ -205,6 +215,10 @@ class PlantNode:
         return None
 
     def tick(self, now_ns: int) -> list[Outgoing]:
+        """Steps the body to `now_ns` (ns of the wall clock) with the command that holds now.
+
+        Returns what to publish: its state as measured, the true one where that may differ, its checks.
+        """
         if not self._ingress.idle:
             self._arrive(now_ns)
         command = self._command(now_ns)
@@ -225,7 +239,7 @@ class PlantNode:
         return out
 
     def _changed(self, checks: Sequence[Check]) -> bool:
-        """Whether they are other lines, or at other levels, than those told last. Their texts may hold
+        """Whether they are other lines, or at other levels, than those published last. Their texts may hold
         figures that change with every tick: those wait for their second.
         """
         if checks is self._checks:  # as mostly: a backend makes them less often than it ticks

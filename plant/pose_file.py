@@ -1,4 +1,4 @@
-"""Where a simulated body stands, kept in a file: a process that starts again finds its body where it was.
+"""Keeps the pose of a simulated body in a file, so that a process that starts again finds it where it was.
 
 A real body stays where it is when the process that drives it dies. So does this one, however its process
 ended: the file is mapped memory, which the kernel keeps.
@@ -25,7 +25,7 @@ _CHECKSUM: Final = Struct("<I")
 _SLOT: Final = _PLACE.size + _CHECKSUM.size
 
 Place = tuple[float, float, float]
-"""x, y (m, W), heading (rad)."""
+"""x, y (m, W), heading (rad, counter-clockwise from x)."""
 
 
 class PoseFileError(RuntimeError):
@@ -41,9 +41,12 @@ class PoseFileError(RuntimeError):
 
 
 class PoseFile:
-    """The file at `path`, made if need be.
+    """The pose file at `path`, made if need be.
 
-    Two records take turns, so that one is whole whenever the process dies.
+    Two records take turns, each with its number and a CRC-32, so that one is whole whenever the process dies.
+
+    Attributes:
+        place: where the body was last, None when it is not known.
 
     Raises:
         PoseFileError: it cannot be opened or made.
@@ -64,7 +67,6 @@ class PoseFile:
         found = [record for slot in (0, 1) if (record := self._read(slot)) is not None]
         self._number = max((number for number, _ in found), default=0)
         self.place: Place | None = dict(found).get(self._number)
-        """Where the body stood last, None when it is not known."""
 
     def _read(self, slot: int) -> tuple[int, Place] | None:
         record = self._memory[slot * _SLOT : (slot + 1) * _SLOT]
@@ -76,18 +78,23 @@ class PoseFile:
         return number, (place[0], place[1], place[2])
 
     def write(self, pose: Pose) -> None:
-        """Notes where the body is now."""
+        """Records where the body is now, with `pose` in W. Two stores to memory: it never waits."""
         self._number += 1
         packed = _PLACE.pack(self._number, pose.x, pose.y, pose.heading)
         start = self._number % 2 * _SLOT
         self._memory[start : start + _SLOT] = packed + _CHECKSUM.pack(zlib.crc32(packed))
 
     def close(self) -> None:
+        """Unmaps the file, which stays."""
         self._memory.close()
 
 
 def _allocate(handle: int) -> None:
-    """Has the disk set aside what the file takes: a full one would kill us at a write to mapped memory."""
+    """Has the disk set aside what the file takes: a full one would kill us at a write to mapped memory.
+
+    Raises:
+        OSError: there is no room for it.
+    """
     there = os.pread(handle, 2 * _SLOT, 0)
     if os.pwrite(handle, there.ljust(2 * _SLOT, b"\0"), 0) < 2 * _SLOT:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -95,7 +102,7 @@ def _allocate(handle: int) -> None:
 
 
 class PersistentBody(PlantBackend):
-    """`body`, whose place is noted at every step."""
+    """A body whose place is written to `pose_file` at every step. It closes both."""
 
     def __init__(self, body: PlantBackend, pose_file: PoseFile) -> None:
         self._body, self._pose_file = body, pose_file

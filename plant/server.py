@@ -18,6 +18,8 @@ def main(
     """Command line of a plant process. Returns the exit status.
 
     Args:
+        argv: after the program's name; None: that of this process.
+        program: its name, for messages.
         make: the backend of a robot, from its fleet, its id, the process's clock and what writes a line of
             its log.
     """

@@ -1,6 +1,8 @@
-"""A simulated unicycle, eq. (1): exact between ticks, with limits and actuator lag.
+"""A simulated unicycle (PURE), exact between ticks, with limits and actuator lag:
 
-Pure. Poses are in W (world ENU).
+    x' = v cos(theta),  y' = v sin(theta),  theta' = w,  m v' = F,  J w' = tau    (1)
+
+Poses are in W (world ENU): m and rad, counter-clockwise from x.
 """
 
 from __future__ import annotations
@@ -19,12 +21,15 @@ TURN_MAX: Final = 0.5
 """Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
 as long as an actuator's lag is not much shorter than the step."""
 BRAKE_TIME_S: Final = 0.1
+"""Time constant of the brake, at least."""
 BRAKE_DECELERATION_MAX: Final = 5.0
 BRAKE_SPIN_MAX: Final = 50.0
+"""The most that the brake does: m/s^2, rad/s^2."""
 REST: Final = 1e-6
+"""m/s and rad/s: a braking body that is slower stands still."""
 SPEED_MAX: Final = 1e3
 YAW_RATE_MAX: Final = 1e3
-"""A simulated body that is driven beyond these (m/s, rad/s) is broken, and says so."""
+"""m/s, rad/s: a simulated body that is driven beyond these is broken, and says so."""
 
 # Gauss-Legendre on [0, 1], five points: exact for polynomials of degree 9.
 _NODES: Final = (
@@ -47,13 +52,13 @@ class Actuator(NamedTuple):
     lag: float
 
     def value(self, t: float) -> float:
-        """What it gives at time t."""
+        """What it gives (N or N m) after t seconds."""
         return (
             self.target + (self.start - self.target) * exp(-t / self.lag) if self.lag > 0.0 else self.target
         )
 
     def first_integral(self, t: float) -> float:
-        """Its integral over [0, t]: an impulse, for a speed."""
+        """Its integral over [0, t], t in s: an impulse (N s or N m s)."""
         if self.lag <= 0.0:
             return self.target * t
         return self.target * t + (self.start - self.target) * self.lag * (1.0 - exp(-t / self.lag))
@@ -97,6 +102,7 @@ def integrate(pose: Pose, force: Actuator, torque: Actuator, mass: float, inerti
 
 
 def _limited(value: float, limit: float | None) -> float:
+    """`value` within -limit to limit; None: no limit."""
     return value if limit is None else min(limit, max(-limit, value))
 
 
@@ -134,7 +140,7 @@ class Unicycle(PlantBackend):
 
     @property
     def pose(self) -> Pose:
-        """Where it was at the last step."""
+        """Where it was (W) at the last step."""
         return self._pose
 
     def _actuate(self, command: Command, lag: float) -> None:
@@ -164,6 +170,7 @@ class Unicycle(PlantBackend):
             self._actuate(self._brake(), 0.0)
 
     def _integrate(self, dt: float) -> None:
+        """The body `dt` seconds on under the actuators as they are; broken where that is too fast."""
         body, pose, force, torque = self._body, self._pose, self._force, self._torque
         speed = pose.speed + force.first_integral(dt) / body.mass_kg
         yaw_rate = pose.yaw_rate + torque.first_integral(dt) / body.inertia_kgm2
@@ -184,11 +191,16 @@ class Unicycle(PlantBackend):
         return Command(body.mass_kg * deceleration, body.inertia_kgm2 * spin)
 
     def close(self) -> None:
-        """Nothing to let go of: the body is this object."""
+        """Nothing: the body is this object."""
 
 
 def from_fleet(fleet: Fleet, robot: int, at: tuple[float, float, float] | None = None) -> Unicycle:
-    """The simulated body of robot `robot`, where the fleet file has it or at `at` (x m, y m, heading rad)."""
+    """The simulated body of robot `robot`, at its start in the fleet file or at `at` (x, y in m, heading in
+    rad, W).
+
+    Raises:
+        agent.fleet.model.FleetError: the fleet has no such robot.
+    """
     body = fleet.robot(robot)
     if at is not None:
         x, y, heading = at
