@@ -1,1 +1,1 @@
-"""One module for each command of `handfast`: its options, and what it does with them."""
+"""The commands of `handfast`, in one module each: its arguments, and what it does with them."""

@@ -8,17 +8,12 @@ from pathlib import Path
 from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.model import Fleet
 from agent.fleet.sections import LAWS
-from deploy.console.data_files import FLEETS, SCENARIOS
+from deploy.console.data_files import FLEETS, SCENARIOS, bundled
 from deploy.console.wording import some
 
 
 class InputError(Exception):
     """Bad input; the text is one clear message."""
-
-
-def bundled(folder: Path = FLEETS) -> list[str]:
-    """Names of the fleets, or the scenarios, that come with the program."""
-    return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def fleet_path(name: str) -> Path:
@@ -57,6 +52,12 @@ def _path(name: str, folder: Path, what: str) -> Path:
     )
 
 
+def describe(parser: argparse.ArgumentParser, more: str) -> None:
+    """Goes on with a command's description, which begins with its line in the table of commands."""
+    text = parser.description or " "
+    parser.description = f"{text[0].upper()}{text[1:]}{more}"
+
+
 def fleet_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds FLEET and the options that change it."""
     parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
@@ -82,6 +83,18 @@ def change_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--duration", metavar="TIME", help="short for --set fleet.duration_s=TIME")
     parser.add_argument("--seed", metavar="N", help="short for --set fleet.seed=N")
+
+
+def drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of every command that drives a fleet: folder, report, check, quiet."""
+    parser.add_argument(
+        "--out", metavar="DIR", help="the run's folder (default: runs/FLEET-TIME); must be empty or new"
+    )
+    parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    parser.add_argument(
+        "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
 
 
 def host_argument(parser: argparse.ArgumentParser) -> None:

@@ -15,3 +15,8 @@ SCENARIOS: Final = _DATA / "scenarios"
 TEMPLATE: Final = _DATA / "template.toml"
 ANSIBLE: Final = _DATA / "ansible"
 ROBOT_REQUIREMENTS: Final = _DATA / "robot_requirements.txt"
+
+
+def bundled(folder: Path = FLEETS) -> list[str]:
+    """Names of the fleets, or the scenarios, that come with the program."""
+    return sorted(path.stem for path in folder.glob("*.toml"))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError
-from deploy.inventory.running import DONE, FAILED, INTERRUPTED
+from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def finish(
     say_verdict(metrics, folder.path)
     if interrupted:
         return INTERRUPTED
-    return DONE if metrics["verdict"]["passed"] else FAILED
+    return PASSED if metrics["verdict"]["passed"] else FAILED
 
 
 def say_verdict(metrics: dict[str, Any], folder: Path) -> None:

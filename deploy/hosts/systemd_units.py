@@ -15,6 +15,7 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.security.identity import of_robot
+from deploy.console.exit import BAD_INPUT
 from deploy.processes.child import ONE_THREAD
 from deploy.processes.local import MODULES
 
@@ -30,8 +31,6 @@ MEMORY_MAX_MB: Final = 1024
 TASKS_MAX: Final = 128
 FILES_MAX: Final = 8192
 """Anybody in the network can open connections: the usual 1024 would soon be used up."""
-BAD_INPUT: Final = 2
-"""Exit status of a process that would fail again in the same way: it is not started again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +130,7 @@ def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Seq
         yield f"Environment={key}={value}"
     yield "Environment=PYTHONUNBUFFERED=1"
     yield "Restart=always"
+    # A process that would fail again in the same way is not started again.
     yield f"RestartPreventExitStatus={BAD_INPUT}"
     yield f"RestartSec={RESTART_DELAY_MS}ms"
     yield f"WatchdogSec={WATCHDOG_S[role]:g}"

@@ -20,7 +20,8 @@ from typing import Final
 from agent.common.wording import show
 from agent.fleet.loading import load_fleet
 from agent.runtime.runtime_folder import private_folder
-from deploy.console.arguments import bundled, fleet_path
+from deploy.console.arguments import fleet_path
+from deploy.console.data_files import bundled
 from deploy.console.wording import NAMES_SHOWN
 
 _PREFIX: Final = "run-"

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
+from deploy.console.exit import BAD_INPUT, FAILED
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANING = (
     "FLEET is the name of a fleet that runs on this machine, the folder of its run, or a fleet file; the "
     "name of a bundled fleet means its file where no such fleet runs here."

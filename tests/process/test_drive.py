@@ -17,7 +17,7 @@ from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Stop
-from deploy.commands.drive import ROBOTS_FILE
+from deploy.commands.running.drive import ROBOTS_FILE
 from deploy.drive.preconditions import OVER
 from deploy.inventory.registry import find, running
 from deploy.recording.mcap_reader import read_run

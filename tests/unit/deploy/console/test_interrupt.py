@@ -61,7 +61,7 @@ def test_the_command_ends(monkeypatch: pytest.MonkeyPatch) -> None:
             return 0
 
     parser = SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
-    monkeypatch.setattr(cli, "_parser", lambda: parser)
+    monkeypatch.setattr(cli, "_parser", lambda _: parser)
     assert cli.main([]) == 130
 
 
@@ -71,7 +71,7 @@ from types import SimpleNamespace
 from deploy import cli
 signal.signal(signal.SIGINT, signal.default_int_handler)
 command = lambda _: exec("signal.raise_signal(signal.SIGINT)\\nwhile True: pass")
-cli._parser = lambda: SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
+cli._parser = lambda _: SimpleNamespace(parse_args=lambda _: SimpleNamespace(command=command))
 sys.exit(cli.main([]))
 """
 

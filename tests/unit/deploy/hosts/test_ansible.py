@@ -22,7 +22,7 @@ from agent.fleet.loading import load_fleet, parse_fleet, to_dict
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.check.finding import Finding
-from deploy.commands import export_deployment
+from deploy.commands.hosts import export_deployment
 from deploy.console.data_files import FLEETS
 from deploy.hosts.ansible import GROUP, DeploymentError, Pack, parse_platform, texts
 from deploy.hosts.bundle import Bundle, Platform
@@ -191,10 +191,10 @@ def export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int
     file = tmp_path / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet())))
     parser = argparse.ArgumentParser()
-    export_deployment.add_parser(parser.add_subparsers())
+    export_deployment.add_arguments(parser)
 
     def run(*arguments: str) -> int:
-        options = parser.parse_args(["export-deployment", str(file), *arguments])
+        options = parser.parse_args([str(file), *arguments])
         status: int = options.command(options)
         return status
 
@@ -254,8 +254,8 @@ def test_a_folder_that_is_not_empty_is_left_alone(
 
 def test_a_fleet_for_one_machine_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     parser = argparse.ArgumentParser()
-    export_deployment.add_parser(parser.add_subparsers())
-    options = parser.parse_args(["export-deployment", "delta", "--out", str(tmp_path / "x")])
+    export_deployment.add_arguments(parser)
+    options = parser.parse_args(["delta", "--out", str(tmp_path / "x")])
     assert options.command(options) == 2
     assert "no robot has a host" in capsys.readouterr().err
 

@@ -19,7 +19,7 @@ from agent.fleet.model import Fleet
 from agent.security import __main__
 from agent.security.credentials import load, make_request, store
 from agent.security.identity import of_robot
-from deploy.commands import keys as keys_command
+from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
 from deploy.hosts.certificates import HostKeys
 from deploy.inventory.certificate_authority import Authority, keys_folder
@@ -101,10 +101,10 @@ def run(
     file = tmp_path / "fleet.toml"
     file.write_text(tomli_w.dumps(to_dict(fleet())))
     parser = argparse.ArgumentParser()
-    keys_command.add_parser(parser.add_subparsers())
+    keys_command.add_arguments(parser)
 
     def keys(*arguments: str) -> str:
-        options = parser.parse_args(["keys", str(file), *arguments])
+        options = parser.parse_args([str(file), *arguments])
         assert options.command(options) == 0
         return capsys.readouterr().out
 

@@ -12,7 +12,7 @@ import pytest
 import tomli_w
 
 from agent.fleet.loading import to_dict
-from deploy.commands import fetch as fetch_command
+from deploy.commands.hosts import fetch as fetch_command
 from deploy.console.arguments import InputError, no_changes
 from deploy.hosts.connection import HostError
 from deploy.hosts.fetch import SHARE_MAX, Fetching

@@ -16,7 +16,7 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Status
-from deploy.commands.up import _say
+from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
 from deploy.hosts import up
 from deploy.hosts.arrivals import Arrivals

@@ -1,0 +1,84 @@
+"""The command ``handfast down``: a fleet leaves its hosts."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Final
+
+from agent.fleet.model import Fleet
+from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
+from deploy.console.exit import FAILED, INTERRUPTED, PASSED
+from deploy.console.interrupt import Interrupt
+from deploy.inventory.running import NoAnswerError, handled
+
+if TYPE_CHECKING:
+    from deploy.hosts.connection import HostConnection
+    from deploy.hosts.view import HostsView, Row
+
+REASON: Final = "the fleet goes down"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast down`` takes."""
+    describe(
+        parser,
+        ": every robot brakes, then its processes end, and their "
+        "units are removed; recordings, keys and installed versions stay. Looks whether anything is left. "
+        "Exit status: 0 nothing is left; 1 something is, or a host cannot be reached; 2 bad input; 130 after "
+        "Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.set_defaults(command=handled(_down), **no_changes())
+
+
+def _down(options: argparse.Namespace) -> int:
+    from deploy.hosts.jobs import HostJobs
+    from deploy.hosts.view import DONE as HOST_DONE
+    from deploy.hosts.view import make_hosts_view
+    from deploy.inventory.hosts import hosts_of, located
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
+        fleet = located(fleet)
+        with make_hosts_view() as view:
+            if not options.hosts:
+                _brake(fleet, view)
+            with HostJobs(fleet, hosts, lambda connection, row: _end(connection, row, fleet)) as jobs:
+                jobs.wait(view, interrupt)
+            rows = list(jobs.rows.values())
+            view.show(rows)
+    if interrupt.count:
+        return INTERRUPTED
+    return PASSED if all(row.state == HOST_DONE for row in rows) else FAILED
+
+
+def _brake(fleet: Fleet, view: HostsView) -> None:
+    """Stops all robots at once, before their processes end one by one."""
+    from agent.runtime.bus import BusError
+    from deploy.session.stop import stop
+
+    try:
+        stopping = stop(fleet, REASON)
+    except NoAnswerError:
+        view.say("no robot answers: nothing to stop")
+    except (BusError, InputError) as error:  # such as a certificate that is out of date: ssh is another way
+        view.say(f"not stopped over the bus, robots brake as their processes end: {error}")
+    else:
+        if stopping.done:
+            view.say("all robots brake")
+        for robot in fleet.ids if not stopping.done else ():
+            view.say(stopping.outcome(robot))
+
+
+def _end(connection: HostConnection, row: Row, fleet: Fleet) -> None:
+    from deploy.hosts.connection import HostError
+
+    row.step = "ending"
+    told = connection.ask("down", fleet=fleet.fleet.name)
+    if told["left"]:
+        raise HostError(f"still there: {', '.join(told['left'])}")
+    count = len(told["stopped"])
+    row.done(f"down, {count} units ended and removed" if count else "down, there was nothing")

@@ -1,0 +1,97 @@
+"""The command ``handfast fetch``: what robots recorded on their hosts, as one run."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
+from deploy.console.exit import FAILED, INTERRUPTED, PASSED
+from deploy.console.interrupt import Interrupt
+from deploy.console.times import FORMS, point_in_time
+from deploy.inventory.running import handled
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast fetch`` takes."""
+    describe(
+        parser,
+        ": the last mission, unless times are given; `handfast "
+        "report` and `export` work on it. What was fetched before is not sent again. Exit status: 0 all of "
+        "them gave theirs; 1 some did not (the folder is made of the others); 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.add_argument("--out", metavar="DIR", help="the run's folder (default: runs/FLEET-fetched-TIME)")
+    parser.add_argument("--since", metavar="TIME", help=f"from when on: {FORMS}")
+    parser.add_argument("--until", metavar="TIME", help="until when")
+    parser.add_argument("--all", action="store_true", help="all that there is")
+    parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
+    parser.set_defaults(command=handled(_fetch), **no_changes())
+
+
+def _fetch(options: argparse.Namespace) -> int:
+    from deploy.drive.outcome import say_verdict
+    from deploy.hosts.fetch import Fetching
+    from deploy.hosts.jobs import HostJobs
+    from deploy.hosts.merge import Choice, merge
+    from deploy.hosts.robot_recording import MergeError
+    from deploy.hosts.view import FAILED as HOST_FAILED
+    from deploy.hosts.view import make_hosts_view
+    from deploy.inventory.folders import refuse_full
+    from deploy.inventory.hosts import hosts_of, located
+    from deploy.recording.recorder import RecordingError
+    from deploy.report.run_folder import FolderError
+
+    now_s = time.time()
+    since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))
+    if options.all and (since_s is not None or until_s is not None):
+        raise InputError("--all takes all that there is: leave out --since and --until")
+    if since_s is not None and until_s is not None and since_s >= until_s:
+        raise InputError(f"--until {options.until} must be later than --since {options.since}")
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        name = fleet.fleet.name
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        out = Path(options.out) if options.out else Path("runs") / f"{name}-fetched-{stamp}"
+        refuse_full(out)
+        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
+        fetching = Fetching(fleet, since_s)
+        with make_hosts_view() as view, HostJobs(located(fleet), hosts, fetching) as jobs:
+            jobs.wait(view, interrupt)
+            rows = list(jobs.rows.values())
+            view.show(rows)
+    if interrupt.count:
+        return INTERRUPTED
+    # From here on a Ctrl-C ends the command where it is.
+    lacking = [robot for row in rows for robot in row.robots if robot not in fetching.folders]
+    warnings = [warning for robot in lacking if (warning := fetching.fall_back(robot)) is not None]
+    if not fetching.folders:
+        return FAILED
+    choice = Choice(name, _ns(since_s), _ns(until_s), options.all)
+    try:
+        merged = merge(fetching.folders, out, choice, warnings=warnings, report=options.report)
+    except (MergeError, FolderError, RecordingError) as error:
+        for warning in warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        raise InputError(str(error)) from None
+    print(f"{merged.messages} messages of {len(merged.robots)} robots in {merged.folder}")
+    say_verdict(merged.metrics, merged.folder)
+    return FAILED if any(row.state == HOST_FAILED for row in rows) else PASSED
+
+
+def _time(options: argparse.Namespace, name: str, now_s: float) -> float | None:
+    text = getattr(options, name)
+    if text is None:
+        return None
+    try:
+        return point_in_time(text, now_s)
+    except ValueError as error:
+        raise InputError(f"--{name} {error}") from None
+
+
+def _ns(seconds: float | None) -> int | None:
+    return None if seconds is None else round(seconds * 1e9)

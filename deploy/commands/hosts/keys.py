@@ -1,0 +1,241 @@
+"""The command ``handfast keys``: who may take part in a fleet, proven by certificates."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from agent.fleet.model import Fleet
+from agent.security import private_files
+from agent.security.certificates import DAY_S
+from agent.security.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting
+from agent.security.identity import (
+    MAIN,
+    Identity,
+    IdentityError,
+    addresses,
+    of_operator,
+    of_robot,
+    of_router,
+    parse,
+)
+from agent.security.private_files import KeyFileError
+from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved
+from deploy.console.exit import PASSED
+from deploy.hosts.certificates import answer, read_requests
+from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
+
+NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"
+LAST_DAYS: Final = 365
+"""An authority that is about to end is told of for so long: no certificate outlives it."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast keys`` takes."""
+    describe(
+        parser,
+        ": the fleet's authority and this operator's certificate, if "
+        "they are missing or expire soon. Robots with a host get theirs from `handfast up`; their private "
+        "keys never leave them. Exit status: 0; 2 bad input.",
+    )
+    fleet_arguments(parser)
+    parser.add_argument("--keys", metavar="DIR", help="where the keys are (~/.config/handfast/keys/FLEET)")
+    parser.add_argument("--operator", metavar="NAME", default=MAIN, help=f"who gives orders here ({MAIN})")
+    parser.add_argument(
+        "--router", action="store_const", const=MAIN, help="make the certificate of the fleet's routers, too"
+    )
+    parser.add_argument(
+        "--robot", type=int, metavar="N", help="make key and certificate of a robot without ssh, into --out"
+    )
+    parser.add_argument(
+        "--address",
+        dest="addresses",
+        action="append",
+        default=[],
+        metavar="A",
+        help="address that others reach the router or the robot at, repeatedly",
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder for what is to be carried to another computer")
+    parser.add_argument(
+        "--renew", action="store_true", help="new certificates also where they are still good"
+    )
+    parser.add_argument(
+        "--replace-authority",
+        action="store_true",
+        help="shut out whoever has a certificate now: a new authority, and new certificates for all",
+    )
+    parser.add_argument("--list", action="store_true", help="only show what there is")
+    parser.add_argument(
+        "--sign",
+        metavar="FILE",
+        help="only sign robots' requests, JSON {ROBOT: PEM}, - for standard input; prints "
+        '{"authority": PEM, "signed": {ROBOT: PEM}}',
+    )
+    parser.set_defaults(command=_keys)
+
+
+def _keys(options: argparse.Namespace) -> int:
+    fleet = load_unresolved(options)
+    try:
+        _check(options, fleet)
+    except IdentityError as error:
+        raise InputError(str(error)) from None
+    name = fleet.fleet.name
+    folder = Path(options.keys).expanduser() if options.keys is not None else keys_folder(name)
+    now_s = time.time()
+    try:
+        requests = read_requests(options.sign, fleet) if options.sign is not None else None
+        if (options.list or requests is not None) and not private_files.exists(folder / "authority.pem"):
+            raise InputError(f"{name} has no authority in {folder}: `handfast keys {options.fleet}` makes it")
+        with Authority(folder, name, fleet.ids, now_s) as authority:
+            if requests is not None:
+                print(answer(fleet, authority, requests, now_s))
+                return PASSED
+            if not options.list:
+                _make(options, fleet, authority, now_s)
+            _show(authority, now_s)
+    except (AuthorityError, CredentialsError, IdentityError, KeyFileError) as error:
+        raise InputError(str(error)) from None
+    return PASSED
+
+
+def _check(options: argparse.Namespace, fleet: Fleet) -> None:
+    if options.sign is not None and (options.list or options.renew or options.replace_authority):
+        raise InputError("--sign only signs: leave out the other options")
+    if options.sign is not None and (options.robot is not None or options.router is not None):
+        raise InputError("--sign has robots in its file: leave out the other options")
+    if options.list and (options.renew or options.replace_authority or options.router or options.robot):
+        raise InputError("--list only shows what there is: leave out the other options")
+    if (options.robot is not None) != (options.out is not None) and options.router is None:
+        raise InputError("--robot and --out DIR belong together: key and certificate are made in DIR")
+    if options.robot is not None and options.router is not None:
+        raise InputError("--robot or --router, not both")
+    if options.robot is not None and options.robot not in fleet.ids:
+        raise InputError(f"there is no robot {options.robot} in {fleet.fleet.name}")
+    of_operator(fleet.fleet.name, options.operator)
+    if options.operator not in fleet.network.operators:
+        raise InputError(
+            f"robots of {fleet.fleet.name} take no orders of {options.operator}: network.operators are "
+            f"{', '.join(fleet.network.operators)}"
+        )
+    if options.router is not None:
+        of_router(fleet.fleet.name, options.router)
+    addresses(options.addresses)
+    if options.addresses and options.robot is None and options.router is None:
+        raise InputError("--address is that of a robot or a router: give --robot or --router, too")
+    if options.router is not None and not (options.addresses or fleet.network.routers):
+        raise InputError("--router needs --address, at which robots reach it, or network.routers")
+
+
+def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s: float) -> None:
+    name = fleet.fleet.name
+    if authority.created:
+        print(f"made the authority of {name} in {authority.folder}: keep a copy where nobody else has it")
+    elif options.replace_authority:
+        authority.replace(now_s)
+        print(f"made authority {authority.generation} of {name}: {NEW_AUTHORITY}")
+    _provide(authority, authority.folder, of_operator(name, options.operator), [], options.renew, now_s)
+    if options.robot is not None:
+        where = options.addresses or [address_of(fleet, options.robot)]
+        out = Path(options.out).expanduser()
+        _provide(authority, out, of_robot(name, options.robot), where, options.renew, now_s)
+    elif options.router is not None:
+        out = Path(options.out).expanduser() if options.out is not None else authority.folder
+        where = options.addresses or [router.rpartition(":")[0] for router in fleet.network.routers]
+        _provide(authority, out, of_router(name, options.router), where, options.renew, now_s)
+    if options.replace_authority:
+        for line in _void(options.fleet, fleet, authority):
+            print(line)
+
+
+def _void(file: str, fleet: Fleet, authority: Authority) -> Iterator[str]:
+    """Who had a certificate and has none of this authority, each with the command that makes one."""
+    by_up = []
+    for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
+        who = parse(name)
+        if entry.generation == authority.generation:
+            continue
+        reached = "".join(f" --address {each}" for each in entry.addresses if each not in LOOPBACK)
+        if who.role == "operator" and who.name in fleet.network.operators:
+            yield f"void: {who}; `handfast keys {file} --operator {who.name}`"
+        elif who.role == "router":
+            yield f"void: {who}; `handfast keys {file} --router{reached}`, with --out DIR to carry it"
+        elif who.robot in fleet.ids:
+            if fleet.host_of(who.robot) is not None:
+                by_up.append(who.name)
+            else:
+                yield f"void: {who}; `handfast keys {file} --robot {who.name}{reached} --out DIR`"
+    if by_up:
+        yield f"void: robot{'s' if len(by_up) > 1 else ''} {', '.join(by_up)}; `handfast up {file}`"
+
+
+def _latest(authority: Authority) -> dict[str, Issued]:
+    """The last certificate of each, by their common names."""
+    return {entry.identity: entry for entry in authority.issued()}
+
+
+def address_of(fleet: Fleet, robot: int) -> str:
+    """Where others reach a robot, without a port."""
+    return fleet.agent_endpoint(robot).partition("/")[2].rpartition(":")[0]
+
+
+def _provide(
+    authority: Authority, folder: Path, identity: Identity, where: Sequence[str], renew: bool, now_s: float
+) -> None:
+    """Sees that there is a valid certificate for a key in `folder`."""
+    wanted = addresses(where)
+    why = wanting(folder, identity, wanted, authority.certificate_pem, now_s)
+    if not why and not renew:
+        return
+    request = make_request(folder, identity)
+    store(folder, identity, authority.sign(identity, request, wanted, now_s), now_s)
+    files = load(folder, identity, now_s).files
+    print(f"{identity}: made {files.certificate}" + (f" ({why})" if why else ""))
+
+
+def _show(authority: Authority, now_s: float) -> None:
+    days = authority.days_left(now_s)
+    rows: list[tuple[str, ...]] = [
+        ("authority", f"generation {authority.generation}", _date(now_s, days), _ending(days))
+    ]
+    for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
+        rows.append(
+            (*name.split(".")[1:], _date(now_s, entry.days_left(now_s)), state(entry, authority, now_s))
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    for row in rows:
+        print("  ".join(text.ljust(width) for text, width in zip(row, [*widths, 0], strict=True)).rstrip())
+
+
+def _ending(days: float) -> str:
+    if days >= LAST_DAYS:
+        return ""
+    when = f"ends in {int(days)} days, and all certificates with it" if days > 0 else "expired"
+    return f"{when}: --replace-authority, with the fleet at rest"
+
+
+def state(entry: Issued, authority: Authority, now_s: float) -> str:
+    """What is to be said of the last certificate of somebody, in a few words."""
+    days = entry.days_left(now_s)
+    if entry.generation != authority.generation:
+        return "void: of an authority that was replaced"
+    if days <= 0:
+        return "expired"
+    if days > RENEW_DAYS:
+        return "valid"
+    if entry.not_after_s >= authority.not_after_s:
+        return f"ends in {int(days)} days, with its authority"
+    return f"expires in {int(days)} days: renewed when there is an opportunity"
+
+
+def _date(now_s: float, days: float) -> str:
+    return f"until {datetime.fromtimestamp(now_s + days * DAY_S, UTC):%Y-%m-%d}"
+
+
+def _order(name: str) -> tuple[str, int, str]:
+    _, role, last = name.split(".")
+    return role, int(last) if role == "robot" else 0, last

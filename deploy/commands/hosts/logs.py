@@ -1,0 +1,249 @@
+"""The command ``handfast logs``: what the processes of a fleet say, from all hosts, in the order of time."""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import Final, NamedTuple
+
+from agent.common.wording import printable
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
+from deploy.console.arguments import (
+    InputError,
+    describe,
+    fleet_path,
+    host_argument,
+    load,
+    no_changes,
+    robots_argument,
+    robots_named,
+)
+from deploy.console.exit import FAILED, INTERRUPTED, PASSED
+from deploy.console.interrupt import Interrupt
+from deploy.console.times import FORMS, point_in_time
+from deploy.hosts import systemd_units
+from deploy.inventory import ssh
+from deploy.inventory.hosts import hosts_of, located, robots_on
+from deploy.inventory.running import handled
+
+FOLLOWED_LINES: Final = 20
+"""Lines of each host that are shown before those that are followed."""
+HOLD_S: Final = 0.6
+"""Lines that are followed wait so long for earlier ones of other hosts."""
+LOOK_S: Final = 0.2
+"""How often it is looked for Ctrl-C while nothing comes."""
+CLOSE_S: Final = 0.2
+LINE_BYTES_MAX: Final = 4_000_000
+SAID_BYTES_MAX: Final = 20_000
+
+
+class Line(NamedTuple):
+    """One line of a log: wall clock of its host (us), its host, what was said."""
+
+    time_us: int
+    host: str
+    text: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast logs`` takes."""
+    describe(
+        parser,
+        ", merged by the clocks of their hosts. Exit status: 0 fine; "
+        "1 a host's log cannot be read; 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    robots_argument(parser)
+    parser.add_argument("-f", "--follow", action="store_true", help="go on with what is said from now on")
+    parser.add_argument("--since", metavar="TIME", help=f"from when on: {FORMS} (default: all)")
+    parser.add_argument("-n", "--lines", type=int, metavar="N", help="only the last N lines of each host")
+    parser.set_defaults(command=handled(_logs), **no_changes())
+
+
+def _logs(options: argparse.Namespace) -> int:
+    since_s = None
+    if options.since is not None:
+        try:
+            since_s = point_in_time(options.since, time.time())
+        except ValueError as error:
+            raise InputError(f"--since {error}") from None
+    if options.lines is not None and options.lines < 0:
+        raise InputError(f"--lines must not be negative, got {options.lines}")
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
+        fleet = located(fleet)
+        wanted = set(robots_named(fleet, options) or fleet.ids)
+        readers = [
+            Reader(host, command(fleet, host, robots, since_s, options))
+            for host in hosts
+            if (robots := [robot for robot in robots_on(fleet, host) if robot in wanted])
+        ]
+        try:
+            for line in (
+                followed(readers, interrupt) if options.follow else merged(readers, options.lines, interrupt)
+            ):
+                if interrupt.count:
+                    break
+                _print(line)
+        finally:
+            for reader in readers:
+                reader.close()
+    if interrupt.count:
+        return INTERRUPTED
+    return FAILED if any(reader.error for reader in readers) else PASSED
+
+
+def command(
+    fleet: Fleet,
+    host: HostSection,
+    robots: Sequence[int],
+    since_s: float | None,
+    options: argparse.Namespace,
+) -> str:
+    """The shell command that prints the log on a host, JSON lines."""
+    words = ["journalctl", "-q", "--no-pager", "-o", "json", "--output-fields=MESSAGE"]
+    if since_s is not None:
+        words.append(f"--since=@{int(since_s)}")
+    # With --since, journalctl would take the first lines, not the last: they are counted here instead.
+    if since_s is not None or (options.lines is None and not options.follow):
+        words += ["-n", "all"]
+    else:
+        words += ["-n", str(FOLLOWED_LINES if options.lines is None else options.lines)]
+    if options.follow:
+        words.append("-f")
+    processes = [(fleet.fleet.name, robot, role) for robot in robots for role in systemd_units.roles(fleet)]
+    # What systemd says of a unit, and what its process says: by its own mark, since of a process that dies
+    # the last lines are not known to be its unit's.
+    matches = [f"USER_UNIT={systemd_units.unit_name(*process)}" for process in processes]
+    matches += [f"SYSLOG_IDENTIFIER={systemd_units.identifier(*process)}" for process in processes]
+    return " ".join([*words, " + ".join(matches)])
+
+
+class Reader:
+    """The log of one host as it comes. `error` says what went wrong when its lines have ended.
+
+    Raises:
+        InputError: there is no ssh here.
+    """
+
+    def __init__(self, host: HostSection, remote: str) -> None:
+        self.host = host
+        self.error = ""
+        self._lines: queue.Queue[Line | None] = queue.Queue(100_000)
+        self._said = b""
+        try:
+            self._process = subprocess.Popen(
+                ssh.command(host, remote),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except FileNotFoundError:
+            raise InputError(ssh.NO_SSH) from None
+        self._listener = threading.Thread(target=self._listen_errors, daemon=True)
+        self._listener.start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def next(self, timeout_s: float) -> Line | None:
+        """The next line; None when there is no more, which is said where it is for a reason.
+
+        Raises:
+            queue.Empty: none has come within this time.
+        """
+        line = self._lines.get(timeout=timeout_s) if timeout_s else self._lines.get_nowait()
+        if line is None and self.error:
+            print(f"handfast: {self.host.name}: {self.error}", file=sys.stderr, flush=True)
+        return line
+
+    def _read(self) -> None:
+        stream = self._process.stdout
+        assert stream is not None
+        with stream:
+            while data := stream.readline(LINE_BYTES_MAX):
+                line = _parsed(self.host.name, data)
+                if line is not None:
+                    self._lines.put(line)
+        status = self._process.wait()
+        self._listener.join(1.0)  # a master connection of ssh's own, which goes on, may hold it open
+        if status:
+            self.error = ssh.ended(self.host, status, self._said.decode(errors="replace"))
+        self._lines.put(None)
+
+    def _listen_errors(self) -> None:
+        stream = self._process.stderr
+        assert stream is not None
+        with stream:
+            while data := stream.readline(LINE_BYTES_MAX):
+                self._said = (self._said + data)[-SAID_BYTES_MAX:]
+
+    def close(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._reader.join(CLOSE_S)
+        self._listener.join(CLOSE_S)
+
+
+def _parsed(host: str, data: bytes) -> Line | None:
+    try:
+        entry = json.loads(data)
+        message = entry.get("MESSAGE")
+        if isinstance(message, list):  # bytes that are no text
+            message = bytes(message).decode(errors="replace")
+        return Line(int(entry["__REALTIME_TIMESTAMP"]), host, printable(str(message)))
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def merged(readers: Sequence[Reader], last: int | None, interrupt: Interrupt) -> Iterator[Line]:
+    """All lines in the order of time, until Ctrl-C; of each host the `last` ones only."""
+
+    def lines(reader: Reader) -> Iterator[Line]:
+        while not interrupt.count:
+            try:
+                line = reader.next(LOOK_S)
+            except queue.Empty:
+                continue
+            if line is None:
+                return
+            yield line
+
+    each = [iter(deque(lines(reader), last)) if last is not None else lines(reader) for reader in readers]
+    return heapq.merge(*each)
+
+
+def followed(readers: Sequence[Reader], interrupt: Interrupt) -> Iterator[Line]:
+    """Lines as they come, each held back for a moment in which others may bring an earlier one."""
+    waiting: list[tuple[Line, float]] = []
+    open_readers = list(readers)
+    while (open_readers or waiting) and not interrupt.count:
+        now = time.monotonic()
+        for reader in list(open_readers):
+            with suppress(queue.Empty):
+                while (line := reader.next(0.0)) is not None:
+                    heapq.heappush(waiting, (line, now + HOLD_S))
+                open_readers.remove(reader)
+        while waiting and (waiting[0][1] <= now or not open_readers):
+            yield heapq.heappop(waiting)[0]
+        time.sleep(0.05)
+
+
+def _print(line: Line) -> None:
+    seconds, us = divmod(line.time_us, 1_000_000)
+    stamp = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds))
+    print(f"{stamp}.{us // 1000:03d} {line.host}: {line.text}", flush=True)

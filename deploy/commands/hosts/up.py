@@ -1,0 +1,101 @@
+"""The command ``handfast up``: a fleet on its hosts, installed, configured, started and heard of."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+from agent.fleet.model import Fleet
+from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
+from deploy.console.exit import FAILED, INTERRUPTED, PASSED
+from deploy.console.interrupt import Interrupt
+from deploy.inventory.running import handled
+
+if TYPE_CHECKING:
+    from deploy.hosts.certificates import HostKeys
+    from deploy.hosts.up import BringUp
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast up`` takes."""
+    describe(
+        parser,
+        ": looks at all of them side by side, installs this version "
+        "of handfast where it is not (robots need no internet), writes fleet file and systemd user units, "
+        "starts what does not run as it should, and waits until each robot is heard. Run it again to "
+        "upgrade: while the fleet drives, robots start again one at a time. Exit status: 0 all robots are "
+        "up; 1 some are not; 2 bad input; 130 after Ctrl-C.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    host_argument(parser)
+    parser.add_argument(
+        "--accept-new-host-keys",
+        action="store_true",
+        help="take the key of a host that this machine has never met for its own",
+    )
+    parser.add_argument(
+        "--no-check", dest="check", action="store_false", help="go on even where `check` finds errors"
+    )
+    parser.set_defaults(command=handled(_up), quiet=False, **no_changes())
+
+
+def _up(options: argparse.Namespace) -> int:
+    from deploy.drive.outcome import refuse_errors
+    from deploy.hosts.up import BringUp
+    from deploy.hosts.view import make_hosts_view
+    from deploy.inventory.hosts import hosts_of, located, refuse_simulated
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        source = str(fleet_path(options.fleet))
+        hosts = hosts_of(fleet, source, options.hosts)
+        refuse_simulated(fleet, source)
+        refuse_errors(options, fleet)
+        fleet = located(fleet)
+        with ExitStack() as stack:
+            keys = stack.enter_context(_keys(fleet, options.fleet)) if fleet.is_secured else None
+            work = BringUp(fleet, hosts, keys, accept_new=options.accept_new_host_keys)
+            view = stack.enter_context(make_hosts_view())
+            work.run(view, interrupt)
+    return _say(work, interrupt)
+
+
+@contextmanager
+def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
+    """What gives robots their certificates; needs the authority that `handfast keys` has made."""
+    from deploy.hosts.certificates import HostKeys
+    from deploy.inventory.certificate_authority import Authority, AuthorityError, keys_folder
+
+    folder = keys_folder(fleet.fleet.name)
+    if not (folder / "authority.pem").exists():
+        raise InputError(
+            f"{fleet.fleet.name} is secured and has no authority in {folder}: `handfast keys {what}` makes "
+            'it (or, on a network that you trust entirely: network.security = "off")'
+        )
+    try:
+        with Authority(folder, fleet.fleet.name, fleet.ids, time.time()) as authority:
+            yield HostKeys(fleet, authority)
+    except AuthorityError as error:
+        raise InputError(str(error)) from None
+
+
+def _say(work: BringUp, interrupt: Interrupt) -> int:
+    """Says what became of each robot; the exit status."""
+    from deploy.hosts.view import DONE as HOST_DONE
+
+    for row in work.rows.values():
+        for robot in row.robots:
+            outcome = row.outcomes.get(robot, f"NOT UP: {row.step}")
+            print(
+                f"robot {robot} on {row.host}: {outcome}{' (left as before)' if robot in work.left else ''}"
+            )
+    for warning in work.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if interrupt.count:
+        return INTERRUPTED
+    return PASSED if all(row.state == HOST_DONE for row in work.rows.values()) else FAILED

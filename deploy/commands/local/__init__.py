@@ -1,0 +1,1 @@
+"""Commands that need nothing but this machine: they make, check, drive, judge and draw."""

@@ -1,0 +1,29 @@
+"""The command ``handfast export``: a run's data as tables."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from deploy.console.arguments import InputError
+from deploy.console.exit import PASSED
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast export`` takes."""
+    parser.add_argument("folder", metavar="RUN", help="the run's folder")
+    parser.add_argument("--format", default="csv", metavar="FORMAT", help="csv (default), parquet or json")
+    parser.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
+    parser.set_defaults(command=_export)
+
+
+def _export(options: argparse.Namespace) -> int:
+    from deploy.recording.recorder import RecordingError
+    from deploy.report.export import ExportError, export
+
+    try:
+        for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):
+            print(path)
+    except (RecordingError, ExportError) as error:
+        raise InputError(str(error)) from None
+    return PASSED

@@ -1,0 +1,33 @@
+"""The command ``handfast new``: a commented fleet file to start from."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from deploy.console.arguments import InputError
+from deploy.console.data_files import TEMPLATE
+from deploy.console.exit import PASSED
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast new`` takes."""
+    parser.add_argument("name", metavar="NAME", help="the fleet's name; NAME.toml is written")
+    parser.set_defaults(command=_new)
+
+
+def _new(options: argparse.Namespace) -> int:
+    from agent.fleet.loading import parse_fleet
+
+    path = Path(f"{options.name}.toml")
+    text = TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
+    parse_fleet(text, source=str(path))  # a bad name is refused here, with the reason
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(f"{path} exists already: name another fleet, or remove it") from None
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from None
+    print(f"wrote {path}; next: handfast check {path}")
+    return PASSED

@@ -1,0 +1,51 @@
+"""The command ``handfast run``: drives a fleet with processes on this machine, and reports."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import suppress
+
+from deploy.console.arguments import InputError, drive_arguments, fleet_arguments, load
+from deploy.console.exit import FAILED
+from deploy.console.interrupt import Interrupt
+from deploy.drive.outcome import finish, refuse_errors, run_folder
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast run`` takes."""
+    fleet_arguments(parser)
+    drive_arguments(parser)
+    parser.set_defaults(command=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from agent.runtime.bus import BusError
+    from deploy.drive.live_view import make_view
+    from deploy.drive.local import LocalRun
+    from deploy.processes.placement import place
+    from deploy.processes.ports import NoPortsError
+    from deploy.recording.recorder import RecordingError
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        refuse_errors(options, fleet)
+        try:
+            fleet, ports, vehicles = place(fleet)
+        except NoPortsError as error:
+            raise InputError(str(error)) from None
+        folder = run_folder(options, fleet, "run")
+        view = make_view(quiet=options.quiet)
+        run = LocalRun(fleet, folder, view, interrupt, vehicles)
+        try:
+            with view:
+                run.run()
+        except (BusError, RecordingError, OSError) as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            with suppress(RecordingError):
+                folder.close([str(error)])
+            return FAILED
+        finally:
+            ports.close()
+        return finish(options, folder, run.reasons, interrupted=interrupt.count > 0)

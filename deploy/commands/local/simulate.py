@@ -1,0 +1,64 @@
+"""The command ``handfast simulate``: drives a fleet in virtual time, and reports."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from agent.common.time import NS_PER_S
+from deploy.console.arguments import drive_arguments, fleet_arguments, load
+from deploy.console.exit import FAILED
+from deploy.console.interrupt import Interrupt
+from deploy.drive.outcome import finish, refuse_errors, run_folder
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast simulate`` takes."""
+    fleet_arguments(parser)
+    drive_arguments(parser)
+    parser.set_defaults(command=_simulate)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from agent.formation.geometry import resolve
+    from deploy.drive.live_view import Watch, make_view
+    from deploy.recording.recorder import RecordingError
+    from deploy.simulate.simulation import Simulation
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        fleet = load(options)
+        refuse_errors(options, fleet)
+        folder = run_folder(options, fleet, "simulate")
+        watch = Watch(fleet, resolve(fleet))
+        view = make_view(quiet=options.quiet, period_s=fleet.fleet.duration_s / 10)
+
+        def sink(received_ns: int, key: str, payload: bytes) -> None:
+            message = folder.record(received_ns, key, payload)
+            if message is not None:
+                watch.feed(key, message)
+
+        told = 0
+
+        def progress(time_s: float) -> bool:
+            nonlocal told
+            for sentence in [*watch.news(time_s), *simulation.reasons[told:]]:
+                view.say(sentence)
+            told = len(simulation.reasons)
+            view.show(watch.picture(time_s))
+            return interrupt.count == 0
+
+        begun = time.perf_counter()
+        try:
+            with view:
+                simulation = Simulation(fleet, sink)
+                simulation.run(progress)
+        except RecordingError as error:
+            print(f"handfast: {error}", file=sys.stderr)
+            return FAILED
+        took = time.perf_counter() - begun
+        if not options.quiet:
+            driven = max(0.0, (simulation.now_ns - simulation.epoch_ns) / NS_PER_S)
+            view.say(f"{driven:.1f} s of driving in {took:.2f} s, {driven / took:.0f} times real time")
+        return finish(options, folder, simulation.reasons, interrupted=interrupt.count > 0)

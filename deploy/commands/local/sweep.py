@@ -1,0 +1,300 @@
+"""The command ``handfast sweep``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from agent.fleet.model import FleetError
+from deploy.console.arguments import (
+    InputError,
+    change_arguments,
+    describe,
+    fleet_path,
+    fleet_text,
+    overrides,
+    scenario_path,
+)
+from deploy.console.exit import BAD_INPUT, INTERRUPTED, PASSED
+
+if TYPE_CHECKING:
+    from deploy.sweep.folder import SweepFolder
+    from deploy.sweep.plan import Plan, Question
+
+TIMEOUT: Final = "10min"
+ROWS_MAX: Final = 40
+"""Cells that are printed; of a larger grid, only what its files hold."""
+FINDINGS_MAX: Final = 20
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast sweep`` takes."""
+    describe(
+        sub,
+        ". Ctrl-C keeps what is done; the same command, or `handfast "
+        "sweep DIR`, goes on. Exit status: 0 all runs were driven, whatever came of them; 2 bad input; "
+        "130 after Ctrl-C.",
+    )
+    sub.set_defaults(command=sweep)
+    sub.add_argument(
+        "fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet; or a sweep's folder, to go on"
+    )
+    sub.add_argument(
+        "--over",
+        action="append",
+        default=[],
+        metavar="A.B=V,V,...",
+        help="vary a field over these values, repeatedly: all combinations are driven",
+    )
+    sub.add_argument("--repeat", type=int, metavar="N", help="runs of each cell (default: 1)")
+    change_arguments(sub)
+    sub.add_argument(
+        "--random-starts",
+        nargs="?",
+        const="",
+        metavar="SIDE",
+        help="every repeat starts somewhere else, in a square of this side (default: 4m for six robots)",
+    )
+    sub.add_argument("--margin", metavar="A.B", help="field whose margin is found (default: faults.delay)")
+    sub.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: the number of cores)")
+    sub.add_argument(
+        "--timeout",
+        default=TIMEOUT,
+        metavar="TIME",
+        help=f"real time that a run may take (default: {TIMEOUT})",
+    )
+    sub.add_argument("--out", metavar="DIR", help="the sweep's folder (default: sweeps/FLEET-TIME)")
+    sub.add_argument(
+        "--write", type=int, metavar="RUN", help="only write the fleet file of one run, to drive it by itself"
+    )
+    sub.add_argument(
+        "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
+    )
+    sub.add_argument("--quiet", action="store_true", help="say only what went wrong and what was found")
+
+
+def sweep(options: argparse.Namespace) -> int:
+    """Runs the command; returns the exit status."""
+    from deploy.recording.recorder import RecordingError
+    from deploy.simulate.worker_pool import PoolError
+    from deploy.sweep.plan import SweepError
+
+    try:
+        return _sweep(options)
+    except (FleetError, InputError, SweepError, RecordingError, PoolError) as error:
+        print(f"handfast: {error}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from deploy.console.interrupt import Interrupt
+    from deploy.simulate.worker_pool import cores
+    from deploy.sweep.folder import SweepFolder
+    from deploy.sweep.plan import SweepError, make_plan
+    from deploy.sweep.summary import margin_axis
+
+    interrupt = Interrupt()
+    with interrupt.caught():
+        jobs = cores() if options.jobs is None else options.jobs
+        if jobs < 1:
+            raise SweepError(f"--jobs must be at least 1, got {jobs}")
+        timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
+        again, question = _question(options)
+        plan = make_plan(question)
+        margin = margin_axis(plan, options.margin)
+        _refuse_errors(options, plan)
+        if again is not None:
+            path = again
+        elif options.out:
+            path = Path(options.out)
+        else:
+            path = Path("sweeps") / f"{plan.cells[0].fleet.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        with SweepFolder(path, question, plan) as folder:
+            if options.write is not None:
+                return _write(folder, options.write)
+            _drive(folder, jobs, timeout_s, interrupt, quiet=options.quiet)
+            if folder.missing:
+                done = plan.runs - len(folder.missing)
+                print(
+                    f"{done} of {plan.runs} runs are done and kept; go on with: handfast sweep {path}",
+                    file=sys.stderr,
+                )
+                return INTERRUPTED
+            folder.complete()
+            _conclude(folder, margin)
+    return PASSED
+
+
+def _question(options: argparse.Namespace) -> tuple[Path | None, Question]:
+    """What is asked, and the folder of the sweep that asks it when one is gone on with."""
+    from deploy.sweep.folder import SWEEP_FILE, read_question
+    from deploy.sweep.plan import Question, SweepError, parse_axis
+
+    folder = Path(options.fleet)
+    if folder.is_dir():
+        if not (folder / SWEEP_FILE).exists():
+            raise SweepError(f"{folder} is a folder and holds no sweep: give a fleet, or a sweep's folder")
+        names = ("over", "repeat", "law", "overrides", "faults", "duration", "seed", "random_starts", "out")
+        given = [name for name in names if getattr(options, name) not in (None, [])]
+        if given:
+            option = {"overrides": "set", "random_starts": "random-starts"}.get(given[0], given[0])
+            raise SweepError(f"{folder} is a sweep that goes on as it was asked: leave --{option} out")
+        return folder, read_question(folder)
+    path = fleet_path(options.fleet)
+    starts = options.random_starts
+    if starts:
+        starts = _quantity(starts, "m", "--random-starts", '"4m"')
+    return None, Question(
+        str(path),
+        fleet_text(path, scenario_path(options.faults) if options.faults is not None else None),
+        options.law,
+        tuple(overrides(options)),
+        tuple(parse_axis(text) for text in options.over),
+        1 if options.repeat is None else options.repeat,
+        0.0 if starts == "" else starts,
+    )
+
+
+def _quantity(text: str, unit: str, option: str, example: str) -> float:
+    from deploy.sweep.plan import SweepError, number
+
+    value = number(text, unit)
+    if value is None or value <= 0.0:
+        raise SweepError(f"{option} must be more than 0 {unit}, such as {example}, got {text!r}")
+    return value
+
+
+def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
+    """Says what `check` finds wrong in any cell; errors end the command unless told otherwise."""
+    from deploy.check.check import check
+    from deploy.sweep.plan import SweepError
+
+    found: dict[tuple[str, str], tuple[str, list[int]]] = {}
+    for cell in range(len(plan.cells)):
+        try:
+            fleet = plan.fleet(cell * plan.repeat)
+        except ValueError as error:
+            raise SweepError(f"--random-starts: {error}") from None
+        for finding in check(fleet):
+            if finding.level == "error" or (finding.level == "warning" and not options.quiet):
+                # The same thing in many cells, with other numbers in it, is said once.
+                found.setdefault((finding.level, finding.place), (str(finding), []))[1].append(cell)
+    for text, cells in list(found.values())[:FINDINGS_MAX]:
+        more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
+        everywhere = len(cells) == len(plan.cells)
+        print(text if everywhere else f"{text} ({plan.name(cells[0])}{more})", file=sys.stderr)
+    if len(found) > FINDINGS_MAX:
+        print(f"... and {len(found) - FINDINGS_MAX} more", file=sys.stderr)
+    if options.check and any(level == "error" for level, _ in found):
+        raise SweepError(
+            f"{options.fleet}: not started because of the errors above (--no-check drives all the same)"
+        )
+
+
+def _write(folder: SweepFolder, run: int) -> int:
+    """Writes the fleet file of one run beside the results."""
+    import tomli_w
+
+    from agent.fleet.loading import to_dict
+    from deploy.sweep.plan import SweepError
+
+    plan = folder.plan
+    if not 0 <= run < plan.runs:
+        raise SweepError(f"--write {run}: the runs of this sweep are 0 to {plan.runs - 1}")
+    path = folder.path / f"run-{run}.toml"
+    try:
+        path.write_text(tomli_w.dumps(to_dict(plan.fleet(run))), encoding="utf-8")
+    except OSError as error:
+        raise SweepError(f"cannot write {path}: {error.strerror or error}") from None
+    print(f"wrote {path} ({plan.name(run // plan.repeat)}); next: handfast simulate {path}")
+    return PASSED
+
+
+# ---------------------------------------------------------------------- driving
+
+
+def _drive(folder: SweepFolder, jobs: int, timeout_s: float, interrupt: Any, *, quiet: bool) -> None:
+    """Drives what is missing, until all is done or somebody says stop."""
+    from deploy.console.progress import make_progress
+    from deploy.simulate.worker_pool import Pool
+    from deploy.sweep.run import Runs
+
+    missing = folder.missing
+    if not missing:
+        return
+    plan, done = folder.plan, folder.plan.runs - len(missing)
+    if not quiet:
+        kept = f", {done} of them done already" if done else ""
+        print(
+            f"{plan.runs} runs ({len(plan.cells)} cells, {plan.repeat} of each{kept}), {jobs} at a time, "
+            f"into {folder.path}",
+            file=sys.stderr,
+        )
+    progress = make_progress(sys.stderr, plan.runs, done, quiet=quiet, trouble="unsafe or not settled")
+    with progress, Pool(Runs(plan), jobs, timeout_s) as pool:
+        for row in pool.results(missing, lambda: interrupt.count == 0):
+            folder.add(row)
+            progress.add(trouble=not row.good)
+
+
+# ---------------------------------------------------------------------- what was found
+
+
+def _conclude(folder: SweepFolder, margin: int | None) -> None:
+    """Writes summary and pictures, and says what was found."""
+    from deploy.sweep.figures import write_sweep_figures
+    from deploy.sweep.folder import csv_bytes, replace_file
+    from deploy.sweep.plan import SweepError
+    from deploy.sweep.summary import margins, summarise, summary_json, summary_table
+
+    plan = folder.plan
+    cells = summarise(plan, folder.rows)
+    found = margins(plan, cells, margin) if margin is not None else []
+    try:
+        replace_file(folder.path / "summary.csv", csv_bytes(summary_table(plan, cells)))
+        text = json.dumps(summary_json(plan, cells, found), indent=2, allow_nan=False) + "\n"
+        replace_file(folder.path / "summary.json", text.encode())
+    except OSError as error:
+        raise SweepError(f"cannot write the summary into {folder.path}: {error.strerror or error}") from None
+    _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found)
+    if len(cells) <= ROWS_MAX:
+        heading = [axis.field for axis in plan.axes]
+        rows = [[*heading, "safe", "settled", "settling s", "closest m", "RMS mm"]]
+        for cell in cells:
+            middle, rms = (
+                cell.quantiles[name]["median"] for name in ("settling_time_s", "rms_distance_error_m")
+            )
+            rows.append(
+                [
+                    *cell.values,
+                    f"{cell.safe.count}/{cell.safe.of}",
+                    f"{cell.settled.count}/{cell.settled.of}",
+                    "-" if middle is None else f"{middle:.1f}",
+                    "-" if cell.least_m is None else f"{cell.least_m:.3f}",
+                    "-" if rms is None else f"{1e3 * rms:.0f}",
+                ]
+            )
+        print(_aligned(rows))
+    unfinished = sum(cell.unfinished for cell in cells)
+    if unfinished:
+        first = next(row for row in map(folder.rows.__getitem__, range(plan.runs)) if row.settled is None)
+        print(f"{unfinished} of {plan.runs} runs were not finished; run {first.run}: {first.reason}")
+    for each in found[:ROWS_MAX]:
+        print(f"margin of {each}")
+    if len(found) > ROWS_MAX:
+        print(f"... and {len(found) - ROWS_MAX} more margins in summary.json")
+    if left_out:
+        print(left_out)
+    print(folder.path)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  " + "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)) for row in rows
+    )

@@ -1,0 +1,1 @@
+"""Commands to a fleet that is running, here or on its hosts: drive it, order it, stop it, disturb it."""

@@ -1,0 +1,31 @@
+"""The command ``handfast resume``: leave to drive again for robots of a fleet that is running."""
+
+from __future__ import annotations
+
+import argparse
+
+from deploy.console.arguments import describe, robots_argument, robots_named
+from deploy.console.exit import FAILED, PASSED
+from deploy.inventory.running import MEANING, handled, running_fleet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast resume`` takes."""
+    describe(
+        parser,
+        f". {MEANING} An operator gives a robot back by GUIDED mode, "
+        "armed. Exit status: 0 all that are meant drive; 1 some do not; 2 bad input.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
+    robots_argument(parser)
+    parser.set_defaults(command=handled(_resume))
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from deploy.session.resume import resume
+
+    fleet = running_fleet(options.fleet)
+    resuming = resume(fleet, robots_named(fleet, options))
+    for robot in resuming.robots:
+        print(resuming.outcome(robot))
+    return PASSED if resuming.done else FAILED

@@ -1,0 +1,31 @@
+"""The command ``handfast stop``: every robot of a fleet that is running brakes, and stays."""
+
+from __future__ import annotations
+
+import argparse
+
+from deploy.console.arguments import describe
+from deploy.console.exit import FAILED, PASSED
+from deploy.inventory.running import MEANING, handled, running_fleet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what ``handfast stop`` takes."""
+    describe(
+        parser,
+        f". {MEANING} Robots that cannot be reached now stop as "
+        "soon as another one tells them. Exit status: 0 all agents and plants brake; 1 not all; 2 bad input.",
+    )
+    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
+    parser.add_argument("--reason", default="", metavar="TEXT", help="why, for people")
+    parser.set_defaults(command=handled(_stop))
+
+
+def _stop(options: argparse.Namespace) -> int:
+    from deploy.session.stop import stop
+
+    fleet = running_fleet(options.fleet)
+    stopping = stop(fleet, options.reason)
+    for robot in fleet.ids:
+        print(stopping.outcome(robot))
+    return PASSED if stopping.done else FAILED

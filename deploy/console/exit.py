@@ -1,0 +1,14 @@
+"""Exit statuses of every command."""
+
+from __future__ import annotations
+
+from typing import Final
+
+PASSED: Final = 0
+"""Done as asked; where there is a verdict, it passed."""
+FAILED: Final = 1
+"""The verdict failed, or something was not done; what and why was printed."""
+BAD_INPUT: Final = 2
+"""One message named what is wrong; nothing was begun."""
+INTERRUPTED: Final = 130
+"""After Ctrl-C, with everything that was started stopped."""

@@ -1,0 +1,152 @@
+"""What the processes of a fleet said, from several hosts; with a `ssh` that says what a test has it say."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import queue
+import signal
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+import tomli_w
+
+from agent.fleet.loading import to_dict
+from deploy.commands.hosts import logs as logs_command
+from deploy.commands.hosts.logs import Line, Reader
+from deploy.console.arguments import InputError, no_changes
+from deploy.console.interrupt import Interrupt
+from deploy.inventory import ssh
+from tests.unit.agent.fleet.test_hosts import fleet
+
+
+def reader(host: str, *times_us: int) -> Reader:
+    lines = [Line(time_us, host, str(time_us)) for time_us in times_us]
+    following = iter([*lines, None])
+    return cast(Reader, SimpleNamespace(next=lambda _: next(following)))
+
+
+def test_logs_of_several_hosts_come_in_the_order_of_time() -> None:
+    readers = [reader("a", 1, 4, 5), reader("b", 2, 3, 9)]
+    assert [line.time_us for line in logs_command.merged(readers, None, Interrupt())] == [1, 2, 3, 4, 5, 9]
+    readers = [reader("a", 1, 4, 5), reader("b", 2, 3, 9)]
+    assert [line.time_us for line in logs_command.merged(readers, 1, Interrupt())] == [5, 9], (
+        "the last of each host"
+    )
+
+
+def test_lines_that_are_followed_wait_for_earlier_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logs_command, "HOLD_S", 0.05)
+    readers = [reader("a", 7, 8), reader("b", 6)]
+    assert [line.time_us for line in logs_command.followed(readers, Interrupt())] == [6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("entry", "text"),
+    [
+        ({"MESSAGE": "hello"}, "hello"),
+        ({"MESSAGE": [104, 105, 255]}, "hi\N{REPLACEMENT CHARACTER}"),
+        ({"MESSAGE": "a\x1b[31mb"}, "a\\x1b[31mb"),
+    ],
+)
+def test_a_line_is_safe_to_print(entry: dict[str, Any], text: str) -> None:
+    line = logs_command._parsed("a", json.dumps(entry | {"__REALTIME_TIMESTAMP": "17"}).encode())
+    assert line == Line(17, "a", text)
+
+
+def test_what_is_no_entry_is_left_out() -> None:
+    assert logs_command._parsed("a", b"-- no entries --") is None
+    assert logs_command._parsed("a", b"{}") is None
+
+
+# --- the command -----------------------------------------------------------------------------------
+
+ENTRY = json.dumps({"MESSAGE": "hello", "__REALTIME_TIMESTAMP": "17"})
+
+
+@pytest.fixture
+def tools(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    return tmp_path
+
+
+def logs(tools: Path, left: str, right: str, **given: Any) -> int:
+    """The exit status of `logs` where ssh to the two hosts does this."""
+    script = tools / "ssh"
+    script.write_text(f'#!/bin/sh\ncase "$*" in *" left "*) {left};; *) {right};; esac\n')
+    script.chmod(0o755)
+    return run(tools, **given)
+
+
+def run(tools: Path, **given: Any) -> int:
+    file = tools / "two.toml"
+    file.write_text(tomli_w.dumps(to_dict(fleet())))
+    nothing = {"hosts": [], "robots": [], "since": None, "lines": None, "follow": False}
+    return logs_command._logs(argparse.Namespace(**{**no_changes(), **nothing, "fleet": str(file), **given}))
+
+
+def test_a_host_that_cannot_be_read_is_said_and_fails(
+    tools: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "echo 'x: Permission denied' >&2; exit 255"
+    assert logs(tools, f"echo '{ENTRY}'", said) == 1
+    out, err = capsys.readouterr()
+    assert out.endswith("left: hello\n")
+    assert err.startswith("handfast: right: it does not let r in")
+
+
+def test_a_status_without_a_word_is_a_failure_too(tools: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert logs(tools, "true", "exit 1") == 1
+    assert capsys.readouterr().err == "handfast: right: the program there ended (status 1)\n"
+
+
+def test_whoever_follows_hears_of_a_host_that_cannot_be_read(
+    tools: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At once: the others are followed on and on."""
+    told: list[str] = []
+
+    def look(self: Reader, timeout_s: float, plain: Any = Reader.next) -> Line | None:
+        line = plain(self, timeout_s)
+        if line is None and self.host.name == "right":
+            told.append(capsys.readouterr().err)
+            signal.raise_signal(signal.SIGINT)
+        return cast("Line | None", line)
+
+    monkeypatch.setattr(Reader, "next", look)
+    assert logs(tools, "exec sleep 60", "exit 255", follow=True) == 130
+    assert told == [f"handfast: right: {ssh.LOST}\n"]
+
+
+@pytest.mark.parametrize("lines", [None, 5])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_it_while_a_host_says_nothing(
+    tools: Path, lines: int | None, number: signal.Signals
+) -> None:
+    waits = threading.Event()
+    main = threading.main_thread().ident
+    assert main is not None
+    sent = threading.Thread(target=lambda: (waits.wait(10.0), signal.pthread_kill(main, number)))
+    plain = queue.Queue.get
+
+    def get(self: Any, block: bool = True, timeout: float | None = None) -> Any:
+        waits.set()
+        return plain(self, block, timeout)
+
+    sent.start()
+    begun = time.monotonic()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(queue.Queue, "get", get)
+        assert logs(tools, "exec sleep 60", "true", lines=lines) == 130
+    assert time.monotonic() - begun < 20.0
+    sent.join()
+
+
+def test_without_ssh_it_is_one_line(tools: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tools))
+    with pytest.raises(InputError, match="there is no ssh on this machine"):
+        run(tools)
