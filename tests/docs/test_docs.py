@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 from pathlib import Path
@@ -19,7 +20,7 @@ from deploy.console.data_files import FLEETS
 from deploy.verdict.oracles import ORACLES
 
 ROOT = Path(__file__).parents[2]
-DOCS = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+DOCS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
 ORDERS = sorted((ROOT / "docs" / "orders").glob("*.toml"))
 ALL = {state.value for state in State}
 
@@ -125,9 +126,10 @@ def test_commands_are_commands(path: Path, capsys: pytest.CaptureFixture[str]) -
             pytest.fail(f"{path.name}: {line}\n{capsys.readouterr().err}")
 
 
-def test_the_commands_of_the_readme_are_most_there_are() -> None:
-    named = {line.split()[1] for line in commands(ROOT / "README.md")}
-    assert {"run", "simulate", "check", "join", "leave", "reshape", "stop", "resume", "heartbeat"} <= named
+def test_every_command_is_shown_somewhere() -> None:
+    (subparsers,) = (each for each in cli._parser()._actions if isinstance(each, argparse._SubParsersAction))
+    pages = "\n".join(path.read_text(encoding="utf-8") for path in DOCS)
+    assert set(subparsers.choices) <= set(re.findall(r"handfast ([\w-]+)", pages))
 
 
 # --- links ----------------------------------------------------------------------------------------
@@ -155,3 +157,38 @@ def test_links_lead_somewhere(path: Path) -> None:
 def test_every_picture_is_shown() -> None:
     shown = {name for path in DOCS for name in re.findall(r"images/([\w-]+\.png)", path.read_text("utf-8"))}
     assert shown == {path.name for path in (ROOT / "docs" / "images").glob("*.png")}
+
+
+def test_the_readme_leads_to_every_page() -> None:
+    linked = set(re.findall(r"\]\(([\w/-]+\.md)\)", (ROOT / "README.md").read_text(encoding="utf-8")))
+    assert {str(path.relative_to(ROOT)) for path in DOCS} - {"README.md"} <= linked
+
+
+# --- lines and paths ------------------------------------------------------------------------------
+
+LINE_MAX = 110
+PACKAGES = "agent|plant|bridges|deploy|tests|docs"
+NOT_OURS = {"__init__.py", "__main__.py", "sim_vehicle.py"}
+"""Names of files that are in no folder of ours, or in many."""
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.stem)
+def test_lines_are_short(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    long = [f"{number}: {line}" for number, line in enumerate(lines, 1) if len(line) > LINE_MAX]
+    assert not long
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.stem)
+def test_the_files_and_folders_that_are_named_exist(path: Path) -> None:
+    page = path.read_text(encoding="utf-8")
+    named = set(re.findall(rf"(?<![\w/.-])(?:{PACKAGES})/[\w./-]*\w/?", page))
+    assert not sorted(name for name in named if not (ROOT / name).exists())
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.stem)
+def test_modules_are_named_with_their_folder(path: Path) -> None:
+    """A bare `law.py` does not say where to look."""
+    prose = re.sub(r"^ {4,}.*$|^```.*?^```$", "", path.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    bare = set(re.findall(r"(?<![\w/.>-])[a-z_]+\.py\b", prose))
+    assert bare <= NOT_OURS
