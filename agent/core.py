@@ -25,6 +25,7 @@ from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     FLOAT_MAX,
     FUTURE_NS_MAX,
+    HEARD_ROUNDS,
     NO_FORCES,
     TOPICS,
     Ask,
@@ -48,8 +49,6 @@ from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, S
 from agent.supervision.stop_latch import AWAITED, StopLatch
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
-HEARD_ROUNDS: Final = 7
-"""Each robot's hand states echo once in so many what it heard of the others: clocks part slowly."""
 STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
 LISTEN_ROUNDS: Final = 2

@@ -30,6 +30,8 @@ FLOAT_MAX: Final = 1e15
 TIME_NS_MAX: Final = 2**62
 FUTURE_NS_MAX: Final = 250_000_000
 """A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
+HEARD_ROUNDS: Final = 7
+"""Each robot's hand states echo once in so many what it heard of the others: clocks part slowly."""
 DEGREE_MAX: Final = 1000
 """Constraints that act on one robot."""
 ROBOT_MAX: Final = 9999

@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core import HEARD_ROUNDS
 from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from agent.fleet.model import Fleet
 from agent.formation.geometry import start_hands
@@ -19,13 +18,12 @@ from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import LinkEffects
 from agent.messages.codec import encode
 from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import FUTURE_NS_MAX, HandState
+from agent.messages.types import FUTURE_NS_MAX, HEARD_ROUNDS, HandState
 from deploy.check.finding import Finding, Level
 from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.faults.windows import windows
 from deploy.faults.wording import acts_on_links, words
-from deploy.recording.link_table import Link
-from deploy.verdict.link_audit import links_of
+from deploy.recording.links import Link, links_of
 
 CONTRADICTIONS_MAX: Final = 12
 """So many are said one by one."""

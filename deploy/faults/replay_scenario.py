@@ -13,7 +13,8 @@ from agent.impairments.recorded_fates import DELAY_US_MAX, FATES_MAX, UNTOUCHED,
 from agent.impairments.recorded_fates import LOST as FATE_LOST
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import CORRUPTED, LOST
-from deploy.recording.link_table import Ints, Link, LinkTable
+from deploy.recording.link_table import Ints, LinkTable
+from deploy.recording.links import Link
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from agent.fleet.fault_rules import Rule
 from agent.fleet.scenario import ScenarioError, parse_scenario
@@ -16,7 +16,9 @@ from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import named
 from agent.messages.types import EVERY_AUTHOR, Faults
 from deploy.faults.wording import lasts
-from deploy.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from deploy.recording.recording import Recording
 
 WINDOWS_MAX: Final = 2000
 """A rule that comes again more often than this is taken to hold all the time."""

@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.messages.types import DUPLICATED, LOST, TOPICS, LinkTrace
 from deploy.recording.columns import Store
+from deploy.recording.links import Link
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,17 +32,6 @@ def true_ns(stamps_ns: Ints, clock: Clock, epoch_ns: int) -> Ints:
     since_epoch = stamps_ns - skew_ns - epoch_ns
     slowed: Ints = np.rint(since_epoch / (1.0 + drift)).astype(np.int64)
     return np.where(since_epoch > 0, slowed, since_epoch) + epoch_ns
-
-
-class Link(NamedTuple):
-    """A directed link: what robot `destination` hears from robot `source`; `topic` is one of `TOPICS`."""
-
-    source: int
-    destination: int
-    topic: str
-
-    def __str__(self) -> str:
-        return f"{self.source}→{self.destination}" + (f" {self.topic}" if self.topic != "hand" else "")
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ alone. Beacons, a few a second from all to all, are not recorded for this.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import Final, NamedTuple
@@ -28,7 +28,8 @@ from agent.links.link_emulator import TRACE_PERIOD_NS, LinkEmulator
 from agent.messages.types import HELD, OVERFLOW, TOPICS, Faults, Wrench
 from deploy.analysis.analysis import Analysis
 from deploy.faults.wording import gives_link_effects
-from deploy.recording.link_table import Link, LinkTable
+from deploy.recording.link_table import LinkTable
+from deploy.recording.links import Link, links_of
 from deploy.recording.recording import LiveFaults, Recording
 
 DIFFERENCES_MAX: Final = 20
@@ -125,17 +126,6 @@ def _has_rules(recording: Recording) -> bool:
 
 def _receiver(link: Link) -> tuple[int, str]:
     return link.destination, "plant" if link.topic == "wrench" else "agent"
-
-
-def links_of(ids: Iterable[int], edges: Iterable[tuple[int, int]]) -> Iterator[Link]:
-    """Every link that a fleet with these edges always has: both ways along each edge, and between each agent
-    and its plant."""
-    for i, j in edges:
-        yield Link(i, j, "hand")
-        yield Link(j, i, "hand")
-    for robot in ids:
-        yield Link(robot, robot, "state")
-        yield Link(robot, robot, "wrench")
 
 
 def _pair(link: Link) -> tuple[int, int]:

@@ -16,10 +16,11 @@ from deploy.analysis.rounding import largest, mean, number, percentile
 from deploy.console.wording import robots
 from deploy.faults.windows import LiveSet, live_sets, windows
 from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
-from deploy.recording.link_table import Floats, Ints, Link, LinkTable
+from deploy.recording.link_table import Floats, Ints, LinkTable
+from deploy.recording.links import Link, links_of
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable
-from deploy.verdict.link_audit import audit, links_of
+from deploy.verdict.link_audit import audit
 
 _RECEIVED, _LOST, _OFFSET, _ERROR = 2, 3, 4, 5  # columns of StatusTable.neighbours
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]

@@ -14,7 +14,8 @@ import numpy as np
 from agent.common.time import NS_PER_S
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import LOST
-from deploy.recording.link_table import Link, LinkTable
+from deploy.recording.link_table import LinkTable
+from deploy.recording.links import Link
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording
 from tests.process.harness import (

@@ -16,7 +16,7 @@ from agent.impairments.recorded_fates import DELAY_US_MAX, UNTOUCHED, decode_fat
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import CORRUPTED, LOST
 from deploy.faults.replay_scenario import write_scenario
-from deploy.recording.link_table import Link
+from deploy.recording.links import Link
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
