@@ -63,7 +63,6 @@ class _Drawing:
         self._operator.begin(self._epoch_ns - NS_PER_S, self._epoch_ns, duration_ns)
         self._plans = [self._plan]
         self._orders: list[Tables] = []
-        self._stopped_until: float | None = None
 
     @property
     def _plan(self) -> Plan:

@@ -7,7 +7,7 @@ robots with all that names them, settings, time.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any, Final
 
@@ -24,8 +24,6 @@ _NEEDED: Final = ("name", "edges", "offsets", "safe_distance_m", "rule", "durati
 _AFTER_S: Final = 0.5
 """A shorter drive ends so long after what was violated."""
 _CALM: Final = {"kind": "hold"}
-
-Try = Callable[[Tables], Outcome | None]
 
 
 def shrink(tables: Tables, first: Outcome, go_on: GoOn, runs_max: int = RUNS_MAX) -> tuple[Tables, Outcome]:

@@ -44,7 +44,7 @@ ORACLES: Final[tuple[Oracle, ...]] = (
         "An agent is in fault within the plant timeout when its plant is gone.",
         oracles_reaction.plant_dead,
     ),
-    Oracle("stopped", "After a stop nothing drives until leave to resume.", oracles_reaction.stopped),
+    Oracle("stopped", "After a stop nothing drives until a resume.", oracles_reaction.stopped),
     Oracle(
         "one_mission",
         "All agents end up with the same mission, and the same last stop or resume.",
@@ -63,8 +63,3 @@ ORACLES: Final[tuple[Oracle, ...]] = (
 def examine(recording: Recording, analysis: Analysis, fleet: Fleet) -> dict[str, list[Violation] | None]:
     """What every oracle found, in the order of `ORACLES`; None where it does not apply."""
     return {oracle.name: oracle.look(recording, analysis, fleet) for oracle in ORACLES}
-
-
-def judge(recording: Recording, analysis: Analysis, fleet: Fleet) -> list[Violation]:
-    """Everything that must not have been."""
-    return [found for each in examine(recording, analysis, fleet).values() for found in each or ()]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Final
@@ -17,6 +19,7 @@ from tests.benchmarks.processes import BenchmarkError, end, environment, handfas
 
 ALIVE_S: Final = 3.0
 GONE_S: Final = 1.0
+COMMAND_S: Final = 0.4
 PROCESSES: Final = 12
 TIMEOUT_S: Final = 60.0
 POLL_S: Final = 0.002
@@ -89,10 +92,19 @@ def once(folder: Path) -> tuple[float, float, float]:
         reader.join(1.0)
 
 
-def command_s(*arguments: str) -> float:
+def took_s(words: Sequence[str]) -> float:
     begun = time.perf_counter()
-    subprocess.run(handfast(*arguments), env=environment(), stdout=subprocess.DEVNULL, check=False)
+    subprocess.run(words, env=environment(), stdout=subprocess.DEVNULL, check=False)
     return time.perf_counter() - begun
+
+
+def above_python(repetitions: int, *arguments: str) -> Figure:
+    """What a command takes more than ``python -c pass``: both in turn, so that a busy machine slows both."""
+    bare = [sys.executable, "-c", "pass"]
+    pairs = [(took_s(bare), took_s(handfast(*arguments))) for _ in range(repetitions)]
+    more = [command_s - bare_s for bare_s, command_s in pairs]
+    name = f"handfast {' '.join(arguments)}, more than python -c pass, median"
+    return Figure(name, median(more), "s", COMMAND_S, note=spread(more))
 
 
 def run(options: Options) -> Result:
@@ -108,6 +120,5 @@ def run(options: Options) -> Result:
         ]
     )
     for arguments in (("--help",), ("check", "delta")):
-        took = [command_s(*arguments) for _ in range(repetitions)]
-        result.figures.append(Figure(f"handfast {' '.join(arguments)}", median(took), "s", note=spread(took)))
+        result.figures.append(above_python(repetitions, *arguments))
     return result

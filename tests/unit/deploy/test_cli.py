@@ -11,7 +11,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from deploy.check.check import check
-from deploy.cli import main
+from deploy.cli import COMMANDS, _parser, main
 from deploy.console.data_files import FLEETS
 
 ROOT = Path(__file__).parents[3]
@@ -97,11 +97,71 @@ def test_a_fleet_without_a_switch_needs_no_heartbeats(capsys: pytest.CaptureFixt
     assert "pair has no dead-man's switch" in capsys.readouterr().err
 
 
-def test_orders_need_no_numerics_before_they_are_sent() -> None:
-    """A stop must be quick: the command line loads no numpy until something needs it."""
-    code = (
-        "import sys, deploy.cli, deploy.session.stop; deploy.cli._parser(); sys.exit('numpy' in sys.modules)"
+HEAVY = (
+    "zenoh",
+    "pymavlink",
+    "serial",
+    "pymap3d",
+    "cryptography",
+    "msgpack",
+    "matplotlib",
+    "mcap",
+    "pyarrow",
+    "rich",
+    "tomli_w",
+    "importlib.metadata",
+)
+LOADED = """
+import sys
+from contextlib import redirect_stdout, suppress
+from io import StringIO
+from deploy.cli import main
+with redirect_stdout(StringIO()), suppress(SystemExit):
+    main(sys.argv[1:])
+print(*sys.modules)
+"""
+
+
+def loaded_by(*arguments: str) -> set[str]:
+    """Modules that a command loads."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60
     )
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+def test_help_loads_no_command_and_nothing_of_fleets() -> None:
+    loaded = loaded_by("--help")
+    assert not loaded & {*HEAVY, "numpy", "agent", "bridges", "plant"}
+    assert not [name for name in loaded if name.startswith("deploy.commands.")]
+
+
+def test_check_loads_only_what_it_computes_with() -> None:
+    loaded = loaded_by("check", "delta")
+    assert not loaded & (set(HEAVY) - {"msgpack"})
+    assert not loaded & {"agent.core", "deploy.recording.recording", "deploy.drive", "deploy.hosts"}
+    commands = {name for name in loaded if name.startswith("deploy.commands.")}
+    assert commands == {"deploy.commands.local", "deploy.commands.local.check"}
+
+
+def test_a_command_loads_no_other() -> None:
+    """A stop must be quick: no numpy, and nothing of how fleets are driven or drawn."""
+    loaded = loaded_by("stop", "--help")
+    assert not loaded & {*HEAVY, "numpy"}
+    commands = {name for name in loaded if name.startswith("deploy.commands.")}
+    assert commands == {"deploy.commands.running", "deploy.commands.running.stop"}
+
+
+def test_every_command_has_one_line_of_help_and_a_module() -> None:
+    names = [command.name for command in COMMANDS]
+    assert len(set(names)) == len(names)
+    _parser()  # takes the arguments of all of them
+    assert all(command.help and "\n" not in command.help for command in COMMANDS)
+
+
+def test_orders_need_no_numerics_before_they_are_sent() -> None:
+    code = "import sys, deploy.session.stop; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
 
 

@@ -20,7 +20,7 @@ from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState,
 from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
-from deploy.verdict.oracles import ORACLES, examine, judge
+from deploy.verdict.oracles import ORACLES, examine
 from deploy.verdict.violations import Violation
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 from tests.unit.deploy.synthetic_run import Path as Way
@@ -83,7 +83,7 @@ def test_a_good_run_violates_nothing_and_most_does_not_apply() -> None:
     assert {name for name, violations in results.items() if violations is not None} == {
         "separation", "one_mission", "limits",
     }  # fmt: skip
-    assert not judge(recording, analyse(recording, resolve(PAIR)), PAIR)
+    assert not any(examine(recording, analyse(recording, resolve(PAIR)), PAIR).values())
 
 
 # --- places -------------------------------------------------------------------------------------
