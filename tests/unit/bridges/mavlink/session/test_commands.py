@@ -1,0 +1,102 @@
+"""Commands: sent three times, answered once, overtaken, cancelled."""
+
+from __future__ import annotations
+
+import pytest
+
+from bridges.mavlink.ardupilot import constants
+from bridges.mavlink.session.commands import ANSWER_TIMEOUT_NS, TRIES, Commands, Outcome
+
+MODE, ARM = constants.CMD_DO_SET_MODE, constants.CMD_COMPONENT_ARM_DISARM
+VALUES = (1.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def asked() -> Commands:
+    """A request for GUIDED, sent once at time 0."""
+    commands = Commands()
+    commands.give(MODE, 1, 15)
+    assert commands.due(0) == [(MODE, 0, VALUES)]
+    return commands
+
+
+def test_a_command_is_repeated_with_its_count_and_then_given_up() -> None:
+    commands = asked()
+    for tries in range(1, TRIES):
+        assert commands.due(tries * ANSWER_TIMEOUT_NS - 1) == []
+        assert commands.due(tries * ANSWER_TIMEOUT_NS) == [(MODE, tries, VALUES)]
+    assert commands.outcome(MODE) == Outcome("waiting")
+    assert commands.waiting
+    assert commands.due(TRIES * ANSWER_TIMEOUT_NS) == []
+    assert commands.outcome(MODE) == Outcome("no answer")
+    assert not commands.waiting
+
+
+@pytest.mark.parametrize(
+    ("result", "state", "text"),
+    [
+        (constants.RESULT_ACCEPTED, "accepted", "accepted"),
+        (constants.RESULT_DENIED, "refused", "denied"),
+        (99, "refused", "refused with result 99"),
+    ],
+)
+def test_an_answer_ends_it(result: int, state: str, text: str) -> None:
+    commands = asked()
+    commands.answered(1, MODE, result)
+    outcome = commands.outcome(MODE)
+    assert outcome == Outcome(state, result)
+    assert outcome.text == text
+    assert commands.due(10 * ANSWER_TIMEOUT_NS) == []
+
+
+def test_an_answer_that_nobody_waits_for_is_ignored() -> None:
+    commands = Commands()
+    commands.answered(0, MODE, constants.RESULT_ACCEPTED)
+    assert commands.outcome(MODE) is None
+    commands.give(MODE, 1, 15)
+    commands.answered(0, MODE, constants.RESULT_DENIED)  # to an earlier one: this has not been sent
+    assert commands.outcome(MODE) == Outcome("waiting")
+
+
+def test_one_in_progress_gets_more_time() -> None:
+    commands = asked()
+    commands.answered(0, MODE, constants.RESULT_IN_PROGRESS)
+    assert commands.outcome(MODE) == Outcome("waiting")
+    assert commands.due(5 * ANSWER_TIMEOUT_NS - 1) == []
+    assert commands.due(5 * ANSWER_TIMEOUT_NS) == [(MODE, 1, VALUES)]
+
+
+def test_one_overtaken_by_events_is_not_repeated_but_may_be_answered() -> None:
+    commands = asked()
+    commands.no_more(MODE)
+    assert commands.due(ANSWER_TIMEOUT_NS - 1) == []
+    commands.answered(ANSWER_TIMEOUT_NS - 1, MODE, constants.RESULT_ACCEPTED)
+    assert commands.outcome(MODE) == Outcome("accepted", constants.RESULT_ACCEPTED)
+
+
+def test_one_that_was_not_sent_yet_is_not_overtaken() -> None:
+    commands = Commands()
+    commands.give(MODE, 1, 15)
+    commands.no_more(MODE)
+    assert commands.due(0) == [(MODE, 0, VALUES)]
+
+
+def test_what_waits_for_the_link_is_cancelled() -> None:
+    commands = asked()
+    commands.give(ARM, 1)
+    commands.cancel()
+    assert commands.due(ANSWER_TIMEOUT_NS) == []
+    assert commands.outcome(MODE) == commands.outcome(ARM) == Outcome("no answer")
+
+
+def test_a_later_command_of_its_number_takes_its_place() -> None:
+    commands = asked()
+    commands.give(MODE, 1, 4)
+    assert commands.due(1) == [(MODE, 0, (1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0))]
+
+
+def test_an_outcome_is_taken_once_and_only_when_it_is_final() -> None:
+    commands = asked()
+    assert commands.take(MODE) is None
+    commands.answered(1, MODE, constants.RESULT_ACCEPTED)
+    assert commands.take(MODE) == Outcome("accepted", constants.RESULT_ACCEPTED)
+    assert commands.take(MODE) is None
