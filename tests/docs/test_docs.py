@@ -192,3 +192,11 @@ def test_modules_are_named_with_their_folder(path: Path) -> None:
     prose = re.sub(r"^ {4,}.*$|^```.*?^```$", "", path.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
     bare = set(re.findall(r"(?<![\w/.>-])[a-z_]+\.py\b", prose))
     assert bare <= NOT_OURS
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.stem)
+def test_what_is_said_to_be_in_a_file_is_there(path: Path) -> None:
+    page = path.read_text(encoding="utf-8")
+    for name, file in re.findall(rf"`(\w+)`\s+in\s+`((?:{PACKAGES})/[\w/]+\.py)`", page):
+        pattern = rf"^\s*(?:def |class )?{name}\b"
+        assert re.search(pattern, (ROOT / file).read_text("utf-8"), re.MULTILINE), f"{name} in {file}"
