@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from agent.control import law
 from agent.control.prediction import approach
 from agent.fleet.model import Fleet
+from deploy.analysis import fleet_law
 from deploy.analysis.analysis import Analysis
 
 STILL_S: Final = 2.0
@@ -55,7 +56,7 @@ def _lately(a: Analysis, row: int) -> NDArray[np.bool_]:
     return lately
 
 
-def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[law.Array, law.Array]:
+def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[fleet_law.Array, fleet_law.Array]:
     """Navigation force on every robot, and what is left of all forces, (2, n), m/s^2, if none moves in the
     formation."""
     control, n = fleet.control, len(a.ids)
@@ -70,7 +71,7 @@ def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[law.Array, law.Array]:
     columns = np.flatnonzero(a.counts[row])
     i, j = a.edges[columns].T
     gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
-    edges = law.edges(
+    edges = fleet_law.edges(
         (a.hands[row, i] - a.hands[row, j]).T,
         np.zeros((2, len(columns))),
         navigation[:, i] - navigation[:, j],
@@ -78,6 +79,8 @@ def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[law.Array, law.Array]:
         fleet.formation.safe_distance_m,
         gains,
     )
-    multipliers = law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
-    total: law.Array = navigation + law.total_forces(law.forces(edges, multipliers), i, j, n)
+    multipliers = fleet_law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
+    total: fleet_law.Array = navigation + fleet_law.total_forces(
+        fleet_law.forces(edges, multipliers), i, j, n
+    )
     return navigation, total

@@ -31,6 +31,7 @@ from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import edge_lengths
 from agent.formation.rigidity import rigidity_matrix
 from agent.formation.trajectory import make_trajectory
+from deploy.analysis import fleet_law
 
 Floats = NDArray[np.float64]
 
@@ -162,14 +163,14 @@ def at_start(fleet: Fleet, geometry: Geometry) -> Start:
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)
     error = (start_hands(fleet) - geometry.offsets - (x, y)).T
     rate = np.broadcast_to(np.array([[-vx], [-vy]]), error.shape)  # the robots start at rest
-    navigation = law.navigation_force(np.array([[ax], [ay]]), error, rate, control.c1, control.c2)
+    navigation = fleet_law.navigation_force(np.array([[ax], [ay]]), error, rate, control.c1, control.c2)
     i, j = geometry.edges[:, 0], geometry.edges[:, 1]
     n = len(geometry.ids)
     if not len(i):
         energy = 0.5 * control.k2 * float(control.c1 * np.sum(error**2) + np.sum(rate**2))
         return Start(np.hypot(*navigation), np.hypot(*error), energy)
     position = error + geometry.offsets.T
-    edges = law.edges(
+    edges = fleet_law.edges(
         position[:, i] - position[:, j],
         np.zeros((2, len(i))),
         navigation[:, i] - navigation[:, j],
@@ -177,9 +178,9 @@ def at_start(fleet: Fleet, geometry: Geometry) -> Start:
         fleet.formation.safe_distance_m,
         gains,
     )
-    multipliers = law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
-    total = navigation + law.total_forces(law.forces(edges, multipliers), i, j, n)
-    return Start(np.hypot(*total), np.hypot(*error), law.energy(edges, error, rate, control.c1, gains))
+    multipliers = fleet_law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
+    total = navigation + fleet_law.total_forces(fleet_law.forces(edges, multipliers), i, j, n)
+    return Start(np.hypot(*total), np.hypot(*error), fleet_law.energy(edges, error, rate, control.c1, gains))
 
 
 def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:

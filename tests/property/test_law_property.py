@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from agent.control import law
+from deploy.analysis import fleet_law
 
 Floats = NDArray[np.float64]
 RS = 0.22
@@ -36,11 +37,11 @@ class Group(NamedTuple):
     def n(self) -> int:
         return self.r.shape[1]
 
-    def edges(self) -> law.Edges:
+    def edges(self) -> fleet_law.Edges:
         i, j = self.graph.T
         v = self.error_rate + self.reference[:, None]
-        fn = law.navigation_force(0.0, self.error, self.error_rate, C1, C2)
-        return law.edges(
+        fn = fleet_law.navigation_force(0.0, self.error, self.error_rate, C1, C2)
+        return fleet_law.edges(
             self.r[:, i] - self.r[:, j], v[:, i] - v[:, j], fn[:, i] - fn[:, j], self.d, RS, self.gains
         )
 
@@ -92,13 +93,13 @@ class Sweeper:
         self.degrees = degree[self.i] + degree[self.j]
         self.weights = g.gains.k2 + self.e.slope**2 * self.degrees
         self.rate = 1.0 - g.gains.k2 / self.weights.max()
-        self.exact = law.multipliers_joint(self.e, self.i, self.j, g.n, g.gains)
+        self.exact = fleet_law.multipliers_joint(self.e, self.i, self.j, g.n, g.gains)
 
     def sweep(self, lam: Floats) -> Floats:
-        force = law.forces(self.e, lam)
-        constraint = law.total_forces(force, self.i, self.j, self.g.n)
+        force = fleet_law.forces(self.e, lam)
+        constraint = fleet_law.total_forces(force, self.i, self.j, self.g.n)
         pull = constraint[:, self.i] - constraint[:, self.j]
-        return law.multipliers_sweep(self.e, lam, pull, self.degrees, self.g.gains)
+        return fleet_law.multipliers_sweep(self.e, lam, pull, self.degrees, self.g.gains)
 
     def norm(self, lam: Floats) -> float:
         return sqrt(float(self.weights @ (lam - self.exact) ** 2))
@@ -145,13 +146,13 @@ def test_both_ends_of_an_edge_sweep_to_the_same_multiplier(g: Group):
     sweeper = Sweeper(g)
     lam = np.random.default_rng(1).normal(size=len(g.graph))
     together = sweeper.sweep(lam)
-    constraint = law.total_forces(law.forces(sweeper.e, lam), *g.graph.T, g.n)
+    constraint = fleet_law.total_forces(fleet_law.forces(sweeper.e, lam), *g.graph.T, g.n)
     v = g.error_rate + g.reference[:, None]
-    fn = law.navigation_force(0.0, g.error, g.error_rate, C1, C2)
+    fn = fleet_law.navigation_force(0.0, g.error, g.error_rate, C1, C2)
     for robot in range(g.n):
         mine = np.flatnonzero((g.graph == robot).any(axis=1))
         other = g.graph[mine].sum(axis=1) - robot
-        e = law.edges(
+        e = fleet_law.edges(
             g.r[:, [robot]] - g.r[:, other],
             v[:, [robot]] - v[:, other],
             fn[:, [robot]] - fn[:, other],
@@ -159,8 +160,8 @@ def test_both_ends_of_an_edge_sweep_to_the_same_multiplier(g: Group):
             RS,
             g.gains,
         )
-        own = law.forces(e, lam[mine]).sum(axis=1, keepdims=True)
-        swept = law.multipliers_sweep(
+        own = fleet_law.forces(e, lam[mine]).sum(axis=1, keepdims=True)
+        swept = fleet_law.multipliers_sweep(
             e, lam[mine], own - constraint[:, other], sweeper.degrees[mine], g.gains
         )
         assert np.allclose(swept, together[mine], rtol=1e-9, atol=1e-9)
@@ -233,7 +234,7 @@ def dissipation(g: Group) -> float:
 
 
 def joint(g: Group) -> Floats:
-    return law.multipliers_joint(g.edges(), *g.graph.T, g.n, g.gains)
+    return fleet_law.multipliers_joint(g.edges(), *g.graph.T, g.n, g.gains)
 
 
 @given(groups())
@@ -260,7 +261,7 @@ def test_energy_of_the_papers_law_can_grow():
         gains=gains,
         reference=np.zeros(2),
     )
-    per_edge = law.multipliers_edge(g.edges(), gains)
+    per_edge = fleet_law.multipliers_edge(g.edges(), gains)
     grows, size = energy_rate(g, per_edge)
     assert grows > 0.1 * size
     falls, _ = energy_rate(g, joint(g))
@@ -271,7 +272,7 @@ def test_energy_of_the_papers_law_can_grow():
 @given(groups(robots_max=2))
 @settings(max_examples=60)
 def test_energy_of_the_papers_law_falls_for_one_pair_25(g: Group):
-    lost, size = energy_rate(g, law.multipliers_edge(g.edges(), g.gains))
+    lost, size = energy_rate(g, fleet_law.multipliers_edge(g.edges(), g.gains))
     assert abs(lost - dissipation(g)) <= 1e-9 * size + 1e-12
 
 
@@ -289,14 +290,14 @@ def test_along_a_solution_energy_never_grows_and_edges_keep_their_bound(g: Group
     def rate(t: float, y: Floats) -> Floats:
         now = at(y, t)
         e = now.edges()
-        lam = law.multipliers_joint(e, *g.graph.T, n, g.gains)
-        force = law.total_forces(law.forces(e, lam), *g.graph.T, n)
-        u = law.navigation_force(0.0, now.error, now.error_rate, C1, C2) + force
+        lam = fleet_law.multipliers_joint(e, *g.graph.T, n, g.gains)
+        force = fleet_law.total_forces(fleet_law.forces(e, lam), *g.graph.T, n)
+        u = fleet_law.navigation_force(0.0, now.error, now.error_rate, C1, C2) + force
         return np.concatenate([now.error_rate.ravel(), u.ravel()])
 
     def energy(y: Floats, t: float) -> float:
         now = at(y, t)
-        return law.energy(now.edges(), now.error, now.error_rate, C1, g.gains)
+        return fleet_law.energy(now.edges(), now.error, now.error_rate, C1, g.gains)
 
     # Where the robots are wanted follows from where they are and how far off: any shape, not g.d's.
     wanted = g.r - g.error
@@ -355,8 +356,8 @@ def test_the_pull_to_the_place_is_continuous(
 @given(groups(clearance_min=1e-3), st.floats(-1e6, 1e6))
 def test_a_one_sided_constraint_never_pulls(g: Group, value: float):
     e = g.edges()
-    for lam in (law.repelling(np.full(len(g.d), value)), law.repelling(joint(g))):
-        force = law.forces(e, lam)
+    for lam in (fleet_law.repelling(np.full(len(g.d), value)), fleet_law.repelling(joint(g))):
+        force = fleet_law.forces(e, lam)
         assert (force[0] * e.normal[0] + force[1] * e.normal[1] >= 0.0).all()
     assert law.repelling(value) == max(value, 0.0)
 
@@ -365,8 +366,8 @@ def test_a_one_sided_constraint_never_pulls(g: Group, value: float):
 def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: float):
     """With k2 = 0 the constraint force would not know the weight: a constraint holds or does not."""
     e, stiff = g.edges(), g.gains._replace(k2=0.0)
-    faded = law.weighted(e, weight)
-    full, less = (law.forces(each, law.multipliers_edge(each, stiff)) for each in (e, faded))
+    faded = fleet_law.weighted(e, weight)
+    full, less = (fleet_law.forces(each, fleet_law.multipliers_edge(each, stiff)) for each in (e, faded))
     assert less == pytest.approx(full, rel=1e-9, abs=1e-12)
     assert faded.normal is e.normal
     assert faded.distance is e.distance
@@ -374,15 +375,15 @@ def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: 
 
 @given(groups(clearance_min=0.1))
 def test_an_edge_without_weight_has_no_force(g: Group):
-    faded = law.weighted(g.edges(), 0.0)
-    assert not np.any(law.forces(faded, law.multipliers_edge(faded, g.gains)))
+    faded = fleet_law.weighted(g.edges(), 0.0)
+    assert not np.any(fleet_law.forces(faded, fleet_law.multipliers_edge(faded, g.gains)))
 
 
 @given(groups(clearance_min=0.1))
 def test_an_obstacle_is_a_constraint_of_one_body(g: Group):
     """A A^T = phi'^2 where only one end can move: the same demand, met by one robot alone."""
     e = g.edges()
-    lam = law.multipliers_edge(e, g.gains, 1)
+    lam = fleet_law.multipliers_edge(e, g.gains, 1)
     assert lam * (g.gains.k2 + e.slope**2) == pytest.approx(e.demand, rel=1e-9)
 
 
@@ -395,7 +396,7 @@ def test_sweeps_with_one_sided_constraints_settle_as_fast(g: Group, seed: int):
 
     def sweep(lam: Floats) -> Floats:
         swept = sweeper.sweep(lam)
-        return np.where(one_sided, law.repelling(swept), swept)
+        return np.where(one_sided, fleet_law.repelling(swept), swept)
 
     def size(lam: Floats) -> float:
         return sqrt(float(sweeper.weights @ lam**2))
@@ -404,3 +405,59 @@ def test_sweeps_with_one_sided_constraints_settle_as_fast(g: Group, seed: int):
     for _ in range(20):
         before, one, other = size(one - other), sweep(one), sweep(other)
         assert size(one - other) <= sweeper.rate * before + 1e-9 * (size(one) + 1.0)
+
+
+# ---------------------------------------------------------------------- one edge, and all at once
+
+ROUNDING = 1e-12
+
+
+def close(one: float, other: float, size: float) -> bool:
+    return abs(one - other) <= ROUNDING * (abs(size) + abs(one)) or one == other
+
+
+@given(groups(clearance_min=-RS, robots_max=6), st.floats(0.0, 0.5), st.integers(0, 2**32 - 1))
+@settings(max_examples=100)
+def test_an_agent_finds_for_its_edge_what_the_fleets_form_finds(g: Group, relaxation: float, seed: int):
+    """The law in floats and in arrays: the same numbers but for rounding, also at and below r_s."""
+    g = g._replace(gains=g.gains._replace(relaxation=relaxation))
+    e, (i, j) = g.edges(), g.graph.T
+    v = g.error_rate + g.reference[:, None]
+    fn = fleet_law.navigation_force(0.0, g.error, g.error_rate, C1, C2)
+    generator = np.random.default_rng(seed)
+    before, pull = generator.normal(size=len(g.d)), generator.normal(size=(2, len(g.d)))
+    swept = fleet_law.multipliers_sweep(e, before, pull, 5.0, g.gains)
+    kinds = {
+        "edge": fleet_law.multipliers_edge(e, g.gains),
+        "body": fleet_law.multipliers_edge(e, g.gains, 1),
+        "penalty": fleet_law.multipliers_penalty(e, g.gains),
+    }
+    for k, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
+        offset, velocity, navigation = (
+            (float(x[0, a] - x[0, b]), float(x[1, a] - x[1, b])) for x in (g.r, v, fn)
+        )
+        one = law.edges(offset, velocity, navigation, float(g.d[k]), RS, g.gains)
+        assert all(close(one.normal[axis], e.normal[axis, k], 1.0) for axis in (0, 1))
+        # What cancels in the demand: its terms may be far larger than their sum.
+        size = (abs(one.slope) + 1.0) ** 2 * (hypot(*velocity) + hypot(*navigation) + 1.0) ** 2
+        for name in ("distance", "slope", "phi", "rate", "demand"):
+            assert close(getattr(one, name), float(getattr(e, name)[k]), size), name
+        alone = {
+            "edge": law.multipliers_edge(one, g.gains),
+            "body": law.multipliers_edge(one, g.gains, 1),
+            "penalty": law.multipliers_penalty(one, g.gains),
+        }
+        for name, multiplier in alone.items():
+            assert close(multiplier, float(kinds[name][k]), size), name
+            force = law.forces(one, multiplier)
+            wanted = fleet_law.forces(e, kinds[name])[:, k].tolist()
+            assert all(close(x, y, size * abs(one.slope)) for x, y in zip(force, wanted, strict=True)), name
+        found = law.multipliers_sweep(
+            one, float(before[k]), (float(pull[0, k]), float(pull[1, k])), 5.0, g.gains
+        )
+        assert close(found, float(swept[k]), size)
+        assert law.repelling(found) == pytest.approx(
+            float(fleet_law.repelling(swept)[k]), rel=ROUNDING, abs=ROUNDING * size
+        )
+        faded = law.weighted(one, 0.3)
+        assert close(faded.phi, float(fleet_law.weighted(e, 0.3).phi[k]), size)

@@ -21,6 +21,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Mission, Outgoing
 from agent.node import Node
 from agent.supervision.state_machine import State
+from deploy.analysis import fleet_law
 from deploy.console.data_files import FLEETS
 from deploy.simulate.random_starts import random_fleet
 from deploy.simulate.simulation import Simulation
@@ -188,8 +189,8 @@ def joint_solution(fleet: Fleet, times: Floats) -> Floats:
         r, v = y.reshape(2, 2, n)
         place, speed, acceleration = np.array(trajectory.at(t)).reshape(3, 2, 1)
         error = r - place - geometry.offsets.T
-        fn = law.navigation_force(acceleration, error, v - speed, control.c1, control.c2)
-        e = law.edges(
+        fn = fleet_law.navigation_force(acceleration, error, v - speed, control.c1, control.c2)
+        e = fleet_law.edges(
             r[:, i] - r[:, j],
             v[:, i] - v[:, j],
             fn[:, i] - fn[:, j],
@@ -197,8 +198,8 @@ def joint_solution(fleet: Fleet, times: Floats) -> Floats:
             fleet.formation.safe_distance_m,
             gains,
         )
-        force = law.forces(e, law.multipliers_joint(e, i, j, n, gains))
-        return np.concatenate([v.ravel(), (fn + law.total_forces(force, i, j, n)).ravel()])
+        force = fleet_law.forces(e, fleet_law.multipliers_joint(e, i, j, n, gains))
+        return np.concatenate([v.ravel(), (fn + fleet_law.total_forces(force, i, j, n)).ravel()])
 
     start = np.concatenate([start_hands(fleet).T.ravel(), np.zeros(2 * n)])
     solution = solve_ivp(rate, (0.0, times[-1]), start, method="DOP853", rtol=1e-9, atol=1e-11, t_eval=times)

@@ -12,6 +12,7 @@ from agent.control import law
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation.geometry import resolve, start_hands
+from deploy.analysis import fleet_law
 from deploy.analysis.stability import Mode, modes, sampled_radius, settling_time, sweep_radius
 from deploy.check.check import Finding, check
 from deploy.check.description import describe
@@ -256,8 +257,8 @@ def commanded(geometry, control, error, rate, multipliers=None):
     i, j = geometry.edges.T
     n = len(geometry.ids)
     position = error + geometry.offsets.T
-    navigation = law.navigation_force(0.0, error, rate, control.c1, control.c2)
-    edges = law.edges(
+    navigation = fleet_law.navigation_force(0.0, error, rate, control.c1, control.c2)
+    edges = fleet_law.edges(
         position[:, i] - position[:, j],
         rate[:, i] - rate[:, j],
         navigation[:, i] - navigation[:, j],
@@ -266,19 +267,19 @@ def commanded(geometry, control, error, rate, multipliers=None):
         gains,
     )
     if multipliers is not None:
-        total = law.total_forces(law.forces(edges, multipliers), i, j, n)
+        total = fleet_law.total_forces(fleet_law.forces(edges, multipliers), i, j, n)
         degree = np.bincount(geometry.edges.ravel(), minlength=n)
-        new = law.multipliers_sweep(
+        new = fleet_law.multipliers_sweep(
             edges, multipliers, total[:, i] - total[:, j], degree[i] + degree[j], gains
         )
-        return navigation + law.total_forces(law.forces(edges, new), i, j, n), new
+        return navigation + fleet_law.total_forces(fleet_law.forces(edges, new), i, j, n), new
     if control.coupling == "joint":
-        new = law.multipliers_joint(edges, i, j, n, gains)
+        new = fleet_law.multipliers_joint(edges, i, j, n, gains)
     elif control.coupling == "edge":
-        new = law.multipliers_edge(edges, gains)
+        new = fleet_law.multipliers_edge(edges, gains)
     else:
-        new = law.multipliers_penalty(edges, gains)
-    return navigation + law.total_forces(law.forces(edges, new), i, j, n)
+        new = fleet_law.multipliers_penalty(edges, gains)
+    return navigation + fleet_law.total_forces(fleet_law.forces(edges, new), i, j, n)
 
 
 @pytest.mark.parametrize(("kd", "stable"), [(1.8, True), (15.0, True), (500.0, False)])

@@ -1,0 +1,459 @@
+"""The constraint-force law for all edges at once: each equation against an independent computation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.control.law import RELAXATION_MIN, Gains
+from deploy.analysis import fleet_law as law
+
+Floats = NDArray[np.float64]
+GAINS = Gains(kd=1.8, k2=5.0, kp=1.0)
+PAPER = Gains(kd=1.8, k2=5.0, kp=0.0)
+RS = 0.22
+C1, C2 = 0.4, 0.6
+DELTA = np.array([[0, 1], [0, 2], [1, 2], [1, 3], [1, 4], [2, 4], [2, 5], [3, 4], [4, 5]])
+
+
+class Group(NamedTuple):
+    """A group of n robots at one instant: arrays (2, n); graph (m, 2) of indices; distances (m,)."""
+
+    r: Floats
+    v: Floats
+    fn: Floats
+    graph: NDArray[np.intp]
+    d: Floats
+
+    @property
+    def n(self) -> int:
+        return self.r.shape[1]
+
+    def edges(self, gains: Gains = GAINS) -> law.Edges:
+        i, j = self.graph.T
+        return law.edges(
+            self.r[:, i] - self.r[:, j],
+            self.v[:, i] - self.v[:, j],
+            self.fn[:, i] - self.fn[:, j],
+            self.d,
+            RS,
+            gains,
+        )
+
+
+def group(seed: int, n: int = 6, graph: NDArray[np.intp] = DELTA) -> Group:
+    """Anything but special: no edge is shorter than 0.3 m."""
+    generator = np.random.default_rng(seed)
+    while True:
+        r = generator.uniform(-1.5, 1.5, (2, n))
+        rho = np.hypot(*(r[:, graph[:, 0]] - r[:, graph[:, 1]]))
+        if rho.min() > 0.3:
+            break
+    return Group(
+        r,
+        generator.normal(size=(2, n)),
+        generator.normal(size=(2, n)),
+        graph,
+        generator.uniform(0.5, 1.5, len(graph)),
+    )
+
+
+# The paper's own constraint function and its matrices, one edge at a time, nothing shared with
+# the code.
+
+
+def phi(ri: Floats, rj: Floats, d: float) -> float:
+    """(7)."""
+    rho = float(np.linalg.norm(ri - rj))
+    return (rho - d) / (rho - RS)
+
+
+def derivative(f: Callable[[float], float], h: float = 1e-4) -> float:
+    """f'(0) by a five-point stencil, error of order h^4."""
+    return (f(-2 * h) - 8 * f(-h) + 8 * f(h) - f(2 * h)) / (12 * h)
+
+
+def second_derivative(f: Callable[[float], float], h: float = 1e-3) -> float:
+    return (-f(-2 * h) + 16 * f(-h) - 30 * f(0.0) + 16 * f(h) - f(2 * h)) / (12 * h * h)
+
+
+def row(g: Group, k: int) -> Floats:
+    """A_ij of edge k as a row of 4, [d phi / d r_i, d phi / d r_j], by differences (10)."""
+    i, j = g.graph[k]
+    out = np.zeros(4)
+    for axis in range(4):
+        step = np.zeros(4)
+        step[axis] = 1.0
+        out[axis] = derivative(
+            lambda h, step=step: phi(g.r[:, i] + h * step[:2], g.r[:, j] + h * step[2:], g.d[k])
+        )
+    return out
+
+
+def stacked(vectors: Floats, g: Group, k: int) -> Floats:
+    """[x_i; x_j], the paper's x_ij."""
+    i, j = g.graph[k]
+    return np.concatenate([vectors[:, i], vectors[:, j]])
+
+
+@pytest.fixture(params=range(4))
+def state(request: pytest.FixtureRequest) -> Group:
+    return group(request.param)
+
+
+# ---------------------------------------------------------------------- equations (7) to (11)
+
+
+def test_distance_and_normal(state: Group):
+    e = state.edges()
+    for k, (i, j) in enumerate(state.graph):
+        delta = state.r[:, i] - state.r[:, j]
+        assert e.distance[k] == pytest.approx(np.linalg.norm(delta))
+        assert e.normal[:, k] == pytest.approx(delta / np.linalg.norm(delta))
+
+
+def test_constraint_function_7(state: Group):
+    e = state.edges()
+    expected = [phi(state.r[:, i], state.r[:, j], d) for (i, j), d in zip(state.graph, state.d, strict=True)]
+    assert e.phi == pytest.approx(expected)
+
+
+def test_rate_9_is_the_derivative_along_the_motion(state: Group):
+    e = state.edges()
+    for k, (i, j) in enumerate(state.graph):
+
+        def along(t: float, i: int = i, j: int = j, k: int = k) -> float:
+            return phi(state.r[:, i] + t * state.v[:, i], state.r[:, j] + t * state.v[:, j], state.d[k])
+
+        assert e.rate[k] == pytest.approx(derivative(along), rel=1e-7, abs=1e-7)
+
+
+def test_gradient_10(state: Group):
+    e = state.edges()
+    for k in range(len(state.graph)):
+        a = e.slope[k] * e.normal[:, k]
+        assert np.concatenate([a, -a]) == pytest.approx(row(state, k), rel=1e-7, abs=1e-7)
+
+
+def test_rate_is_gradient_times_velocity_9(state: Group):
+    e = state.edges()
+    expected = [row(state, k) @ stacked(state.v, state, k) for k in range(len(state.graph))]
+    assert e.rate == pytest.approx(expected, rel=1e-7, abs=1e-7)
+
+
+def test_demand_holds_the_drift_11_the_push_the_damping_and_the_stiffness(state: Group):
+    """phiddot = A rddot + Adot rdot: along a straight motion, rddot = 0, it is (11)."""
+    e = state.edges()
+    for k, (i, j) in enumerate(state.graph):
+
+        def along(t: float, i: int = i, j: int = j, k: int = k) -> float:
+            return phi(state.r[:, i] + t * state.v[:, i], state.r[:, j] + t * state.v[:, j], state.d[k])
+
+        drift = second_derivative(along)
+        push = row(state, k) @ stacked(state.fn, state, k)
+        expected = -drift - push - GAINS.kd * e.rate[k] - GAINS.kp * e.phi[k]
+        scale = abs(drift) + abs(push) + GAINS.kd * abs(e.rate[k]) + GAINS.kp * abs(e.phi[k])
+        assert abs(e.demand[k] - expected) < 1e-5 * scale
+
+
+def test_without_stiffness_the_demand_is_the_papers():
+    g = group(11)
+    assert g.edges(PAPER).demand == pytest.approx(g.edges().demand + GAINS.kp * g.edges().phi)
+
+
+# ---------------------------------------------------------------------- multipliers and forces
+
+
+def test_edge_multipliers_33(state: Group):
+    e = state.edges(PAPER)
+    expected = []
+    for k in range(len(state.graph)):
+        a = row(state, k)
+        expected.append(e.demand[k] / (PAPER.k2 + a @ a))
+    assert law.multipliers_edge(e, PAPER) == pytest.approx(expected, rel=1e-6)
+
+
+def test_forces_29_and_their_sum_32(state: Group):
+    e = state.edges()
+    lam = np.random.default_rng(5).normal(size=len(state.graph))
+    expected = np.zeros((2, state.n))
+    force = law.forces(e, lam)
+    for k, (i, j) in enumerate(state.graph):
+        pair = row(state, k) * lam[k]  # F_cij = A_ij^T lambda_ij
+        assert force[:, k] == pytest.approx(pair[:2], rel=1e-6)
+        assert pair[:2] == pytest.approx(-pair[2:])  # (31)
+        expected[:, i] += pair[:2]
+        expected[:, j] += pair[2:]
+    i, j = state.graph.T
+    total = law.total_forces(force, i, j, state.n)
+    assert total == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert total.sum(axis=1) == pytest.approx(np.zeros(2), abs=1e-12)  # internal forces cancel
+
+
+def test_total_force_on_robots_without_edges_is_zero():
+    force = np.array([[1.0], [2.0]])
+    total = law.total_forces(force, np.array([0]), np.array([2]), 4)
+    assert total.tolist() == [[1.0, 0.0, -1.0, 0.0], [2.0, 0.0, -2.0, 0.0]]
+
+
+def test_everything_is_antisymmetric_in_the_two_ends_31(state: Group):
+    turned = state._replace(graph=state.graph[:, ::-1])
+    e, f = state.edges(), turned.edges()
+    assert np.array_equal(e.normal, -f.normal)
+    for name in ("distance", "phi", "slope", "rate", "demand"):
+        assert np.array_equal(getattr(e, name), getattr(f, name)), name
+    lam = law.multipliers_edge(e, GAINS)
+    assert np.array_equal(lam, law.multipliers_edge(f, GAINS))
+    assert np.array_equal(law.forces(e, lam), -law.forces(f, lam))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_isolated_edge_needs_no_joint_solution(seed: int):
+    g = group(seed, 2, np.array([[0, 1]]))
+    e = g.edges()
+    alone = law.multipliers_edge(e, GAINS)
+    assert law.multipliers_joint(e, *g.graph.T, 2, GAINS) == pytest.approx(alone)
+    constraint = law.total_forces(law.forces(e, alone), *g.graph.T, 2)
+    swept = law.multipliers_sweep(e, alone, constraint[:, :1] - constraint[:, 1:], 2.0, GAINS)
+    assert swept == pytest.approx(alone)  # a fixed point
+    first = law.multipliers_sweep(e, np.zeros(1), np.zeros((2, 1)), 2.0, GAINS)
+    assert first == pytest.approx(alone)  # and reached in one sweep
+
+
+def test_joint_multipliers_solve_the_coupled_equations(state: Group):
+    e = state.edges()
+    lam = law.multipliers_joint(e, *state.graph.T, state.n, GAINS)
+    a = np.zeros((len(state.graph), 2 * state.n))
+    for k, (i, j) in enumerate(state.graph):
+        gradient = row(state, k)
+        a[k, 2 * i : 2 * i + 2], a[k, 2 * j : 2 * j + 2] = gradient[:2], gradient[2:]
+    expected = np.linalg.solve(GAINS.k2 * np.eye(len(e.phi)) + a @ a.T, e.demand)
+    assert lam == pytest.approx(expected, rel=1e-6, abs=1e-7)
+
+
+def test_with_joint_multipliers_every_constraint_obeys_its_own_equation(state: Group):
+    """phiddot = -k_d phidot - k_p phi - k_2 lambda for every edge, (18) with (24): what (36) supposes."""
+    e = state.edges()
+    i, j = state.graph.T
+    lam = law.multipliers_joint(e, i, j, state.n, GAINS)
+    u = state.fn + law.total_forces(law.forces(e, lam), i, j, state.n)
+    for k, (a, b) in enumerate(state.graph):
+
+        def along(t: float, a: int = a, b: int = b, k: int = k) -> float:
+            ends = (state.r[:, end] + t * state.v[:, end] + 0.5 * t * t * u[:, end] for end in (a, b))
+            return phi(*ends, state.d[k])
+
+        expected = -GAINS.kd * e.rate[k] - GAINS.kp * e.phi[k] - GAINS.k2 * lam[k]
+        scale = abs(e.demand[k]) + abs(expected)
+        assert abs(second_derivative(along) - expected) < 1e-4 * scale
+
+
+def test_sweep_edge_by_edge(state: Group):
+    e = state.edges()
+    i, j = state.graph.T
+    lam = np.random.default_rng(9).normal(size=len(state.graph))
+    fc = law.total_forces(law.forces(e, lam), i, j, state.n)
+    degree = np.bincount(state.graph.ravel(), minlength=state.n)
+    swept = law.multipliers_sweep(e, lam, fc[:, i] - fc[:, j], (degree[i] + degree[j]).astype(float), GAINS)
+    for k, (a, b) in enumerate(state.graph):
+        gradient = row(state, k)
+        half = gradient[:2] @ gradient[:2]
+        rest = e.demand[k] - GAINS.k2 * lam[k] - gradient @ stacked(fc, state, k)
+        assert swept[k] == pytest.approx(
+            lam[k] + rest / (GAINS.k2 + half * (degree[a] + degree[b])), rel=1e-6
+        )
+
+
+def test_penalty_is_minus_the_gradient_of_its_potential(state: Group):
+    still = state._replace(v=np.zeros_like(state.v))
+    e = still.edges()
+    i, j = state.graph.T
+    force = law.total_forces(law.forces(e, law.multipliers_penalty(e, GAINS)), i, j, state.n)
+
+    def potential(r: Floats) -> float:
+        return (
+            0.5
+            * GAINS.kp
+            * sum(phi(r[:, a], r[:, b], d) ** 2 for (a, b), d in zip(state.graph, state.d, strict=True))
+        )
+
+    for axis in (0, 1):
+        for robot in range(state.n):
+            step = np.zeros_like(state.r)
+            step[axis, robot] = 1.0
+            slope = derivative(lambda h, step=step: potential(state.r + h * step))
+            assert force[axis, robot] == pytest.approx(-slope, rel=1e-6, abs=1e-6)
+
+
+def test_penalty_takes_energy_out_of_a_moving_edge(state: Group):
+    e = state.edges()
+    spring = -GAINS.kp * e.phi
+    damping = law.multipliers_penalty(e, GAINS) - spring
+    assert np.all(damping * e.rate <= 0.0)  # its power, lambda phidot
+
+
+# ---------------------------------------------------------------------- vectorised, energy, navigation
+
+
+def test_all_edges_at_once_are_each_edge_alone(state: Group):
+    e = state.edges()
+    together = {
+        "edge": law.multipliers_edge(e, GAINS),
+        "penalty": law.multipliers_penalty(e, GAINS),
+        "forces": law.forces(e, np.ones(len(state.graph))),
+    }
+    for k in range(len(state.graph)):
+        one = state._replace(graph=state.graph[k : k + 1], d=state.d[k : k + 1])
+        f = one.edges()
+        for name in law.Edges._fields:
+            assert np.array_equal(getattr(f, name)[..., 0], getattr(e, name)[..., k]), name
+        assert law.multipliers_edge(f, GAINS)[0] == together["edge"][k]
+        assert law.multipliers_penalty(f, GAINS)[0] == together["penalty"][k]
+        assert np.array_equal(law.forces(f, np.ones(1))[:, 0], together["forces"][:, k])
+
+
+def test_one_number_may_stand_for_every_distance(state: Group):
+    same = state._replace(d=np.full(len(state.graph), 0.9))
+    i, j = state.graph.T
+    arguments = [x[:, i] - x[:, j] for x in (state.r, state.v, state.fn)]
+    for one, other in zip(law.edges(*arguments, 0.9, RS, GAINS), same.edges(), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_arguments_are_left_as_they_are(state: Group):
+    i, j = state.graph.T
+    arguments = [x[:, i] - x[:, j] for x in (state.r, state.v, state.fn)]
+    copies = [x.copy() for x in arguments]
+    e = law.edges(*arguments, state.d, RS, GAINS)
+    lam = law.multipliers_edge(e, GAINS)
+    before = lam.copy()
+    law.multipliers_sweep(e, lam, copies[2], 4.0, GAINS)
+    law.forces(e, lam)
+    assert all(np.array_equal(x, y) for x, y in zip(arguments, copies, strict=True))
+    assert np.array_equal(lam, before)
+
+
+def test_no_edges_no_force():
+    e = law.edges(np.zeros((2, 0)), np.zeros((2, 0)), np.zeros((2, 0)), np.zeros(0), RS, GAINS)
+    assert law.multipliers_edge(e, GAINS).shape == (0,)
+    empty = np.zeros(0, np.intp)
+    assert law.total_forces(law.forces(e, np.zeros(0)), empty, empty, 3).tolist() == [[0.0] * 3] * 2
+    assert law.multipliers_joint(e, empty, empty, 3, GAINS).shape == (0,)
+
+
+def test_energy_35(state: Group):
+    e = state.edges()
+    error, error_rate = state.r - 0.3, state.v + 0.1
+    expected = sum(
+        0.5 * GAINS.k2 * (C1 * error[:, k] @ error[:, k] + error_rate[:, k] @ error_rate[:, k])
+        for k in range(state.n)
+    ) + sum(
+        0.5 * rate * rate + 0.5 * GAINS.kp * value * value for rate, value in zip(e.rate, e.phi, strict=True)
+    )
+    assert law.energy(e, error, error_rate, C1, GAINS) == pytest.approx(expected)
+
+
+def test_navigation_force_21():
+    assert law.navigation_force(0.3, 2.0, -1.0, 0.4, 0.6) == pytest.approx(0.3 - 0.8 + 0.6)
+    acceleration, error, rate = np.random.default_rng(1).normal(size=(3, 2, 5))
+    assert law.navigation_force(acceleration, error, rate, C1, C2) == pytest.approx(
+        acceleration - C1 * error - C2 * rate
+    )
+
+
+# ---------------------------------------------------------------------- at and below the safe distance
+
+
+def two(rho: float, closing: float = 0.0, gains: Gains = GAINS, d: float = 1.0) -> law.Edges:
+    """Robot i on the right of j, at rho, both at rest or closing, and no navigation."""
+    return law.edges(
+        np.array([[rho], [0.0]]), np.array([[-closing], [0.0]]), np.zeros((2, 1)), np.array([d]), RS, gains
+    )
+
+
+@pytest.mark.parametrize("rho", [0.25, RS + 1e-6, RS, RS - 1e-6, 0.1, 1e-3, 1e-8, 1e-12])
+@pytest.mark.parametrize("closing", [0.0, 0.5, 3.0])
+def test_close_pairs_are_pushed_apart_however_close(rho: float, closing: float):
+    e = two(rho, closing)
+    for solved in (
+        law.multipliers_edge(e, GAINS),
+        law.multipliers_penalty(e, GAINS),
+        law.multipliers_joint(e, np.array([0]), np.array([1]), 2, GAINS),
+        law.multipliers_sweep(e, np.zeros(1), np.zeros((2, 1)), 2.0, GAINS),
+    ):
+        force = law.forces(e, solved)
+        assert np.isfinite(force).all()
+        assert force[0, 0] > 0.0
+        assert force[1, 0] == 0.0
+
+
+@pytest.mark.parametrize("rho", [RS + 1e-9, RS, 0.1, 1e-6])
+def test_closing_pairs_are_braked_by_the_papers_law_too(rho: float):
+    e = two(rho, 0.5, PAPER)
+    assert law.forces(e, law.multipliers_edge(e, PAPER))[0, 0] > 0.0
+
+
+@pytest.mark.parametrize("relaxation", [0.0, RELAXATION_MIN, 0.2, 0.5])
+def test_near_the_safe_distance_phi_goes_on_along_its_tangent(relaxation: float):
+    """(B1): phi and its slope do not jump there, and from there down the slope is the same."""
+    gains = GAINS._replace(relaxation=relaxation)
+    limit = RS + max(relaxation, RELAXATION_MIN) * (1.0 - RS)
+    above, below = two(limit * (1 + 1e-9), 0.0, gains), two(limit * (1 - 1e-9), 0.0, gains)
+    assert above.phi == pytest.approx(below.phi, rel=1e-5)
+    assert above.slope == pytest.approx(below.slope, rel=1e-5)
+    for rho in (0.1, RS, 0.5 * (RS + limit)):
+        e = two(rho, 0.0, gains)
+        assert e.slope == pytest.approx(below.slope, rel=1e-6)
+        assert e.phi == pytest.approx(below.phi + below.slope * (rho - limit), rel=1e-5)
+
+
+@pytest.mark.parametrize("rho", [0.1, RS, 0.3, 0.4, 0.9, 2.0])
+def test_the_demand_is_what_makes_phis_second_derivative_right(rho: float):
+    """phiddot of a pair driven by F_n + F_c is -kd phidot - kp phi - k2 lambda, on the tangent too."""
+    gains = GAINS._replace(relaxation=0.2)
+    x, v, f = np.array([[rho], [0.0]]), np.array([[-0.4], [0.3]]), np.array([[0.2], [-0.1]])
+
+    def edge(t: float, u: Floats) -> law.Edges:
+        return law.edges(x + v * t + 0.5 * u * t * t, v + u * t, f, np.array([1.0]), RS, gains)
+
+    e = edge(0.0, f)
+    lam = law.multipliers_edge(e, gains)
+    u = f + 2.0 * law.forces(e, lam)  # of one robot against the other
+    step = 1e-6
+    second = (edge(step, u).rate - edge(-step, u).rate) / (2.0 * step)
+    wanted = -gains.kd * e.rate - gains.kp * e.phi - gains.k2 * lam
+    assert second == pytest.approx(wanted, rel=1e-4, abs=1e-6)
+
+
+def test_push_grows_as_the_pair_closes():
+    forces = [law.forces(two(rho), law.multipliers_penalty(two(rho), GAINS))[0, 0] for rho in (0.9, 0.5, 0.3)]
+    assert forces == sorted(forces)
+    assert forces[0] > 0.0
+
+
+def test_long_edges_are_pulled_together():
+    e = two(2.0)
+    for lam in (law.multipliers_edge(e, GAINS), law.multipliers_penalty(e, GAINS)):
+        assert law.forces(e, lam)[0, 0] < 0.0
+
+
+def test_coincident_points_give_finite_numbers_and_no_force():
+    offset = np.zeros((2, 1))
+    for velocity in (np.zeros((2, 1)), np.array([[1.0], [-2.0]])):
+        e = law.edges(offset, velocity, np.ones((2, 1)), np.array([1.0]), RS, GAINS)
+        lam = law.multipliers_edge(e, GAINS)
+        assert all(np.isfinite(x).all() for x in e)
+        assert np.isfinite(lam).all()
+        assert law.forces(e, lam).tolist() == [[0.0], [0.0]]
+        assert np.isfinite(law.multipliers_joint(e, np.array([0]), np.array([1]), 2, GAINS)).all()
+    assert offset.tolist() == [[0.0], [0.0]]
+
+
+@pytest.mark.parametrize("size", [1e-300, 5e-324])
+def test_nearly_coincident_points_give_finite_numbers(size: float):
+    e = law.edges(np.array([[size], [0.0]]), np.ones((2, 1)), np.ones((2, 1)), np.array([1.0]), RS, GAINS)
+    assert np.isfinite(law.forces(e, law.multipliers_edge(e, GAINS))).all()
