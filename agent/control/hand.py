@@ -53,16 +53,6 @@ def wrench(
     return mass * along, inertia * across / offset
 
 
-def hand_acceleration(
-    force: float, torque: float, pose: Pose, mass: float, inertia: float, offset: float
-) -> tuple[float, float]:
-    """Acceleration of the hand (m/s^2, W) under a force (N) and a torque (N m): G + H [F, tau], (4)."""
-    c, s = cos(pose.heading), sin(pose.heading)
-    along = force / mass - offset * pose.yaw_rate * pose.yaw_rate
-    across = offset * torque / inertia + pose.speed * pose.yaw_rate
-    return along * c - across * s, along * s + across * c
-
-
 def advance(pose: Pose, force: float, torque: float, mass: float, inertia: float, dt: float) -> Pose:
     """The body `dt` seconds later under a constant force (N) and torque (N m), from (1).
 

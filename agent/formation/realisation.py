@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent.fleet.model import FormationError
+from agent.formation.graph import components, connected
 from agent.formation.points import (
     Floats,
     Indices,
@@ -26,7 +27,6 @@ from agent.formation.points import (
     edge_lengths,
     pair_distances,
 )
-from agent.formation.rigidity import components, connected
 
 DISTANCE_TOLERANCE: Final = 0.01
 """Largest |realised - wanted| / wanted of an edge. Looser than rounding: users type 1.41 for sqrt 2."""

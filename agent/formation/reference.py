@@ -14,7 +14,6 @@ Lengths in m, W; times in ns of the wall clock.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import replace
 from math import hypot
@@ -103,9 +102,6 @@ class Reference:
         self._file: Final = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
         self._segments = [_Segment(self._file, 0, 0)]
         self._instants: dict[int, _Instant] = {}
-        self._changes_ns: list[int] = []
-        self._revision = 0
-        self._same_from_ns = self._same_until_ns = self._same_revision = 0
 
     def take(self, plan: Plan) -> None:
         """Takes a plan over at its time, instead of all that was to be taken over then or later.
@@ -126,20 +122,6 @@ class Reference:
             if len(kept) == _SEGMENTS_MAX:
                 kept[:2] = [_Segment(kept[1].plan, 0, 0)]
             self._segments = [*kept, _Segment(plan, plan.from_ns, plan.blend_ns)]
-        self._revision += len(self._changes_ns) + 1
-        self._changes_ns = sorted(
-            {
-                time_ns
-                for segment in self._segments[1:]
-                for time_ns in (
-                    segment.begin_ns,
-                    segment.begin_ns + 1,  # new edges have no weight yet when they begin
-                    segment.begin_ns + segment.leave_ns,
-                    segment.begin_ns + segment.blend_ns,
-                )
-            }
-        )
-        self._same_until_ns = self._same_from_ns
         self._instants.clear()
 
     def active(self, time_ns: int) -> Plan:
@@ -153,16 +135,6 @@ class Reference:
     def is_member(self, robot: int, time_ns: int) -> bool:
         """Whether a robot has a place."""
         return robot in self.active(time_ns).offsets
-
-    def revision(self, time_ns: int) -> int:
-        """A number that changes whenever members or edges (distances and weights aside) do."""
-        if not self._same_from_ns <= time_ns < self._same_until_ns:
-            changes = self._changes_ns
-            after = bisect_right(changes, time_ns)
-            self._same_from_ns = changes[after - 1] if after else 0
-            self._same_until_ns = changes[after] if after < len(changes) else 2 * TIME_NS_MAX
-            self._same_revision = self._revision + after
-        return self._same_revision
 
     def motion(self, robot: int, time_ns: int) -> Sample | None:
         """Desired position, velocity and acceleration of a member's hand; None for a robot without a place.

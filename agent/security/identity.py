@@ -109,15 +109,6 @@ def addresses(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def is_ip(address: str) -> bool:
-    """Whether one of `addresses` is an IP address, not a host name."""
-    try:
-        ip_address(address)
-    except ValueError:
-        return False
-    return True
-
-
 def _address(text: str) -> str:
     bare = text[1:-1] if text.startswith("[") and text.endswith("]") else text
     try:

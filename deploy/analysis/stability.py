@@ -29,9 +29,9 @@ from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import edge_lengths
-from agent.formation.rigidity import rigidity_matrix
 from agent.formation.trajectory import make_trajectory
 from deploy.analysis import fleet_law
+from deploy.analysis.rigidity import rigidity_matrix
 
 Floats = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from agent.fleet.model import Fleet
 from agent.fleet.sections import SIMULATOR, ControlSection
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry, resolve, start_hands
-from agent.formation.rigidity import is_rigid
 from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
+from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.check.safety import parting
 from deploy.console.wording import robots, some

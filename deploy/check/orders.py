@@ -8,8 +8,8 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
+from agent.formation.graph import components
 from agent.formation.mission_plan import Plan
-from agent.formation.rigidity import components
 from deploy.check.finding import Finding
 from deploy.console.wording import some
 from deploy.orders.mission_editing import OrderError

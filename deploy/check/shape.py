@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from agent.fleet.model import Fleet, FormationError
 from agent.formation.geometry import Geometry, edge_indices, given_distances, given_offsets
+from agent.formation.graph import components, connected
 from agent.formation.points import edge_lengths
-from agent.formation.rigidity import components, connected, is_collinear, is_rigid, loose, rigidity_rank
 from agent.formation.trajectory import make_trajectory
+from deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
 from deploy.check.finding import Finding
 from deploy.check.safety import start_points
 from deploy.console.wording import NAMES_SHOWN, robots, some

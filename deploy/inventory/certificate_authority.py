@@ -33,7 +33,7 @@ from agent.security.certificates import (
     pem_of,
     pem_of_key,
 )
-from agent.security.identity import Identity, IdentityError, addresses, is_ip, parse
+from agent.security.identity import Identity, IdentityError, addresses, parse
 from agent.security.private_files import KeyFileError
 
 if TYPE_CHECKING:
@@ -401,3 +401,12 @@ def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
+
+
+def is_ip(address: str) -> bool:
+    """Whether an address of `agent.security.identity.addresses` is an IP address, not a host name."""
+    try:
+        ip_address(address)
+    except ValueError:
+        return False
+    return True

@@ -21,9 +21,9 @@ from agent.fleet.loading import digest
 from agent.fleet.model import Fleet, FormationError
 from agent.fleet.orders import ORDER_FIELDS, OrderSection, ShapeSection
 from agent.fleet.sections import Pair, TrajectorySection
+from agent.formation.graph import components
 from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
 from agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
-from agent.formation.rigidity import components
 from agent.links.ticks import next_tick_ns
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, clipped

@@ -15,7 +15,7 @@ from agent.formation.assignment import assign_slots
 from agent.formation.geometry import resolve, resolved
 from agent.formation.points import edge_lengths
 from agent.formation.realisation import DISTANCE_TOLERANCE, realise
-from agent.formation.rigidity import is_rigid, loose, rigidity_rank
+from deploy.analysis.rigidity import is_rigid, loose, rigidity_rank
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.control.hand import Pose, hand, hand_acceleration
+from agent.control.hand import Pose, hand
 from agent.core import LAST_PLACE_NS, Agent
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet, FleetError
@@ -34,6 +34,7 @@ from agent.messages.types import (
 from agent.supervision.state_machine import State
 from plant.backend import Command
 from plant.unicycle import from_fleet
+from tests.hand_acceleration import hand_acceleration
 from tests.unit.agent.agent_bench import (
     ASK,
     BEACON,

@@ -8,11 +8,11 @@ from math import hypot, sqrt
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.control.hand import hand_acceleration
 from agent.formation.reference import Edge
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, HandState, Mission, Stop, Wrench
 from agent.supervision.state_machine import DRIVING, State
+from tests.hand_acceleration import hand_acceleration
 from tests.unit.agent.fleet_bench import MISSION, PERIOD, STOP, FleetBench, three
 
 PLACES = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.0, 1.0))

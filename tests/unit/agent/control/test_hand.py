@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from agent.control.hand import Hand, Pose, advance, hand, hand_acceleration, wrench
+from agent.control.hand import Hand, Pose, advance, hand, wrench
+from tests.hand_acceleration import hand_acceleration
 
 Floats = NDArray[np.float64]
 MASS, INERTIA, REACH = 10.0, 0.13, 0.1

@@ -122,35 +122,6 @@ def test_an_edge_between_members_that_stay_goes_within_the_blend():
     assert made.edges(1, at(fewer, 0.999))[1].weight > 0.0
 
 
-def test_the_revision_tells_of_every_change_of_members_and_edges_and_of_no_other():
-    leave = changed(LEAVE)
-    join = changed(JOIN_ELSEWHERE, leave, at_s=12.0)
-    made = reference()
-    known = made.revision(EPOCH)
-    seen: dict[int, Any] = {known: content(made, EPOCH)}
-    for plan in (FIRST, leave, join):
-        made.take(plan)
-        assert made.revision(EPOCH) > known
-        for k in range(-200, 6000):
-            time_ns = plan.from_ns + k * S // 1000
-            revision = made.revision(time_ns)
-            assert seen.setdefault(revision, content(made, time_ns)) == content(made, time_ns)
-            known = max(known, revision)
-    for edge_ns in (
-        leave.from_ns,
-        leave.from_ns + LEAVE_FADE_NS,
-        join.from_ns,
-        join.from_ns + 1,
-        at(join, 1),
-    ):
-        assert made.revision(edge_ns) != made.revision(edge_ns - 1)
-
-
-def content(made: Reference, time_ns: int) -> Any:
-    edges = {robot: [edge.other for edge in made.edges(robot, time_ns)] for robot in FLEET.ids}
-    return made.members(time_ns), edges
-
-
 def test_a_later_mission_for_an_earlier_time_takes_the_place_of_the_one_before():
     leave = changed(LEAVE, at_s=20.0)
     larger = changed(LARGER, at_s=15.0)

@@ -10,12 +10,12 @@ from agent.security.identity import (
     Identity,
     IdentityError,
     addresses,
-    is_ip,
     of_operator,
     of_robot,
     of_router,
     parse,
 )
+from deploy.inventory.certificate_authority import is_ip
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.control.hand import hand_acceleration
 from agent.control.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.messages.types import HandState, Status, Stop, Wrench
 from agent.supervision.neighbour_trust import SLOWEST
 from agent.supervision.state_machine import State
+from tests.hand_acceleration import hand_acceleration
 from tests.unit.agent.fleet_bench import PERIOD, FleetBench, three
 
 HORIZON_S, SLOW_S = 2.0, 1.5  # control.prediction_horizon_s, and three quarters of it

@@ -1,18 +1,11 @@
-"""Formation graphs: connected, rigid, and who is loose."""
+"""Rigidity: which graphs are rigid, and who is loose."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from agent.formation.rigidity import components, connected, is_collinear, is_rigid, loose, rigidity_rank
+from deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
 from tests.unit.agent.formation.delta import DELTA, DELTA_EDGES, RING, SQUARE, H
-
-
-def test_components_and_connected():
-    assert components(5, [(0, 1), (3, 4), (1, 0)]) == ((0, 1), (2,), (3, 4))
-    assert not connected(5, [(0, 1), (3, 4)])
-    assert connected(4, [(3, 2), (2, 1), (1, 0)])
-    assert connected(1, [])
 
 
 def test_a_triangle_is_rigid_and_a_square_without_diagonal_is_not():

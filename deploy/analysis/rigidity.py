@@ -1,4 +1,4 @@
-"""Formation graphs: connected or not, and which motions their distances leave free (PURE, numpy only).
+"""Rigidity: which motions the distances of a formation graph leave free (PURE, numpy only).
 
 Offsets are (n, 2), m; edges (m, 2) are rows of the robots that they join.
 """
@@ -14,30 +14,6 @@ from agent.formation.points import Floats, as_edges, as_places
 _RANK_TOLERANCE: Final = 1e-7  # of the largest singular value of the rigidity matrix with unit rows
 
 _MOTION_TOLERANCE: Final = 1e-6  # of a unit motion: what a robot must move by to count as moving
-
-
-def components(n: int, edges: Any) -> tuple[tuple[int, ...], ...]:
-    """Connected parts of a graph of n vertices with edges (m, 2), each sorted, by their least vertex."""
-    parent = list(range(n))
-
-    def root(vertex: int) -> int:
-        while parent[vertex] != vertex:
-            parent[vertex] = parent[parent[vertex]]
-            vertex = parent[vertex]
-        return vertex
-
-    for i, j in as_edges(edges).tolist():
-        a, b = root(i), root(j)
-        parent[max(a, b)] = min(a, b)
-    parts: dict[int, list[int]] = {}
-    for vertex in range(n):
-        parts.setdefault(root(vertex), []).append(vertex)
-    return tuple(tuple(part) for part in parts.values())
-
-
-def connected(n: int, edges: Any) -> bool:
-    """Is there a way along edges (m, 2) between any two of n vertices. One vertex alone is connected."""
-    return len(components(n, edges)) <= 1
 
 
 def rigidity_matrix(offsets: Any, edges: Any) -> Floats:
