@@ -7,7 +7,8 @@ from math import hypot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.hand import Pose, advance, hand, hand_acceleration, wrench
+from agent.control.hand import Pose, advance, hand, wrench
+from tests.hand_acceleration import hand_acceleration
 
 COORDINATE = st.floats(-1e3, 1e3)
 SPEED = st.floats(-20.0, 20.0)
