@@ -77,7 +77,7 @@ def draw(seed: int) -> Tables:
     }
     lag_s = tables["robot_defaults"].get("actuator_lag_s", 0.0)
     if lag_s:
-        # The last stage does not know of the lag: its margin has to allow for it.
+        # The safety filter does not know of the lag: its margin has to allow for it.
         tables["avoidance"] = {"margin_m": round(MARGIN_M + lag_s * control["max_speed_mps"], 3)}
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}

@@ -1,4 +1,4 @@
-"""Random orders of an operator: joins, leaves, replacements, other shapes and ways, stops, leaves to drive.
+"""Random orders of an operator: joins, leaves, replacements, other shapes and trajectories, stops, resumes.
 
 Each is tried on the fleet as it is then, as an operator's command would be: one that cannot be carried out
 is not part of the scenario. Pure. Times in s from the start of the drive, lengths in m, W.
@@ -183,7 +183,7 @@ class _Drawing:
         self._orders.append({"at": leave_s, "kind": "resume"})
 
     def finish(self, trouble_s: float) -> list[Tables]:
-        """All orders in their time; mostly with leave to drive for all after the last stop."""
+        """All orders in their time; mostly with a resume of all after the last stop."""
         orders = sorted(self._orders, key=lambda order: float(order["at"]))
         stops = [order for order in orders if order["kind"] == "stop"]
         if stops and self._dice.chance(0.1):

@@ -114,7 +114,7 @@ def lines(tally: Tally) -> Iterator[str]:
     yield from _columns([(name, tally.ended[name]) for name in (IN_FORMATION, CAUGHT, SOON, ELSEWHERE)])
     yield "states come into:"
     yield from _columns([(state.value, tally.states[state.value]) for state in State])
-    yield f"transitions taken (and {tally.limits} ticks in which the last stage changed the command):"
+    yield f"transitions taken (and {tally.limits} ticks in which the safety filter changed the command):"
     names = dict.fromkeys(row.name for row in TRANSITIONS)
     yield from _columns([(name, tally.transitions[name]) for name in names if name not in NOT_DRAWN])
     if tally.missing:

@@ -46,7 +46,7 @@ class Outcome:
         violations: of oracles, in time for each; or what went wrong beside them.
         checked: oracles that had something to look at.
         states, transitions: how often robots came into each state, and by which row of the table.
-        limits: ticks in which the last stage changed what the law asked for.
+        limits: ticks in which the safety filter changed what the law asked for.
         ended: `IN_FORMATION`, `CAUGHT` (at rest in another shape, `deploy.analysis.balance`), `SOON` (within
         20 s of
             the last fault or change, or of the start without one: on the way, stopped) or `ELSEWHERE` (held
@@ -116,7 +116,7 @@ def judged(recording: Recording, fleet: Fleet) -> Outcome:
 
 
 def _exercised(recording: Recording) -> tuple[dict[str, int], dict[str, int], int]:
-    """How often each state was come into, by which transitions, and what the last stage did."""
+    """How often each state was come into, by which transitions, and what the safety filter did."""
     states: Counter[str] = Counter()
     transitions: Counter[str] = Counter()
     limits = 0

@@ -1,4 +1,4 @@
-"""Whether robots can do what the last stage counts on: brake, see each other in time, follow each other."""
+"""Can robots do what the safety filter counts on: brake, see each other in time, follow each other."""
 
 from __future__ import annotations
 

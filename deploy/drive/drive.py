@@ -35,7 +35,7 @@ ORDER_LATE_NS: Final = NS_PER_S // 2
 EPOCH_AHEAD_NS: Final = NS_PER_S // 2
 """The mission is out this long before the epoch: every agent has it by then."""
 STOPPED_AHEAD_NS: Final = 2 * NS_PER_S
-"""Likewise for a fleet that stands after a stop: leave to drive comes when all have the mission."""
+"""Likewise for a fleet that stands after a stop: the resume comes when all have acknowledged the mission."""
 READY_TIMEOUT_S: Final = 10.0
 READY_TIMEOUT_PER_PROCESS_S: Final = 0.5
 VEHICLES_TIMEOUT_S: Final = 120.0
@@ -43,7 +43,7 @@ VEHICLES_TIMEOUT_S: Final = 120.0
 WAITS_PERIOD_S: Final = 5.0
 """How often it is said what is waited for."""
 HAND_OVER_NS: Final = 2 * NS_PER_S
-"""So long after the epoch all must have said that they know what to drive, if they are to be left alone."""
+"""So long after the epoch all must have acknowledged the mission, if they are to be left alone."""
 
 
 class Drive:
@@ -89,7 +89,7 @@ class Drive:
         self.reasons: list[str] = []
 
     def run(self, *, detach: bool = False) -> None:
-        """From the wait for the fleet to its standstill, or, with `detach`, until all know what to drive.
+        """From the wait for the fleet to standstill; with `detach`, until all have acknowledged the mission.
 
         Raises:
             deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
@@ -151,7 +151,7 @@ class Drive:
         return False
 
     def _begin(self) -> bool:
-        """Gives the mission, and leave to drive to robots that were stopped; False when that cannot be."""
+        """Gives the mission, and resumes robots that were stopped; False when that cannot be."""
         now_ns, stop = self._clock.now_ns(), None
         if not self._processes.ours:
             obstacle = refusal(self._operator, now_ns, resume=self._resume)
@@ -166,7 +166,7 @@ class Drive:
         return stop is None or self._lift(stop, epoch_ns - EPOCH_AHEAD_NS)
 
     def _lift(self, stop: Stop, by_ns: int) -> bool:
-        """Gives leave to drive as soon as all know the new mission: nobody may go on with one before it."""
+        """Resumes as soon as all have acknowledged the new mission: nobody may go on with one before it."""
         while ignorant := self._fleet_state.ignorant:
             if not self._go_on():
                 return False
@@ -184,7 +184,7 @@ class Drive:
         return True
 
     def _hand_over(self) -> bool:
-        """Waits until all know what to drive, and leaves them to it; False when not all do."""
+        """Waits until all have acknowledged the mission, and leaves them alone; False when not all do."""
         by_ns = (self._fleet_state.epoch_ns or 0) + HAND_OVER_NS
         while late := self._fleet_state.ignorant or self._fleet_state.slow:
             if not self._go_on():

@@ -169,7 +169,7 @@ class FleetState:
         states = self.watch.states().values()
         if self.processes.ours:
             return all(map(is_ready, states))
-        # Those that drove before stand: a new mission, and leave to drive, make them ready.
+        # Those that drove before stand: a new mission and a resume make them ready.
         return all(is_ready(state) or state == State.STOPPED.value for state in states) and (
             self.operator.foreign is not None or not self.operator.claimants(self.clock.now_ns())
         )
@@ -199,7 +199,7 @@ class FleetState:
 
     @property
     def slow(self) -> list[int]:
-        """Robots whose agents have not said that they know the last stop or leave."""
+        """Robots whose agents have not acknowledged the last stop or resume."""
         version = self.operator.order_version
         return [robot for robot, each in self.watch.statuses.items() if each.order_version < version]
 

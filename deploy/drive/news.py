@@ -35,7 +35,7 @@ class News:
         self._changes: list[tuple[int, str, str, str]] = []
 
     def order(self, message: Mission | Stop | Resume) -> None:
-        """Told of a mission, stop or leave that is newer than those before."""
+        """Takes a mission, stop or resume that is newer than those before."""
         if type(message) is Mission:
             self._duration_s = message.duration_ns / NS_PER_S
             self._orders += [message.note] if message.note else []

@@ -31,7 +31,7 @@ def why(stop: Stop) -> str:
 
 
 def stop_in_force(known: Known) -> Stop | None:
-    """The stop by which robots stand, None without any: leave for single robots ends it for no others."""
+    """The stop by which robots stand, None without any: a resume of single robots ends it for no others."""
     stop, resume = known.stop, known.resume
     if stop is None or (resume is not None and resume.version > stop.version and not resume.robots):
         return None

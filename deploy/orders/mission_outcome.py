@@ -1,4 +1,4 @@
-"""A new mission on its way to a fleet: who has it (PURE)."""
+"""What became of a new mission: which robots have acknowledged it (PURE)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Ordering:
         return self.overruled or (bool(agents) and all(map(self.has_it, agents)))
 
     def has_it(self, robot: int) -> bool:
-        """Whether a robot's agent has said that it knows the mission."""
+        """Whether a robot's agent has acknowledged the mission."""
         status = self._statuses.get(robot)
         return status is not None and status.mission_version == self._mission.version
 
@@ -49,7 +49,7 @@ class Ordering:
 
     @property
     def done(self) -> bool:
-        """Whether every robot of the fleet has it."""
+        """Whether every robot of the fleet has acknowledged it."""
         return not self.overruled and all(robot in self._agents and self.has_it(robot) for robot in self._ids)
 
     def outcomes(self) -> list[str]:
@@ -63,9 +63,9 @@ class Ordering:
 
     def _outcome(self, robot: int) -> str:
         if robot not in self._agents:
-            return "its agent is not there; the others will tell it"
+            return "its agent is not there; the others will relay it"
         if self.has_it(robot):
-            return "knows"
+            return "acknowledged"
         status = self._statuses.get(robot)
         if status is None:
             return "nothing heard from its agent"

@@ -112,12 +112,12 @@ class Known:
 
     @property
     def order_version(self) -> int:
-        """Of the newest stop or leave, 0 without any."""
+        """Of the newest stop or resume, 0 without any."""
         return max((each.version for each in self.latest), default=0)
 
     @property
     def latest(self) -> list[Stop | Resume]:
-        """The newest stop and the newest leave, the stop first."""
+        """The newest stop and the newest resume, the stop first."""
         return [each for each in (self.stop, self.resume) if each is not None]
 
 
@@ -127,7 +127,7 @@ class Operator(Known):
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         super().__init__(fleet, geometry)
         self._claims = dict.fromkeys(fleet.ids, (0, 0))
-        """What each robot said last that it knows: versions of a mission, and of a stop or leave."""
+        """What each robot acknowledged last: versions of a mission, and of a stop or resume."""
 
     def hear(self, key: str, message: Message) -> bool:
         name = self.fleet.fleet.name
@@ -189,7 +189,7 @@ class Operator(Known):
         return self.stop
 
     def order_resume(self, now_ns: int, robots: Sequence[int]) -> Resume:
-        """Leave to drive again for these robots, for all when none is named."""
+        """A resume for these robots, for all when none is named."""
         self.resume = Resume(self._next_order(now_ns), now_ns, tuple(robots))
         return self.resume
 
@@ -248,7 +248,7 @@ class Operator(Known):
             return False
         if status.order_version < self.order_version:
             return True
-        # A plant does not say what it knows: one that missed a leave brakes although its agent drives.
+        # A plant does not say what it knows: one that missed a resume brakes although its agent drives.
         braked = plant is not None and plant.healthy and plant.obeying and not plant.driving
         return status.state in _DRIVING and braked
 

@@ -1,4 +1,4 @@
-"""Leave to drive again, for robots that were stopped or whose operators took them away: is it done (PURE)."""
+"""What became of a resume, for robots that were stopped or whose operators took them over (PURE)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _OVER: Final = (State.STOPPED.value, MISSION_OVER)
 
 
 class Resuming:
-    """What became of leave to drive again.
+    """What became of a resume.
 
     Args:
         fleet: as it runs.
-        message: the leave.
+        message: the resume.
     """
 
     def __init__(self, fleet: Fleet, message: Resume) -> None:
@@ -31,7 +31,7 @@ class Resuming:
         self._plants: dict[int, PlantState] = {}
 
     def feed(self, key: str, message: Message) -> None:
-        """Takes a message that came on `key` after the leave was sent."""
+        """Takes a message that came on `key` after the resume was sent."""
         name = self._fleet.fleet.name
         if type(message) is Status and key == key_expressions.status(name, message.robot):
             self._statuses[message.robot] = message
@@ -39,9 +39,11 @@ class Resuming:
             self._plants[message.robot] = message
 
     def runs(self, robot: int) -> bool:
-        """Whether the robot knows of the leave and drives by the law, and its body does as it is told; one
-        without a place in the formation stays where it is, so does one whose mission is over, and one that
-        has nothing to drive is ready."""
+        """Whether the robot has acknowledged the resume and drives by the law, and its body obeys.
+
+        One without a place in the formation stays where it is, so does one whose mission is over, and one
+        that has nothing to drive is ready.
+        """
         status, plant = self._statuses.get(robot), self._plants.get(robot)
         if status is None or plant is None or status.order_version < self.message.version:
             return False
@@ -68,7 +70,7 @@ class Resuming:
         if plant.healthy and not plant.obeying:
             note = plant.note or "its body does not obey"
             if note.endswith(AWAITED):
-                why = "it has had a later leave: is this machine's clock behind that of another operator?"
+                why = "it has had a later resume: is this machine's clock behind that of another operator?"
             else:
                 why = "its operator must give it back first"
             return f"robot {robot}: still released: {note}: {why}"
@@ -77,8 +79,8 @@ class Resuming:
             why = "its plant brakes"
         text = f"robot {robot}: {status.state}" + (f": {why}" if why else "")
         if status.order_version < self.message.version:
-            return f"{text}; it has not heard of the leave"
-        return f"{text}; ordered after this leave" if self._stopped_later(status) else text
+            return f"{text}; it has not acknowledged the resume"
+        return f"{text}; ordered after this resume" if self._stopped_later(status) else text
 
     def _stopped_later(self, status: Status) -> bool:
         at_end = status.state in (State.STOPPING.value, State.STOPPED.value)

@@ -17,7 +17,7 @@ BRAKING: Final = frozenset(
 
 
 def has_heard(status: Status | None, stop: Stop) -> bool:
-    """Whether an agent that says this, or nothing, knows a stop and brakes."""
+    """Whether an agent that says this, or nothing, has acknowledged a stop and brakes."""
     return status is not None and status.order_version >= stop.version and status.state in BRAKING
 
 
@@ -59,13 +59,13 @@ class Stopping:
         self._statuses[robot] = status
         told, most = status.order_version, self._begun_ns // 1_000 + AHEAD_US_MAX
         if self.message.version < told <= most and robot not in self._agents_ns:
-            # It knew of a later leave than this stop, as when this machine's clock is behind: outdo that.
+            # It has had a later resume than this stop, as when this machine's clock is behind: outdo that.
             self.message = self.message._replace(version=told + 1)
         elif self._obeys(robot):
             self._agents_ns.setdefault(robot, now_ns)
 
     def _obeys(self, robot: int) -> bool:
-        """Whether the robot's agent knows the stop and brakes."""
+        """Whether the robot's agent has acknowledged the stop and brakes."""
         return has_heard(self._statuses.get(robot), self.message)
 
     def stands_by(self, robot: int) -> bool:

@@ -91,7 +91,7 @@ class Recording:
     events: Sequence[Event] = ()
     """What was done to processes on purpose."""
     resumes: Sequence[Resume] = ()
-    """Leaves to drive again, each of them once, as it was first said."""
+    """Resumes, each of them once, as it was first said."""
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -113,7 +113,7 @@ class Recording:
         return (time_ns - (self.epoch_ns or 0)) / 1e9
 
     def halts(self, robot: int) -> list[tuple[float, float]]:
-        """Fleet times (start, end) within which a robot had to stand: from a stop to the leave that ends it,
+        """Fleet times (start, end) within which a robot had to stand: from a stop to the resume that ends it,
         which has a greater version and is for this robot; inf where none did."""
         orders: list[tuple[float, Stop | Resume]] = []
         orders += [(self.fleet_time_s(stop.time_ns), stop) for stop in self.stops]

@@ -33,7 +33,7 @@ class OrderSession(OperatorSession):
         self._answers += type(message) is Mission
 
     def order(self, make: Callable[[Plan], OrderSection]) -> tuple[Mission, Ordering]:
-        """Gives the order that `make` makes of what the fleet does now, and waits until all know of it.
+        """Gives the order that `make` makes of what the fleet does now; waits until all have acknowledged it.
 
         Raises:
             NoAnswerError: the fleet has no mission yet.

@@ -1,4 +1,4 @@
-"""Sends leave to drive again to a running fleet, and waits for what becomes of it."""
+"""Sends a resume to a running fleet, and waits for what becomes of it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ResumeSession(OperatorSession):
 
     def resume(self, robots: Sequence[int]) -> Resuming:
         """Lets these robots drive again, or all when none is named. Waits until they do, but not for ever."""
-        self.ask()  # a leave must be later than the stop that it ends
+        self.ask()  # a resume must be later than the stop that it ends
         resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots))
         self._resuming = resuming
         # It is said again until all have done it: a link may lose a message.
@@ -43,7 +43,7 @@ class ResumeSession(OperatorSession):
 
 
 def resume(fleet: Fleet, robots: Sequence[int]) -> Resuming:
-    """What became of leave for these robots of a running fleet, none: all.
+    """What became of a resume of these robots of a running fleet, none: all.
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.

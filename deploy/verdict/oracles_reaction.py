@@ -22,7 +22,7 @@ STOP_S: Final = 0.2
 VEHICLE_STAND_S: Final = 5.0
 """So long a real vehicle may need to stand: how hard it brakes is not known."""
 AGREED_S: Final = 3.0
-"""What an operator said so long ago, all know."""
+"""What an operator ordered so long ago, all have acknowledged."""
 _LOSS_MAX: Final = 0.5
 _DELAY_MAX_S: Final = 0.5
 """What is said five times a second comes through in time if no more is lost, and it comes no later."""
@@ -82,7 +82,7 @@ def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) 
 
 
 def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
-    """After a stop no plant drives until leave to resume, and every body comes to a stand."""
+    """After a stop no plant drives until a resume, and every body comes to a stand."""
     limit_s = STOP_S + reaction_s(recording) - REACTION_S + _wrench_delay_s(recording)
     found, is_checked = [], False
     for robot, data in recording.robots.items():
@@ -94,8 +94,8 @@ def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] 
             if len(driven):
                 message = (
                     f"The plant of robot {robot} drove at {driven[0]:.2f} s, {driven[0] - start_s:.2f} s "
-                    f"after the stop at {start_s:.2f} s: it must brake after {limit_s:.2f} s, until leave to "
-                    "resume."
+                    f"after the stop at {start_s:.2f} s: it must brake after {limit_s:.2f} s, "
+                    "until a resume."
                 )
                 found.append(Violation("stopped", float(driven[0]), message))
                 continue

@@ -66,7 +66,7 @@ def test_orders_to_a_run_from_other_processes(tmp_path: Path) -> None:
             ("replace", name, "--robot", "1", "--by", "6"),
         ):
             out = ordered(tmp_path, *order)
-            assert out.count(": knows\n") == 7, out
+            assert out.count(": acknowledged\n") == 7, out
         assert run.wait(90.0) == 0, run.told()
     folder = tmp_path / "out"
     no_trouble_in_logs(folder)
@@ -132,7 +132,7 @@ def test_two_operators_at_once(tmp_path: Path) -> None:
             if status:
                 assert text.startswith("not done: another operator's order was quicker"), text
             else:
-                assert text.count(": knows\n") == 4, text
+                assert text.count(": acknowledged\n") == 4, text
         mission = agreed(fleet)
         given = [f"reshaped: {scale} times the size" for scale in scales]
         assert mission.note in given, mission

@@ -1,4 +1,4 @@
-"""The command ``handfast resume``: leave to drive again for robots of a fleet that is running."""
+"""The command ``handfast resume``: robots of a running fleet may drive again."""
 
 from __future__ import annotations
 

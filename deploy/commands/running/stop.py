@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     describe(
         parser,
         f". {MEANING} Robots that cannot be reached now stop as "
-        "soon as another one tells them. Exit status: 0 all agents and plants brake; 1 not all; 2 bad input.",
+        "soon as another one relays it. Exit status: 0 all agents and plants brake; 1 not all; 2 bad input.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
     parser.add_argument("--reason", default="", metavar="TEXT", help="why, for people")

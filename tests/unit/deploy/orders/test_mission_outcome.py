@@ -32,7 +32,7 @@ def test_done_when_all_know() -> None:
     assert made.outcomes()[2] == "robot 3: has not taken it: running"
     assert made.look(FLEET.ids, statuses(), MISSION)
     assert made.done
-    assert made.outcomes() == [f"robot {robot}: knows" for robot in FLEET.ids]
+    assert made.outcomes() == [f"robot {robot}: acknowledged" for robot in FLEET.ids]
 
 
 def test_who_is_not_there_is_named_and_not_waited_for() -> None:
@@ -40,7 +40,7 @@ def test_who_is_not_there_is_named_and_not_waited_for() -> None:
     there = [robot for robot in FLEET.ids if robot != 3]
     assert made.look(there, statuses(r3=1), MISSION)
     assert not made.done
-    assert made.outcomes()[2] == "robot 3: its agent is not there; the others will tell it"
+    assert made.outcomes()[2] == "robot 3: its agent is not there; the others will relay it"
     assert not made.look([], {}, MISSION), "nobody is there as yet"
 
 

@@ -92,7 +92,7 @@ def test_a_state_from_before_the_leave_does_not_count() -> None:
     resuming = resuming_of(3)
     say(resuming, 3, "running", orders=VERSION - 1)
     assert not resuming.done
-    assert resuming.outcome(3) == "robot 3: running; it has not heard of the leave"
+    assert resuming.outcome(3) == "robot 3: running; it has not acknowledged the resume"
 
 
 def test_an_agent_that_has_not_heard_yet_that_its_body_left_does_not_count() -> None:
@@ -112,7 +112,7 @@ def test_a_later_stop_is_told_as_such() -> None:
     resuming = resuming_of(3)
     say(resuming, 3, "stopped", note="stop: a person", orders=VERSION + 1)
     assert not resuming.done
-    assert resuming.outcome(3) == "robot 3: stopped: stop: a person; ordered after this leave"
+    assert resuming.outcome(3) == "robot 3: stopped: stop: a person; ordered after this resume"
 
 
 @pytest.mark.parametrize(

@@ -299,7 +299,7 @@ def test_stopped() -> None:
     assert found("stopped", PAIR, extra=[stop(1.0)], change=brakes) == []
     assert found("stopped", PAIR, extra=[stop(1.0)], change=braking(1, 1.1)) == [
         "The plant of robot 2 drove at 1.22 s, 0.22 s after the stop at 1.00 s: it must brake after 0.20 s, "
-        "until leave to resume."
+        "until a resume."
     ]
     again = both(braking(1, 1.1, 2.5), braking(2, 1.1, 2.5))
     assert found("stopped", PAIR, extra=[stop(1.0, 5)], change=again)
