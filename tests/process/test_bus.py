@@ -47,6 +47,7 @@ from agent.runtime.bus import Bus, BusError, Router
 from tests.process.fleet_harness import Robots, make_fleet, placed, robots
 from tests.process.harness import (
     ADDRESS,
+    BUSY,
     Command,
     assert_same_way,
     environment,
@@ -384,9 +385,8 @@ def throw_at_ports(fleet: Fleet, seed: int) -> None:
 
 def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
     seed = 20_080_704
-    # Slow ticks: on a busy machine the garbage shall be judged, not the scheduler.
-    rate = ("--set", "fleet.rate_hz=20")
-    arguments = ("pair", "--duration", f"{SECONDS:g}", *rate, "--no-report", "--out", "out")
+    # On a busy machine the garbage shall be judged, not the scheduler.
+    arguments = ("pair", "--duration", f"{SECONDS:g}", *BUSY, "--no-report", "--out", "out")
     with Command(tmp_path / "simulated", "simulate", *arguments) as command:
         assert command.wait() == 0, command.told()
     with Command(tmp_path, "run", *arguments, "--set", "network.base_port=21120") as command:

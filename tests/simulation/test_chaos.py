@@ -15,7 +15,14 @@ from deploy.chaos.run import ELSEWHERE, IN_FORMATION, SOON, drive, scenario_text
 from deploy.chaos.shrink import shrink
 from deploy.console.arguments import fleet_path, fleet_text
 
-SEEDS = range(100)
+SEEDS = (
+    *(1, 3, 4, 7, 10, 14, 16, 20, 21, 23, 24, 25, 26, 30, 37, 38, 39, 40),
+    *(41, 53, 55, 60, 63, 67, 69, 71, 72, 73, 75, 76, 79, 82, 86, 88, 92),
+)
+"""Chosen of the first hundred: whatever those do is done by one of these, in a third of the time. Every
+oracle has something to look at; every kind of fault is there, beside every other kind and with every
+transition that come with it; so is every way to end, number of robots and kind of course. `handfast chaos`
+drives more."""
 FOUND = sorted((Path(__file__).parent / "chaos").glob("*.toml"))
 """Scenarios that failed, each with a comment on what they brought to light."""
 COVERING = (25, 92)
