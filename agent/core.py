@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from math import exp, hypot, isfinite
 from typing import Final
 
@@ -37,7 +36,6 @@ from agent.messages.types import (
     Outgoing,
     PlantState,
     Resume,
-    Status,
     Stop,
     Wrench,
     clipped,
@@ -46,13 +44,11 @@ from agent.messages.validation import Malformed
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
+from agent.supervision.status import StatusReport
 from agent.supervision.stop_latch import AWAITED, StopLatch
 
-STATUS_PERIOD_NS: Final = NS_PER_S // 5
-STATUS_VALUES_MAX: Final = 200
-"""A status goes out early rather than hold more tick times or ages than this."""
 LISTEN_ROUNDS: Final = 2
-"""So many times all others have told where they are before a robot joins in a drive."""
+"""So many times all others have said where they are before a robot joins in a drive."""
 LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
 this grows uncertain."""
@@ -104,14 +100,9 @@ class Agent:
         self._numbers = ""
         self._hand_numbers = SequenceNumbers(self.period_ns, self.phase_ns)
         self._wrench_numbers = SequenceNumbers(self.period_ns, self.phase_ns)
-        self._status_sequence = self._status_due_ns = 0
+        self._report = StatusReport()
         self._beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
-        self._sent_hands = self._corrupted = 0
-        self.rejected: Counter[str] = Counter()
-        self._interventions: Counter[str] = Counter()
-        self._tick_us: list[int] = []
-        self._ages_us: list[int] = []
-        self._overruns = 0
+        self.rejected: Final = self._report.rejected
         self._position: tuple[float, float] | None = None
         self._listened_ns: int | None = None
         self._seen: tuple[int, hand.Hand, PlantState] | None = None
@@ -238,7 +229,7 @@ class Agent:
 
     def _refuse(self, key: str, error: Malformed) -> None:
         if key in self._hands:
-            self._corrupted += 1
+            self._report.corrupted += 1
             if error.reason == "version":
                 self._peers.get(self._hands[key]).other_version = error.detail
         self._reject(error.reason)
@@ -295,8 +286,7 @@ class Agent:
 
     def timed(self, duration_ns: int, missed: int) -> None:
         """Told by the loop after each tick: how long it took, and how many ticks were skipped before it."""
-        self._tick_us.append(duration_ns // 1000)
-        self._overruns += missed
+        self._report.timed(duration_ns, missed)
 
     # ------------------------------------------------------------------ out
 
@@ -318,7 +308,7 @@ class Agent:
             self._arrive(now_ns)
         self._controller.look(now_ns)
         here = self._here(now_ns)
-        self._ages_us.extend(self._trust.update(now_ns, self.state, here))
+        self._report.ages_us.extend(self._trust.update(now_ns, self.state, here))
         self._listen()
         was = self.state
         if was is State.RELEASED and self._plant_trouble:
@@ -334,12 +324,12 @@ class Agent:
         drives = self.state in DRIVING
         if drives and was not in DRIVING:
             self._controller.restart()
-        told = self._last_known(now_ns) if here is None else here
-        out = self._drive(now_ns, here) if drives and here is not None else self._brake(now_ns, told)
-        if now_ns >= self._status_due_ns or len(self._ages_us) > STATUS_VALUES_MAX or self.state is not was:
+        shown = self._last_known(now_ns) if here is None else here
+        out = self._drive(now_ns, here) if drives and here is not None else self._brake(now_ns, shown)
+        if self.state is not was or self._report.is_due(now_ns):
             out.append(self._status(now_ns))
-        if told is not None:
-            self._beacon(now_ns, told, out)
+        if shown is not None:
+            self._beacon(now_ns, shown, out)
         self._relay.look(now_ns, self._plant, drives=drives)
         out += self._relay.due(now_ns)
         stopping = self._leaving or self.state in (State.STOPPING, State.STOPPED)
@@ -480,8 +470,8 @@ class Agent:
         self._controller.sent(now_ns, drive.force, drive.torque)
         self._degree = drive.degree
         for cause in drive.causes:
-            self._interventions[cause] += 1
-        self._interventions["any"] += bool(drive.causes)
+            self._report.interventions[cause] += 1
+        self._report.interventions["any"] += bool(drive.causes)
         return [
             self._wrench(now_ns, drive.force, drive.torque, brake=False),
             self._hand(now_ns, here, True, drive.forces, multipliers),
@@ -521,7 +511,7 @@ class Agent:
                 *(*here, *forces, self._doubt, multipliers, heard),
             )
         )
-        self._sent_hands += len(self._controller.edges)
+        self._report.sent_hands += len(self._controller.edges)
         return self._key_hand, encode(message)
 
     def _beacon(self, now_ns: int, here: hand.Hand, out: list[Outgoing]) -> None:
@@ -543,45 +533,10 @@ class Agent:
         out.append((self._key_beacon, encode(beacon)))
 
     def _status(self, now_ns: int) -> Outgoing:
-        known = self._peers.known
-        counters = {
-            "sent": self._sent_hands,
-            "received": sum(peer.received for peer in known),
-            "lost": sum(peer.lost for peer in known),
-            "delayed": sum(peer.delayed for peer in known),
-            "duplicated": sum(peer.duplicated for peer in known),
-            "corrupted": self._corrupted,
-            "rejected": sum(self.rejected.values()),
-            "overruns": self._overruns,
-            **{f"rejected.{reason}": count for reason, count in sorted(self.rejected.items())},
-            **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
-        }
-        status = Status(
-            self.robot,
-            self._status_sequence,
-            now_ns,
-            self.state.value,
-            self.transition,
-            clipped(self.reason),
-            0 if self._mission is None else self._mission.version,
-            self._latch.version,
-            tuple(
-                (
-                    peer.robot,
-                    -1 if (age := peer.age_ns(now_ns)) is None else max(age, 0) // 1000,
-                    peer.received,
-                    peer.lost,
-                    peer.clock.offset_us,
-                    peer.clock.error_us,
-                )
-                for _, peer in self._controller.edges
-            ),
-            tuple(self._tick_us[:STATUS_VALUES_MAX]),
-            tuple(self._ages_us[: STATUS_VALUES_MAX + len(self._controller.edges)]),
-            tuple(counters.items()),
+        mission_version = 0 if self._mission is None else self._mission.version
+        situation = (self.state.value, self.transition, clipped(self.reason))
+        neighbours = [peer for _, peer in self._controller.edges]
+        status = self._report.status(
+            now_ns, self.robot, situation, mission_version, self._latch.version, neighbours, self._peers.known
         )
-        self._status_sequence += 1
-        self._status_due_ns = now_ns + STATUS_PERIOD_NS
-        self._tick_us.clear()
-        self._ages_us.clear()
         return self._key_status, encode(status)

@@ -21,7 +21,7 @@ class Node(Protocol):
 
     @property
     def plan(self) -> FaultPlan:
-        """The fault rules that it knows of."""
+        """The fault rules of the file and of operators."""
         ...
 
     @property

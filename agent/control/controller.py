@@ -75,7 +75,7 @@ class _Scene(NamedTuple):
     """What acts on the own hand at one instant, as it is found.
 
     now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. constraints, planes: what
-    the law and the last stage have to keep.
+    the law and the safety filter have to keep.
     """
 
     now_ns: int
@@ -222,7 +222,7 @@ class Controller:
         return hand.hand(self._pose_at(plant, time_ns), self._reach)
 
     def sent(self, now_ns: int, force: float, torque: float) -> None:
-        """Told what was asked of the plant at the tick `now_ns` (N, N m); zero when it was told to brake."""
+        """Notes what the plant was asked for at the tick `now_ns` (N, N m); zero when it is to brake."""
         self._sent[self.acts_from_ns(now_ns)] = force, torque
         if len(self._sent) > self._sent_max:
             del self._sent[next(iter(self._sent))]
@@ -249,7 +249,7 @@ class Controller:
     # ------------------------------------------------------------------ constraints
 
     def _look_round(self, scene: _Scene, time_ns: int) -> None:
-        """Finds all constraints on the own hand at `time_ns`, and what the last stage has to keep."""
+        """Finds all constraints on the own hand at `time_ns`, and what the safety filter has to keep."""
         own = scene.own
         for edge, peer in self.edges:
             if peer.message is None:
@@ -303,8 +303,8 @@ class Controller:
         doubt = peer.doubt(now_ns)
         name = f"robot {peer.robot}"
         silent = now_ns + peer.clock.used_ns - peer.time_ns >= UNSURE_NS
-        supposed = silent and peer.here
-        if pushes and not supposed and rho - doubt < self.proximity.distance:
+        guessed = silent and peer.here
+        if pushes and not guessed and rho - doubt < self.proximity.distance:
             scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
             constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.proximity.distance)
             scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
@@ -326,8 +326,8 @@ class Controller:
             ),
             rank=rank,
         )
-        if supposed:
-            # Maybe it cannot hear this robot either, and looks for it on its way: what is only supposed stops
+        if guessed:
+            # Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops
             # it, as hard as need be, but must not push it off.
             closing = plane.nx * own.vx + plane.ny * own.vy
             plane = plane._replace(least=min(plane.least, -closing / STOP_S))
@@ -441,7 +441,7 @@ SLOW_SPEED: Final = 0.2
 
 
 def _within(value: float, most: float | None) -> float:
-    """What the actuator can give of it: contradicting limits are beyond the last stage."""
+    """What the actuator can give of it: contradicting limits are beyond the safety filter."""
     return value if most is None else max(-most, min(most, value))
 
 

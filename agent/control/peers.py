@@ -1,4 +1,4 @@
-"""What a robot knows of the others: the latest message of each, its age, and how far it is to be relied on.
+"""The other robots as one robot hears them: the latest message of each, its age, and how far to trust it.
 
 Pure. Others are heard in two ways: by the hand states of those that are listened to (one a tick: neighbours
 in the formation graph, and whoever is near), and by the beacons of all (a few a second).
@@ -27,7 +27,7 @@ DOUBT_MAX: Final = 0.3
 UNSURE_NS: Final = NS_PER_S // 4
 """One that has not been heard for so long may have stopped, and is not counted on to keep a distance."""
 SILENT_NS: Final = NS_PER_S
-"""Others are told of one that has been silent for so long,"""
+"""Beacons name one that has been silent for so long,"""
 HEARSAY_NS: Final = 60 * NS_PER_S
 """and no longer than this."""
 WAY_STEPS: Final = 4
@@ -179,7 +179,7 @@ class Peers:
 
         All robots tick at once, and which of them sees which other's message of the same tick
         would be up to the scheduler. So a message of this tick waits for the next one: every
-        robot works with the others' last tick, as the joint sweep supposes.
+        robot works with the others' last tick, as the joint sweep assumes.
         """
         self.begin(now_ns)
         peer = self.get(message.robot)
@@ -354,7 +354,7 @@ class Peers:
         """As `predict`, for one that has to be kept away from at (x, y), m; `predicted`, where that is known.
 
         One that has not been heard for long may follow its course, or have stopped since: because it lost
-        its neighbours, was told to, or its agent hangs. One whose process seems gone may only be cut off. It
+        its neighbours, was ordered to, or hangs. One whose process seems gone may only be cut off. It
         is taken to be at the nearest point of its way.
         """
         message = peer.message

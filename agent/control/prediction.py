@@ -187,7 +187,7 @@ def _approaching(
 def coasting(message: HandState, age: float) -> Prediction:
     """A robot that brakes, `age` seconds later: its speed dies away, whatever the law would ask of it.
 
-    What brakes it stands as its navigation force, so that law and last stage reckon with it.
+    What brakes it stands as its navigation force, so that law and safety filter reckon with it.
     """
     remains = exp(-age / BRAKING_TIME_S)
     way = BRAKING_TIME_S * (1.0 - remains)

@@ -56,7 +56,7 @@ def least_apart(edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tu
 
 
 def barrier_rate(fleet: Fleet) -> float:
-    """p of the last stage, 1/s: as given, or the largest up to 3 with which robots can brake as (F4) says."""
+    """p of the safety filter, 1/s: as given, or the largest up to 3 at which robots can brake by (F4)."""
     given, control = fleet.avoidance.barrier_rate, fleet.control
     return min(_RATE, control.max_acceleration / control.max_speed_mps) if given is None else given
 
@@ -64,7 +64,7 @@ def barrier_rate(fleet: Fleet) -> float:
 def braking_room(fleet: Fleet) -> float:
     """How far from each other two robots have to know of each other, m: what lets both come at full speed.
 
-    There h of the last stage is 2 V_max / p, and its barrier (F1) admits any speed that is allowed.
+    There h of the safety filter is 2 V_max / p, and its barrier (F1) admits any speed that is allowed.
     """
     keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
     return keep + 2.0 * fleet.control.max_speed_mps / barrier_rate(fleet)

@@ -1,4 +1,4 @@
-"""The last stage: the acceleration nearest to what the law asks for that keeps every limit (PURE).
+"""The safety filter: the acceleration nearest to what the law asks for that keeps every limit (PURE).
 
 Each limit is a half plane of the hand's acceleration u (m/s^2, W); how they come about is in
 docs/theory.md, (F1) to (F9). `project` finds the nearest u that meets all of them, exactly, by

@@ -32,7 +32,7 @@ class AvoidanceSection:
     enabled: bool = setting(
         True,
         "Robots keep away from robots that they share no edge with, from obstacles and from the geofence, "
-        "and what the law asks for passes a last filter. false: the bare law, as published.",
+        "and what the law asks for passes the safety filter. false: the bare law, as published.",
     )
     distance_m: float | None = setting(
         None,
@@ -66,7 +66,7 @@ class AvoidanceSection:
     )
     barrier_rate: float | None = setting(
         None,
-        "p of the last filter: the share of what is left of a distance that a robot may close in a second "
+        "p of the safety filter: the share of what is left of a distance that a robot may close in a second "
         "(docs/theory.md). Left out: 3, or `control.max_acceleration` / `control.max_speed_mps` if that is "
         "less: braking from full speed takes p times that speed.",
         unit="1/s",
@@ -75,7 +75,7 @@ class AvoidanceSection:
         example="2.0",
     )
     margin_m: float = setting(
-        0.05, "The last filter keeps this much more than the safe distance.", unit="m", ge=0, le=100
+        0.05, "The safety filter keeps this much more than the safe distance.", unit="m", ge=0, le=100
     )
 
 

@@ -133,8 +133,8 @@ class ControlSection:
     )
     max_speed_mps: float = setting(
         1.5,
-        "Largest speed of a hand point. It limits how fast a robot makes for its place, and the last filter "
-        "keeps it (`avoidance.enabled`).",
+        "Largest speed of a hand point. It limits how fast a robot makes for its place, and the safety "
+        "filter keeps it (`avoidance.enabled`).",
         unit="m/s",
         gt=0,
         le=100,

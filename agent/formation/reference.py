@@ -88,7 +88,7 @@ class Reference:
 
     Before any mission it is the fleet file's formation, its reference at rest where the trajectory begins.
     After it, until the first take-over that is known, it is the file's on its way since the epoch: what a
-    robot supposes that has missed the missions before.
+    robot assumes that has missed the missions before.
 
     Args:
         geometry: `agent.formation.geometry.resolve` of `fleet`.

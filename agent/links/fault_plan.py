@@ -172,7 +172,7 @@ class FaultPlan:
         self.changes += 1
 
     def rules_of_link(self, source: int, destination: int, topic: str) -> LinkRules:
-        """What may befall the messages of one link, until `changes` counts up.
+        """What may happen to the messages of one link, until `changes` counts up.
 
         Beacons go over the same air as hand states: what is for one is for both.
         """

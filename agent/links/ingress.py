@@ -30,7 +30,7 @@ class Ingress:
 
     Attributes:
         subscriptions, publications: keys that the node needs for it.
-        idle: True while nothing befalls any message: then `take` and `arrivals` need not be called.
+        idle: True while nothing happens to any message: then `take` and `arrivals` need not be called.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """The incoming links of one node, which fail on purpose: late, lost, twice, damaged, out of order (PURE).
 
 A link is (source robot, destination robot, topic). Faults are applied by the receiver: a publication fans
-out, and only who receives it knows the link. What befalls a message is a function of the seed, the link and
+out, and only who receives it knows the link. What happens to one is a function of the seed, the link and
 the message's sequence number, whatever came before or beside it; a delay counts from the message's stamp
 (an injected error of either clock is allowed for).
 So the same scenario gives the same fate in a run and in its simulation. Only the queue of a rate limit
@@ -162,7 +162,7 @@ class LinkEmulator:
     """All incoming links of one node of robot `robot`.
 
     Give every message of a link to `take`; at every tick deliver what is `due` and publish what is `traced`.
-    While `idle` is True nothing befalls any message, and none need come here.
+    While `idle` is True nothing happens to any message, and none need come here.
     """
 
     def __init__(self, plan: FaultPlan, robot: int, sources: Mapping[str, Sequence[int]]) -> None:

@@ -54,7 +54,7 @@ class Ticks:
 
     @property
     def epoch_ns(self) -> int | None:
-        """The mission's epoch, None while the node knows of none."""
+        """The mission's epoch, None before the node has a mission."""
         return self._plan.epoch_ns
 
     def plan(self, told_ns: int) -> None:

@@ -149,10 +149,10 @@ class LinkRules:
         self._defaults = defaults
         self._known: dict[tuple[int, ...], LinkEffects] = {}
         self.idle: Final = not rules and not defaults and replay is None
-        """True when nothing ever befalls this link, as long as no rule changes."""
+        """True when nothing ever happens to messages of this link, as long as no rule changes."""
 
     def effects(self, time_ns: int) -> LinkEffects:
-        """What befalls a message that was sent at the wall time `time_ns`."""
+        """What happens to a message that was sent at the wall time `time_ns`."""
         holding: list[tuple[TimedRule, float]] = []
         ramped = False
         for timed in self.rules:

@@ -49,7 +49,7 @@ def stop(fleet: str) -> str:
 
 
 def resume(fleet: str) -> str:
-    """Operator's leave to drive again, to every agent and plant."""
+    """Operator's resume, to every agent and plant."""
     return f"{fleet}/resume"
 
 

@@ -68,7 +68,7 @@ class HandState(NamedTuple):
     Position, velocity (m, m/s, W) are those at `time_ns`; forces are per unit mass (m/s^2, W).
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
-    The correction is what the last stage and a way round what blocks it make of the two forces: it
+    The correction is what the safety filter and a way round what blocks it make of the two forces: it
     accelerates by the sum of all three. `doubt` (m) is how far it may be from where it says: it is 0 unless
     its plant is lost.
     `degree` is how many constraints act on it: edges, and what it is kept away from.
@@ -176,7 +176,7 @@ class Stop(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Operator's leave to drive again: after a `Stop`, and for robots whose body an operator took away and
+    """Operator's resume: after a `Stop`, and for robots whose body an operator took away and
     gave back.
 
     `robots` are their ids, none of them means all. An agent or plant obeys a `version` only once, and

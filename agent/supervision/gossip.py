@@ -1,6 +1,6 @@
-"""What a robot says again so that others catch up: the mission, and the last stop and leave to drive (PURE).
+"""Relayed orders: a robot repeats the mission, the last stop and the last resume to who lacks them (PURE).
 
-Any robot that knows tells one that does not: there is no coordinator. Who does not know shows in beacons, or
+Any robot that has an order relays it: there is no coordinator. Who lacks it shows in beacons, or
 asks. Each says it on its own key (`agent.messages.key_expressions.relayed`), and mostly one does, since all
 other agents hear that. Who may hear this robot alone, such as its plant, is told in any case, and so is what
 it has just learnt.
@@ -24,14 +24,14 @@ STEPS: Final = 8
 
 
 Mark = tuple[int, int]
-"""What somebody knows of a thing, such as its version and what tells those of one version apart."""
+"""Which of a thing somebody has acknowledged: its version, and what tells those of one version apart."""
 
 
 class Gossip:
     """When robot `robot` says one thing again.
 
     Args:
-        known: what is known of the thing here; who knows less is told.
+        known: what this robot has of the thing; it is relayed to who has less.
     """
 
     def __init__(self, robot: int, known: Callable[[], Mark]) -> None:
@@ -48,7 +48,7 @@ class Gossip:
         self._insists = True
 
     def lacks(self, now_ns: int, mark: Mark) -> None:
-        """Somebody knows only this much of it."""
+        """Somebody has acknowledged only this much of it."""
         if mark >= self._known():
             return
         if self._lacked_ns is None or now_ns > self._lacked_last_ns + AGAIN_NS:

@@ -17,7 +17,7 @@ from agent.supervision.gossip import AGAIN_NS, Gossip, Mark
 from agent.supervision.stop_latch import StopLatch
 
 UNMOVED_NS: Final = NS_PER_S // 2
-"""A plant that brakes for so long while it is asked to drive may have missed a leave to drive."""
+"""A plant that brakes for so long while it is asked to drive may have missed a resume."""
 
 
 class OrderRelay:
@@ -26,7 +26,7 @@ class OrderRelay:
     Attributes:
         key: where it tells it.
         subscription: where all robots do.
-        mission_mark: of the mission that it knows (`agent.supervision.gossip.Mark`).
+        mission_mark: of the mission that it has acknowledged (`agent.supervision.gossip.Mark`).
     """
 
     def __init__(self, fleet: Fleet, robot: int, latch: StopLatch) -> None:
@@ -45,7 +45,7 @@ class OrderRelay:
         self._missions = Gossip(robot, lambda: self.mission_mark)
         self._orders = Gossip(robot, lambda: latch.mark)
         self._numbers = SequenceNumbers(fleet.period_ns)
-        """Those of the own plant, if it knows the mission."""
+        """Those of the own plant, if it has acknowledged the mission."""
         self._plant_told_ns = -AGAIN_NS
         self._unmoved_since_ns: int | None = None
 
@@ -56,7 +56,7 @@ class OrderRelay:
     # ------------------------------------------------------------------ what it hears
 
     def accept(self, now_ns: int, order: Stop | Resume) -> str | None:
-        """Hands a stop or leave to the latch; returns why it is refused, None when it is not."""
+        """Hands a stop or a resume to the latch; returns why it is refused, None when it is not."""
         latch = self._latch
         before = latch.mark
         reason = latch.accept_stop(order) if isinstance(order, Stop) else latch.accept_resume(order)
@@ -77,7 +77,7 @@ class OrderRelay:
         self._missions.insist()
 
     def compare(self, now_ns: int, beacon: Beacon) -> None:
-        """Another robot says what it knows."""
+        """Another robot says which orders it has acknowledged."""
         self._missions.lacks(now_ns, (beacon.mission_version, beacon.mission_tag))
         self._orders.lacks(now_ns, (beacon.stop_version, beacon.resume_version))
 
@@ -102,7 +102,7 @@ class OrderRelay:
             self._orders.insist()
         if plant is None or self._mission is None or now_ns < self._plant_told_ns + AGAIN_NS:
             return
-        # Its numbers count from the mission's epoch as soon as it knows that.
+        # Its numbers count from the mission's epoch as soon as it has that.
         if plant.sequence != self._numbers.at(plant.time_ns):
             self._plant_told_ns = now_ns
             self._missions.insist()
@@ -110,7 +110,7 @@ class OrderRelay:
     # ------------------------------------------------------------------ what it tells
 
     def due(self, now_ns: int) -> list[Outgoing]:
-        """What is to be told now; a stop before the mission, since who catches up must not drive first."""
+        """What is to be relayed now; a stop before the mission, since who catches up must not drive first."""
         tells = self._missions.due(now_ns)
         out: list[Outgoing] = []
         if self._orders.due(now_ns) or tells:

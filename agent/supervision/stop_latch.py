@@ -1,4 +1,4 @@
-"""Stop, and leave to drive again, as both processes of a robot take them (PURE)."""
+"""The stop latch: how both processes of a robot take a stop and a resume (PURE)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NEVER: Final = -1
 
 
 class StopLatch:
-    """The last stop and the last leave to drive again. A stop holds until a later leave for this robot.
+    """The last stop and the last resume. A stop holds until a later resume for this robot.
 
     What comes first does not matter, nor how often: only versions decide. So whoever missed one takes it
     from anybody that says both again.

@@ -1,0 +1,103 @@
+"""The status that an agent publishes: its state, ages of neighbours, counters, tick times (PURE)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from agent.common.time import NS_PER_S
+from agent.control.peers import Peer
+from agent.messages.types import Status
+
+STATUS_PERIOD_NS: Final = NS_PER_S // 5
+STATUS_VALUES_MAX: Final = 200
+"""A status goes out early rather than hold more tick times or ages than this."""
+
+
+class StatusReport:
+    """Collects what happens between two status messages, counts what happened since the start.
+
+    Attributes:
+        rejected: messages that were not valid, by reason.
+        interventions: ticks in which the safety filter changed what the law asked for, by cause, and "any".
+        ages_us: ages of neighbours' states that the law worked with since the last status, us.
+        sent_hands: hand states sent, one for each neighbour.
+        corrupted: hand states whose bytes were damaged.
+    """
+
+    def __init__(self) -> None:
+        self.rejected: Final[Counter[str]] = Counter()
+        self.interventions: Final[Counter[str]] = Counter()
+        self.ages_us: Final[list[int]] = []
+        self.sent_hands = self.corrupted = 0
+        self._tick_us: list[int] = []
+        self._overruns = 0
+        self._sequence = self._due_ns = 0
+
+    def timed(self, duration_ns: int, missed: int) -> None:
+        """Takes how long a tick took, and how many were skipped before it."""
+        self._tick_us.append(duration_ns // 1000)
+        self._overruns += missed
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether it is time for the next status, or more has come than one can hold."""
+        return now_ns >= self._due_ns or len(self.ages_us) > STATUS_VALUES_MAX
+
+    def status(
+        self,
+        now_ns: int,
+        robot: int,
+        situation: tuple[str, str, str],
+        mission_version: int,
+        stop_version: int,
+        neighbours: Sequence[Peer],
+        known: Iterable[Peer],
+    ) -> Status:
+        """The next message, after which collecting begins anew.
+
+        Args:
+            situation: state, the transition that led there, and its reason.
+            mission_version, stop_version: of the mission and the stop or resume that were taken last.
+            neighbours: peers at the other ends of the robot's edges, in their order.
+            known: all peers that were heard; gone through several times.
+        """
+        counters = {
+            "sent": self.sent_hands,
+            "received": sum(peer.received for peer in known),
+            "lost": sum(peer.lost for peer in known),
+            "delayed": sum(peer.delayed for peer in known),
+            "duplicated": sum(peer.duplicated for peer in known),
+            "corrupted": self.corrupted,
+            "rejected": sum(self.rejected.values()),
+            "overruns": self._overruns,
+            **{f"rejected.{reason}": count for reason, count in sorted(self.rejected.items())},
+            **{f"filtered.{cause}": count for cause, count in sorted(self.interventions.items())},
+        }
+        status = Status(
+            robot,
+            self._sequence,
+            now_ns,
+            *situation,
+            mission_version,
+            stop_version,
+            tuple(
+                (
+                    peer.robot,
+                    -1 if (age := peer.age_ns(now_ns)) is None else max(age, 0) // 1000,
+                    peer.received,
+                    peer.lost,
+                    peer.clock.offset_us,
+                    peer.clock.error_us,
+                )
+                for peer in neighbours
+            ),
+            tuple(self._tick_us[:STATUS_VALUES_MAX]),
+            tuple(self.ages_us[: STATUS_VALUES_MAX + len(neighbours)]),
+            tuple(counters.items()),
+        )
+        self._sequence += 1
+        self._due_ns = now_ns + STATUS_PERIOD_NS
+        self._tick_us.clear()
+        self.ages_us.clear()
+        return status
