@@ -23,6 +23,7 @@ from deploy.drive.fleet_state import FleetState, Record
 from deploy.drive.live_view import View
 from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
 from deploy.drive.standstill import Standstill
+from deploy.drive.timing import Timing
 from deploy.faults.process_actions import WORDS, Action, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
@@ -32,18 +33,6 @@ POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
 ORDER_LATE_NS: Final = NS_PER_S // 2
 """An order of the fleet file counts as given at its time, as in a simulation, unless that is so long ago."""
-EPOCH_AHEAD_NS: Final = NS_PER_S // 2
-"""The mission is out this long before the epoch: every agent has it by then."""
-STOPPED_AHEAD_NS: Final = 2 * NS_PER_S
-"""Likewise for a fleet that stands after a stop: the resume comes when all have acknowledged the mission."""
-READY_TIMEOUT_S: Final = 10.0
-READY_TIMEOUT_PER_PROCESS_S: Final = 0.5
-VEHICLES_TIMEOUT_S: Final = 120.0
-"""So long for vehicles: one that was just switched on takes 40 s, and its operator has to arm it."""
-WAITS_PERIOD_S: Final = 5.0
-"""How often it is said what is waited for."""
-HAND_OVER_NS: Final = 2 * NS_PER_S
-"""So long after the epoch all must have acknowledged the mission, if they are to be left alone."""
 
 
 class Drive:
@@ -56,6 +45,7 @@ class Drive:
         duration_s, orders: what is driven; the fleet file's unless given.
         resume: whether a stop that somebody else gave is to be lifted; one that the regular end of a drive
             gave always is.
+        timing: how long is waited for what.
 
     After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
     """
@@ -72,11 +62,13 @@ class Drive:
         duration_s: float | None = None,
         orders: Sequence[OrderSection] | None = None,
         resume: bool = False,
+        timing: Timing | None = None,
     ) -> None:
         self._fleet, self._processes, self._view, self._interrupt = fleet, processes, view, interrupt
         self._duration_s = fleet.fleet.duration_s if duration_s is None else duration_s
         self._orders = fleet.orders if orders is None else orders
         self._resume = resume
+        self._timing = timing or Timing()
         self._fleet_state = FleetState(fleet, bus, processes, record)
         self._watch, self._operator = self._fleet_state.watch, self._fleet_state.operator
         self._clock, self._checks = self._fleet_state.clock, self._fleet_state.checks
@@ -122,10 +114,9 @@ class Drive:
     def _wait_until_ready(self) -> bool:
         fleet_state, names = self._fleet_state, self._processes.names
         begun = time.monotonic()
-        timeout_s = READY_TIMEOUT_S + READY_TIMEOUT_PER_PROCESS_S * len(names)
-        timeout_s = max(timeout_s, VEHICLES_TIMEOUT_S if self._checks.robots else 0.0)
+        timeout_s = self._timing.ready_timeout_s(len(names), has_vehicles=bool(self._checks.robots))
         alive = False
-        say_due_s = WAITS_PERIOD_S
+        say_due_s = self._timing.waits_period_s
         while self._step():
             missing = [name for process, name in names.items() if process not in fleet_state.present]
             waited_s = time.monotonic() - begun
@@ -146,7 +137,7 @@ class Drive:
                 self._fail(f"Not ready within {timeout_s:.0f} s: {fleet_state.waits(missing)}.")
                 return False
             if waited_s >= say_due_s:
-                say_due_s += WAITS_PERIOD_S
+                say_due_s += self._timing.waits_period_s
                 self._view.say(f"waiting after {waited_s:.0f} s: {fleet_state.waits(missing)}")
         return False
 
@@ -159,11 +150,11 @@ class Drive:
                 self._fail(f"Not started: {obstacle}.")
                 return False
             stop = stop_in_force(self._operator)
-        ahead_ns = EPOCH_AHEAD_NS if stop is None else STOPPED_AHEAD_NS
+        ahead_ns = self._timing.epoch_ahead_ns if stop is None else self._timing.stopped_ahead_ns
         epoch_ns = next_tick_ns(now_ns + ahead_ns, self._fleet.period_ns, 0)
         self._plan(epoch_ns)
         self._fleet_state.begin(epoch_ns, round(self._duration_s * NS_PER_S))
-        return stop is None or self._lift(stop, epoch_ns - EPOCH_AHEAD_NS)
+        return stop is None or self._lift(stop, epoch_ns - self._timing.epoch_ahead_ns)
 
     def _lift(self, stop: Stop, by_ns: int) -> bool:
         """Resumes as soon as all have acknowledged the new mission: nobody may go on with one before it."""
@@ -185,7 +176,7 @@ class Drive:
 
     def _hand_over(self) -> bool:
         """Waits until all have acknowledged the mission, and leaves them alone; False when not all do."""
-        by_ns = (self._fleet_state.epoch_ns or 0) + HAND_OVER_NS
+        by_ns = (self._fleet_state.epoch_ns or 0) + self._timing.hand_over_ns
         while late := self._fleet_state.ignorant or self._fleet_state.slow:
             if not self._go_on():
                 return False
@@ -227,7 +218,7 @@ class Drive:
 
     def _stop(self) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
-        standstill = Standstill(self._fleet_state, self._interrupt)
+        standstill = Standstill(self._fleet_state, self._interrupt, self._timing)
         standstill.wait(self._view, self._why_stop())
         if standstill.deaf and not self._processes.ours:
             self._fail(f"Not heard to stop: {robots(standstill.deaf)}.")

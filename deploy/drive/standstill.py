@@ -11,16 +11,11 @@ from deploy.console.interrupt import Interrupt
 from deploy.drive.fleet_state import FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
+from deploy.drive.timing import Timing
 from deploy.orders.stop_outcome import has_heard
 from deploy.recording.recorder import RecordingError
 
 LOOK_S: Final = 0.02
-STOP_AGAIN_S: Final = 0.25
-"""A status comes five times a second: who has not told of a stop by then may not have heard it."""
-STOP_TIMEOUT_S: Final = 2.0
-INTERRUPT_STOP_TIMEOUT_S: Final = 0.3
-VEHICLES_STOP_TIMEOUT_S: Final = 4.0
-"""A rover takes seconds to rest: its bridge stays for that, also after Ctrl-C; a second Ctrl-C ends it."""
 
 
 class Standstill:
@@ -30,8 +25,8 @@ class Standstill:
     from being recorded, None when nothing did.
     """
 
-    def __init__(self, fleet_state: FleetState, interrupt: Interrupt) -> None:
-        self._fleet_state, self._interrupt = fleet_state, interrupt
+    def __init__(self, fleet_state: FleetState, interrupt: Interrupt, timing: Timing) -> None:
+        self._fleet_state, self._interrupt, self._timing = fleet_state, interrupt, timing
         self._hurried = interrupt.count > 0
         self.deaf: list[int] = []
         self.lost: RecordingError | None = None
@@ -45,7 +40,7 @@ class Standstill:
         if self._hurried:
             view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
         begun = time.monotonic()
-        again, deadline = begun + STOP_AGAIN_S, begun + self._timeout_s
+        again, deadline = begun + self._timing.stop_again_s, begun + self._timeout_s
         fleet, statuses = fleet_state.fleet, fleet_state.watch.statuses
         waiting = [
             robot for robot in fleet.ids if all(processes.up(robot, role) for role in key_expressions.ROLES)
@@ -57,7 +52,7 @@ class Standstill:
             if rest and (processes.ours or all(has_heard(statuses.get(robot), stop) for robot in waiting)):
                 break
             if now >= again:
-                again = now + STOP_AGAIN_S
+                again = now + self._timing.stop_again_s
                 if any(r not in statuses or statuses[r].order_version < stop.version for r in waiting):
                     fleet_state.say(stop)
             time.sleep(LOOK_S)
@@ -66,10 +61,9 @@ class Standstill:
 
     @property
     def _timeout_s(self) -> float:
-        if self._fleet_state.checks.robots:
-            return VEHICLES_STOP_TIMEOUT_S
-        return (
-            INTERRUPT_STOP_TIMEOUT_S if self._hurried and self._fleet_state.processes.ours else STOP_TIMEOUT_S
+        ours = self._fleet_state.processes.ours
+        return self._timing.standstill_timeout_s(
+            has_vehicles=bool(self._fleet_state.checks.robots), is_hurried=self._hurried and ours
         )
 
     def _collect(self) -> None:

@@ -24,12 +24,15 @@ from deploy.drive.attached import Attached
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import Lines
 from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
+from deploy.drive.timing import Timing
 from deploy.orders.operator import Known
 from deploy.recording.recorder import RecordingError
 from deploy.session.session import valid
 from tests.unit.deploy.orders.order_fleets import order
 
 S = 1_000_000_000
+QUICK = Timing(stopped_ahead_ns=3 * S // 2, stop_again_s=0.05, stop_s=0.6)
+"""Robots of this test need no more."""
 FLEET = parse_fleet(
     """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0.2 }]
@@ -155,6 +158,7 @@ def driven(robots: Robots, **options: Any) -> tuple[Drive, str]:
     interrupt = options.pop("interrupt", Interrupt())
     detach, fleet = options.pop("detach", False), options.pop("fleet", FLEET)
     options.setdefault("duration_s", 0.2)
+    options.setdefault("timing", QUICK)
     stream, record = options.pop("stream", StringIO()), options.pop("record", unrecorded)
     drive = Drive(
         *(fleet, Attached(fleet), cast(Bus, robots), record),
@@ -186,7 +190,7 @@ def test_a_fleet_that_is_ready_gets_a_mission_and_at_its_end_a_stop() -> None:
 
 def test_leave_to_drive_comes_when_all_know_the_mission() -> None:
     robots = Robots("stopped", over(), STOP)
-    robots.late_s = {1: 0.0, 2: 0.7}
+    robots.late_s = {1: 0.0, 2: 0.4}
     drive, said = driven(robots, resume=True)
     assert drive.reasons == []
     assert "lifting the stop that was given at" in said
@@ -394,12 +398,10 @@ def test_a_robot_that_boasts_of_what_cannot_be_keeps_no_drive_from_starting() ->
     assert robots.of(Mission)[0].version < 2**60
 
 
-def test_a_robot_that_tells_of_what_nobody_says_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deploy.drive.drive.READY_TIMEOUT_S", 1.2)
-    monkeypatch.setattr("deploy.drive.drive.READY_TIMEOUT_PER_PROCESS_S", 0.0)
+def test_a_robot_that_tells_of_what_nobody_says_is_named() -> None:
     robots = Robots("ready")
     robots.boasts = {2: (0, time.time_ns() // 1_000)}
-    drive, _ = driven(robots)
+    drive, _ = driven(robots, timing=replace(QUICK, ready_s=1.2, ready_per_process_s=0.0))
     assert drive.reasons == [
         "Not ready within 1 s: robot 2 says that something was ordered, and nobody tells it."
     ]
@@ -407,12 +409,11 @@ def test_a_robot_that_tells_of_what_nobody_says_is_named(monkeypatch: pytest.Mon
     assert robots.of(Mission) == []
 
 
-def test_a_plant_that_is_gone_knows_no_mission(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deploy.drive.drive.HAND_OVER_NS", 0)
+def test_a_plant_that_is_gone_knows_no_mission() -> None:
     robots = Robots("ready")
     robots.gone = {2}
     robots.late_s = {1: 0.3, 2: 0.0}
-    drive, _ = driven(robots, detach=True, duration_s=30.0)
+    drive, _ = driven(robots, detach=True, duration_s=30.0, timing=replace(QUICK, hand_over_ns=0))
     assert drive.reasons[0] == "Not left to drive alone: robot 2 did not take the mission."
     assert not drive.is_left
     assert robots.of(Stop)
