@@ -1,1 +1,1 @@
-"""The only room that touches the machine: Zenoh, the real clock, signals, systemd, private folders."""
+"""Where an agent touches the machine: Zenoh, the real clock, signals, systemd, private folders."""
