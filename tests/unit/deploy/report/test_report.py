@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -87,6 +88,22 @@ def good_run() -> Iterator[Sent]:
     return messages(FLEET, in_formation(FLEET, 0.3, calm_s=0.4))
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Figures of a good run, by name."""
+    return draw(tmp_path_factory.mktemp("drawn"), FLEET, good_run())
+
+
+@pytest.fixture
+def drawn_before(drawn: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is drawn: those figures are put into the folder, for a test of what the page says."""
+
+    def put(folder: Path, *_: object) -> dict[str, Path]:
+        return {name: Path(shutil.copy(path, folder)) for name, path in drawn.items()}
+
+    monkeypatch.setattr(figures, "write_figures", put)
+
+
 def test_live_and_rebuilt_reports_are_the_same_bytes(tmp_path: Path) -> None:
     recording = leave_run(tmp_path, FLEET, good_run())
     found = finish(tmp_path, recording)
@@ -116,6 +133,7 @@ def test_the_page_needs_nothing_beside_itself(tmp_path: Path) -> None:
     assert all(attributes.get("alt") for tag, attributes in page.tags if tag == "img")
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_a_good_run_is_said_to_be_one(tmp_path: Path) -> None:
     found = finish(tmp_path, leave_run(tmp_path, FLEET, good_run()))
     page = Page((tmp_path / "report.html").read_text())
@@ -127,6 +145,7 @@ def test_a_good_run_is_said_to_be_one(tmp_path: Path) -> None:
     assert 'name = "made-up"' in page.text
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_a_failed_run_says_why_and_what_to_try(tmp_path: Path) -> None:
     sent = messages(FLEET, in_formation(FLEET, 1.5, calm_s=1e9))
     found = finish(tmp_path, leave_run(tmp_path, FLEET, sent, reasons=["Robot 2's agent died: <boom>."]))
@@ -139,6 +158,7 @@ def test_a_failed_run_says_why_and_what_to_try(tmp_path: Path) -> None:
     assert "drive for longer" in page.text
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_a_failed_run_with_a_released_robot_says_how_it_drives_on(tmp_path: Path) -> None:
     def told(state: str) -> str:
         sent = messages(FLEET, in_formation(FLEET, 1.5, calm_s=1e9), state=state)
@@ -167,6 +187,7 @@ def test_texts_of_others_are_escaped(tmp_path: Path) -> None:
     assert page.text.count(attack) >= 9
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_virtual_time_has_no_tick_time(tmp_path: Path) -> None:
     found = finish(tmp_path, leave_run(tmp_path, FLEET, good_run(), mode="simulate"))
     assert found["tick"]["p50_us"] is None
@@ -175,6 +196,7 @@ def test_virtual_time_has_no_tick_time(tmp_path: Path) -> None:
     assert "started" not in page.text.split("Passed")[0]
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_the_page_says_what_was_kept_what_changed_and_who_was_in_which_state(tmp_path: Path) -> None:
     """The formation is to stand 10 m further off from 1 s on, and nobody goes there."""
     assert FLEET.formation.offsets is not None
@@ -207,6 +229,7 @@ def test_the_page_says_what_was_kept_what_changed_and_who_was_in_which_state(tmp
     assert "violated" not in text
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_the_page_names_an_oracle_that_was_violated(tmp_path: Path) -> None:
     close = [standing(0.1 * robot, 0.0) for robot in range(len(FLEET.robots))]
     found = finish(tmp_path, leave_run(tmp_path, FLEET, messages(FLEET, close)))
@@ -217,6 +240,7 @@ def test_the_page_names_an_oracle_that_was_violated(tmp_path: Path) -> None:
     assert "Changes of mission" not in text
 
 
+@pytest.mark.usefixtures("drawn_before")
 def test_a_truncated_recording_is_reported_with_a_note(tmp_path: Path) -> None:
     leave_run(tmp_path, FLEET, good_run())
     content = (tmp_path / "run.mcap").read_bytes()
@@ -271,14 +295,14 @@ def test_runs_with_holes_are_drawn(tmp_path: Path) -> None:
         assert set(draw(tmp_path, FLEET, sent)) == set(NAMES)
 
 
-def test_no_text_of_software_or_date_is_in_a_figure(tmp_path: Path) -> None:
-    for path in draw(tmp_path, FLEET, good_run()).values():
+def test_no_text_of_software_or_date_is_in_a_figure(drawn: dict[str, Path]) -> None:
+    for path in drawn.values():
         chunks = set(re.findall(rb"(tEXt|iTXt|zTXt|tIME)", path.read_bytes()[:200]))
         assert not chunks
 
 
-def test_drawing_leaves_no_setting_behind_and_heeds_none(tmp_path: Path) -> None:
-    plain = draw(tmp_path, FLEET, good_run())["forces"].read_bytes()
+def test_drawing_leaves_no_setting_behind_and_heeds_none(drawn: dict[str, Path], tmp_path: Path) -> None:
+    plain = drawn["forces"].read_bytes()
     with mpl.rc_context({"lines.linewidth": 9.0, "font.size": 20.0, "axes.facecolor": "black"}):
         again = draw(tmp_path, FLEET, good_run())["forces"].read_bytes()
         assert mpl.rcParams["font.size"] == 20.0
@@ -300,9 +324,9 @@ def test_the_formation_is_drawn_at_start_and_end_and_where_it_is_apart() -> None
     assert moments(TrajectorySection("line", velocity_mps=(0.2, 0.0))) == [0.0, 3.0]
 
 
-def test_the_figures_are_not_blank(tmp_path: Path) -> None:
+def test_the_figures_are_not_blank(drawn: dict[str, Path]) -> None:
     from matplotlib.image import imread
 
-    for path in draw(tmp_path, FLEET, good_run()).values():
+    for path in drawn.values():
         ink = np.asarray(imread(path))[..., :3].min(axis=2) < 0.9
         assert 0.005 < ink.mean() < 0.5
