@@ -117,6 +117,7 @@ BY_OTHERS: Final = {
         agent/fleet/sections
         agent/formation/points
         agent/node
+        agent/supervision/status
         bridges/mavlink/bridge/parameter_audit
         bridges/mavlink/session/codec
         bridges/mavlink/session/settings
