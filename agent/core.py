@@ -89,7 +89,7 @@ class Agent:
         self._plant_trouble = "for its plant"
         self._mission: Mission | None = None
         self._refused_mission = ""
-        self._leaving = False
+        self._ending = False
         self._taken = ""
         self._latch = StopLatch(robot, self._forget_taking)
         self._relay = OrderRelay(fleet, robot, self._latch)
@@ -280,9 +280,9 @@ class Agent:
     def _forget_taking(self) -> None:
         self._taken = ""
 
-    def leave(self) -> None:
+    def end(self) -> None:
         """The process is about to end: from the next tick on the robot brakes."""
-        self._leaving = True
+        self._ending = True
 
     def timed(self, duration_ns: int, missed: int) -> None:
         """Told by the loop after each tick: how long it took, and how many ticks were skipped before it."""
@@ -297,7 +297,7 @@ class Agent:
     @property
     def done(self) -> bool:
         """True when a leaving robot stands, does not obey, or nothing is known of it that could say so."""
-        return self._leaving and (bool(self._plant_trouble or self._body_trouble) or self._at_rest)
+        return self._ending and (bool(self._plant_trouble or self._body_trouble) or self._at_rest)
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
@@ -332,7 +332,7 @@ class Agent:
             self._beacon(now_ns, shown, out)
         self._relay.look(now_ns, self._plant, drives=drives)
         out += self._relay.due(now_ns)
-        stopping = self._leaving or self.state in (State.STOPPING, State.STOPPED)
+        stopping = self._ending or self.state in (State.STOPPING, State.STOPPED)
         out += self._ingress.outgoing(now_ns, flush=stopping)
         return out
 
@@ -398,7 +398,7 @@ class Agent:
         mission = self._mission
         return not (
             self._plant_trouble
-            or self._leaving
+            or self._ending
             or self._numbers
             or self._body_trouble
             or self._trust.hold
@@ -430,7 +430,7 @@ class Agent:
         # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
         started = mission is not None and acts_ns >= mission.epoch_ns
         stop = ""
-        if self._leaving:
+        if self._ending:
             stop = "the agent was told to end"
         elif self._latch.stopped:
             stop = self._latch.stopped

@@ -67,7 +67,7 @@ class Node(Protocol):
 
     @property
     def done(self) -> bool:
-        """True when, after `leave`, the process may end."""
+        """True when, after `end`, the process may end."""
         ...
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
@@ -86,6 +86,6 @@ class Node(Protocol):
         """Told after each tick how long it took, from draining to encoding, and how many it skipped."""
         ...
 
-    def leave(self) -> None:
+    def end(self) -> None:
         """The process is to end: come to a safe state, then say `done`."""
         ...

@@ -115,7 +115,7 @@ class PlantNode:
         """Whether the process may end: it was asked to, and the body is at rest or is its operator's."""
         return self._ending and (self._at_rest or not self._obeying)
 
-    def leave(self) -> None:
+    def end(self) -> None:
         """Brakes from now on, whatever the agent says: the process is about to end."""
         self._ending = True
 

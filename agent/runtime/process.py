@@ -27,7 +27,7 @@ from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotYetValidError
 from agent.security.identity import of_robot
 
-LEAVE_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
+END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was told to end has this long to bring its robot to a standstill."""
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
 FAILED, BAD_INPUT = 1, 2
@@ -76,7 +76,7 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
     deadline, not of its waking; skipped ones are counted.
     """
     ticks = Ticks(node, clock.now_ns())
-    leave_by_ns: int | None = None
+    end_by_ns: int | None = None
     parent_due_ns = 0
     state = ""
     presence = bus.watch(node.watched) if node.watched else None
@@ -93,11 +93,11 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
                 node.present(key, here)
         for key, payload in bus.drain():
             node.receive(now_ns, key, payload)
-        if shutdown.asked and leave_by_ns is None:
+        if shutdown.asked and end_by_ns is None:
             log(f"ending ({shutdown.why})")
             service.stopping()
-            node.leave()
-            leave_by_ns = now_ns + LEAVE_TIMEOUT_NS
+            node.end()
+            end_by_ns = now_ns + END_TIMEOUT_NS
         outgoing = node.tick(now_ns)
         node.timed(clock.now_ns() - start_ns, missed)
         for key, payload in outgoing:
@@ -107,7 +107,7 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
             log(f"{state}: {printable(reason)}" if reason else state)
             service.says(f"{state}: {reason}" if reason else state)
         service.lives(start_ns)
-        if leave_by_ns is not None and (node.done or now_ns >= leave_by_ns):
+        if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return
         if now_ns >= parent_due_ns:
             parent_due_ns = now_ns + PARENT_PERIOD_NS

@@ -463,15 +463,15 @@ def test_a_robot_that_starts_in_the_middle_of_a_mission_joins_it():
     assert bench.state is State.RUNNING
 
 
-# ---------------------------------------------------------------------- leaving
+# ---------------------------------------------------------------------- ending
 
 
-def test_leaving_brakes_and_is_done_at_rest():
+def test_ending_brakes_and_is_done_at_rest():
     bench = Bench()
     bench.drive()
     assert not bench.agent.done
     bench.pose = Pose(0.0, 0.0, 0.0, 0.5, 0.0)
-    bench.agent.leave()
+    bench.agent.end()
     assert brakes(bench.tick())
     assert bench.agent.condition == ("stopping", "the agent was told to end")
     assert not bench.agent.done
@@ -485,19 +485,19 @@ def test_leaving_brakes_and_is_done_at_rest():
     assert all(map(brakes, bench.run(5)))
 
 
-def test_leaving_without_a_plant_is_done_at_once():
+def test_ending_without_a_plant_is_done_at_once():
     bench = Bench()
     bench.pose = None
-    bench.agent.leave()
+    bench.agent.end()
     bench.tick()
     assert bench.agent.done
 
 
-def test_leaving_when_the_plant_dies_is_done():
+def test_ending_when_the_plant_dies_is_done():
     bench = Bench()
     bench.drive()
     bench.pose = None
-    bench.agent.leave()
+    bench.agent.end()
     bench.run(10)
     assert bench.agent.done
 

@@ -177,13 +177,13 @@ def test_a_stop_reaches_a_released_robot():
     assert bench.agent.condition == ("stopped", "stop: lunch")
 
 
-def test_leaving_does_not_wait_for_a_body_that_somebody_else_drives():
+def test_ending_does_not_wait_for_a_body_that_somebody_else_drives():
     bench = Bench()
     bench.drive()
     bench.plant, bench.pose = TAKEN, Pose(0.0, 0.0, 0.0, 0.5, 0.0)
     bench.tick()
     assert not bench.agent.done
-    bench.agent.leave()
+    bench.agent.end()
     assert brakes(bench.tick())
     assert bench.agent.done
 

@@ -230,11 +230,11 @@ def test_a_note_is_cut_to_what_a_message_may_hold(node: PlantNode, backend: Back
     assert state(node, T0).note == "é" * (TEXT_MAX // 2 - 2) + "..."
 
 
-def test_leaving_does_not_wait_for_a_body_that_somebody_else_drives(node: PlantNode, backend: Backend):
+def test_ending_does_not_wait_for_a_body_that_somebody_else_drives(node: PlantNode, backend: Backend):
     backend.pose, backend.obeying = REST._replace(speed=0.5), False
     state(node, T0)
     assert not node.done
-    node.leave()
+    node.end()
     assert node.done
 
 
@@ -502,12 +502,12 @@ def test_a_measurement_that_is_not_taken_leaves_a_gap_in_the_numbers(backend: Ba
     assert 10 < len(numbers) < 30
 
 
-def test_leaving_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantNode, backend: Backend):
+def test_ending_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantNode, backend: Backend):
     node.receive(T0, WRENCH_KEY, wrench(T0))
     backend.pose = REST._replace(speed=0.5)
     assert state(node, T0).driving
     assert not node.done
-    node.leave()
+    node.end()
     assert not state(node, T0 + PERIOD).driving
     assert backend.calls[-1].command is None
     assert node.condition == ("braking", "the plant was told to end")
@@ -522,7 +522,7 @@ def test_leaving_brakes_whatever_the_agent_says_and_is_done_at_rest(node: PlantN
 
 def test_noise_does_not_keep_a_body_from_standing(backend: Backend):
     node = PlantNode(fleet(", speed_noise_mps = 5"), 1, backend)
-    node.leave()
+    node.end()
     assert abs(state(node, T0).speed) > 0.1
     assert node.done
 
