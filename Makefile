@@ -1,6 +1,7 @@
 # Every target does its own set-up in .venv, from the locked versions in requirements/.
 #   PYTHON=/path/to/python3.12   the interpreter to make .venv with, after `make clean` (default: the first >= 3.11 found)
-#   JUNIT=folder                 `make test` also writes its results there as XML
+#   JUNIT=folder                 `make check` and `make test` also write their results there as XML
+#   CHECKED=1                    `make test` leaves out what `make check` runs
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
@@ -17,6 +18,9 @@ PROJECT := $(PIP_INSTALL) --no-deps --no-build-isolation --no-index --editable .
 
 DEMO_OUT ?= runs/demo
 QUICK := not process and not slow and not autopilot
+REST := not process$(if $(CHECKED), and (slow or autopilot))
+# Tests that start processes mostly wait; those of one module share what it has set up.
+WAITING := -n 3 --dist loadfile --no-loadscope-reorder
 junit = $(if $(JUNIT),--junitxml=$(JUNIT)/$(1).xml)
 
 .PHONY: help demo test check lint format bench docs lock setup clean FORCE
@@ -31,12 +35,12 @@ demo: $(VENV)/.operator ## drive the paper's formation on this machine; leaves i
 	if [ -e '$(DEMO_OUT)/report.html' ]; then printf '\nReport: %s\n' '$(abspath $(DEMO_OUT))/report.html'; fi; \
 	exit $$status
 
-test: $(VENV)/.dev ## all tests: two at a time, then those that start processes, one at a time
-	$(PY) -m pytest -n 2 -m 'not process' $(call junit,parallel)
-	$(PY) -m pytest -n 0 -m process $(call junit,serial) || [ $$? -eq 5 ] # 5: there is none
+test: $(VENV)/.dev ## all tests: first those that compute, two at a time, then those that start processes
+	$(PY) -m pytest -n 2 -m '$(REST)' $(call junit,computing)
+	$(PY) -m pytest $(WAITING) -m process $(call junit,processes)
 
 check: lint ## the quick loop: lint, then the fast tests
-	$(PY) -m pytest -n 2 -m '$(QUICK)'
+	$(PY) -m pytest -n 2 -m '$(QUICK)' $(call junit,quick)
 
 lint: $(VENV)/.dev ## ruff, mypy --strict, import-linter
 	$(PY) -m ruff check .

@@ -13,7 +13,7 @@ import hypothesis
 import pytest
 
 HERE = Path(__file__).parent
-PROCESS_FOLDERS = ("process", "hosts")  # every test in them starts processes
+PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
 ORDER = ("", "slow", "process", "autopilot")  # quick tests first, so that a plain mistake shows at once
 MARK_VARIABLE = "HANDFAST_TEST_PROCESS"  # in the environment of whatever a test starts
 GRACE_S = 2.0  # how long a process that was told to stop may take to be gone
@@ -45,13 +45,22 @@ def pytest_report_header(config: pytest.Config) -> str:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of the folders that start processes; order by marker, else as written."""
     for item in items:
-        if item.path.is_relative_to(HERE) and item.path.relative_to(HERE).parts[0] in PROCESS_FOLDERS:
+        if _process_folder(item) is not None:
             item.add_marker(pytest.mark.process)
     items.sort(key=_place)
 
 
-def _place(item: pytest.Item) -> int:
-    return max(ORDER.index(name) if item.get_closest_marker(name) else 0 for name in ORDER)
+def _process_folder(item: pytest.Item) -> int | None:
+    """Which of `PROCESS_FOLDERS` the test stands in."""
+    folder = item.path.relative_to(HERE).parts[0] if item.path.is_relative_to(HERE) else ""
+    return PROCESS_FOLDERS.index(folder) if folder in PROCESS_FOLDERS else None
+
+
+def _place(item: pytest.Item) -> tuple[int, int]:
+    folder = _process_folder(item)
+    if folder is not None:  # those of a module together
+        return ORDER.index("process"), folder
+    return max(ORDER.index(name) if item.get_closest_marker(name) else 0 for name in ORDER), 0
 
 
 @pytest.hookimpl(wrapper=True)
@@ -77,6 +86,16 @@ def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
         report.outcome = "failed"
         report.longrepr = f"skipped where every test must run (HANDFAST_NO_SKIPS=1): {reason}"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ctrl_c_is_heard() -> Iterator[None]:
+    """Undo that Ctrl-C is ignored, as in what a script starts with ``&``: processes would inherit that."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(autouse=True)

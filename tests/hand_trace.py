@@ -89,3 +89,27 @@ def drive(fleet: Fleet) -> Trace:
     simulation = Simulation(fleet, kept)
     simulation.run()
     return kept.trace(simulation.epoch_ns, fleet.fleet.duration_s)
+
+
+def drive_until_settled(fleet: Fleet, for_s: float) -> Trace:
+    """A mission of a resolved fleet in virtual time, but no longer than until all edges have kept their
+    distance, to 5 %, for as long as this: what a fleet at rest does for the rest of its mission is the same
+    for any start."""
+    kept = HandTrace(fleet)
+    simulation = Simulation(fleet, kept)
+    geometry = resolve(fleet)
+    names = [key_expressions.plant_state(fleet.fleet.name, robot) for robot in geometry.ids]
+    off_s = 0.0
+
+    def is_settling(now_s: float) -> bool:
+        nonlocal off_s
+        hands = np.array([next(reversed(kept.rows[name].values()), (np.inf, 0.0)) for name in names])
+        i, j = geometry.edges.T
+        apart = np.hypot(*(hands[i] - hands[j]).T)
+        if (np.abs(apart - geometry.distances) > SETTLED * geometry.distances).any():
+            off_s = now_s
+        return now_s < off_s + for_s
+
+    simulation.run(is_settling)
+    driven_s = (simulation.now_ns - simulation.epoch_ns) / NS_PER_S
+    return kept.trace(simulation.epoch_ns, min(driven_s, fleet.fleet.duration_s))

@@ -329,7 +329,7 @@ class Robots:
     def told_by(self, name: str, *arguments: str) -> tuple[int, str]:
         """The same to its end, with the bus at work: exit status and standard output."""
         with self.command(name, *arguments) as command:
-            self.wait(lambda: command.process.poll() is not None, f"the end of handfast {name}", 30.0)
+            self.wait(lambda: command.process.poll() is not None, f"the end of handfast {name}")
             return command.wait(), command.out
 
 

@@ -169,7 +169,7 @@ def rovers(
             vehicles[relayed] = vehicle(fleet, relayed, extra.base)
         with Rovers(fleet, folder, vehicles) as all_rovers:
             all_rovers.start_all()
-            all_rovers.wait_until_all("ready", 30.0)
+            all_rovers.wait_until_all("ready")
             yield all_rovers, relay
     finally:
         if relay is not None:

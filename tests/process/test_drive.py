@@ -27,7 +27,6 @@ from tests.process.small_fleets import triangle
 
 SLOW = ("fleet.rate_hz=25", "control.wrench_timeout_s=0.5", "control.plant_timeout_s=0.5")
 """Robots shall be judged, not the scheduler of a busy machine."""
-END_S = 60.0
 
 
 @contextmanager
@@ -42,12 +41,12 @@ def fleet_up(folder: Path) -> Iterator[Robots]:
 def drive(fleet: Robots, *arguments: str) -> Iterator[tuple[Command, Path]]:
     """`handfast drive` that records into the folder, under way."""
     with fleet.command("drive", "--out", "out", "--no-report", *arguments) as command:
-        command.wait_for_line(r"(?m)^ +[1-9]\.\d s ", END_S)
+        command.wait_for_line(r"(?m)^ +[1-9]\.\d s ")
         yield command, command.out_file.parent / "out"
 
 
 def end(fleet: Robots, command: Command) -> int:
-    fleet.wait(lambda: command.process.poll() is not None, "the end of the drive", END_S)
+    fleet.wait(lambda: command.process.poll() is not None, "the end of the drive")
     return command.wait()
 
 
@@ -222,11 +221,11 @@ def test_robots_stop_at_a_ctrl_c_that_also_ends_who_reads(tmp_path: Path) -> Non
         finally:
             os.close(writer)
         try:
-            fleet.wait_until_all("running", END_S)
+            fleet.wait_until_all("running")
         finally:
             os.close(reader)
             process.send_signal(signal.SIGINT)
-            fleet.wait(lambda: process.poll() is not None, "the end of the drive", END_S)
+            fleet.wait(lambda: process.poll() is not None, "the end of the drive")
         fleet.wait_until_all("stopped")
         assert order_driven(fleet).reason == "interrupted"
         complete(tmp_path / "out")

@@ -81,7 +81,7 @@ def test_live_faults_reach_the_links_and_heal(tmp_path: Path) -> None:
             second.wait_for_line(r"held by 4 of 4; \d+\.\d s left")
             second.process.kill()
             killed_ns = time.time_ns()
-        assert run.wait(30.0) == 0, run.told()
+        assert run.wait() == 0, run.told()
     recording = read_run(tmp_path / "run" / "out")
     links = decided(recording)
     assert list(links) == [Link(1, 2, "hand")]
@@ -102,13 +102,13 @@ def test_ctrl_c_heals(tmp_path: Path) -> None:
             command.wait_for_line(r"held by 4 of 4; until Ctrl-C")
             command.process.send_signal(signal.SIGINT)
             asked = time.monotonic()
-            assert command.wait(10.0) == 0, command.told()
+            assert command.wait() == 0, command.told()
             measured("healed after Ctrl-C, s", time.monotonic() - asked)
             assert "not heard" not in command.err
         status, out = told(tmp_path, "faults", "show", name)
         assert status == 0
         assert out.endswith("live: none\n")
-        assert run.wait(30.0) == 0, run.told()
+        assert run.wait() == 0, run.told()
 
 
 def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
                 assert command.err.startswith(f"handfast: {says}"), command.err
                 assert name in command.err or arguments[1] == name
         run.process.send_signal(signal.SIGINT)
-        assert run.wait(10.0) == 130, run.told()
+        assert run.wait() == 130, run.told()
 
 
 def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_processes_killed_by_rules_come_back(tmp_path: Path) -> None:
         run.wait_for_line(r"(?m)^2\.5 s: rule 'crash' started robot 2's agent$")
         run.wait_for_line(r"(?m)^7\.0 s: rule 'again' started robot 1's plant$")
         assert "--pose=" in run.children()[run.child(1, "plant")]
-        assert run.wait(30.0) == 0, run.told()
+        assert run.wait() == 0, run.told()
     folder = tmp_path / "run" / "out"
     no_trouble_in_logs(folder)
     recording = read_run(folder)
@@ -179,7 +179,7 @@ def test_a_paused_plant_brakes_nobody_else_and_drives_on(tmp_path: Path) -> None
     with running_pair(tmp_path / "run", 5, *rules) as (_, run):
         run.wait_for_line(r"(?m)^2\.0 s: rule 'ice' continued robot 2's plant$")
         run.wait_for_line(r"(?m)^4\.0 s: rule 'end' paused robot 1's agent$")
-        run.wait(30.0)
+        run.wait()
         assert "ended" not in run.err
         assert "was killed" not in run.err
         assert "ended at" not in run.out
@@ -207,7 +207,7 @@ def test_a_killed_run_leaves_no_frozen_process(tmp_path: Path) -> None:
         pids = list(run.children())
         assert len(pids) == 4
         run.process.kill()
-        measured("seconds", run.wait_until_gone(pids, 5.0))
+        measured("seconds", run.wait_until_gone(pids))
     assert not any(map(running, pids))
 
 
@@ -219,7 +219,7 @@ def test_run_and_simulate_give_every_message_the_same_fate(tmp_path: Path) -> No
     folders = [tmp_path / mode for mode in ("run", "simulate")]
     for mode, folder in zip(("run", "simulate"), folders, strict=True):
         with Command(folder, mode, "pair", "--out", str(folder / "out"), *faults, *NETWORK) as command:
-            command.wait(60.0)
+            command.wait()
     run, simulation = (read_run(folder / "out") for folder in folders)
     fates = [
         {

@@ -23,7 +23,7 @@ from deploy.hosts.merge import merge
 from deploy.report.report import rebuild
 from deploy.report.run_folder import RunFolder
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed
-from tests.process.harness import measured, no_trouble_in_logs, wait_for
+from tests.process.harness import PATIENCE_S, measured, no_trouble_in_logs, wait_for
 
 RECORDER = "recorder"
 DURATION_S = 6.0
@@ -133,6 +133,6 @@ def test_two_recorders_do_not_share_a_folder(tmp_path: Path) -> None:
         wait_for(lambda: "recording into" in robots.log(1, RECORDER).read_text(), "it records")
         first = robots.processes[1, RECORDER]
         robots.start_recorder(1)
-        assert robots.processes[1, RECORDER].wait(15.0) == 1
+        assert robots.processes[1, RECORDER].wait(PATIENCE_S) == 1
         assert robots.log(1, RECORDER).read_text().endswith(": another process is recording there\n")
         assert first.poll() is None

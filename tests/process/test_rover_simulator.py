@@ -18,7 +18,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from bridges.mavlink.ardupilot import constants
-from tests.process.harness import ADDRESS, environment, no_trouble, running, wait_for
+from tests.process.harness import ADDRESS, PATIENCE_S, environment, no_trouble, running, wait_for
 
 SERVER = (sys.executable, "-P", "-m", "bridges.mavlink.simulator.__main__")
 
@@ -154,7 +154,7 @@ def test_it_listens_and_sends_and_drives_and_ends(start: Callable[..., Simulator
             assert bridge.has("COMMAND_ACK")[0].result == constants.RESULT_ACCEPTED
             assert len(ground.has("LOCAL_POSITION_NED")) < 0.5 * len(bridge.has("LOCAL_POSITION_NED"))
     simulator.process.send_signal(signal.SIGINT)
-    assert simulator.process.wait(5.0) == 0
+    assert simulator.process.wait(PATIENCE_S) == 0
     assert "rover 7: GUIDED, armed" in simulator.said
     assert "rover 7: ending (SIGINT)" in simulator.said
 
@@ -256,7 +256,7 @@ def test_giving_keys_ends_with_ctrl_c(tmp_path: Path) -> None:
         assert process.stdout is not None
         process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        assert process.wait(10.0) == 130
+        assert process.wait(PATIENCE_S) == 130
         assert process.stdout.readlines()[-1].startswith("robot 1: NOT DONE: interrupted")
         assert process.stderr.read() == ""
 

@@ -112,7 +112,7 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
     told, hand = key_expressions.relayed(name, TAKEN), key_expressions.hand(name, TAKEN)
 
     with drive(fleet, DRIVE_S) as command, ExitStack() as stack:
-        command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running", 60.0)
+        command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running")
         slowly = stack.enter_context(attackers.sockets(endpoints))
 
         # Who has no certificate of the fleet.
@@ -191,7 +191,7 @@ def test_attacks_in_the_middle_of_a_drive(fleet: SecuredRobots, tmp_path: Path) 
         measured("said, messages", said)
         measured("attacked until, s", time.monotonic() - command.begun)
         assert command.process.poll() is None, "the drive was over before the attacks were"
-        fleet.wait(lambda: command.process.poll() is not None, "the end of the drive", 60.0)
+        fleet.wait(lambda: command.process.poll() is not None, "the end of the drive")
         assert command.wait() == 0, command.told()
 
     folder = command.out_file.parent / "out"
@@ -242,7 +242,7 @@ def test_old_heartbeats_keep_nobody_driving(fleet: SecuredRobots) -> None:
         attackers.heard(anna, key)
         attackers.heard(robot_2, key_expressions.beacon(name, TAKEN))
         beats = attackers.overheard(fleet.fleet, at)[key]
-        command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running", 60.0)
+        command.wait_for_line(r"(?m)^ +[1-9]\.\d s .* all running")
         command.process.kill()
         gone_ns = time.time_ns()
         held: dict[int, int] = {}

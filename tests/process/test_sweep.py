@@ -138,7 +138,7 @@ def test_a_sweep_that_was_cut_short_goes_on(
             left = workers(command)
             command.process.kill()
             command.process.wait()
-            command.wait_until_gone(left, 10.0)
+            command.wait_until_gone(left)
     kept = (tmp_path / "out" / "results.csv").read_bytes()
     assert 2 <= kept.count(b"\n") - 1 <= 12
     command = sweep(tmp_path, *arguments)
@@ -185,7 +185,7 @@ def test_a_run_that_does_not_end_and_one_that_dies_are_rows(tmp_path: Path) -> N
         left = workers(command)
         command.process.kill()
         command.process.wait()
-        command.wait_until_gone(left, 10.0)
+        command.wait_until_gone(left)
 
     command = sweep(tmp_path / "late", *arguments, "--timeout", "3s")
     first, second = table(tmp_path / "late" / "out")
