@@ -23,7 +23,6 @@ from agent.messages.codec import decode, encode, newer
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     FLOAT_MAX,
-    FUTURE_NS_MAX,
     HEARD_ROUNDS,
     NO_FORCES,
     TOPICS,
@@ -43,12 +42,10 @@ from agent.messages.types import (
 from agent.messages.validation import Malformed
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
-from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest, step
+from agent.supervision.situation import Situation
+from agent.supervision.state_machine import DRIVING, State, step
 from agent.supervision.status import StatusReport
-from agent.supervision.stop_latch import AWAITED, StopLatch
 
-LISTEN_ROUNDS: Final = 2
-"""So many times all others have said where they are before a robot joins in a drive."""
 LAST_PLACE_NS: Final = NS_PER_S
 """A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
 this grows uncertain."""
@@ -66,7 +63,6 @@ class Agent:
 
     def __init__(self, fleet: Fleet, robot: int) -> None:
         fleet.robot(robot)  # says which there are, when there is none of that id
-        control = fleet.control
         name = fleet.fleet.name
         self.robot: Final = robot
         self.period_ns: Final = fleet.period_ns
@@ -82,29 +78,17 @@ class Agent:
         self._peers, self._reference = self._controller.peers, self._controller.reference
         self._proximity = self._controller.proximity
         self._trust = NeighbourTrust(fleet, self._controller)
-        self._plant_timeout_ns = round(control.plant_timeout_s * NS_PER_S)
+        self._situation = Situation(fleet, robot, self._controller, self._trust)
         self._digest = digest(fleet)
 
-        self._plant: PlantState | None = None
-        self._plant_trouble = "for its plant"
-        self._mission: Mission | None = None
-        self._refused_mission = ""
-        self._ending = False
-        self._taken = ""
-        self._latch = StopLatch(robot, self._forget_taking)
+        self._latch = self._situation.latch
         self._relay = OrderRelay(fleet, robot, self._latch)
-        self._beats_ns = 0
-        self._deadman_ns = (
-            None if fleet.supervision.deadman_s is None else round(fleet.supervision.deadman_s * NS_PER_S)
-        )
-        self._numbers = ""
         self._hand_numbers = SequenceNumbers(self.period_ns, self.phase_ns)
         self._wrench_numbers = SequenceNumbers(self.period_ns, self.phase_ns)
         self._report = StatusReport()
         self._beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
         self.rejected: Final = self._report.rejected
         self._position: tuple[float, float] | None = None
-        self._listened_ns: int | None = None
         self._seen: tuple[int, hand.Hand, PlantState] | None = None
         self._doubt = 0.0
         self._degree = 0
@@ -178,7 +162,7 @@ class Agent:
                 reason = self._accept_order(message, now_ns)
         elif type(message) is Heartbeat:
             if key == self._key_heartbeat:
-                self._beats_ns, reason = now_ns, None
+                self._situation.heartbeat_ns, reason = now_ns, None
         elif type(message) is Ask:
             if key == self._key_ask:
                 self._relay.asked(now_ns)
@@ -212,7 +196,7 @@ class Agent:
                 self._peers.accept_silent(message, now_ns)
             return self._peers.accept_beacon(message, now_ns)
         assert type(message) is PlantState
-        return self._accept_plant(message, now_ns)
+        return self._situation.accept_plant(message, now_ns)
 
     def _arrive(self, now_ns: int) -> None:
         """Takes the messages that failing links let through at this tick."""
@@ -237,14 +221,6 @@ class Agent:
     def _reject(self, reason: str) -> None:
         self.rejected[reason] += 1
 
-    def _accept_plant(self, state: PlantState, now_ns: int) -> str | None:
-        if state.time_ns > now_ns + FUTURE_NS_MAX:
-            return "future"
-        if self._plant is not None and state.time_ns <= self._plant.time_ns:
-            return "duplicate" if state.time_ns == self._plant.time_ns else "out_of_order"
-        self._plant = state
-        return None
-
     def _accept_order(self, order: Mission | Stop | Resume, now_ns: int) -> str | None:
         if isinstance(order, Mission):
             return self._accept_mission(order, now_ns)
@@ -252,37 +228,34 @@ class Agent:
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         if mission.digest != self._digest:
-            self._refused_mission = (
+            self._situation.refused_mission = (
                 f"the mission is for another fleet file: its digest is {mission.digest[:16]}, "
                 f"this agent's is {self._digest}"
             )
             return "digest"
         self._relay.heard(now_ns, mission)
-        before = self._mission
+        before = self._situation.mission
         if not newer(mission, before):
             return None
         try:
             plan = plan_of(mission, self._fleet, self._geometry)
         except PlanError as error:
-            self._refused_mission = f"the mission cannot be driven: {error}"
+            self._situation.refused_mission = f"the mission cannot be driven: {error}"
             return "mission"
-        self._mission = mission
+        self._situation.mission = mission
         self._relay.take(mission)
-        self._refused_mission = ""
+        self._situation.refused_mission = ""
         self._controller.plan(plan)
         if before is None or before.epoch_ns != mission.epoch_ns:
-            self._taken = ""
+            self._situation.give_back()
             self._ingress.begin(mission.epoch_ns)
             self._hand_numbers.begin(mission.epoch_ns)
             self._wrench_numbers.begin(mission.epoch_ns)
         return None
 
-    def _forget_taking(self) -> None:
-        self._taken = ""
-
     def end(self) -> None:
         """The process is about to end: from the next tick on the robot brakes."""
-        self._ending = True
+        self._situation.ending = True
 
     def timed(self, duration_ns: int, missed: int) -> None:
         """Told by the loop after each tick: how long it took, and how many ticks were skipped before it."""
@@ -296,13 +269,10 @@ class Agent:
 
     @property
     def done(self) -> bool:
-        """True when a leaving robot stands, does not obey, or nothing is known of it that could say so."""
-        return self._ending and (bool(self._plant_trouble or self._body_trouble) or self._at_rest)
+        return self._situation.ended
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
-        if self._listened_ns is None:
-            self._listened_ns = now_ns + LISTEN_ROUNDS * self._beacon_rounds * self.period_ns
         self._peers.begin(now_ns)
         if not self._ingress.idle:
             self._arrive(now_ns)
@@ -311,11 +281,9 @@ class Agent:
         self._report.ages_us.extend(self._trust.update(now_ns, self.state, here))
         self._listen()
         was = self.state
-        if was is State.RELEASED and self._plant_trouble:
-            # A plant that starts again cannot know that its operator had the body: this agent does.
-            self._taken = f"its plant was lost while its operator had the body: {AWAITED}"
-        if not (was is State.RUNNING and self._all_well(now_ns)):
-            conditions = self._conditions(now_ns)
+        self._situation.lost_plant(was)
+        conditions = self._situation.conditions(now_ns, was)
+        if not (was is State.RUNNING and conditions.all_well):
             self.state, row = step(was, conditions)
             if row is not None:
                 self.reason = row.reason(conditions)
@@ -330,23 +298,25 @@ class Agent:
             out.append(self._status(now_ns))
         if shown is not None:
             self._beacon(now_ns, shown, out)
-        self._relay.look(now_ns, self._plant, drives=drives)
+        self._relay.look(now_ns, self._situation.plant, drives=drives)
         out += self._relay.due(now_ns)
-        stopping = self._ending or self.state in (State.STOPPING, State.STOPPED)
+        stopping = self._situation.ending or self.state in (State.STOPPING, State.STOPPED)
         out += self._ingress.outgoing(now_ns, flush=stopping)
         return out
 
     def _here(self, now_ns: int) -> hand.Hand | None:
         """Where the own hand is; None when the plant does not tell."""
-        self._plant_trouble = self._check_plant(now_ns)
-        if self._plant is None or self._plant_trouble:
+        situation = self._situation
+        situation.check_plant(now_ns)
+        plant = situation.plant
+        if plant is None or situation.plant_trouble:
             return None
-        here = self._controller.hand_at(self._plant, now_ns)
+        here = self._controller.hand_at(plant, now_ns)
         if not max(map(abs, here)) <= FLOAT_MAX:
-            self._plant_trouble = "plant unhealthy: it tells an impossible place"
+            situation.plant_trouble = "plant unhealthy: it tells an impossible place"
             return None
         self._position = here.x, here.y
-        self._seen = now_ns, here, self._plant
+        self._seen = now_ns, here, plant
         self._doubt = 0.0
         return here
 
@@ -376,96 +346,15 @@ class Agent:
     def _close(self) -> tuple[int, ...]:
         return tuple(peer.robot for peer in self._proximity.close)
 
-    def _check_plant(self, now_ns: int) -> str:
-        plant = self._plant
-        if plant is None:
-            return "for its plant"
-        age_ns = now_ns - plant.time_ns
-        if age_ns > self._plant_timeout_ns:
-            return f"plant silent for {age_ns / NS_PER_S:.2f} s"
-        return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
-
-    @property
-    def _body_trouble(self) -> str:
-        """Why a body whose pose is good does not do what it is asked; "" when it does."""
-        plant = self._plant
-        if plant is not None and not plant.obeying:
-            return plant.note or "its body does not obey"
-        return self._taken
-
-    def _all_well(self, now_ns: int) -> bool:
-        """True when a running robot has nothing to worry about: the table has no row for that."""
-        mission = self._mission
-        return not (
-            self._plant_trouble
-            or self._ending
-            or self._numbers
-            or self._body_trouble
-            or self._trust.hold
-            or self._trust.degraded
-            or self._latch.stopped
-            or self._deadman(now_ns)
-            or mission is None
-            or now_ns >= mission.epoch_ns + mission.duration_ns
-            or self._controller.acts_from_ns(now_ns) < mission.epoch_ns
-            or not self._reference.is_member(self.robot, self._controller.acting_ns(now_ns))
-        )
-
-    def _listening(self, now_ns: int, started: bool) -> str:
-        """Why a robot that comes into a drive must wait: it cannot know yet who is near."""
-        alone = not self._proximity.enabled or not self._beacons
-        return "" if alone or not started or now_ns >= (self._listened_ns or 0) else "hears who is near"
-
-    def _deadman(self, now_ns: int) -> str:
-        """Why the dead-man's switch holds the robot, "" when it does not."""
-        if self._deadman_ns is None or now_ns - self._beats_ns <= self._deadman_ns:
-            return ""
-        if not self._beats_ns:
-            return "no operator's heartbeat"
-        return f"no operator's heartbeat for {(now_ns - self._beats_ns) / NS_PER_S:.1f} s"
-
-    def _conditions(self, now_ns: int) -> Conditions:
-        mission = self._mission
-        acts_ns = self._controller.acts_from_ns(now_ns)
-        # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
-        started = mission is not None and acts_ns >= mission.epoch_ns
-        stop = ""
-        if self._ending:
-            stop = "the agent was told to end"
-        elif self._latch.stopped:
-            stop = self._latch.stopped
-        elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
-            stop = MISSION_OVER
-        place = ""
-        if not self._reference.is_member(self.robot, self._controller.acting_ns(now_ns)):
-            place = "in reserve" if self._fleet.robot(self.robot).reserve else "it has left the formation"
-        return Conditions(
-            plant=self._plant_trouble,
-            body=self._body_trouble,
-            numbers=self._numbers,
-            place=place,
-            neighbours=self._trust.missing(now_ns, started=started) or self._listening(now_ns, started),
-            mission="" if mission is not None else self._refused_mission or "for a mission",
-            stop=stop,
-            hold=self._deadman(now_ns) or self._trust.hold,
-            degraded=self._trust.degraded,
-            started=started,
-            at_rest=self._at_rest,
-        )
-
-    @property
-    def _at_rest(self) -> bool:
-        plant = self._plant
-        return plant is not None and at_rest(plant.speed, plant.yaw_rate)
-
     def _drive(self, now_ns: int, here: hand.Hand) -> list[Outgoing]:
-        assert self._plant is not None
-        drive = self._controller.drive(self._plant, now_ns, self._trust.slower)
+        plant = self._situation.plant
+        assert plant is not None
+        drive = self._controller.drive(plant, now_ns, self._trust.slower)
         multipliers = self._controller.multipliers()
         numbers = (drive.force, drive.torque, *drive.forces, *(value for _, value in multipliers))
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.
-            self._numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
+            self._situation.numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
             return self._brake(now_ns, here)
         self._controller.sent(now_ns, drive.force, drive.torque)
         self._degree = drive.degree
@@ -488,7 +377,7 @@ class Agent:
     @property
     def _follows(self) -> bool:
         """Whether the robot obeys the law, or stands ready to from the epoch on."""
-        return self.state in DRIVING or (self.state is State.READY and self._mission is not None)
+        return self.state in DRIVING or (self.state is State.READY and self._situation.mission is not None)
 
     def _wrench(self, now_ns: int, force: float, torque: float, *, brake: bool) -> Outgoing:
         sequence = self._wrench_numbers.next(now_ns)
@@ -533,7 +422,8 @@ class Agent:
         out.append((self._key_beacon, encode(beacon)))
 
     def _status(self, now_ns: int) -> Outgoing:
-        mission_version = 0 if self._mission is None else self._mission.version
+        mission = self._situation.mission
+        mission_version = 0 if mission is None else mission.version
         situation = (self.state.value, self.transition, clipped(self.reason))
         neighbours = [peer for _, peer in self._controller.edges]
         status = self._report.status(

@@ -64,7 +64,7 @@ class _Constraint(NamedTuple):
     """One constraint at one instant: `other` is None for what stands still."""
 
     key: Key
-    edge: law.Edges
+    edge: law.Edge
     other: Prediction | None
     degree: int
     one_sided: bool
@@ -278,7 +278,7 @@ class Controller:
         distance: float,
         rate: float = 0.0,
         bend: float = 0.0,
-    ) -> law.Edges:
+    ) -> law.Edge:
         """The law's constraint with a robot. Of a distance that changes, the motion relative to it counts."""
         own = scene.own
         velocity = own.vx - other.velocity[0], own.vy - other.velocity[1]
@@ -288,7 +288,7 @@ class Controller:
             away = scale * offset[0], scale * offset[1]
             velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
             navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
-        return law.edges(offset, velocity, navigation, distance, self._safe_distance, self._gains)
+        return law.edge(offset, velocity, navigation, distance, self._safe_distance, self._gains)
 
     def _keep_away(
         self, scene: _Scene, peer: Peer, time_ns: int, predicted: Prediction | None = None, *, pushes: bool
@@ -350,7 +350,7 @@ class Controller:
                     # Along the boundary no motion changes the distance: only the part across it counts.
                     closing = near.nx * own.vx + near.ny * own.vy
                     room = max(near.distance, DISTANCE_MIN)
-                    constraint = law.edges(
+                    constraint = law.edge(
                         (near.nx * room, near.ny * room),
                         (near.nx * closing, near.ny * closing),
                         (scene.nx, scene.ny),
@@ -391,13 +391,13 @@ class Controller:
                 other = each.other
                 pull = (cx, cy) if other is None else (cx - other.constraint[0], cy - other.constraint[1])
                 degrees = own_degree + (0 if other is None else max(1, each.degree))
-                values[k] = law.multipliers_sweep(each.edge, values[k], pull, degrees, gains)
+                values[k] = law.multiplier_sweep(each.edge, values[k], pull, degrees, gains)
         elif self._coupling == "edge":
             values = [
-                law.multipliers_edge(each.edge, gains, 1 if each.other is None else 2) for each in constraints
+                law.multiplier_edge(each.edge, gains, 1 if each.other is None else 2) for each in constraints
             ]
         else:
-            values = [law.multipliers_penalty(each.edge, gains) for each in constraints]
+            values = [law.multiplier_penalty(each.edge, gains) for each in constraints]
         for k, each in enumerate(constraints):
             if each.one_sided:
                 values[k] = law.repelling(values[k])
@@ -449,7 +449,7 @@ def _total(constraints: list[_Constraint], values: list[float]) -> Vector:
     """Own constraint force (32) with these multipliers, m/s^2."""
     cx = cy = 0.0
     for each, value in zip(constraints, values, strict=True):
-        fx, fy = law.forces(each.edge, value)
+        fx, fy = law.force(each.edge, value)
         cx += fx
         cy += fy
     return cx, cy

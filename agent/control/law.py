@@ -35,7 +35,7 @@ class Gains(NamedTuple):
     relaxation: float = RELAXATION_MIN
 
 
-class Edges(NamedTuple):
+class Edge(NamedTuple):
     """What the law needs of one edge at one instant.
 
     Attributes:
@@ -55,14 +55,14 @@ class Edges(NamedTuple):
     demand: float
 
 
-def edges(
+def edge(
     offset: Vector,
     velocity: Vector,
     navigation: Vector,
     distance: float,
     safe_distance: float,
     gains: Gains,
-) -> Edges:
+) -> Edge:
     """Constraint function, its derivatives and the demand on the multiplier, eqs (7)-(11), (33).
 
     Args:
@@ -91,18 +91,18 @@ def edges(
     drift = across * across / rho - (room >= clearance) * (2.0 * closing * closing / clearance)
     push = nx * fx + ny * fy  # n.(F_ni - F_nj)
     demand = -slope * (drift + push) - gains.kd * rate - gains.kp * phi
-    return Edges((nx, ny), rho, phi, slope, rate, demand)
+    return Edge((nx, ny), rho, phi, slope, rate, demand)
 
 
-def weighted(e: Edges, weight: float) -> Edges:
+def weighted(e: Edge, weight: float) -> Edge:
     """The constraint `weight` phi = 0 in the place of phi = 0, weight in 0..1: an edge that fades (W1).
 
     Everything is linear in phi, so with a constant weight all that holds of phi holds of it.
     """
-    return Edges(e.normal, e.distance, weight * e.phi, weight * e.slope, weight * e.rate, weight * e.demand)
+    return Edge(e.normal, e.distance, weight * e.phi, weight * e.slope, weight * e.rate, weight * e.demand)
 
 
-def multipliers_edge(e: Edges, gains: Gains, bodies: int = 2) -> float:
+def multiplier_edge(e: Edge, gains: Gains, bodies: int = 2) -> float:
     """The multiplier of an edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2.
 
     bodies: how many of its ends can move; 1 at an obstacle.
@@ -110,9 +110,7 @@ def multipliers_edge(e: Edges, gains: Gains, bodies: int = 2) -> float:
     return e.demand / (gains.k2 + bodies * e.slope * e.slope)
 
 
-def multipliers_sweep(
-    e: Edges, multipliers: float, constraint: Vector, degrees: float, gains: Gains
-) -> float:
+def multiplier_sweep(e: Edge, multiplier: float, constraint: Vector, degrees: float, gains: Gains) -> float:
     """One damped sweep of an edge towards the joint multipliers of (J2).
 
     lambda <- lambda + (demand - k_2 lambda - phi' n.(F_ci - F_cj)) / (k_2 + phi'^2 (deg_i + deg_j)):
@@ -120,16 +118,16 @@ def multipliers_sweep(
     graph. Each tick continues from the last one's multiplier.
 
     Args:
-        multipliers: lambda before the sweep.
-        constraint: F_ci - F_cj with those multipliers, m/s^2.
+        multiplier: lambda before the sweep.
+        constraint: F_ci - F_cj with those of all edges, m/s^2.
         degrees: deg_i + deg_j.
     """
     pull = e.normal[0] * constraint[0] + e.normal[1] * constraint[1]
-    residual = e.demand - gains.k2 * multipliers - e.slope * pull
-    return multipliers + residual / (gains.k2 + e.slope * e.slope * degrees)
+    residual = e.demand - gains.k2 * multiplier - e.slope * pull
+    return multiplier + residual / (gains.k2 + e.slope * e.slope * degrees)
 
 
-def multipliers_penalty(e: Edges, gains: Gains) -> float:
+def multiplier_penalty(e: Edge, gains: Gains) -> float:
     """The potential-field law that the paper argues against: the gradient of k_p phi^2 / 2, damped.
 
     lambda = -(k_p phi + k_d phidot), not divided by A A^T: kept as a yardstick.
@@ -137,9 +135,9 @@ def multipliers_penalty(e: Edges, gains: Gains) -> float:
     return -(gains.kp * e.phi + gains.kd * e.rate)
 
 
-def forces(e: Edges, multipliers: float) -> Vector:
+def force(e: Edge, multiplier: float) -> Vector:
     """Constraint force of an edge on its robot i: A_i^T lambda = phi' lambda n (29), m/s^2."""
-    size = e.slope * multipliers
+    size = e.slope * multiplier
     return e.normal[0] * size, e.normal[1] * size
 
 

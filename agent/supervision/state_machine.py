@@ -48,8 +48,7 @@ DOES: Final[Mapping[State, str]] = {
     "geofence.",
     State.RELEASED: "Brakes. Its body's operator has taken it away; the others go on hearing where it is.",
     State.STOPPING: "Brakes, because the mission is over or a stop was ordered.",
-    State.STOPPED: "Brakes, and stands. After a stop only leave to drive again ends it, after a mission a "
-    "new one.",
+    State.STOPPED: "Brakes, and stands. After a stop only a resume ends it, after a mission a new one.",
     State.FAULT: "Brakes. Its plant is silent or unhealthy, or its own numbers failed.",
 }
 """What a robot does in each state, and why."""
@@ -77,6 +76,13 @@ class Conditions(NamedTuple):
     degraded: str
     started: bool
     at_rest: bool
+
+    @property
+    def all_well(self) -> bool:
+        """True when the table has no row for a running robot: `step` need not be asked, tick by tick."""
+        return self.started and not (
+            self.plant or self.body or self.numbers or self.place or self.stop or self.hold or self.degraded
+        )
 
 
 class Transition(NamedTuple):

@@ -41,7 +41,7 @@ def edges(
     safe_distance: float,
     gains: Gains,
 ) -> Edges:
-    """Constraint functions, their derivatives and the demands; arguments as of `agent.control.law.edges`."""
+    """Constraint functions, their derivatives and the demands; arguments as of `agent.control.law.edge`."""
     x, y = offset
     wx, wy = velocity
     fx, fy = navigation

@@ -19,7 +19,7 @@ from math import ceil
 from typing import Final
 
 from agent.common.time import NS_PER_S, LocalTime
-from agent.core import LISTEN_ROUNDS, Agent
+from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
 from agent.formation.geometry import resolve
@@ -30,6 +30,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Outgoing, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import INBOX_SIZE, Node
+from agent.supervision.situation import LISTEN_ROUNDS
 from agent.supervision.state_machine import State
 from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions

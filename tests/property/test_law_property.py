@@ -436,23 +436,23 @@ def test_an_agent_finds_for_its_edge_what_the_fleets_form_finds(g: Group, relaxa
         offset, velocity, navigation = (
             (float(x[0, a] - x[0, b]), float(x[1, a] - x[1, b])) for x in (g.r, v, fn)
         )
-        one = law.edges(offset, velocity, navigation, float(g.d[k]), RS, g.gains)
+        one = law.edge(offset, velocity, navigation, float(g.d[k]), RS, g.gains)
         assert all(close(one.normal[axis], e.normal[axis, k], 1.0) for axis in (0, 1))
         # What cancels in the demand: its terms may be far larger than their sum.
         size = (abs(one.slope) + 1.0) ** 2 * (hypot(*velocity) + hypot(*navigation) + 1.0) ** 2
         for name in ("distance", "slope", "phi", "rate", "demand"):
             assert close(getattr(one, name), float(getattr(e, name)[k]), size), name
         alone = {
-            "edge": law.multipliers_edge(one, g.gains),
-            "body": law.multipliers_edge(one, g.gains, 1),
-            "penalty": law.multipliers_penalty(one, g.gains),
+            "edge": law.multiplier_edge(one, g.gains),
+            "body": law.multiplier_edge(one, g.gains, 1),
+            "penalty": law.multiplier_penalty(one, g.gains),
         }
         for name, multiplier in alone.items():
             assert close(multiplier, float(kinds[name][k]), size), name
-            force = law.forces(one, multiplier)
+            force = law.force(one, multiplier)
             wanted = fleet_law.forces(e, kinds[name])[:, k].tolist()
             assert all(close(x, y, size * abs(one.slope)) for x, y in zip(force, wanted, strict=True)), name
-        found = law.multipliers_sweep(
+        found = law.multiplier_sweep(
             one, float(before[k]), (float(pull[0, k]), float(pull[1, k])), 5.0, g.gains
         )
         assert close(found, float(swept[k]), size)

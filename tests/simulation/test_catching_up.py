@@ -62,7 +62,7 @@ class Run:
         return {agent.robot: agent.state for agent in self.simulation.agents}
 
     def missions(self) -> set[Mission | None]:
-        return {agent._mission for agent in self.simulation.agents}
+        return {agent._situation.mission for agent in self.simulation.agents}
 
     def edges(self, robot: int) -> dict[int, float]:
         """Weights of its edges, by the other's id."""

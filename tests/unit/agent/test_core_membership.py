@@ -229,7 +229,7 @@ def test_another_formation_is_taken_over_by_all_without_a_jump(bench: FleetBench
     asked = commands(bench, 2, 4.0)
     # A quintic blend of D m within T s has a jerk of 60 D / T^3 at most.
     assert largest_step(asked) < 60.0 * 0.5 / (BLEND_NS / NS_PER_S) ** 3 * PERIOD / NS_PER_S
-    assert {agent._mission for agent in bench.agents.values()} == {mission}
+    assert {agent._situation.mission for agent in bench.agents.values()} == {mission}
     bench.run(15.0)
     (x1, y1), (x2, y2) = bench.position(1), bench.position(2)
     assert hypot(x2 - x1, y2 - y1) == pytest.approx(1.5, abs=0.03)
@@ -239,7 +239,9 @@ def test_a_mission_that_cannot_be_driven_is_refused_and_the_fleet_drives_on(benc
     change(bench, 2, (*PLACES, (9, 5.0, 5.0)), EDGES)
     bench.run(1.0)
     assert {bench.state(robot) for robot in (1, 2, 3)} == {State.RUNNING}
-    assert [agent._mission.version for agent in bench.agents.values() if agent._mission] == [1] * 4
+    assert [
+        agent._situation.mission.version for agent in bench.agents.values() if agent._situation.mission
+    ] == [1] * 4
     assert all(agent.rejected["mission"] == 1 for agent in bench.agents.values())
 
 
@@ -276,12 +278,12 @@ def test_who_missed_a_change_is_where_it_belongs_as_soon_as_it_is_told(bench: Fl
     mission = change(bench, 2, wide, tuple((i, j, 1.5 * d) for i, j, d in EDGES))
     while bench.now < mission.from_ns + NS_PER_S:
         bench.step()
-    assert bench.agents[2]._mission != mission
+    assert bench.agents[2]._situation.mission != mission
     bench.cut = lambda _key, _node: False
     bench.run(0.8)
     at_ns = bench.now
     one, other = (bench.agents[robot]._controller.reference for robot in (1, 2))
-    assert bench.agents[2]._mission == mission
+    assert bench.agents[2]._situation.mission == mission
     assert one.motion(2, at_ns) == other.motion(2, at_ns)
     hand = bench.sayings("few/robot/2/hand")[-1]
     assert isinstance(hand, HandState)

@@ -159,7 +159,9 @@ def test_a_robot_that_missed_a_mission_is_told_it():
     assert isinstance(known, Mission)
     bench.say(MISSION, known._replace(version=7), [bench.agents[2]])
     bench.run(1.0)
-    assert {agent._mission.version for agent in bench.agents.values() if agent._mission} == {7}
+    assert {
+        agent._situation.mission.version for agent in bench.agents.values() if agent._situation.mission
+    } == {7}
 
 
 def test_a_robot_that_missed_a_stop_and_then_the_leave_is_told_them():
@@ -290,7 +292,7 @@ def two_of_one_version(bench: FleetBench) -> tuple[Mission, Mission]:
 
 
 def last_missions(bench: FleetBench) -> set[Mission | None]:
-    return {agent._mission for agent in bench.agents.values()}
+    return {agent._situation.mission for agent in bench.agents.values()}
 
 
 def test_two_operators_at_once_end_in_one_state():

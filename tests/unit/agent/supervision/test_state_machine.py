@@ -322,3 +322,9 @@ def test_every_braking_state_says_why():
 def test_nothing_goes_round_in_circles():
     for state, conditions in CASES:
         settled(state, conditions)
+
+
+def test_a_running_robot_of_whom_all_is_well_is_one_for_whom_the_table_has_no_row() -> None:
+    """Whom it lacks to begin with and what it lacks of a mission matter before a drive only."""
+    for conditions in EVERY:
+        assert conditions.all_well == (step(State.RUNNING, conditions)[1] is None)

@@ -50,13 +50,13 @@ def balanced(fleet: Fleet) -> float:
         error = 0.5 * apart_m + 1.0
         share = law.saturation(error, 0.0, control.c1, control.c2, control.max_speed_mps)
         push = -2.0 * control.c1 * share * error
-        edge = law.edges((apart_m, 0.0), (0.0, 0.0), (push, 0.0), 2.0, fleet.formation.safe_distance_m, gains)
+        edge = law.edge((apart_m, 0.0), (0.0, 0.0), (push, 0.0), 2.0, fleet.formation.safe_distance_m, gains)
         bodies = {"joint": 2, "edge": 2}.get(control.coupling)
         if bodies is None:
-            multiplier = law.multipliers_penalty(edge, gains)
+            multiplier = law.multiplier_penalty(edge, gains)
         else:
-            multiplier = law.multipliers_edge(edge, gains)
-        return 0.5 * push + float(law.forces(edge, multiplier)[0])
+            multiplier = law.multiplier_edge(edge, gains)
+        return 0.5 * push + float(law.force(edge, multiplier)[0])
 
     return float(brentq(left, 0.25, 1.99))
 

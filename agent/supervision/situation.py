@@ -1,0 +1,158 @@
+"""What a robot's situation is: what the state machine decides by, in one place (PURE).
+
+Plant, body, orders, neighbours, heartbeat, own numbers: each is watched here, and summed up once a tick as
+`Conditions`, whose texts are what the status says.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from agent.common.time import NS_PER_S
+from agent.control.controller import Controller
+from agent.fleet.model import Fleet
+from agent.messages.types import FUTURE_NS_MAX, Mission, PlantState
+from agent.supervision.neighbour_trust import NeighbourTrust
+from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest
+from agent.supervision.stop_latch import AWAITED, StopLatch
+
+LISTEN_ROUNDS: Final = 2
+"""So many times all others have said where they are before a robot joins in a drive."""
+
+
+class Situation:
+    """What is known of one robot's own situation, for its supervision.
+
+    Args:
+        fleet, robot: whose it is.
+        controller, trust: the robot's own; asked, not changed.
+
+    Attributes:
+        plant: the newest state of the plant, None before the first.
+        plant_trouble: why its pose cannot be used, "" when it can; set by `check_plant`.
+        mission: the one in force, None before the first.
+        refused_mission: why the newest mission was refused, "" when it was not.
+        numbers: why the robot's own numbers failed, "" while they have not. Nothing mends it.
+        ending: whether the process is to end.
+        heartbeat_ns: when the operator's last heartbeat came, 0 before the first.
+        latch: the last stop and resume.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, controller: Controller, trust: NeighbourTrust) -> None:
+        self._fleet, self._robot, self._controller, self._trust = fleet, robot, controller, trust
+        self.latch: Final = StopLatch(robot, self.give_back)
+        self.plant: PlantState | None = None
+        self.plant_trouble = "for its plant"
+        self.mission: Mission | None = None
+        self.refused_mission = self.numbers = ""
+        self.ending = False
+        self.heartbeat_ns = 0
+        self._taken = ""
+        self._plant_timeout_ns = round(fleet.control.plant_timeout_s * NS_PER_S)
+        deadman_s = fleet.supervision.deadman_s
+        self._deadman_ns = None if deadman_s is None else round(deadman_s * NS_PER_S)
+        self._alone = not controller.proximity.enabled or len(fleet.ids) == 1
+        beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
+        self._listening_ns = LISTEN_ROUNDS * beacon_rounds * fleet.period_ns
+        self._listened_ns: int | None = None
+
+    # ------------------------------------------------------------------ what happens
+
+    def accept_plant(self, state: PlantState, now_ns: int) -> str | None:
+        """Takes a state of the plant; returns why it is refused, None when it is not."""
+        if state.time_ns > now_ns + FUTURE_NS_MAX:
+            return "future"
+        if self.plant is not None and state.time_ns <= self.plant.time_ns:
+            return "duplicate" if state.time_ns == self.plant.time_ns else "out_of_order"
+        self.plant = state
+        return None
+
+    def check_plant(self, now_ns: int) -> None:
+        """Finds `plant_trouble` at a tick; the first of them begins the time in which a robot listens."""
+        if self._listened_ns is None:
+            self._listened_ns = now_ns + self._listening_ns
+        self.plant_trouble = self._plant_trouble(now_ns)
+
+    def lost_plant(self, state: State) -> None:
+        """After `plant_trouble` is found: a plant that starts again cannot know that its operator had the
+        body; this robot does, and waits for a resume."""
+        if state is State.RELEASED and self.plant_trouble:
+            self._taken = f"its plant was lost while its operator had the body: {AWAITED}"
+
+    def give_back(self) -> None:
+        """A resume, or a mission of another epoch: the body is the robot's again, if it obeys."""
+        self._taken = ""
+
+    # ------------------------------------------------------------------ what it is
+
+    @property
+    def body_trouble(self) -> str:
+        """Why a body whose pose is good does not do what it is asked; "" when it does."""
+        plant = self.plant
+        if plant is not None and not plant.obeying:
+            return plant.note or "its body does not obey"
+        return self._taken
+
+    @property
+    def at_rest(self) -> bool:
+        plant = self.plant
+        return plant is not None and at_rest(plant.speed, plant.yaw_rate)
+
+    @property
+    def ended(self) -> bool:
+        """True when a robot that is to end stands, does not obey, or nothing is known that could say so."""
+        return self.ending and (bool(self.plant_trouble or self.body_trouble) or self.at_rest)
+
+    def conditions(self, now_ns: int, state: State) -> Conditions:
+        """The situation at a tick that begins in `state`."""
+        mission, controller, trust = self.mission, self._controller, self._trust
+        # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
+        started = mission is not None and controller.acts_from_ns(now_ns) >= mission.epoch_ns
+        stop = ""
+        if self.ending:
+            stop = "the agent was told to end"
+        elif self.latch.stopped:
+            stop = self.latch.stopped
+        elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
+            stop = MISSION_OVER
+        place = ""
+        if not controller.reference.is_member(self._robot, controller.acting_ns(now_ns)):
+            place = "in reserve" if self._fleet.robot(self._robot).reserve else "it has left the formation"
+        neighbours = ""
+        if state not in DRIVING:  # a robot that drives has begun
+            neighbours = trust.missing(now_ns, started=started) or self._listening(now_ns, started)
+        return Conditions(
+            plant=self.plant_trouble,
+            body=self.body_trouble,
+            numbers=self.numbers,
+            place=place,
+            neighbours=neighbours,
+            mission="" if mission is not None else self.refused_mission or "for a mission",
+            stop=stop,
+            hold=self._deadman(now_ns) or trust.hold,
+            degraded=trust.degraded,
+            started=started,
+            at_rest=self.at_rest,
+        )
+
+    def _plant_trouble(self, now_ns: int) -> str:
+        plant = self.plant
+        if plant is None:
+            return "for its plant"
+        age_ns = now_ns - plant.time_ns
+        if age_ns > self._plant_timeout_ns:
+            return f"plant silent for {age_ns / NS_PER_S:.2f} s"
+        return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
+
+    def _listening(self, now_ns: int, started: bool) -> str:
+        """Why a robot that comes into a drive must wait: it cannot know yet who is near."""
+        heard = self._alone or not started or now_ns >= (self._listened_ns or 0)
+        return "" if heard else "hears who is near"
+
+    def _deadman(self, now_ns: int) -> str:
+        """Why the dead-man's switch holds the robot, "" when it does not."""
+        if self._deadman_ns is None or now_ns - self.heartbeat_ns <= self._deadman_ns:
+            return ""
+        if not self.heartbeat_ns:
+            return "no operator's heartbeat"
+        return f"no operator's heartbeat for {(now_ns - self.heartbeat_ns) / NS_PER_S:.1f} s"

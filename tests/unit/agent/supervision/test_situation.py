@@ -1,0 +1,167 @@
+"""agent.supervision.situation: what the state machine decides by."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from agent.common.time import NS_PER_S
+from agent.control.controller import Controller
+from agent.fleet.loading import load_fleet
+from agent.formation.geometry import resolve, resolved
+from agent.messages.types import PlantState, Resume, Stop
+from agent.supervision.neighbour_trust import NeighbourTrust
+from agent.supervision.situation import LISTEN_ROUNDS, Situation
+from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
+from agent.supervision.stop_latch import AWAITED
+from deploy.console.data_files import FLEETS
+from deploy.orders.mission_editing import first_mission
+
+NOW = 1_700_000_000 * NS_PER_S
+
+
+class Trust:
+    """What a robot thinks of its neighbours."""
+
+    hold = degraded = ""
+    lacks = ""
+
+    def missing(self, now_ns: int, *, started: bool) -> str:
+        return self.lacks
+
+
+def situation(*overrides: str) -> tuple[Situation, Trust]:
+    fleet = resolved(load_fleet(FLEETS / "pair.toml", overrides))
+    trust = Trust()
+    made = Situation(fleet, 1, Controller(fleet, resolve(fleet), 1), cast(NeighbourTrust, trust))
+    return made, trust
+
+
+def driving(*overrides: str) -> tuple[Situation, Trust]:
+    """One in the middle of a mission, with all that it needs."""
+    made, trust = situation(*overrides)
+    fleet = resolved(load_fleet(FLEETS / "pair.toml", overrides))
+    made.mission = first_mission(fleet, NOW, NOW, NOW - NS_PER_S, 60 * NS_PER_S)
+    made.accept_plant(plant(), NOW)
+    made.check_plant(NOW - NS_PER_S)  # its first tick
+    made.check_plant(NOW)
+    return made, trust
+
+
+def plant(**changes: Any) -> PlantState:
+    given = {"time_ns": NOW, "healthy": True, "obeying": True, "note": ""} | changes
+    return cast(PlantState, SimpleNamespace(speed=0.0, yaw_rate=0.0, **given))
+
+
+def test_in_the_middle_of_a_mission_all_is_well() -> None:
+    made, _ = driving()
+    conditions = made.conditions(NOW, State.RUNNING)
+    assert conditions.all_well
+    assert conditions.started
+    assert conditions[:9] == ("",) * 9
+
+
+def test_before_all_else_a_plant_is_waited_for() -> None:
+    made, _ = situation()
+    made.check_plant(NOW)
+    assert made.conditions(NOW, State.WAITING).plant == "for its plant"
+    assert made.conditions(NOW, State.WAITING).mission == "for a mission"
+
+
+@pytest.mark.parametrize(
+    ("later_s", "changes", "trouble"),
+    [
+        (0.0, {}, ""),
+        (9.0, {}, "plant silent for 9.00 s"),
+        (0.0, {"healthy": False, "note": "GPS lost"}, "plant unhealthy: GPS lost"),
+        (0.0, {"healthy": False}, "plant unhealthy: no reason given"),
+    ],
+)
+def test_trouble_with_the_plant_is_said(later_s: float, changes: dict[str, Any], trouble: str) -> None:
+    made, _ = driving()
+    made.plant = plant(**changes)
+    made.check_plant(NOW + round(later_s * NS_PER_S))
+    assert made.plant_trouble == trouble
+
+
+@pytest.mark.parametrize(
+    ("after_ns", "reason"), [(1, None), (0, "duplicate"), (-1, "out_of_order"), (3600 * NS_PER_S, "future")]
+)
+def test_only_a_newer_state_of_the_plant_is_taken(after_ns: int, reason: str | None) -> None:
+    made, _ = driving()
+    newer = plant(time_ns=NOW + after_ns)
+    assert made.accept_plant(newer, NOW) == reason
+    assert (made.plant is newer) == (reason is None)
+
+
+def test_a_body_that_was_taken_away_is_waited_for_though_its_plant_forgot() -> None:
+    made, _ = driving()
+    made.plant = plant(obeying=False, note="mode HOLD")
+    assert made.conditions(NOW, State.RUNNING).body == "mode HOLD"
+    made.check_plant(NOW + 9 * NS_PER_S)
+    made.lost_plant(State.RELEASED)
+    made.plant = plant()  # started again
+    assert made.conditions(NOW, State.FAULT).body.endswith(AWAITED)
+    made.latch.accept_resume(Resume(NOW + 1, NOW + 1, ()))
+    assert made.conditions(NOW, State.FAULT).body == ""
+
+
+def test_stop_wins_over_the_end_of_the_mission_and_the_end_of_the_process_over_both() -> None:
+    made, _ = driving()
+    mission = made.mission
+    assert mission is not None
+    after = NOW + mission.duration_ns + NS_PER_S
+    assert made.conditions(after, State.RUNNING).stop == MISSION_OVER
+    made.latch.accept_stop(Stop(NOW + 2, NOW + 2, "lunch"))
+    assert "lunch" in made.conditions(after, State.RUNNING).stop
+    made.ending = True
+    assert made.conditions(NOW, State.RUNNING).stop == "the agent was told to end"
+
+
+def test_it_has_ended_when_it_stands_or_nothing_can_be_known_of_it() -> None:
+    made, _ = driving()
+    assert not made.ended
+    made.ending = True
+    assert made.ended
+    made.plant = cast(PlantState, SimpleNamespace(**vars(plant()) | {"speed": 1.0}))
+    assert not made.ended
+    made.plant_trouble = "plant silent for 1.00 s"
+    assert made.ended
+
+
+def test_the_dead_mans_switch_holds_until_a_heartbeat_and_after_the_last() -> None:
+    made, _ = driving("supervision.deadman_s=1")
+    assert made.conditions(NOW, State.RUNNING).hold == "no operator's heartbeat"
+    made.heartbeat_ns = NOW
+    assert made.conditions(NOW + NS_PER_S, State.RUNNING).hold == ""
+    assert made.conditions(NOW + 2 * NS_PER_S, State.RUNNING).hold == "no operator's heartbeat for 2.0 s"
+
+
+def test_who_comes_into_a_drive_listens_first() -> None:
+    made, trust = driving()
+    made.check_plant(NOW)
+    fresh, _ = situation()
+    fresh.mission = made.mission
+    fresh.check_plant(NOW)
+    assert fresh.conditions(NOW, State.WAITING).neighbours == "hears who is near"
+    later = NOW + LISTEN_ROUNDS * NS_PER_S
+    assert fresh.conditions(later, State.WAITING).neighbours == ""
+    trust.lacks = "silent neighbours: robot 2"
+    assert made.conditions(later, State.WAITING).neighbours == trust.lacks
+
+
+def test_neighbours_to_begin_with_are_no_matter_of_a_robot_that_drives() -> None:
+    made, trust = driving()
+    trust.lacks = "silent neighbours: robot 2"
+    for state in DRIVING:
+        assert made.conditions(NOW, state).all_well
+
+
+def test_what_trust_says_is_passed_on() -> None:
+    made, trust = driving()
+    trust.hold, trust.degraded = "hears none", "slower: robot 2"
+    conditions = made.conditions(NOW, State.RUNNING)
+    assert (conditions.hold, conditions.degraded) == ("hears none", "slower: robot 2")
+    assert not conditions.all_well
