@@ -102,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             asked = next((word for word in arguments if not word.startswith("-")), "")
             options = _parser([asked]).parse_args(arguments)
             result: int = options.command(options)
-            sys.stdout.flush()  # here, where it can be told that nobody reads it
+            sys.stdout.flush()  # here, where an output that nobody reads is found
             return result
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("agent", "plant", "bridges", "deploy"):

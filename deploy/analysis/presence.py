@@ -54,8 +54,8 @@ def said(status: StatusTable, grid: Floats, states: Collection[str]) -> Flags:
     if not len(status):
         return np.zeros(len(grid), dtype=np.bool_)
     is_one = np.array([False, *(state in states for state in status.states)])
-    told: Flags = is_one[np.searchsorted(status.t, grid, side="right")]
-    return told
+    is_now: Flags = is_one[np.searchsorted(status.t, grid, side="right")]
+    return is_now
 
 
 def away(recording: Recording, grid: Floats) -> Flags:

@@ -1,7 +1,8 @@
 """A random scenario from a seed: a whole fleet file, as tables that can be written as TOML (PURE).
 
 What is drawn is what handfast claims to survive, and no more (docs/chaos.md says where the borders are and
-why). Robots, formation and course are drawn here, faults and orders in modules of their own. Lengths in m, W.
+why). Robots, formation and trajectory are drawn here, faults and orders in modules of their own. Lengths in
+m, W.
 """
 
 from __future__ import annotations
@@ -111,7 +112,8 @@ def _control(dice: Dice) -> Tables:
 
 
 def _body(dice: Dice, acceleration: float) -> Tables:
-    """The filter takes it that a body can brake as it may accelerate: limits of actuators are above that."""
+    """A robot's body. The safety filter counts on a body that brakes as it may accelerate: its actuators can
+    do more."""
     reach = dice.between(0.1, 0.2, 2)
     body: Tables = {"mass_kg": MASS_KG, "inertia_kgm2": INERTIA_KGM2, "hand_offset_m": reach}
     if dice.chance(0.4):

@@ -120,7 +120,7 @@ def _partition(dice: Dice, ids: Sequence[int], trouble_s: float, reach: Reach) -
 
 
 def _range(dice: Dice, ids: Sequence[int], trouble_s: float, reach: Reach) -> Tables:
-    """Links that bear only so far."""
+    """Links of limited range."""
     metres = dice.between(3.0, 8.0, 1)
     form = dice.pick(("disc {m}m", "logdistance {m}m exponent 2.7 shadowing 3dB"))
     return {"range": form.format(m=metres), **_window(dice, trouble_s, CUT_MAX_S)}

@@ -100,7 +100,7 @@ _FAULTS: Final = {
     "clock": "clock skew or drift",
     "jitter": "late ticks",
     "dropout": "measurements not taken",
-    "range": "links that bear so far",
+    "range": "links of limited range",
 }
 
 

@@ -93,7 +93,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     except Abandoned:
         raise
     except Exception as error:
-        outcome = Outcome((Violation(CRASH, 0.0, _told(error)),))
+        outcome = Outcome((Violation(CRASH, 0.0, _error_text(error)),))
     return replace(outcome, wall_s=time.perf_counter() - begun_s)
 
 
@@ -139,7 +139,7 @@ def _ended(recording: Recording, analysis: Analysis, fleet: Fleet) -> str:
     )
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """An exception on one line, with the place that it comes from."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""

@@ -56,9 +56,9 @@ def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:
     yield Finding(
         "warning",
         "avoidance.barrier_rate",
-        f"{robots(weak)} cannot brake as the last filter counts on: from control.max_speed_mps = {speed:.4g} "
-        f"that takes {needed:.3g} m/s2, and {field} of robot {weakest} allows {most:.3g}; set it to "
-        f"{_below(most / speed)} 1/s or less, or lower the speed",
+        f"{robots(weak)} cannot brake as the safety filter counts on: from control.max_speed_mps = "
+        f"{speed:.4g} that takes {needed:.3g} m/s2, and {field} of robot {weakest} allows {most:.3g}; set it "
+        f"to {_below(most / speed)} 1/s or less, or lower the speed",
     )
 
 
@@ -119,7 +119,7 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "avoidance.margin_m",
-            f"robots {i} and {j} have places {apart:.3g} m apart{more}, and the last filter keeps robots "
+            f"robots {i} and {j} have places {apart:.3g} m apart{more}, and the safety filter keeps robots "
             f"{keep:.3g} m from each other, the safe distance and {fleet.avoidance.margin_m:.3g} m: put them "
             "farther apart, or take less",
         )
@@ -131,8 +131,8 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         "warning",
         f"trajectory.{'velocity_mps' if section.kind == 'line' else 'speed_mps'}",
         f"{fastest:.4g} m/s is too fast for robots {i} and {j}, whose places are {apart:.4g} m apart{more}: "
-        f"where one follows the other, the last filter keeps it {needed:.4g} m behind, so that it can brake "
-        f"when the other does; take at most {_below(share * fastest)} m/s, or put them farther apart",
+        f"where one follows the other, the safety filter keeps it {needed:.4g} m behind, so that it can "
+        f"brake when the other does; take at most {_below(share * fastest)} m/s, or put them farther apart",
     )
 
 

@@ -81,7 +81,7 @@ def _defaults(fleet: Fleet, plan: FaultPlan, links: Iterable[Link], end: float) 
     return None
 
 
-def _told(rule: _Rule) -> str:
+def _named(rule: _Rule) -> str:
     return rule.rule.name if rule.place == _EVERYWHERE else f"'{rule.rule.name}'"
 
 
@@ -96,7 +96,7 @@ def _times(rules: Sequence[_Rule], end: float) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 f"{each.place}.at",
-                f"{_told(each)} begins at {start:g} s, and the run ends at {end:g} s: it never holds",
+                f"{_named(each)} begins at {start:g} s, and the run ends at {end:g} s: it never holds",
             )
             continue
         first = max(begin for begin, _ in each.times)
@@ -105,7 +105,7 @@ def _times(rules: Sequence[_Rule], end: float) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 f"{each.place}.for",
-                f"{_told(each)} heals only after the run's end at {end:g} s (from {first:g} s for "
+                f"{_named(each)} heals only after the run's end at {end:g} s (from {first:g} s for "
                 f"{rule.duration:g} s): whether the fleet comes back is not seen; end it earlier, or let "
                 "the run last longer (fleet.duration_s)",
             )
@@ -132,7 +132,7 @@ def _nowhere(rules: Sequence[_Rule]) -> Iterator[Finding]:
                 'such as "3->3"'
             )
         yield Finding(
-            "warning", f"{each.place}.{where}", f"{_told(each)} ({words(rule)}) is for no link: {why}"
+            "warning", f"{each.place}.{where}", f"{_named(each)} ({words(rule)}) is for no link: {why}"
         )
 
 
@@ -164,14 +164,14 @@ def _contradiction(first: _Rule, later: _Rule, name: str) -> Finding | None:
     link = min(common, key=lambda each: (each.topic, each))
     way = _some([link], link.topic)
     said = (
-        f"{_told(first)} and {_told(later)} give {way} different values of {name} from {moment:g} s on: "
-        f"{one} and {other}; the one that comes first in the file, {_told(first)}, wins"
+        f"{_named(first)} and {_named(later)} give {way} different values of {name} from {moment:g} s on: "
+        f"{one} and {other}; the one that comes first in the file, {_named(first)}, wins"
     )
     if later.links <= common and _covers(first.times, later.times):
         return Finding(
             "warning",
             later.place,
-            f"{said}. So {name} of {_told(later)} never takes effect: put the narrower rule first",
+            f"{said}. So {name} of {_named(later)} never takes effect: put the narrower rule first",
         )
     narrower = first.links <= common and _covers(later.times, first.times)
     level: Level = "info" if narrower else "warning"
@@ -271,9 +271,9 @@ def _start_distances(fleet: Fleet) -> Mapping[tuple[int, int], float]:
 
 
 def _late(fleet: Fleet, rules: Sequence[_Rule]) -> Iterator[Finding]:
-    """Delays, silences and queues against how long a robot bears them."""
+    """Delays, silences and queues against how long a robot tolerates them."""
     control = fleet.control
-    bears = {
+    tolerated = {
         "hand": (
             control.prediction_horizon_s, "control.prediction_horizon_s",
             "a robot that hears nothing newer of a neighbour "
@@ -290,16 +290,16 @@ def _late(fleet: Fleet, rules: Sequence[_Rule]) -> Iterator[Finding]:
     }  # fmt: skip
     for each in rules:
         for topic in sorted({link.topic for link in each.links}):
-            limit, name, then = bears[topic]
-            told = f"{name} = {limit:g} s: {then}"
-            yield from _delayed(each, topic, limit, told)
+            limit, name, then = tolerated[topic]
+            consequence = f"{name} = {limit:g} s: {then}"
+            yield from _delayed(each, topic, limit, consequence)
             silent = _silence(each)
             if silent is not None and silent > limit:
                 yield Finding(
                     "info" if topic == "hand" else "warning",
                     each.place,
-                    f"{_told(each)} lets nothing through on {_some(each.links, topic)} for {silent:g} s, "
-                    f"longer than {told} until it heals",
+                    f"{_named(each)} lets nothing through on {_some(each.links, topic)} for {silent:g} s, "
+                    f"longer than {consequence} until it heals",
                 )
             yield from _gaps(fleet, each, topic, limit, name, then)
         yield from _crowded(fleet, each)
@@ -317,7 +317,7 @@ def _ends(effect: Effect[Any]) -> list[Any]:
     return [effect.start] if effect.end is None else [effect.start, effect.end]
 
 
-def _delayed(each: _Rule, topic: str, limit: float, told: str) -> Iterator[Finding]:
+def _delayed(each: _Rule, topic: str, limit: float, consequence: str) -> Iterator[Finding]:
     effect = each.effects.get("delay")
     if effect is None:
         return
@@ -327,15 +327,17 @@ def _delayed(each: _Rule, topic: str, limit: float, told: str) -> Iterator[Findi
     place = f"{each.place}.delay"
     if usual >= limit:
         yield Finding(
-            "warning", place, f"{_told(each)}: {topic} comes {usual:g} s late, more than {told}, all the time"
+            "warning",
+            place,
+            f"{_named(each)}: {topic} comes {usual:g} s late, more than {consequence}, all the time",
         )
     elif most >= limit:
-        yield Finding("warning", place, f"{_told(each)}: {topic} comes up to {most:g} s late; {told}")
+        yield Finding("warning", place, f"{_named(each)}: {topic} comes up to {most:g} s late; {consequence}")
     elif topic != "hand" and usual >= 0.5 * limit:
         yield Finding(
             "warning",
             place,
-            f"{_told(each)}: {topic} comes {usual:g} s late, which leaves little of {told}",
+            f"{_named(each)}: {topic} comes {usual:g} s late, which leaves little of {consequence}",
         )
 
 
@@ -365,14 +367,14 @@ def _crowded(fleet: Fleet, each: _Rule) -> Iterator[Finding]:
         yield Finding(
             "warning",
             f"{each.place}.rate",
-            f"{_told(each)}: {least / 1e3:g} kbit/s is less than the {needed / 1e3:.3g} kbit/s that hand "
+            f"{_named(each)}: {least / 1e3:g} kbit/s is less than the {needed / 1e3:.3g} kbit/s that hand "
             f"states take at {fleet.fleet.rate_hz:g} Hz: they come ever later until the queue is full "
             "(limit), and then some are lost; take more, or a short limit",
         )
 
 
 def _gaps(fleet: Fleet, each: _Rule, topic: str, limit: float, name: str, then: str) -> Iterator[Finding]:
-    """Losses so high that by chance alone nothing comes for longer than a robot bears."""
+    """Losses so high that by chance alone nothing comes for longer than a robot tolerates."""
     effect = each.effects.get("loss")
     if effect is None:
         return
@@ -388,7 +390,7 @@ def _gaps(fleet: Fleet, each: _Rule, topic: str, limit: float, name: str, then: 
         yield Finding(
             "warning",
             f"{each.place}.loss",
-            f"{_told(each)} ({loss}): by chance nothing will come on one of {links} "
+            f"{_named(each)} ({loss}): by chance nothing will come on one of {links} "
             f"link{'s' * (links != 1)} for longer than {name} = {limit:g} s, about {often}; {then}",
         )
 
@@ -443,7 +445,7 @@ def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Fin
             yield Finding(
                 "warning",
                 f"{each.place}.kill",
-                f"{_told(each)}: what is killed of {who} at {each.times[-1][0]:g} s is not started again "
+                f"{_named(each)}: what is killed of {who} at {each.times[-1][0]:g} s is not started again "
                 f"before the run's end at {end:g} s: neighbours hold (brake), and the verdict fails; give a "
                 "for to have it back",
             )
@@ -451,7 +453,7 @@ def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Fin
             yield Finding(
                 "warning",
                 f"{each.place}.pause",
-                f"{_told(each)}: {who} is still paused at the run's end at {end:g} s; end it earlier",
+                f"{_named(each)}: {who} is still paused at the run's end at {end:g} s; end it earlier",
             )
         period = 1.0 / fleet.fleet.rate_hz
         if rule.tick_jitter is not None and rule.tick_jitter >= period:

@@ -149,7 +149,7 @@ def _limits(fleet: Fleet, vehicles: list[_Vehicle]) -> Iterator[Finding]:
             "warning",
             "control.max_acceleration",
             f"{most:.4g} m/s2 is more than the bridge asks of robot {weakest.robot.id}, "
-            f"{weakest.link.max_acceleration:.4g} m/s2: the law reckons with what does not come; take at "
+            f"{weakest.link.max_acceleration:.4g} m/s2: the law counts on what does not come; take at "
             f"most {weakest.link.max_acceleration:.4g}",
         )
     try:

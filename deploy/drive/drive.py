@@ -195,7 +195,7 @@ class Drive:
             self._fail(sentence)
 
     def _go_on(self) -> bool:
-        """A step of a fleet that was given its mission: tells who lacks something; False when it ends."""
+        """A step of a fleet that has its mission: sends lacking orders again; False when the drive ends."""
         self._fleet_state.say_again()
         self._fleet_state.ask()
         return self._step() and not self._is_refused() and not self._is_overtaken()
@@ -226,7 +226,7 @@ class Drive:
             raise standstill.lost
 
     def _why_stop(self) -> str:
-        """The reason of the stop at the end, by which the next drive knows whether it may lift it."""
+        """The reason of the stop at the end, by which the next drive decides whether it may lift it."""
         if self._interrupt.count:
             return "interrupted"
         if not self._is_over:

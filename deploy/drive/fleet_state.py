@@ -26,7 +26,7 @@ from deploy.session.author import author
 from deploy.session.session import valid
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
-"""How often something is said again that a process has not heard."""
+"""How often an order is sent again that a process has not acknowledged."""
 RECORDER_INBOX: Final = 65_536
 
 Record = Callable[[int, str, bytes], Message | None]
@@ -145,16 +145,16 @@ class FleetState:
         self.say(self.operator.begin(now_ns, epoch_ns, duration_ns))
 
     def ask(self) -> None:
-        """Asks now and then for what was ordered and not heard: other operators' messages need not come
-        here, agents tell them."""
+        """Asks now and then for orders that were not heard: other operators' messages need not come here,
+        agents relay them."""
         now_ns = self.clock.now_ns()
         if self.operator.behind and now_ns >= self._ask_due_ns:
             self._ask_due_ns = now_ns + AGAIN_PERIOD_NS
             self.say(Ask(now_ns, self.author))
 
     def say_again(self) -> None:
-        """Says now and then, until all have it, what somebody lacks: a process that starts again needs it
-        too."""
+        """Sends now and then the orders that somebody has not acknowledged: a process that starts again needs
+        them too."""
         now_ns = self.clock.now_ns()
         if now_ns >= self._again_due_ns:
             self._again_due_ns = now_ns + AGAIN_PERIOD_NS
@@ -165,7 +165,7 @@ class FleetState:
 
     @property
     def is_ready(self) -> bool:
-        """Whether all wait for a mission, and what was ordered before is known."""
+        """Whether all wait for a mission, and what was ordered before was heard."""
         states = self.watch.states().values()
         if self.processes.ours:
             return all(map(is_ready, states))
@@ -182,12 +182,12 @@ class FleetState:
         claimants = self.operator.claimants(self.clock.now_ns())
         if claimants and not found:
             says = "says" if len(claimants) == 1 else "say"
-            return f"{robots(claimants)} {says} that something was ordered, and nobody tells it"
+            return f"{robots(claimants)} {says} that something was ordered, and nobody relays it"
         return in_words(found) if found else in_words(self.checks.waits())
 
     @property
     def ignorant(self) -> list[int]:
-        """Robots of whose agent or plant it is not known that it has the mission."""
+        """Robots whose agent has not acknowledged the mission, or whose plant does not have its epoch."""
         version, statuses = self.operator.mission_version, self.watch.statuses
         return [
             robot

@@ -212,7 +212,7 @@ class View(Speaker, Protocol):
 def make_view(stream: TextIO | None = None, *, quiet: bool = False, period_s: float = 2.0) -> View:
     """A live table on a terminal; elsewhere plain lines, one for each `period_s` of fleet time.
 
-    When `quiet`, only what `say` is told.
+    When `quiet`, only what `say` is given.
     """
     stream = sys.stderr if stream is None else stream
     if quiet or not stream.isatty():

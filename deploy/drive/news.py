@@ -48,7 +48,7 @@ class News:
             self._orders.append(f"{who} may drive again")
 
     def state(self, robot: int, state: str, reason: str) -> None:
-        """Told what a robot says of itself, again and again."""
+        """Takes the state that a robot reports, and why, again and again."""
         before = self._states.get(robot, "")
         if state != before:
             self._states[robot] = state

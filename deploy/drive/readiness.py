@@ -15,7 +15,7 @@ def is_ready(state: str) -> bool:
 
 
 def stands(status: Status | None, plant: PlantState | None) -> bool:
-    """Whether a robot that was told to stop has come to rest, or its agent can do no more about it."""
+    """Whether a robot that was ordered to stop has come to rest, or its agent can do no more about it."""
     if status is None or status.state == State.STOPPED.value:
         return status is not None
     # These brake, whatever was said.

@@ -21,7 +21,7 @@ class Timing:
         waits_period_s: how often it is said what is waited for.
         hand_over_ns: so long after the epoch all must have acknowledged the mission, if they are to be left
             alone.
-        stop_again_s: a status comes five times a second: who has not told of a stop by then may not have
+        stop_again_s: a status comes five times a second: who has not acknowledged a stop by then may not have
             heard it.
         stop_s: how long robots may take to stand; `interrupt_stop_s` after Ctrl-C, where their processes end
             with this one.

@@ -156,7 +156,7 @@ def _of_one(fleet: Fleet, host: HostSection, robots_text: str) -> dict[str, Any]
     name = fleet.fleet.name
     address = host.address or host.name
     who = {robot: ["--folder", f"{there.keys}", "--fleet", name, "--robot", str(robot)] for robot in robots}
-    told: dict[str, Any] = {
+    variables: dict[str, Any] = {
         **_reached(host),
         "handfast_bootstrap": bootstrap(host.python),
         "handfast_robots": list(map(str, robots)),
@@ -169,17 +169,17 @@ def _of_one(fleet: Fleet, host: HostSection, robots_text: str) -> dict[str, Any]
         },
     }
     if fleet.is_secured:
-        told["handfast_certificate_requests"] = [
+        variables["handfast_certificate_requests"] = [
             _run(
                 ["request", *who[robot], "--addresses", address, "--ca", "-"], "{{handfast_signed.authority}}"
             )
             for robot in robots
         ]
-        told["handfast_certificate_answers"] = [
+        variables["handfast_certificate_answers"] = [
             _run(["store", *who[robot]], f"{{{{handfast_signed.signed['{robot}'] | default('')}}}}")
             for robot in robots
         ]
-    return told
+    return variables
 
 
 def _run(arguments: Sequence[str], text: str) -> dict[str, Any]:
@@ -193,16 +193,16 @@ def _reached(host: HostSection) -> Mapping[str, Any]:
     options += ["-o", f"ServerAliveInterval={ALIVE_INTERVAL_S}", "-o", f"ServerAliveCountMax={ALIVE_COUNT}"]
     if host.address is not None:
         options += ["-o", f"HostName={host.address.strip('[]')}"]
-    told: dict[str, Any] = {"ansible_ssh_common_args": shlex.join(options)}
+    variables: dict[str, Any] = {"ansible_ssh_common_args": shlex.join(options)}
     if host.user is not None:
-        told["ansible_user"] = host.user
+        variables["ansible_user"] = host.user
     if host.port is not None:
-        told["ansible_port"] = host.port
+        variables["ansible_port"] = host.port
     if host.key is not None:
-        told["ansible_ssh_private_key_file"] = host.key
+        variables["ansible_ssh_private_key_file"] = host.key
     if host.python is not None:
-        told["ansible_python_interpreter"] = host.python
-    return told
+        variables["ansible_python_interpreter"] = host.python
+    return variables
 
 
 def _json(value: Any) -> str:

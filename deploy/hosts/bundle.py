@@ -110,7 +110,7 @@ class Bundle:
 
 def bundle_for(platform: Platform, program: bytes) -> Bundle:
     """The bundle for a computer; fetches the wheels when they are not here yet. Threads may ask at once: one
-    fetches, and where it cannot, all others are told so.
+    fetches, and where it cannot, all others fail with the same reason.
 
     Raises:
         BundleError: they cannot be had.

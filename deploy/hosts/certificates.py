@@ -55,8 +55,8 @@ class HostKeys:
         asked = ["request", *who, "--addresses", ",".join(addresses), "--ca", "-"]
         asked += [word for robot in robots for word in ("--robot", str(robot))]
         authority = self._authority.certificate_pem.decode("ascii")
-        told = connection.ask("run", module=MODULE, arguments=asked, version=version, text=authority)
-        for robot, line in zip(robots, told.splitlines(), strict=True):
+        output = connection.ask("run", module=MODULE, arguments=asked, version=version, text=authority)
+        for robot, line in zip(robots, output.splitlines(), strict=True):
             answer = json.loads(line)
             if answer["wanting"]:
                 text = self._signed(robot, answer["request"], addresses)

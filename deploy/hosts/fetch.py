@@ -104,12 +104,12 @@ class Fetching:
         return got
 
     def _listing(self, connection: HostConnection, robot: int, there: str) -> Listed:
-        told = connection.ask("listing", folder=there, pattern="*.segment")
-        if not isinstance(told, dict):
+        answer = connection.ask("listing", folder=there, pattern="*.segment")
+        if not isinstance(answer, dict):
             raise HostError(f"does not say what robot {robot} recorded")
         # The name becomes that of a file here.
         listed: Listed = {
-            name: _about(name, about) for name, about in told.items() if SEGMENT_NAME.fullmatch(name)
+            name: _about(name, about) for name, about in answer.items() if SEGMENT_NAME.fullmatch(name)
         }
         total = sum(size for size, _ in listed.values())
         if total > SHARE_MAX * self._fleet.recording.max_mb * 1_000_000:

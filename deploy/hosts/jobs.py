@@ -34,7 +34,7 @@ class HostJobs:
 
     Attributes:
         rows: by host, what happens there.
-        ended: whether what is under way was told to end.
+        ended: whether what is under way is to end.
     """
 
     def __init__(

@@ -27,8 +27,8 @@ from deploy.hosts.robot_recording import (
     GAP_NS,
     Damage,
     MergeError,
+    RecordedOrder,
     SegmentFile,
-    Told,
     by_time,
     recordings,
 )
@@ -147,8 +147,10 @@ def _plan(segments: Sequence[SegmentFile], choice: Choice) -> _Plan:
     if not ours:
         there_are = ", ".join(sorted({segment.about.fleet for segment in segments}))
         raise MergeError(f"there are no recordings of a fleet {name}; there are some of {there_are}")
-    told = sorted((told for segment in ours for told in segment.told), key=lambda each: each.received[0])
-    mission = _last_mission(told, {segment.about.digest for segment in ours}, choice.until_ns)
+    recorded = sorted(
+        (order for segment in ours for order in segment.orders), key=lambda each: each.received[0]
+    )
+    mission = _last_mission(recorded, {segment.about.digest for segment in ours}, choice.until_ns)
     since_ns, until_ns, warnings = _window(choice, mission)
     inside = [segment for segment in ours if segment.overlaps(since_ns, until_ns)]
     if not inside:
@@ -168,7 +170,7 @@ def _plan(segments: Sequence[SegmentFile], choice: Choice) -> _Plan:
             f"{which} {_list(others)} ran another fleet file in this time: its recording is left out"
         )
     robots = frozenset(segment.about.robot for segment in taken)
-    orders = _orders([each for each in told if each.received[0] <= until_ns], mission, since_ns, robots)
+    orders = _orders([each for each in recorded if each.received[0] <= until_ns], mission, since_ns, robots)
     newest = max(taken, key=_begun)
     epoch_ns = None if mission is None else mission.epoch_ns
     return _Plan(taken, newest, since_ns, until_ns, epoch_ns, orders, warnings)
@@ -178,9 +180,11 @@ def _begun(segment: SegmentFile) -> int:
     return segment.first_ns
 
 
-def _last_mission(told: Iterable[Told], digests: set[str], until_ns: int | None) -> Mission | None:
+def _last_mission(
+    recorded: Iterable[RecordedOrder], digests: set[str], until_ns: int | None
+) -> Mission | None:
     last: Mission | None = None
-    for (received_ns, *_), order in told:
+    for (received_ns, *_), order in recorded:
         if (
             isinstance(order, Mission)
             and order.digest in digests
@@ -216,18 +220,18 @@ def _digest_of_most(segments: Sequence[SegmentFile]) -> str:
 
 
 def _orders(
-    told: Sequence[Told], mission: Mission | None, since_ns: int, robots: frozenset[int]
+    recorded: Sequence[RecordedOrder], mission: Mission | None, since_ns: int, robots: frozenset[int]
 ) -> list[Received]:
     """Those from `since_ns` on; of those before what belongs to the mission, and a stop that still holds for
-    one of `robots`, with the leaves after it."""
-    earlier = [order for received, order in told if received[0] < since_ns]
+    one of `robots`, with the resumes after it."""
+    earlier = [order for received, order in recorded if received[0] < since_ns]
     stopped = max((order.version for order in earlier if isinstance(order, Stop)), default=None)
     halted = robots if stopped is not None else frozenset()
     for order in earlier:
         if stopped is not None and isinstance(order, Resume) and order.version >= stopped:
             halted -= frozenset(order.robots) or robots
     kept = set()
-    for received, order in told:
+    for received, order in recorded:
         if isinstance(order, Mission):
             holds = mission is not None and order.epoch_ns == mission.epoch_ns
         else:

@@ -160,14 +160,14 @@ def command(
     except FileNotFoundError:
         raise HostError(f"there is no {words[0]}") from None
     deadline = time.monotonic() + timeout_s
-    told: str | None = text
+    pending: str | None = text
     while True:
         left_s = deadline - time.monotonic()
         try:
-            out, said = child.communicate(told, timeout=max(0.0, min(left_s, LOOK_S)))
+            out, said = child.communicate(pending, timeout=max(0.0, min(left_s, LOOK_S)))
             break
         except subprocess.TimeoutExpired:
-            told = None  # it has it
+            pending = None  # it was passed on
             if left_s > 0 and not (waited_for and nobody_waits()):
                 continue
         with suppress(ProcessLookupError):
@@ -443,12 +443,12 @@ def restart(names: list[str]) -> None:
 def states(names: list[str]) -> dict[str, str]:
     """Units' states in a word or two."""
     known = shown(names)
-    told = {}
+    found = {}
     for name in names:
         about = known.get(name, {})
         active, result = about.get("ActiveState", "unknown"), about.get("Result", "success")
-        told[name] = active if result == "success" else f"{active} ({result})"
-    return told
+        found[name] = active if result == "success" else f"{active} ({result})"
+    return found
 
 
 @request
@@ -495,12 +495,12 @@ def processes(fleet: str) -> list[str]:
 @request
 def status(fleet: str) -> dict[str, Any]:
     """What the fleet's units here do: by name, what systemd says, CPU time and memory of its process."""
-    told = {}
+    units = {}
     for name, about in units_of(fleet).items():
         pid = about.get("MainPID", "0")
         found = re.search(r"/versions/([^/]+)/bin/python ", " ".join(command_line(pid)))
-        told[name] = {**about, **used(pid), "version": found[1] if found else ""}
-    return {"units": told, "load": os.getloadavg()[0], "cores": os.cpu_count() or 1}
+        units[name] = {**about, **used(pid), "version": found[1] if found else ""}
+    return {"units": units, "load": os.getloadavg()[0], "cores": os.cpu_count() or 1}
 
 
 def used(pid: str) -> dict[str, float]:
@@ -580,7 +580,7 @@ def main() -> None:
             where = f" {error.filename}" if error.filename else ""
             head, data = {"error": f"{(error.strerror or str(error)).lower()}{where}"}, b""
         except Exception as error:
-            # A mistake of ours: told in one line there, with its place.
+            # A mistake of ours: reported in one line there, with its place.
             trace = error.__traceback__
             while trace is not None and trace.tb_next is not None:
                 trace = trace.tb_next

@@ -30,7 +30,7 @@ class MergeError(RuntimeError):
     """Recordings that no run can be made of; the text is one clear message."""
 
 
-class Told(NamedTuple):
+class RecordedOrder(NamedTuple):
     """An order as a robot's computer recorded it."""
 
     received: Received
@@ -47,7 +47,7 @@ class Loss(NamedTuple):
 
 @dataclass(frozen=True)
 class SegmentFile:
-    """One segment: what its heads tell.
+    """One segment: what the heads of its blocks say.
 
     `stretches` are the times (first, last ns) in which it has messages without a gap of `GAP_NS`.
     """
@@ -57,7 +57,7 @@ class SegmentFile:
     messages: int
     stretches: Sequence[tuple[int, int]]
     losses: Sequence[Loss] = ()
-    told: Sequence[Told] = ()
+    orders: Sequence[RecordedOrder] = ()
 
     @property
     def first_ns(self) -> int:
@@ -104,9 +104,9 @@ def recordings(folders: Mapping[int, Path]) -> Recordings:
     refused = []
     for robot, folder in folders.items():
         try:
-            told = [(path, about_of(path)) for path in segment_paths(folder)]
-            known = next((about for _, about in told if about is not None and about.robot == robot), None)
-            for path, about in told:
+            segments = [(path, about_of(path)) for path in segment_paths(folder)]
+            known = next((about for _, about in segments if about is not None and about.robot == robot), None)
+            for path, about in segments:
                 if about is not None and about.robot != robot:
                     refused.append(robot)
                     continue
@@ -131,7 +131,7 @@ def about_of(path: Path) -> About | None:
 
 
 def scan(path: Path, about: About) -> SegmentFile:
-    """What the heads of one segment tell, and its orders.
+    """What the heads of one segment's blocks say, and its orders.
 
     Raises:
         OSError: it cannot be read.
@@ -139,7 +139,7 @@ def scan(path: Path, about: About) -> SegmentFile:
     messages = 0
     stretches: list[tuple[int, int]] = []
     losses: list[Loss] = []
-    told: dict[tuple[str, bytes], Told] = {}
+    orders: dict[tuple[str, bytes], RecordedOrder] = {}
     wanted = order_keys(about.fleet, about.robot)
     with open(path, "rb") as stream:
         segment = Segment(stream)
@@ -148,10 +148,10 @@ def scan(path: Path, about: About) -> SegmentFile:
                 continue
             if block.kind == KNOWN or block.flags & ORDERS:
                 for received in segment.messages(block):
-                    if received[1] not in wanted or received[1:] in told:
-                        continue  # orders are said again and again: the first time counts
+                    if received[1] not in wanted or received[1:] in orders:
+                        continue  # orders are sent again and again: the first time counts
                     if (order := _order(received[2])) is not None:
-                        told[received[1:]] = Told(received, order)
+                        orders[received[1:]] = RecordedOrder(received, order)
             if block.kind == KNOWN:
                 continue
             messages += block.messages
@@ -161,7 +161,7 @@ def scan(path: Path, about: About) -> SegmentFile:
                 stretches.append((block.first_ns, block.last_ns))
             if block.lost or block.flags & OVERFLOW:
                 losses.append(Loss(block.first_ns, block.lost, bool(block.flags & OVERFLOW)))
-    return SegmentFile(path, about, messages, stretches, losses, list(told.values()))
+    return SegmentFile(path, about, messages, stretches, losses, list(orders.values()))
 
 
 def _order(payload: bytes) -> Mission | Stop | Resume | None:

@@ -20,7 +20,7 @@ CLOCK_ERROR_MAX_S: Final = 1.0
 """Orders and certificates of a host whose clock is further off make no sense there."""
 
 Say = Callable[[str], None]
-"""Told what is being done, in a few words."""
+"""Called with what is being done, in a few words."""
 Keys = Callable[[HostConnection, str, str], None]
 """Gives the robots of a host their certificates, see `deploy.hosts.certificates.HostKeys`."""
 

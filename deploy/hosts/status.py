@@ -35,7 +35,7 @@ class HostStatus:
     error: str = ""
 
 
-def host_status(told: Mapping[str, Any], clock: Clock) -> HostStatus:
+def host_status(answer: Mapping[str, Any], clock: Clock) -> HostStatus:
     """What a host said, once it is found to make sense.
 
     Raises:
@@ -48,9 +48,9 @@ def host_status(told: Mapping[str, Any], clock: Clock) -> HostStatus:
                 **{number: float(about[number]) for number in _NUMBERS if number in about},
                 "NRestarts": int(about.get("NRestarts") or 0),
             }
-            for name, about in told["units"].items()
+            for name, about in answer["units"].items()
         }
-        return HostStatus(found, clock, float(told["load"]))
+        return HostStatus(found, clock, float(answer["load"]))
     except (TypeError, ValueError, LookupError, AttributeError, OverflowError) as error:
         raise HostError(f"what it says of its units makes no sense ({type(error).__name__})") from None
 

@@ -143,9 +143,9 @@ class BringUp:
 
     def _refuse_unheard(self, connection: HostConnection) -> None:
         """Raises `HostError` where the fleet is heard to stand, but a robot there says that it drives."""
-        told = connection.ask("status", fleet=self._fleet.fleet.name)["units"]
+        units = connection.ask("status", fleet=self._fleet.fleet.name)["units"]
         for robot in self._fleet.ids:
-            about = told.get(systemd_units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
+            about = units.get(systemd_units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
             state = about.get("StatusText", "").partition(":")[0]
             if about.get("ActiveState") != "active" or state not in _DRIVING:
                 continue
@@ -264,8 +264,8 @@ class BringUp:
 
     def _failed(self, connection: HostConnection, robots: Iterable[int]) -> list[int]:
         """Those of which a process will not start again by itself."""
-        told = self._states(connection, robots)
-        return sorted({robot for (robot, _), state in told.items() if state.startswith("failed")})
+        states = self._states(connection, robots)
+        return sorted({robot for (robot, _), state in states.items() if state.startswith("failed")})
 
     def _states(
         self, connection: HostConnection, robots: Iterable[int], roles: Sequence[str] = ROLES
@@ -275,14 +275,14 @@ class BringUp:
         names = {
             (robot, role): systemd_units.unit_name(name, robot, role) for robot in robots for role in roles
         }
-        told = connection.ask("states", names=list(names.values())) if names else {}
-        return {process: told[unit] for process, unit in names.items()}
+        states = connection.ask("states", names=list(names.values())) if names else {}
+        return {process: states[unit] for process, unit in names.items()}
 
     def _why(self, connection: HostConnection, robots: Sequence[int]) -> str:
         """Why robots are not there: what their processes said last."""
         states = self._states(connection, robots)
         wrong = {process: state for process, state in states.items() if state != "active"}
-        lines = [self._told(connection, *process, state) for process, state in wrong.items()]
+        lines = [self._last_words(connection, *process, state) for process, state in wrong.items()]
         silent = [robot for robot in robots if all((robot, role) not in wrong for role in ROLES)]
         if silent:
             lines.append(
@@ -291,10 +291,10 @@ class BringUp:
             )
         return "; ".join(lines)
 
-    def _told(self, connection: HostConnection, robot: int, role: str, state: str) -> str:
+    def _last_words(self, connection: HostConnection, robot: int, role: str, state: str) -> str:
         unit = systemd_units.unit_name(self._fleet.fleet.name, robot, role)
-        told = connection.ask("last_lines", name=unit, count=1)
-        return f"robot {robot}'s {role} is {state}{f': {told[-1]}' if told else ''}"
+        lines = connection.ask("last_lines", name=unit, count=1)
+        return f"robot {robot}'s {role} is {state}{f': {lines[-1]}' if lines else ''}"
 
     def _left_over(self, connection: HostConnection, prepared: Prepared) -> list[str]:
         """Removes what nothing needs any more; says what is still wrong though all robots are there."""
@@ -303,7 +303,7 @@ class BringUp:
         try:
             for (robot, role), state in self._states(connection, prepared.stale, recorders).items():
                 if state not in ("active", "activating"):
-                    warnings.append(self._told(connection, robot, role, state))
+                    warnings.append(self._last_words(connection, robot, role, state))
             connection.ask("tidy", keep=[prepared.version])
         except HostError as error:
             warnings.append(f"versions that nothing needs may still be there: {error}")

@@ -52,7 +52,7 @@ class HostsView(Speaker, Protocol):
 
 
 def make_hosts_view(stream: TextIO | None = None) -> HostsView:
-    """A table on a terminal, lines elsewhere; on standard error unless told otherwise."""
+    """A table on a terminal, lines elsewhere; on standard error unless another stream is given."""
     stream = sys.stderr if stream is None else stream
     return Terminal(stream) if stream.isatty() else Lines(stream)
 

@@ -35,7 +35,7 @@ _BEND_MAX: Final = 10.0 / sqrt(3.0)
 def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int:
     """Least blend, at least 1 s, in which the members' desired motion keeps the limits of `[control]`.
 
-    A new course that is so fast that no blend keeps the speed (it has to be caught up with) is given one
+    A new trajectory that is so fast that no blend keeps the speed (it has to be caught up with) is given one
     in which the change of places itself costs a quarter of the greatest speed at most.
 
     Args:

@@ -1,7 +1,7 @@
 """An operator's order to a fleet that drives, made into its next mission (PURE).
 
-A mission is the whole state that the fleet is to have. So an order is a function of the one before: whoever
-knows that can give the next, and no robot needs to have heard of the order itself.
+A mission is the whole state that the fleet is to have. So an order is a function of the mission before:
+whoever has that can make the next, and robots only ever get missions, never the order itself.
 
 Lengths in m, W; times in ns of the wall clock.
 """
@@ -32,7 +32,7 @@ from deploy.orders.blend_time import blend_ns_for
 from deploy.orders.trilateration import place_apart
 
 LEAD_NS: Final = NS_PER_S
-"""From an order to its take-over: time for every robot to hear of it, also from a peer's beacon."""
+"""From an order to its take-over: time for every robot to get it, also relayed by another one."""
 
 
 class OrderError(ValueError):

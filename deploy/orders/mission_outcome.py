@@ -31,8 +31,8 @@ class Ordering:
         self._newest: Mission | None = None
 
     def look(self, agents: Sequence[int], statuses: Mapping[int, Status], newest: Mission | None) -> bool:
-        """Told what is known now: the robots whose agents are there, what they said last, and the newest
-        mission that was heard. True when nothing is left to wait for."""
+        """Takes what was heard until now: the robots whose agents are there, their last statuses, and the
+        newest mission. True when nothing is left to wait for."""
         self._agents, self._statuses, self._newest = agents, statuses, newest
         return self.overruled or (bool(agents) and all(map(self.has_it, agents)))
 

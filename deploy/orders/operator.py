@@ -1,4 +1,4 @@
-"""What an operator orders of a fleet, and what it knows has been ordered by anybody (PURE).
+"""What an operator orders of a fleet, and the newest orders that were heard of anybody (PURE).
 
 `handfast run` and `simulate` carry out the fleet file's ``[[order]]`` with it, and commands such as
 ``handfast join`` theirs. Times are wall-clock nanoseconds.
@@ -57,8 +57,8 @@ class Known:
         mission, plan: the newest mission that this fleet can drive, and what it means.
         stop, resume: the newest ones.
         foreign: a mission for another fleet file, which robots have taken: they read that one.
-        keys: where an operator says what.
-        told: where robots say again what operators have said.
+        keys: the key of each type of message that operators send.
+        relay_keys: the keys on which robots relay operators' orders.
     """
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
@@ -77,14 +77,14 @@ class Known:
             Heartbeat: key_expressions.heartbeat(name),
             Ask: key_expressions.ask(name),
         }
-        self.told: Final = frozenset(key_expressions.relayed(name, robot) for robot in fleet.ids)
+        self.relay_keys: Final = frozenset(key_expressions.relayed(name, robot) for robot in fleet.ids)
 
     def hear(self, key: str, message: Message) -> bool:
         """Takes a message that came on `key`; True for an order that is newer than those before."""
-        if key not in self.told and key != self.keys.get(type(message)):
+        if key not in self.relay_keys and key != self.keys.get(type(message)):
             return False
         if type(message) is Mission:
-            if key in self.told and message.digest != self._digest:
+            if key in self.relay_keys and message.digest != self._digest:
                 self.foreign = message
             return self._take(message)
         if type(message) is Stop and (self.stop is None or message.version > self.stop.version):
@@ -122,39 +122,39 @@ class Known:
 
 
 class Operator(Known):
-    """Gives orders, each of a version greater than any that was heard of, and says them again."""
+    """Gives orders, each of a version greater than any that was heard of, and sends them again."""
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         super().__init__(fleet, geometry)
-        self._claims = dict.fromkeys(fleet.ids, (0, 0))
+        self._acknowledged = dict.fromkeys(fleet.ids, (0, 0))
         """What each robot acknowledged last: versions of a mission, and of a stop or resume."""
 
     def hear(self, key: str, message: Message) -> bool:
         name = self.fleet.fleet.name
         if type(message) is Status and key == key_expressions.status(name, message.robot):
-            self._takeover(message.robot, message.mission_version, message.order_version)
+            self._acknowledge(message.robot, message.mission_version, message.order_version)
         elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
             order_version = max(message.stop_version, message.resume_version)
-            self._takeover(message.robot, message.mission_version, order_version)
+            self._acknowledge(message.robot, message.mission_version, order_version)
         return super().hear(key, message)
 
-    def _takeover(self, robot: int, mission_version: int, order_version: int) -> None:
-        if robot in self._claims:
-            self._claims[robot] = mission_version, order_version
+    def _acknowledge(self, robot: int, mission_version: int, order_version: int) -> None:
+        if robot in self._acknowledged:
+            self._acknowledged[robot] = mission_version, order_version
 
     @property
     def behind(self) -> bool:
-        """Whether agents know of an order that was not heard here: they tell it when they are asked."""
+        """Whether agents have acknowledged an order that was not heard here: they relay it when asked."""
         return any(
             mission > self.mission_version or order > self.order_version
-            for mission, order in self._claims.values()
+            for mission, order in self._acknowledged.values()
         )
 
     def claimants(self, now_ns: int) -> list[int]:
-        """Robots that say that they know of an order which was not heard here, as far as that can be."""
+        """Robots that have acknowledged an order which was not heard here, if its version can be true."""
         return [
             robot
-            for robot, (mission, order) in sorted(self._claims.items())
+            for robot, (mission, order) in sorted(self._acknowledged.items())
             if (self.mission_version < mission and can_be(mission, now_ns))
             or (self.order_version < order and can_be(order, now_ns))
         ]
@@ -194,19 +194,19 @@ class Operator(Known):
         return self.resume
 
     def _next_mission(self, now_ns: int) -> int:
-        return _next(now_ns, self.mission_version, [mission for mission, _ in self._claims.values()])
+        return _next(now_ns, self.mission_version, [mission for mission, _ in self._acknowledged.values()])
 
     def _next_order(self, now_ns: int) -> int:
-        return _next(now_ns, self.order_version, [order for _, order in self._claims.values()])
+        return _next(now_ns, self.order_version, [order for _, order in self._acknowledged.values()])
 
     def outgoing(self, message: Order | Heartbeat | Ask) -> Outgoing:
         """A message as it goes on the bus."""
         return self.keys[type(message)], encode(message)
 
-    # ------------------------------------------------------------------ said again
+    # ------------------------------------------------------------------ sent again
 
     def again(self) -> list[Order]:
-        """What a process that has just started must know; a stop before the mission, or it would drive."""
+        """The orders for a process that has just started; a stop before the mission, or it would drive."""
         return [*self.latest, *([] if self.mission is None else [self.mission])]
 
     def wanted(
@@ -215,7 +215,7 @@ class Operator(Known):
         plants: Mapping[int, PlantState],
         up: Callable[[int, str], bool],
     ) -> list[Order]:
-        """What must be said again, because somebody has not heard it.
+        """The orders to send again, because a process has not acknowledged them.
 
         Args:
             statuses, plants: what each agent and plant said last; nothing since it started again.
@@ -236,7 +236,7 @@ class Operator(Known):
         return []
 
     def counts(self, plant: PlantState | None) -> bool:
-        """Whether a plant knows the mission's epoch. It says so by its numbers: they count from that."""
+        """Whether a plant has the mission's epoch: its sequence numbers count from that."""
         if plant is None or self.mission is None:
             return False
         numbers = SequenceNumbers(self.fleet.period_ns)
@@ -248,17 +248,17 @@ class Operator(Known):
             return False
         if status.order_version < self.order_version:
             return True
-        # A plant does not say what it knows: one that missed a resume brakes although its agent drives.
+        # A plant acknowledges no orders: one that missed a resume brakes although its agent drives.
         braked = plant is not None and plant.healthy and plant.obeying and not plant.driving
         return status.state in _DRIVING and braked
 
 
-def _next(now_ns: int, known: int, told: Iterable[int]) -> int:
+def _next(now_ns: int, known: int, acknowledged: Iterable[int]) -> int:
     """Lamport's clock, in us of the wall clock where that is ahead of all that was seen.
 
     Args:
         known: the greatest version of an order that was heard.
-        told: those that robots say they know, believed as far as they can be.
+        acknowledged: those that robots say they have; one that cannot be true is left out.
     """
-    believed = (version for version in told if can_be(version, now_ns))
+    believed = (version for version in acknowledged if can_be(version, now_ns))
     return max(now_ns // 1_000, known + 1, max(believed, default=0) + 1)

@@ -1,4 +1,4 @@
-"""A stop of a whole fleet: who has heard it, and brakes (PURE)."""
+"""What became of a stop of a whole fleet: which robots have acknowledged it and brake (PURE)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deploy.orders.versions import AHEAD_US_MAX
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)
 )
-"""States of an agent that has heard of a stop."""
+"""States of an agent that has acknowledged a stop."""
 
 
 def has_heard(status: Status | None, stop: Stop) -> bool:
@@ -38,9 +38,9 @@ class Stopping:
         self.message = Stop(now_ns // 1_000, now_ns, clipped(reason))
         self._statuses: dict[int, Status] = {}
         self._agents_ns: dict[int, int] = {}
-        """When it was heard of each agent that it stops."""
+        """When each agent was heard to have stopped (wall clock, ns)."""
         self._plants_ns: dict[int, int] = {}
-        """Since when each plant is known to brake."""
+        """Since when each plant has been heard to brake (wall clock, ns)."""
         self._plants: set[int] = set()
 
     def feed(self, now_ns: int, key: str, message: Message) -> None:
@@ -57,10 +57,10 @@ class Stopping:
     def _hear_agent(self, now_ns: int, status: Status) -> None:
         robot = status.robot
         self._statuses[robot] = status
-        told, most = status.order_version, self._begun_ns // 1_000 + AHEAD_US_MAX
-        if self.message.version < told <= most and robot not in self._agents_ns:
+        acknowledged, most = status.order_version, self._begun_ns // 1_000 + AHEAD_US_MAX
+        if self.message.version < acknowledged <= most and robot not in self._agents_ns:
             # It has had a later resume than this stop, as when this machine's clock is behind: outdo that.
-            self.message = self.message._replace(version=told + 1)
+            self.message = self.message._replace(version=acknowledged + 1)
         elif self._obeys(robot):
             self._agents_ns.setdefault(robot, now_ns)
 

@@ -25,7 +25,7 @@ class Child:
         robot: the robot's id.
         role: ``agent``, ``plant`` or ``vehicle``.
         module: what ``python -m`` runs.
-        arguments: what it is told.
+        arguments: of its command line.
         log: where its output goes, after what is there.
     """
 

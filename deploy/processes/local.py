@@ -63,7 +63,7 @@ class Processes:
         module = "agent" if role == "agent" else MODULES[kind]
         arguments = ["--fleet", str(self._fleet_file), "--robot", str(robot)]
         if role == "plant" and kind == "unicycle" and pose is not None:
-            # A simulated body stands again, where it was. A vehicle goes on by itself.
+            # A simulated body starts at rest where it was. A vehicle goes on by itself.
             arguments.append(f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}")
         if role == "plant" and kind == "mavlink" and self._look:
             arguments.append("--look")

@@ -39,8 +39,8 @@ class FleetProcesses(Protocol):
         ...
 
     def look(self, present: Collection[Process], time_s: float | None) -> list[str]:
-        """Told which liveliness tokens there are, and the fleet time (None before the epoch is set); gives
-        sentences about processes that came or went."""
+        """Takes which processes have liveliness tokens, and the fleet time (s; None before the epoch is set);
+        gives sentences about processes that came or went."""
         ...
 
     def deaths(self) -> Sequence[tuple[Ended, str]]:

@@ -46,7 +46,7 @@ from deploy.recording.tables import (
 # a host whose clock was never set): it would stretch the run by hours.
 CLOCK_TOLERANCE_NS: Final = 60_000_000_000
 _RUN_NS_MAX: Final = 12 * 3600 * 10**9
-"""For so long after the start a clock that drifts on purpose is told from garbage."""
+"""For so long after the start a clock that drifts on purpose is relays from garbage."""
 _BEACON: Final = TOPICS.index("beacon")
 _OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon)
 
@@ -97,21 +97,21 @@ class RunData:
                 key_expressions.wrench(prefix, robot): self._wrench[robot],
                 key_expressions.status(prefix, robot): self._status[robot],
             }
-        told = {key_expressions.relayed(prefix, robot) for robot in self._plant}
-        self._missions_from = {key_expressions.mission(prefix), *told}
-        self._stops_from = {key_expressions.stop(prefix), *told}
-        self._resumes_from = {key_expressions.resume(prefix), *told}
+        relays = {key_expressions.relayed(prefix, robot) for robot in self._plant}
+        self._missions_from = {key_expressions.mission(prefix), *relays}
+        self._stops_from = {key_expressions.stop(prefix), *relays}
+        self._resumes_from = {key_expressions.resume(prefix), *relays}
         self._events_key = key_expressions.events(prefix)
-        self._told: dict[str, type[Message]] = {
+        self._ignored: dict[str, type[Message]] = {
             key_expressions.heartbeat(prefix): Heartbeat,
             key_expressions.ask(prefix): Ask,
         }
         for robot in self._plant:
-            self._told |= {
+            self._ignored |= {
                 key_expressions.checks(prefix, robot): Checks,
                 key_expressions.beacon(prefix, robot): Beacon,
             }
-        """What is recorded for those who read it there, and nothing is made of."""
+        """Messages that are recorded for people, and of which no table is made."""
         self._traced = {
             key: robot
             for robot in self._plant
@@ -151,7 +151,7 @@ class RunData:
             )
         elif type(message) is Event and key == self._events_key:
             self.events.append(message)
-        elif self._told.get(key) is not type(message):
+        elif self._ignored.get(key) is not type(message):
             self.foreign += 1
 
     def _is_ours(self, key: str, trace: LinkTrace) -> bool:
@@ -163,7 +163,7 @@ class RunData:
         """Whether a time that is far from its reception is what the faults on purpose make of it."""
         robot = message.robot if isinstance(message, _OF_ROBOTS) else 0
         if isinstance(message, (Faults, Mission, Stop, Resume)):
-            # They are said again for hours, always with the time at which they were sent.
+            # They are sent again for hours, always with the time at which they were sent.
             known = self._missions_from | self._stops_from | self._resumes_from
             return message.time_ns < received_ns and (key in self._faults_from or key in known)
         skew_ns, drift = self._clocks.get(robot, (0, 0.0))

@@ -47,7 +47,7 @@ _ROUND: Final = (
 )
 _TIME: Final = "Wall clock at which the content holds, ns since the Unix epoch"
 
-_DOUBT: Final = "How far it may be from there, m: 0 unless its plant is lost"
+_DOUBT: Final = "Position uncertainty: how far it may be from there, m; 0 unless its plant is lost"
 
 DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
     HandState: {
@@ -64,8 +64,8 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "navigation_y": "Navigation force per unit mass, north, m/s2",
         "constraint_x": "Constraint force per unit mass, east, m/s2",
         "constraint_y": "Constraint force per unit mass, north, m/s2",
-        "correction_x": "What the last stage and a way round add to the two forces, east, m/s2",
-        "correction_y": "What the last stage and a way round add to the two forces, north, m/s2",
+        "correction_x": "What safety filter and detour add to the two forces, east, m/s2",
+        "correction_y": "What safety filter and detour add to the two forces, north, m/s2",
         "doubt": _DOUBT,
         "multipliers": "The sender's multipliers: of each edge, and of each robot it is kept from",
         "heard": "Least apparent delay of each neighbour's hand states; empty in most messages",
@@ -121,7 +121,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "transition": "Row of its table of transitions that led there",
         "reason": "Why it is in that state",
         "mission_version": "Version of the mission that the agent follows",
-        "order_version": "Version of the last stop or resume that it knows",
+        "order_version": "Version of the last stop or resume that it has acknowledged",
         "neighbours": "What came from each neighbour, and how its clock stands",
         "tick_us": "Duration of every tick since the last status, us; empty in virtual time",
         "ages_us": "Age of every neighbour's hand state at every tick since the last status, us",
@@ -150,7 +150,7 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "rule": "Name of the rule that asked for it",
     },
     Resume: {
-        "version": "Grows with every leave",
+        "version": "Grows with every stop and resume",
         "time_ns": _TIME,
         "robots": "Numbers of the robots that may drive again; none: all",
     },
@@ -170,10 +170,10 @@ DESCRIPTIONS: Final[dict[type[Message], dict[str, str]]] = {
         "vx": "Velocity of the hand point, east, m/s",
         "vy": "Velocity of the hand point, north, m/s",
         "doubt": _DOUBT,
-        "mission_version": "Version of the mission that it knows",
+        "mission_version": "Version of the mission that it has acknowledged",
         "mission_tag": "Tells missions of one version apart",
-        "stop_version": "Version of the last stop that it knows, -1 for none",
-        "resume_version": "Version of the last resume that it knows, -1 for none",
+        "stop_version": "Version of the last stop that it has acknowledged, -1 for none",
+        "resume_version": "Version of the last resume that it has acknowledged, -1 for none",
         "silent": "Robots that it has not heard for a while, as they were when it did",
     },
     Heartbeat: {"time_ns": _TIME, "author": "Who is there"},

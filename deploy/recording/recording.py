@@ -99,7 +99,7 @@ class Recording:
 
     @cached_property
     def planned_s(self) -> float:
-        """For how long the fleet was told to drive."""
+        """For how long the fleet was to drive by its mission, s."""
         mission = self.mission
         return mission.duration_ns / 1e9 if mission else self.fleet.fleet.duration_s
 

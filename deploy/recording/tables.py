@@ -128,7 +128,7 @@ class StatusTable:
         return self.states[index], self.reasons[index]
 
     def changes(self) -> list[Change]:
-        """The states one after the other: every change is told at once, by a status of its own."""
+        """The states one after the other: an agent sends a status of its own for every change, at once."""
         out: list[Change] = []
         before = ""
         for t, now, row, reason in zip(
@@ -203,7 +203,7 @@ class StatusRows:
     def __init__(self, robot: int, store: Store) -> None:
         self.robot = robot
         self.times = store.column("q")
-        self._told = store.records()
+        self._state_rows = store.records()
         self._missions, self._orders = store.column("q"), store.column("q")
         self._ticks, self._tick_counts = store.column("q"), store.column("q")
         self._ages, self._age_counts = store.column("q"), store.column("q")
@@ -214,7 +214,7 @@ class StatusRows:
         ages = [value for value in message.ages_us if 0 <= value < _INTEGER_MAX]
         self.times.append(message.time_ns)
         counters = {name: _bounded(value) for name, value in message.counters}
-        self._told.append((message.state, message.reason, message.transition, counters))
+        self._state_rows.append((message.state, message.reason, message.transition, counters))
         self._missions.append(_bounded(message.mission_version))
         self._orders.append(_bounded(message.order_version))
         self._ticks.extend(ticks)
@@ -228,8 +228,8 @@ class StatusRows:
     def table(self, epoch_ns: int, clock: Clock) -> StatusTable:
         stamps = self.times.whole()
         times = true_ns(stamps, clock, epoch_ns)
-        told = self._told.whole()
-        states, reasons, transitions, counters = zip(*told, strict=True) if told else ((), (), (), ())
+        rows = self._state_rows.whole()
+        states, reasons, transitions, counters = zip(*rows, strict=True) if rows else ((), (), (), ())
         if (np.diff(stamps) < 0).any():
             times = np.maximum.accumulate(times)  # a clock that went back: keep the order of arrival
         return StatusTable(

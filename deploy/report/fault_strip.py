@@ -76,7 +76,7 @@ def _draw_strip(strip: Axes, panels: Sequence[Axes], lanes: Sequence[Lane], end_
         strip.add_collection(PatchCollection(bars, facecolor=color, edgecolor="none", alpha=0.38))
         _write(strip, lane, row, end_s)
         if sum(last - first for first, last in lane.times) > 0.98 * end_s:
-            continue  # what always holds need not be told from when it does not
+            continue  # what always holds needs no shading
         for axes in panels:
             through = [Rectangle((first, 0.0), last - first, 1.0) for first, last in lane.times]
             shade = PatchCollection(through, facecolor=color, edgecolor="none", alpha=faint, zorder=0.5)
@@ -88,8 +88,8 @@ def lanes(recording: Recording, end_s: float) -> list[Lane]:
     """One lane for each rule, in the order in which they begin; before them what holds everywhere."""
     times: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
     for span in spans(recording, end_s):
-        told = f"{span.rule.name} ({span.author})" if span.author else span.rule.name
-        times.setdefault((told, words(span.rule), span.author), []).append((span.start_s, span.end_s))
+        name = f"{span.rule.name} ({span.author})" if span.author else span.rule.name
+        times.setdefault((name, words(span.rule), span.author), []).append((span.start_s, span.end_s))
     ordered = sorted(times.items(), key=lambda item: min(item[1]))
     found = [Lane(f"{name}: {text}", each) for (name, text, _), each in ordered]
     everywhere = defaults(recording.fleet.faults)

@@ -13,7 +13,7 @@ from deploy.report.html import figure, shown, table
 ROWS_MAX: Final = 40
 """Links in the table; of more, the worst."""
 _CAPTION: Final = (
-    "How old a neighbour's state was when the law used it, as its receiver reckons it: the band holds nine "
+    "How old a neighbour's state was when the law used it, by its receiver's estimate: the band holds nine "
     "of ten links, the lines are those of the links that were oldest on average. Below, the share of all "
     "messages between neighbours that was lost on purpose. Above, the faults and when they held."
 )
@@ -58,8 +58,8 @@ def _total(injected: Mapping[str, Any]) -> str:
         parts.append(
             f"the others were made to wait {delay['mean']:.1f} ms on average, {delay['max']:.0f} at most"
         )
-    told = f"Of {shown(injected['decided'])} messages under fault rules, beacons left out, "
-    return told + _series(parts) + "."
+    text = f"Of {shown(injected['decided'])} messages under fault rules, beacons left out, "
+    return text + _series(parts) + "."
 
 
 def _series(parts: Sequence[str]) -> str:

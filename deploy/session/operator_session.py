@@ -1,4 +1,4 @@
-"""A session with a fleet that is running, of an operator who knows what was ordered last."""
+"""A session with a fleet that is running, of an operator who has heard what was ordered last."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class OperatorSession(Session):
     """Hears and gives orders.
 
     Attributes:
-        operator: what is known to be ordered.
+        operator: what has been ordered, and gives orders.
         statuses: what each agent said last.
 
     Raises:
@@ -56,7 +56,7 @@ class OperatorSession(Session):
         self.bus.publish(*self.operator.outgoing(message))
 
     def ask(self) -> None:
-        """Asks the fleet what was ordered last; waits until all that its agents know of was heard."""
+        """Asks the fleet for its last orders; waits until all was heard that its agents have acknowledged."""
         self.until(self._informed, self.say_ask, ASK_S)
 
     def say_ask(self) -> None:

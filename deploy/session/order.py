@@ -14,7 +14,7 @@ from deploy.orders.operator import NO_MISSION
 from deploy.session.operator_session import OperatorSession
 
 TAKE_S: Final = 3.0
-"""Agents that do not say that they know a mission by then are named."""
+"""Agents that have not acknowledged a mission by then are named."""
 CONFIRM_S: Final = 1.0
 """Agents do not say the same again within half a second."""
 

@@ -37,7 +37,7 @@ class ResumeSession(OperatorSession):
         self.ask()  # a resume must be later than the stop that it ends
         resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots))
         self._resuming = resuming
-        # It is said again until all have done it: a link may lose a message.
+        # It is sent again until all have done it: a link may lose a message.
         self.until(lambda: resuming.done, lambda: self.say(resuming.message), ANSWER_S)
         return resuming
 

@@ -69,7 +69,7 @@ class Session:
         """Takes a valid message that came on `key`."""
 
     def gone(self, receiver: Receiver) -> None:
-        """Told of a process that is not there any more."""
+        """Called for a process that is not there any more."""
 
     def collect(self) -> None:
         """Takes what came."""

@@ -5,7 +5,7 @@ does what rules do to processes, clocks and ticks. A message is there `LATENCY_N
 about what a loopback link takes; the same fleet file and seed give the same bytes.
 
 Times are true time, the operator's. A robot's clock may be wrong on purpose
-(`agent.common.time.LocalTime`): its nodes are told what it shows.
+(`agent.common.time.LocalTime`): its nodes get the time that it shows.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ EPOCH_AHEAD_NS: Final = NS_PER_S // 2
 """One that needs longer drives so long after it is ready, as in a run."""
 READY_TIMEOUT_NS: Final = 60 * NS_PER_S
 AGAIN_NS: Final = NS_PER_S // 2
-"""A node that starts again is told what was ordered so long after, as in a run."""
+"""A node that starts again gets the orders so long after, as in a run."""
 STOP_TIMEOUT_NS: Final = 3 * NS_PER_S
 PROGRESS_PERIOD_NS: Final = NS_PER_S // 4
 
@@ -207,7 +207,7 @@ class Simulation:
 
     Args:
         fleet: resolved (`agent.formation.geometry.resolved`). Every body is simulated, whatever its
-        connection. sink: told of every message, (time of arrival ns, key, payload).
+        connection. sink: called with every message, (time of arrival ns, key, payload).
 
     Attributes:
         now_ns: true time.
@@ -235,7 +235,7 @@ class Simulation:
         self._operator = Operator(fleet, resolve(fleet))
         self._order_keys = {
             self._operator.keys[kind] for kind in (Mission, Stop, Resume)
-        } | self._operator.told
+        } | self._operator.relay_keys
         self._bodies = Bodies(fleet)
         self.agents = [Agent(fleet, robot) for robot in fleet.ids]
         self.plants = [self._plant(robot) for robot in fleet.ids]
@@ -400,7 +400,7 @@ class Simulation:
     def run(self, progress: Progress | None = None) -> None:
         """The whole mission: warm-up, drive, stop.
 
-        `progress` is told the fleet time (s, below 0 before the epoch) four times a second; when it
+        `progress` is called with the fleet time (s, below 0 before the epoch) four times a second; when it
         returns False the run ends there.
         """
         duration_ns = round(self.fleet.fleet.duration_s * NS_PER_S)

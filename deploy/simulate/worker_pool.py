@@ -40,7 +40,7 @@ class PoolError(RuntimeError):
 
 
 class Abandoned(Exception):
-    """A run was told not to go on."""
+    """A run that was asked to end before its time."""
 
 
 class Work(Protocol[Result]):

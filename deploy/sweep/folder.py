@@ -50,7 +50,7 @@ class SweepFolder:
             self._lock = os.open(path, os.O_RDONLY)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._takeover(question)
+                self._claim(question)
                 self._read()
                 self._stream = open(self._results, "ab", buffering=0)  # noqa: SIM115 (until __exit__)
             except BaseException:
@@ -101,7 +101,7 @@ class SweepFolder:
         except OSError as error:
             raise SweepError(f"cannot write {self._results}: {error.strerror or error}") from None
 
-    def _takeover(self, question: Question) -> None:
+    def _claim(self, question: Question) -> None:
         """Makes the folder this sweep's, unless it is that already."""
         asked, known = _asked(question, self.plan), self.path / SWEEP_FILE
         if known.exists():

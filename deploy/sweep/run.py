@@ -109,7 +109,7 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
     except Abandoned:
         raise
     except Exception as error:
-        return unfinished(plan, run, CRASHED, _told(error), time.perf_counter() - begun)
+        return unfinished(plan, run, CRASHED, _error_text(error), time.perf_counter() - begun)
     numbers = {}
     for column, path in NUMBERS.items():
         value: Any = found
@@ -135,7 +135,7 @@ def unfinished(plan: Plan, run: int, verdict: str, reason: str, wall_s: float) -
     return Row(run, plan.run_seed(run), verdict, reason, wall_s=wall_s)
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """An exception on one line, with the place that it comes from."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""

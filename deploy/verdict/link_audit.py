@@ -8,7 +8,7 @@ queues of a rate limit (sizes of messages), range channels (where the receiver t
 before a receiver knew the epoch.
 
 A robot listens to the hand states of its neighbours, and of whoever is near it for as long as that is so.
-What it decided on is checked for all of them; that a message came to no decision is told of neighbours
+What it decided on is checked for all of them; a message without any decision is reported of neighbours
 alone. Beacons, a few a second from all to all, are not recorded for this.
 """
 
@@ -37,7 +37,7 @@ DIFFERENCES_MAX: Final = 20
 _CHANGE_NS: Final = 3 * NS_PER_S // 10
 """So near a change of the live rules it is not known which of them a process had when a message came."""
 _AWAY_NS: Final = 2 * NS_PER_S
-"""So long after it was started a process may not know the mission and the live rules yet."""
+"""So long after it was started a process may not have the mission and the live rules yet."""
 _FAR_NS: Final = 2**62
 _BEGUN_S: Final = 0.5
 """So near to where an edge comes or goes a robot may not listen to that neighbour."""
@@ -172,7 +172,7 @@ class _Node:
         self._away_ns = list(_away(recording, robot, role))
         data = recording.robots[robot]
         said = data.plant.t if role == "plant" else data.status.t
-        # A decision is told a little later than it is made: what came after the last word is unknown.
+        # A decision is reported a little later than it is made: what came after the last report is unknown.
         last_ns = round(float(said[-1]) * NS_PER_S) + self._epoch_ns if len(said) else 0
         self._known_ns = last_ns - TRACE_PERIOD_NS - 2 * recording.fleet.period_ns
 
@@ -242,7 +242,7 @@ class _Node:
                 stamp = stamps[k]
                 if more and rules.replayed(sequences[k]) is None:
                     effects = rules.effects(stamp)
-                    # Slots count from the epoch, as soon as the receiver is told of it.
+                    # Slots count from the epoch, as soon as the receiver has it.
                     slotted = effects.slot is not None and times[k] < self._told_ns
                     if slotted or effects.rate is not None or effects.range is not None:
                         beyond.add(stamp)

@@ -196,10 +196,10 @@ def _of_neighbour(status: StatusTable, neighbour: int) -> tuple[Floats, Ints]:
 
 
 def ages(recording: Recording) -> Ages:
-    """How old each neighbour's hand state was, tick by tick of the drive, as its receiver reckoned it.
+    """How old each neighbour's hand state was, tick by tick of the drive, by its receiver's estimate.
 
     That is what the law worked with: everything that the network and the faults did is in it. Statuses
-    from when not all neighbours had been heard are left out: their ages cannot be told apart.
+    from when not all neighbours had been heard are left out: it is unknown which age is whose.
     """
     found: dict[tuple[int, int], list[tuple[Floats, Ints]]] = {}
     for robot, data in recording.robots.items():
@@ -303,18 +303,18 @@ def idle_rules(recording: Recording, a: Analysis) -> list[str]:
     for held, rule, links in _Asked(recording).touched(every):
         start, end = (0.0, end_s) if held is None else (held.origin_s, min(held.end_s, end_s))
         times_held = [(start + first, start + last) for first, last in windows(rule, end - start)]
-        told = f"Rule '{rule.name}'" + (f" of {held.message.author}" if held is not None else "")
+        which = f"Rule '{rule.name}'" + (f" of {held.message.author}" if held is not None else "")
         if not links and rule.topic in ("hand", "all"):
             out.append(
-                f"{told} ({words(rule)}) met no hand state: no edge joined these robots, and they were not "
+                f"{which} ({words(rule)}) met no hand state: no edge joined these robots, and they were not "
                 "near each other. What it did to beacons is not recorded."
             )
         elif not links:
-            out.append(f"{told} ({words(rule)}) is for no link of this fleet: no message goes there.")
+            out.append(f"{which} ({words(rule)}) is for no link of this fleet: no message goes there.")
         elif not times_held:
             what = "the drive" if end == end_s else "its set"
             out.append(
-                f"{told} never held: it begins at {start + (rule.at or 0.0):.1f} s, and {what} ended at "
+                f"{which} never held: it begins at {start + (rule.at or 0.0):.1f} s, and {what} ended at "
                 f"{end:.1f} s."
             )
         elif not any(
@@ -323,7 +323,7 @@ def idle_rules(recording: Recording, a: Analysis) -> list[str]:
             if link in times
             for first, last in times_held
         ):
-            out.append(f"{told} ({described(rule)}) met no message.")
+            out.append(f"{which} ({described(rule)}) met no message.")
     done = {event.rule for event in recording.events}
     for rule in FaultPlan(recording.fleet).file_rules():
         if rule.given(ACTION_FIELDS) and rule.name not in done:

@@ -147,7 +147,7 @@ def _cuts(faults: Impairments) -> bool:
 
 
 def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
-    """All agents know the same mission and the same last stop or resume, once they had the time to hear."""
+    """All agents have acknowledged the same mission and last stop or resume, once they had the time to."""
     end_s = recording.end_s
     stamps = [mission.time_ns for mission in recording.missions]
     stamps += [stop.time_ns for stop in recording.stops]

@@ -77,8 +77,8 @@ def _end(connection: HostConnection, row: Row, fleet: Fleet) -> None:
     from deploy.hosts.connection import HostError
 
     row.step = "ending"
-    told = connection.ask("down", fleet=fleet.fleet.name)
-    if told["left"]:
-        raise HostError(f"still there: {', '.join(told['left'])}")
-    count = len(told["stopped"])
+    answer = connection.ask("down", fleet=fleet.fleet.name)
+    if answer["left"]:
+        raise HostError(f"still there: {', '.join(answer['left'])}")
+    count = len(answer["stopped"])
     row.done(f"down, {count} units ended and removed" if count else "down, there was nothing")

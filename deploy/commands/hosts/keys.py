@@ -31,7 +31,7 @@ from deploy.inventory.certificate_authority import LOOPBACK, Authority, Authorit
 
 NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"
 LAST_DAYS: Final = 365
-"""An authority that is about to end is told of for so long: no certificate outlives it."""
+"""An authority that is about to end is warned of for so long: no certificate outlives it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

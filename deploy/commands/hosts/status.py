@@ -67,8 +67,8 @@ def _status(options: argparse.Namespace) -> int:
         found = {host.name: HostStatus() for host in hosts}
 
         def ask(connection: HostConnection, row: Row) -> None:
-            told = connection.ask("status", fleet=fleet.fleet.name)
-            found[row.host] = host_status(told, connection.clock())
+            answer = connection.ask("status", fleet=fleet.fleet.name)
+            found[row.host] = host_status(answer, connection.clock())
 
         with ExitStack() as stack:
             statuses: dict[int, Status] = {}

@@ -39,13 +39,13 @@ def _simulate(options: argparse.Namespace) -> int:
             if message is not None:
                 watch.feed(key, message)
 
-        told = 0
+        shown = 0
 
         def progress(time_s: float) -> bool:
-            nonlocal told
-            for sentence in [*watch.news(time_s), *simulation.reasons[told:]]:
+            nonlocal shown
+            for sentence in [*watch.news(time_s), *simulation.reasons[shown:]]:
                 view.say(sentence)
-            told = len(simulation.reasons)
+            shown = len(simulation.reasons)
             view.show(watch.picture(time_s))
             return interrupt.count == 0
 

@@ -170,7 +170,7 @@ def _quantity(text: str, unit: str, option: str, example: str) -> float:
 
 
 def _refuse_errors(options: argparse.Namespace, plan: Plan) -> None:
-    """Says what `check` finds wrong in any cell; errors end the command unless told otherwise."""
+    """Says what `check` finds wrong in any cell; errors end the command unless an option says otherwise."""
     from deploy.check.check import check
     from deploy.sweep.plan import SweepError
 

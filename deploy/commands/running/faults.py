@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     describe(
         parser,
-        f". {MEANING} Exit status: 0 all agents and plants did as "
-        "told; 1 some did not; 2 bad input; 130 after Ctrl-C before the end.",
+        f". {MEANING} Exit status: 0 all agents and plants did so; 1 "
+        "some did not; 2 bad input; 130 after Ctrl-C before the end.",
     )
     actions = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 

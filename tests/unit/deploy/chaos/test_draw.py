@@ -94,7 +94,7 @@ def test_everything_is_drawn_in_some(drawn: dict[int, tuple[dict[str, Any], Flee
         "order: join", "order: leave", "order: replace", "order: reshape", "order: stop", "order: resume",
         "fault: delay", "fault: loss", "fault: duplicate", "fault: reorder", "fault: corrupt",
         "fault: partition",
-        "fault: links that bear so far", "fault: kill agent", "fault: kill plant", "fault: pause agent",
+        "fault: links of limited range", "fault: kill agent", "fault: kill plant", "fault: pause agent",
         "fault: restart agent", "fault: clock skew or drift", "fault: late ticks",
     } <= set(found)  # fmt: skip
     assert {fleet.trajectory.kind for _, fleet in drawn.values()} == {"hold", "line", "circle", "waypoints"}

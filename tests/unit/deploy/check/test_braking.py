@@ -1,4 +1,4 @@
-"""What `handfast check` says of robots that cannot brake as the last stage counts on."""
+"""What `handfast check` says of robots that cannot brake as the safety filter counts on."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_the_pair_that_is_warned_of_drives_so_far_apart() -> None:
 def test_places_nearer_than_the_last_stage_lets_robots_come() -> None:
     text = room(places(0.25))["avoidance.margin_m"].message
     assert (
-        "robots 1 and 2 have places 0.25 m apart, and the last filter keeps robots 0.27 m from each other"
+        "robots 1 and 2 have places 0.25 m apart, and the safety filter keeps robots 0.27 m from each other"
         in text
     )
     assert "avoidance.margin_m" not in room(places(0.27))

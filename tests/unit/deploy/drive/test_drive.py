@@ -55,8 +55,8 @@ class Robots:
         said: what was published, each with the versions that the robots said they knew at that time.
         late_s: how long after a mission each takes it; None: never.
         refuses: robots whose file is another.
-        deaf: robots that take no stop and no leave.
-        boasts: what a robot says that it knows, version of mission and of stop or leave, whatever is true.
+        deaf: robots that take no stop and no resume.
+        boasts: versions of a mission and of a stop or resume that a robot says it has, true or not.
         gone: robots whose plants disappear when they have taken the mission.
     """
 
@@ -403,7 +403,7 @@ def test_a_robot_that_tells_of_what_nobody_says_is_named() -> None:
     robots.boasts = {2: (0, time.time_ns() // 1_000)}
     drive, _ = driven(robots, timing=replace(QUICK, ready_s=1.2, ready_per_process_s=0.0))
     assert drive.reasons == [
-        "Not ready within 1 s: robot 2 says that something was ordered, and nobody tells it."
+        "Not ready within 1 s: robot 2 says that something was ordered, and nobody relays it."
     ]
     assert len(robots.of(Ask)) >= 2
     assert robots.of(Mission) == []
