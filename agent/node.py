@@ -1,4 +1,4 @@
-"""What one process on the bus is made of: the contract between a sans-IO core and whatever drives it.
+"""The contract between the sans-IO core of a process on the bus and whatever drives it.
 
 Two cores fulfil it, `agent.core.Agent` and `plant.node.PlantNode`; two drivers use it,
 `agent.runtime.process.loop` (real time, Zenoh) and `deploy.simulate.simulation` (virtual time).
@@ -30,7 +30,9 @@ class Node(Protocol):
         ...
 
     @property
-    def phase_ns(self) -> int: ...
+    def phase_ns(self) -> int:
+        """Offset of the ticks from the multiples of the period."""
+        ...
 
     @property
     def alive_key(self) -> str:
@@ -47,7 +49,7 @@ class Node(Protocol):
 
     @property
     def watched(self) -> str:
-        """Liveliness tokens to be told of, with wildcards; "" for none."""
+        """Key expression of the liveliness tokens whose changes `present` takes; "" for none."""
         ...
 
     @property
@@ -75,7 +77,7 @@ class Node(Protocol):
         ...
 
     def present(self, key: str, here: bool) -> None:
-        """Told that the process of a watched token came (`here`) or went."""
+        """Takes a change of presence: the process of a watched token came (`here`) or went."""
         ...
 
     def tick(self, now_ns: int) -> list[Outgoing]:
@@ -83,9 +85,9 @@ class Node(Protocol):
         ...
 
     def timed(self, duration_ns: int, missed: int) -> None:
-        """Told after each tick how long it took, from draining to encoding, and how many it skipped."""
+        """Takes, after each tick, how long it took from draining to encoding, and how many were skipped."""
         ...
 
     def end(self) -> None:
-        """The process is to end: come to a safe state, then say `done`."""
+        """Begins to end: comes to a safe state, and says so by `done`."""
         ...

@@ -1,2 +1,2 @@
-"""What knows nothing of fleets: time, quantities with units, tables of settings, counter-based random
-streams."""
+"""Foundations that are not about fleets: time, quantities with units, models of settings, counter-based
+random streams."""

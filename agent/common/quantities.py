@@ -189,7 +189,7 @@ def within(
 
 
 def named(name: str, read: Callable[[object], float], word: str) -> float:
-    """One number of several: its problem is told with its name."""
+    """One number of several. ValueError begins with its name."""
     try:
         return read(word)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""From the tables of a TOML file to valid values, with every problem found on the way (PURE).
+"""Reads valid values from the tables of a TOML file, and collects every problem on the way (PURE).
 
 `Reader` walks a raw table against a model (`agent.common.settings`). It never stops at the first problem:
 what is wrong is collected as `Problem`s, what is right is returned, so that checks across fields still run.
@@ -121,7 +121,7 @@ class Reader:
         """The table's values. `inherited`: those of the table of defaults, None where it has none."""
         if entry.key not in raw:
             if inherited is _INVALID:
-                return _INVALID  # its problem is told where the defaults are
+                return _INVALID  # its problem is reported where the defaults are
             if entry.optional and inherited is None:
                 return None
         value, header = raw.get(entry.key, {}), f"[{_POSITION.sub('', place)}]"

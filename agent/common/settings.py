@@ -1,6 +1,6 @@
-"""Settings: what the fields of a model say of themselves, for whoever reads or describes a file (PURE).
+"""Settings: descriptions of a model's fields, for whoever reads or documents a file (PURE).
 
-A model is a frozen dataclass whose fields say what a user needs to know of them::
+A model is a frozen dataclass whose fields carry what a user needs to know of them::
 
     kp: float = setting(1.0, "Stiffness of an edge", unit="1/s2", ge=0)
 """
@@ -19,7 +19,7 @@ _METADATA: Final = "setting"
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a field says of itself beyond its type and default. Bounds hold for every number in it."""
+    """Description of a field beyond its type and default. Bounds hold for every number in it."""
 
     doc: str
     unit: str | None = None

@@ -9,13 +9,13 @@ NS_PER_S: Final = 1_000_000_000
 
 
 class LocalTime(NamedTuple):
-    """What a clock shows that is wrong on purpose: ahead by `skew_ns`, and faster by the share `drift`.
+    """A clock that is wrong on purpose: ahead by `skew_ns` (ns), and faster by the share `drift`.
 
         local = true + skew_ns + round(drift * max(0, true - epoch_ns))
 
     True is the operator's time. `epoch_ns` is the mission's epoch, the one time that every process, a
     simulation and a recording agree on: the skew is that at the epoch, and drift counts from there. While
-    it is not known (None) nothing drifts, so a clock that is told of it beforehand does not jump.
+    it is not known (None) nothing drifts, so a clock that gets it beforehand does not jump.
     """
 
     skew_ns: int = 0
@@ -43,10 +43,10 @@ class LocalTime(NamedTuple):
 
 
 class Clock(Protocol):
-    """What the loop of a process needs of time."""
+    """The clock of a process's loop: wall time in ns, read and slept until."""
 
     def now_ns(self) -> int:
-        """The present, ns."""
+        """The present, wall time in ns."""
         ...
 
     def sleep_until(self, time_ns: int) -> None:
@@ -54,5 +54,5 @@ class Clock(Protocol):
         ...
 
     def begin(self, epoch_ns: int) -> None:
-        """Told of the mission's epoch, from which a clock drifts on purpose. Only the first counts."""
+        """Sets the mission's epoch (wall time, ns), from which the clock drifts. Only the first counts."""
         ...

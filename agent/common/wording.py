@@ -43,11 +43,13 @@ def printable(text: str) -> str:
 
 
 def key_text(key: object) -> str:
+    """A key as TOML writes it: bare where that is allowed, else quoted and cut short."""
     text = str(key)
     return text if _BARE_KEY.fullmatch(text) else show(text, 30)
 
 
 def joined(place: str, key: object) -> str:
+    """The place of `key` in the table at `place`, "" for the root: ``control.kp``."""
     return f"{place}.{key_text(key)}" if place else key_text(key)
 
 

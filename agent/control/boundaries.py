@@ -1,4 +1,4 @@
-"""What stands still and must be kept away from: circles, polygons, and the fence around all (PURE).
+"""Boundaries that stand still and must be kept away from: circles, polygons, the fence around all (PURE).
 
 `Boundary.near` says how far a point is from a boundary, and which way is away from it: what a one-sided
 constraint (docs/theory.md) is made of. It runs for every robot in every tick: plain floats, and whatever is

@@ -16,9 +16,9 @@ from typing import Final
 
 DRIFT_MAX: Final = 500e-6
 """Two clocks part by no more than this (s/s): crystals are within 100e-6 each over temperature, and
-`adjtime` and NTP slew a clock that they correct by at most 500e-6."""
+adjtime(3) and NTP slew a clock that they correct by at most 500e-6."""
 LEAK_NS: Final = 100_000
-"""The least apparent delay is let grow in steps of this size, one in `LEAK_NS` / `DRIFT_MAX` = 0.2 s."""
+"""The least apparent delay grows in steps of this size (ns), one in `LEAK_NS` / `DRIFT_MAX` = 0.2 s."""
 CONFIRM_PERIODS: Final = 50
 """A smaller delay than the least counts when a second one comes within so many periods."""
 
@@ -38,7 +38,7 @@ class ClockOffset:
         period_ns: time between two ticks of a node.
 
     Attributes:
-        used_ns: the offset to reckon with, neighbour's clock minus own; 0 while it is not proven.
+        used_ns: the offset to use, neighbour's clock minus own; 0 while it is not proven.
         offset_us: the estimate, neighbour's clock minus own; 0 while nothing is known.
         error_us: half of the estimate's uncertainty; -1 while nothing is known.
         least_us: the own least apparent delay, to echo; None until two messages have come.
@@ -69,7 +69,7 @@ class ClockOffset:
         self._echo_us: int | None = None
 
     def take(self, now_ns: int, stamp_ns: int, echo_us: int | None) -> bool:
-        """Takes what one message tells: its stamp, and its echo of the own messages' least delay.
+        """Takes what one message brings: its stamp, and its echo of the own messages' least delay.
 
         Args:
             now_ns: the own clock.

@@ -1,11 +1,11 @@
-"""A way out where a robot's place lies straight behind what it must keep away from (PURE).
+"""Detours: the way out where a robot's place lies straight behind what it must keep away from (PURE).
 
 A one-sided constraint only pushes back, so a robot that makes straight for its place can come to rest in
 front of a wall, or of another robot that does likewise: the pull and the push cancel. One that has been
 blocked so for a while goes round: its wanted velocity is turned along what blocks it, always the same way
-round. It leaves when it has turned back as far as it has turned away and the direct way is free: Pledge's
+round. That ends when it has turned back as far as it has turned away and the direct way is free: Pledge's
 algorithm (Abelson and diSessa, "Turtle Geometry", 1981), which gets out of traps. Round another robot, which
-may go away itself, it leaves as soon as the direct way is free. See (D1) to (D3) of docs/theory.md.
+may go away itself, it ends as soon as the direct way is free. See (D1) to (D3) of docs/theory.md.
 
 It begins on the side to which its place is nearer. Where neither is, it keeps to the right: so do others, and
 two that meet pass each other.
@@ -71,7 +71,7 @@ class Detour:
         self.round = ""
 
     def reset(self) -> None:
-        """The robot does not drive, or is at its place: there is no way to be on."""
+        """Ends any detour: the robot does not drive, or is at its place."""
         self._blocked_s, self._since_s = 0.0, KEEPS_S
         self.round, self.fixed = "", False
 

@@ -3,7 +3,7 @@
 Pure. Others are heard in two ways: by the hand states of those that are listened to (one a tick: neighbours
 in the formation graph, and whoever is near), and by the beacons of all (a few a second).
 
-A robot stamps its messages and follows the mission by its own clock. So all that is about it is reckoned
+A robot stamps its messages and follows the mission by its own clock. So all that is about it is computed
 in that clock: the own one plus its offset, as far as that is proven (`agent.control.clock_offset`).
 """
 
@@ -19,23 +19,24 @@ from agent.formation.trajectory import Sample
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
 
 DOUBT_RATE: Final = 0.15
-"""How fast it becomes uncertain where a robot is that is not heard, m/s: about what another acceleration
+"""How fast the position uncertainty of a robot grows that is not heard, m/s: about what another acceleration
 than the predicted one makes of a robot's place in a second."""
 DOUBT_AFTER_S: Final = 0.1
+"""It grows from this age of a robot's last message on."""
 DOUBT_MAX: Final = 0.3
-"""m"""
+"""Largest position uncertainty, m: of what a robot says itself, and of what its silence adds."""
 UNSURE_NS: Final = NS_PER_S // 4
-"""One that has not been heard for so long may have stopped, and is not counted on to keep a distance."""
+"""A robot that has not been heard for so long may have stopped, and is not trusted to keep a distance."""
 SILENT_NS: Final = NS_PER_S
-"""Beacons name one that has been silent for so long,"""
+"""Beacons name a robot that has been silent for so long,"""
 HEARSAY_NS: Final = 60 * NS_PER_S
 """and no longer than this."""
 WAY_STEPS: Final = 4
-"""Its way since is taken as so many straight pieces."""
+"""The way of a robot since its last message is taken as so many straight pieces."""
 TRUST_LOST_S: Final = 0.5
-"""Within this time an edge to a robot that is given up loses its force."""
+"""Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
 TRUST_GAINED_S: Final = 1.5
-"""Within this time it has it again: back without a bump."""
+"""Trust rises from 0 to 1 within this time: the edge is back without a bump."""
 _NEVER: Final = -1
 
 Silent = tuple[int, int, bool, float, float, float, float]
@@ -54,7 +55,7 @@ class Peer:
         clock: what is known of its clock.
         token: False while its agent's process is seen to be gone.
         here: likewise, but True again only when it has been heard again.
-        trust: 0..1, how far an edge to it is relied on.
+        trust: 0..1, how far an edge to it is trusted.
         copy: its copy of the shared multiplier that has come since the last `Peers.take_copy`, if any.
         degree: constraints that act on it.
         ahead_ns: how far its last message was stamped ahead of the own clock if it was refused as
@@ -90,14 +91,14 @@ class Peer:
         return None if self.hand_ns == _NEVER else now_ns + self.clock.used_ns - self.hand_ns
 
     def doubt(self, now_ns: int) -> float:
-        """How far it may be from where it is taken to be, m: as it says itself, and by the age of that."""
+        """Its position uncertainty, m: as it says itself, and by the age of that."""
         said = 0.0 if self.message is None else min(DOUBT_MAX, self.message.doubt)
         age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
         return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
 
 
 class Peers:
-    """The other robots, as robot `owner` knows them.
+    """The other robots, as robot `owner` hears them.
 
     Args:
         owner: id of the robot that listens.
@@ -145,10 +146,11 @@ class Peers:
 
     @property
     def known(self) -> Iterable[Peer]:
+        """All robots that something is known of."""
         return self._known.values()
 
     def forget(self, robot: int) -> None:
-        """It is not there any more."""
+        """Forgets a robot that is not there any more."""
         if self._known.pop(robot, None) is not None:
             self._heard = None
 
@@ -226,7 +228,7 @@ class Peers:
         return None
 
     def accept_silent(self, beacon: Beacon, now_ns: int) -> None:
-        """Takes what a beacon tells of robots that its sender does not hear, where it is news here."""
+        """Takes a beacon's rows about robots that its sender does not hear, where they are news here."""
         for robot, time_ns, follows, x, y, vx, vy in beacon.silent:
             if robot == self._owner or not now_ns - HEARSAY_NS < time_ns <= now_ns:
                 continue
@@ -238,7 +240,7 @@ class Peers:
                 peer.time_ns = time_ns
 
     def silent(self, now_ns: int, x: float, y: float) -> tuple[Silent, ...]:
-        """Robots that have not been heard for a while: those nearest to (x, y), m, as a beacon tells them."""
+        """Robots that have not been heard for a while: those nearest to (x, y), m, as rows of a beacon."""
         found = []
         for peer in self._known.values():
             message = peer.message
@@ -289,7 +291,7 @@ class Peers:
             peer.here = peer.token
 
     def present(self, robot: int, here: bool) -> None:
-        """Told that the process of a robot's agent came or went."""
+        """Takes a change of presence: the process of a robot's agent came (`here`) or went."""
         peer = self.get(robot)
         peer.token = here
         if not here:
@@ -353,7 +355,7 @@ class Peers:
     ) -> Prediction:
         """As `predict`, for one that has to be kept away from at (x, y), m; `predicted`, where that is known.
 
-        One that has not been heard for long may follow its course, or have stopped since: because it lost
+        One that has not been heard for long may follow its reference, or have stopped since: because it lost
         its neighbours, was ordered to, or hangs. One whose process seems gone may only be cut off. It
         is taken to be at the nearest point of its way.
         """
@@ -382,7 +384,7 @@ class Peers:
         )
 
     def _following(self, peer: Peer, message: HandState, then_ns: int) -> Prediction | None:
-        """It at a time of its own clock if it does as it should, None for a robot without a place."""
+        """A robot at a time of its own clock if it follows its reference, None for one without a place."""
         then = self._motion(peer.robot, then_ns)
         if then is None:
             return None

@@ -22,7 +22,7 @@ APPROACH_SHARE: Final = 0.25
 
 Vector = tuple[float, float]
 Transition = tuple[float, float, float, float, float, float, float]
-"""What `transition` returns."""
+"""What `transition` returns: (a11, a12, a21, a22, b1, b2, remains)."""
 
 
 def constraint_decay(kd: float, kp: float) -> float:
@@ -187,7 +187,7 @@ def _approaching(
 def coasting(message: HandState, age: float) -> Prediction:
     """A robot that brakes, `age` seconds later: its speed dies away, whatever the law would ask of it.
 
-    What brakes it stands as its navigation force, so that law and safety filter reckon with it.
+    What brakes it stands as its navigation force, so that law and safety filter take it into account.
     """
     remains = exp(-age / BRAKING_TIME_S)
     way = BRAKING_TIME_S * (1.0 - remains)

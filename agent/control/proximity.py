@@ -20,7 +20,7 @@ from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
-"""How often it is looked who is near."""
+"""How often robots that are near are looked for, ns."""
 AHEAD_S: Final = 0.5
 """Who comes closer is listened to so much earlier: beacons and looks take about as long."""
 FAR_M: Final = 4.0
@@ -33,12 +33,12 @@ been carried off."""
 
 
 class Proximity:
-    """What lies round robot `robot`.
+    """What is near robot `robot`, and must be kept away from.
 
     Attributes:
         close: the other robots within the sensing region, neighbours left out.
-        distance: d_a.
-        clearance: how near the hand may come to an obstacle.
+        distance: d_a, m.
+        clearance: how near the hand may come to an obstacle, m.
         obstacles, fence: of the fleet file; the fence None without one.
     """
 
@@ -57,7 +57,7 @@ class Proximity:
         self._places: Collection[int] = ()
 
     def plan(self, plan: Plan) -> None:
-        """Told of the formation that holds from now on."""
+        """Takes the formation that holds from now on."""
         self.distance = avoidance_distance(
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )

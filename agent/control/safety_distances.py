@@ -62,9 +62,9 @@ def barrier_rate(fleet: Fleet) -> float:
 
 
 def braking_room(fleet: Fleet) -> float:
-    """How far from each other two robots have to know of each other, m: what lets both come at full speed.
+    """Distance at which two robots must have heard of each other, m: what lets both come at full speed.
 
-    There h of the safety filter is 2 V_max / p, and its barrier (F1) admits any speed that is allowed.
+    There h of the safety filter is 2 V_max / p, and (F1) admits any speed that is allowed.
     """
     keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
     return keep + 2.0 * fleet.control.max_speed_mps / barrier_rate(fleet)
@@ -77,5 +77,5 @@ def sensing_distance(fleet: Fleet, distance: float) -> float:
 
 
 def clearance(given: float | None, safe: float) -> float:
-    """How near a hand point may come to an obstacle; `given` is `avoidance.clearance_m`, `safe` r_s."""
+    """How near a hand point may come to an obstacle, m; `given` is `avoidance.clearance_m`, `safe` r_s."""
     return 0.5 * safe if given is None else given

@@ -279,7 +279,7 @@ def _optimum(
 def _compromise(
     x: float, y: float, limits: list[_Limit], ranks: list[int], most: float, tolerance: float
 ) -> tuple[float, float]:
-    """As `_optimum`, where the limits contradict each other: some are let go by as little as possible."""
+    """As `_optimum`, where the limits contradict each other: some are violated by as little as possible."""
     kept: list[_Limit] = []
     best = 0.0, 0.0
     for rank in (BODY, SEPARATION, UNSURE, SPEED):

@@ -1,4 +1,4 @@
-"""What is wrong with a fleet file whose fields are valid each, but do not go together (PURE).
+"""Checks across the fields of a fleet file: what is valid field by field, but does not go together (PURE).
 
 The checks see what `agent.common.reader.Reader.read` returned: valid values only, None for an element with a
 problem of its own.

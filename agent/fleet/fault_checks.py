@@ -1,4 +1,4 @@
-"""What is wrong with faults whose fields are valid each, but do not go together (PURE)."""
+"""Checks across the fields of faults: what is valid field by field, but does not go together (PURE)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What may go wrong on purpose, as the fleet file says it: ``[faults]`` and its ``[[faults.rule]]`` (PURE).
+"""Faults as a fleet file gives them: ``[faults]`` and its ``[[faults.rule]]`` (PURE).
 
 A rule says where (`link`, `robot`, `topic`, `partition`), when (`at`, `for`, `every`, `until`) and what. Only
-the words are read here; `agent.links.fault_plan` knows which rule holds at a moment,
+the words are read here; `agent.links.fault_plan` finds which rule holds at a moment,
 `agent.links.link_emulator` what it does to a message. The same tables in a file of their own are a scenario,
-and sent to a running fleet live faults.
+and sent to a running fleet they are live faults.
 """
 
 # ruff: noqa: RUF009 (setting() is dataclasses.field)

@@ -1,4 +1,4 @@
-"""Where faults strike: sets of directed links, and partitions of a fleet (PURE)."""
+"""Targets of faults: sets of directed links, and partitions of a fleet (PURE)."""
 
 from __future__ import annotations
 
@@ -59,6 +59,7 @@ class LinkSet:
         return {robot for pair in self.pairs for ids in pair if ids is not None for robot in ids}
 
     def has(self, source: int, destination: int) -> bool:
+        """Whether the link from `source` to `destination` is one of them."""
         return any(
             (sources is None or source in sources) and (destinations is None or destination in destinations)
             for sources, destinations in self.pairs

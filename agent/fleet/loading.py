@@ -1,4 +1,4 @@
-"""From the text of a fleet file to a `Fleet`, and back to tables.
+"""Loads fleet files: from their text to a `Fleet`, and back to tables.
 
 `parse_fleet` turns the text, with what the command line sets over it, into a `Fleet`, or raises one
 `FleetError` with every problem of the file, each with its place. `digest` says whether two are the same.

@@ -172,7 +172,8 @@ class Fleet:
     def neighbours(self, robot_id: int) -> tuple[int, ...]:
         """Ids at the other end of a robot's edges, ascending. `FleetError` when there is no such robot.
 
-        With `formation.assign` the file's edges join places: ask the fleet of `formation.resolved`.
+        With `formation.assign` the file's edges join places: ask the fleet that
+        `agent.formation.geometry.resolved` returns.
         """
         self.index(robot_id)
         return tuple(sorted(i if j == robot_id else j for i, j in self.formation.edges if robot_id in (i, j)))

@@ -5,7 +5,6 @@ Whether an order can be carried out depends on those before it: `deploy.orders.m
 """
 
 # ruff: noqa: RUF009 (setting() is dataclasses.field)
-# ruff: noqa: RUF009 (setting() is dataclasses.field)
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -4,7 +4,6 @@ Avoidance, obstacles, geofence, supervision. Lengths in m, times in s; frame W (
 """
 
 # ruff: noqa: RUF009 (setting() is dataclasses.field)
-# ruff: noqa: RUF009 (setting() is dataclasses.field)
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What is wrong with a trajectory whose fields are valid each, but do not go together (PURE)."""
+"""Checks across the fields of a trajectory: valid field by field, but not together (PURE)."""
 
 from __future__ import annotations
 

@@ -27,5 +27,5 @@ def components(n: int, edges: Any) -> tuple[tuple[int, ...], ...]:
 
 
 def connected(n: int, edges: Any) -> bool:
-    """Is there a way along edges (m, 2) between any two of n vertices. One vertex alone is connected."""
+    """Whether edges (m, 2) join any two of n vertices by a path. One vertex alone is connected."""
     return len(components(n, edges)) <= 1

@@ -1,4 +1,4 @@
-"""What a mission means for the fleet of this file: who drives where, and who keeps which distance (PURE).
+"""Plans: a mission written out for the fleet, who drives where and who keeps which distance (PURE).
 
 A `Mission` came over the network and may be anything that its types allow; a `Plan` can be driven.
 Lengths in m, W; times in ns of the wall clock.
@@ -75,7 +75,7 @@ class _Root:
 
 
 def plan_of(mission: Mission, fleet: Fleet, geometry: Geometry) -> Plan:
-    """What a mission means. A part that it leaves empty is the fleet file's.
+    """The plan of a mission. A part that is empty in it is the fleet file's.
 
     Where it names robots, its edges are all the edges there are: none, if it gives none.
 

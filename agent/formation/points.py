@@ -29,27 +29,30 @@ def best_turn(shape: Floats, starts: Floats) -> Floats:
 
 
 def square_distances(a: Floats, b: Floats) -> Floats:
-    """|a_i - b_k|^2, (n, n)."""
+    """|a_i - b_k|^2, (n, n), m^2."""
     difference = a[:, None, :] - b[None, :, :]
     squares: Floats = np.sum(difference * difference, axis=2)
     return squares
 
 
 def distance_table(places: Floats) -> Floats:
+    """Distances between all places, (n, n), m."""
     table: Floats = np.sqrt(square_distances(places, places))
     return table
 
 
 def pair_distances(places: Floats) -> Floats:
-    """Distances of all pairs, (n (n - 1) / 2,)."""
+    """Distances of all pairs, (n (n - 1) / 2,), m."""
     i, j = np.triu_indices(len(places), 1)
     apart: Floats = np.hypot(places[i, 0] - places[j, 0], places[i, 1] - places[j, 1])
     return apart
 
 
 def as_places(offsets: Any) -> Floats:
+    """Places as an array (n, 2); ValueError where they are not pairs."""
     return np.asarray(offsets, np.float64).reshape(-1, 2)
 
 
 def as_edges(edges: Any) -> Indices:
+    """Edges as an array (m, 2); ValueError where they are not pairs."""
     return np.asarray(edges, np.intp).reshape(-1, 2)

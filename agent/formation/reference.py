@@ -6,7 +6,7 @@ is over, r_old and r_new the desired motions before and after,
     r_d = r_old + S (r_new - r_old),    S(s) = 10 s^3 - 15 s^4 + 6 s^5    (M1)
 
 S' and S'' are zero at both ends, so position, velocity and acceleration are continuous; r_old may be in a
-blend as well. All this is a function of the missions and the time: robots that know the same missions agree,
+blend as well. All this is a function of the missions and the time: robots that have the same missions agree,
 and one that missed some agrees with the others as soon as the blend of the last one is over.
 
 Lengths in m, W; times in ns of the wall clock.
@@ -49,7 +49,7 @@ class Edge(NamedTuple):
 
 
 class _Instant(NamedTuple):
-    """The course at one time: reference and places of the plan in force, and what it is blended from.
+    """The reference at one time: sample and places of the plan in force, and what it is blended from.
 
     share, rate, bend: S and its first and second derivative by time (1/s, 1/s^2).
     """
@@ -84,7 +84,7 @@ class _Segment:
 
 
 class Reference:
-    """What the fleet does over time.
+    """The desired motion of every robot, and the edges between them, over time.
 
     Before any mission it is the fleet file's formation, its reference at rest where the trajectory begins.
     After it, until the first take-over that is known, it is the file's on its way since the epoch: what a
@@ -139,7 +139,7 @@ class Reference:
     def motion(self, robot: int, time_ns: int) -> Sample | None:
         """Desired position, velocity and acceleration of a member's hand; None for a robot without a place.
 
-        A robot that has just got its place is to be there at once: how it comes there is not the course's.
+        A robot that has just got its place is to be there at once: how it comes there is not the reference's.
         """
         known = self._instants.get(time_ns)
         if known is None:

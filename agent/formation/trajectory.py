@@ -124,7 +124,7 @@ class _Waypoints:
             vx, vy = _velocity(points, speeds, k - 1)
             window = times[k]
             if window > 0.0:
-                # Places are reckoned from the waypoint, not summed up: no error adds along the path.
+                # Places are computed from the waypoint, not summed up: no error adds along the path.
                 x = points[k][0] - vx * 0.5 * window
                 y = points[k][1] - vy * 0.5 * window
                 pieces.append((middle - 0.5 * window, x, y, vx, vy, window, dvx, dvy))

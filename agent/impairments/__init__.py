@@ -1,2 +1,1 @@
-"""What a bad link does to a message, as netem has it: delay, loss, reordering and more, as pure draws from a
-seed."""
+"""Impairments of links as netem has them: delay, loss, reordering and more, as pure draws from a seed."""

@@ -5,8 +5,8 @@ differs. Times are in seconds where no unit is written (netem: us).
 
 Every class reads text or a number with `parse` (ValueError says what is right), and writes itself with `str`,
 which `parse` reads to the same value. Draws are pure functions of a stream and a sequence number: give each
-purpose of each link a stream of its own, `draws.stream(seed, source, destination, topic, "loss")`, and no
-draw depends on another or on the order of messages.
+purpose of each link a stream of its own, `random_streams.stream(seed, source, destination, topic, "loss")`,
+and no draw depends on another or on the order of messages.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _bitrate = within(bits_per_second, 1.0, 1e12, "bit/s")
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """How late a message comes: "200ms", "80ms 20ms 25%", "normal 80ms 20ms", "trace NAME".
+    """The delay of a message: "200ms", "80ms 20ms 25%", "normal 80ms 20ms", "trace NAME".
 
     Mean and jitter, s, and the correlation of successive delays. With a jitter and no distribution uniform,
     mean +- jitter; the others are those of `delay_distributions.SHAPES`, and netem's order "80ms 20ms
@@ -209,7 +209,7 @@ class Reorder(_Chance):
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How fast the link carries bytes, one message after another: "100kbit", "10kbps" (tc's units)."""
+    """The bandwidth of a link, which carries one message after another: "100kbit", "10kbps" (tc's units)."""
 
     bits_per_second: float
 

@@ -26,7 +26,7 @@ class Loss:
     """Which messages are lost; names and parameters as in tc-netem(8).
 
     - random, "30%" or "30% 25%": a probability and the correlation of successive losses, exact as
-      `chains.correlated` says;
+      `agent.impairments.markov_chains.correlated` says;
     - gemodel, "gemodel p r 1-h 1-k", Gilbert (1960) and Elliott (1963): p is the probability to go from the
       good to the bad state, r to return, 1-h to lose a message in the bad state, 1-k in the good one. If not
       given: 1-p, 100 % and 0, as in netem;

@@ -22,7 +22,7 @@ Row: TypeAlias = tuple[tuple[int, float], ...]
 """Where one state goes: (state, probability), in the order in which a uniform number meets them; the last
 takes the rest."""
 
-_BLOCK_BITS = 12  # a chain that has not forgotten its past after 2^12 steps or more starts anew
+_BLOCK_BITS = 12  # a chain that has not forgotten its past after 2^12 steps or more starts again
 _STREAMS_MAX = 1 << 14
 _last: dict[int, tuple[Chain, int, int]] = {}  # stream -> chain, step, state: for speed, never for a result
 

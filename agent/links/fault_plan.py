@@ -72,7 +72,7 @@ class FaultPlan:
         self._build()
 
     def begin(self, epoch_ns: int) -> None:
-        """Told of the mission: times of the file's rules count from `epoch_ns`."""
+        """Begins a mission: times of the file's rules count from `epoch_ns`, wall time."""
         if epoch_ns != self.epoch_ns:
             self.epoch_ns = epoch_ns
             self._build()
@@ -184,7 +184,7 @@ class FaultPlan:
         )
 
     def sensor(self, robot: int, time_ns: int) -> SensorFaults | None:
-        """What a measurement of `robot` suffers that is taken at `time_ns`; None for nothing."""
+        """Faults of a measurement of `robot` that is taken at `time_ns`; None for none."""
         found = self._settings(SENSOR_FIELDS, robot, time_ns)
         return SensorFaults(**found) if found else None
 

@@ -1,8 +1,7 @@
-"""What a node hears, through links that may fail: the part that agents and plants have in common (PURE).
+"""What a node hears over links that may fail: the part that agents and plants have in common (PURE).
 
-It keeps the node's fault plan up to date, passes messages through `agent.links.link_emulator`, and says what
-was done:
-every decision (`LinkTrace`), and the live rules that are held.
+It keeps the node's fault plan up to date, passes messages through `agent.links.link_emulator`, and publishes
+what was done: every decision (`LinkTrace`), and the live rules that are held.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from agent.messages.codec import encode
 from agent.messages.types import FUTURE_NS_MAX, Faults, Outgoing
 
 HELD_PERIOD_NS: Final = NS_PER_S
-"""Live rules that are held are said again so often."""
+"""Live rules that are held are published again so often."""
 
 
 class Ingress:
@@ -56,7 +55,7 @@ class Ingress:
         return self._links.idle
 
     def begin(self, epoch_ns: int) -> None:
-        """Told of the mission: the times of the file's rules count from `epoch_ns`."""
+        """Begins a mission: the times of the file's rules count from `epoch_ns`, wall time."""
         self.plan.begin(epoch_ns)
         self._links.refresh()
 

@@ -1,11 +1,11 @@
 """The incoming links of one node, which fail on purpose: late, lost, twice, damaged, out of order (PURE).
 
 A link is (source robot, destination robot, topic). Faults are applied by the receiver: a publication fans
-out, and only who receives it knows the link. What happens to one is a function of the seed, the link and
-the message's sequence number, whatever came before or beside it; a delay counts from the message's stamp
-(an injected error of either clock is allowed for).
-So the same scenario gives the same fate in a run and in its simulation. Only the queue of a rate limit
-remembers what came before on its link. Every decision is kept for the recording (`LinkTrace`).
+out, and only its receiver knows the link. What happens to one is a function of the seed, the link and the
+message's sequence number, whatever came before or beside it; a delay counts from the message's stamp (an
+injected error of either clock is allowed for). So the same scenario gives the same fate in a run and in its
+simulation. Only the queue of a rate limit remembers what came before on its link. Every decision is kept for
+the recording (`LinkTrace`).
 """
 
 from __future__ import annotations
@@ -260,7 +260,7 @@ class LinkEmulator:
         heapq.heappush(self._pending, (due_ns, self._order, link, arrival))
 
     def due(self, now_ns: int) -> list[Arrival]:
-        """Messages whose time has come, those due first first."""
+        """Messages whose time has come at `now_ns`, the earliest first."""
         if self._holding:
             self._release(now_ns)
         out = []
@@ -271,7 +271,7 @@ class LinkEmulator:
         return out
 
     def _release(self, now_ns: int) -> None:
-        """Lets go of what was held on links that hold no more."""
+        """Releases what was held on links that hold no more."""
         for link in self._links.values():
             if link.held and not link.rules.effects(now_ns).hold:
                 for sent_ns, delay_ns, arrival, entry in link.held:

@@ -15,7 +15,7 @@ def next_tick_ns(now_ns: int, period_ns: int, phase_ns: int) -> int:
 
 
 class Ticked(Protocol):
-    """What `Ticks` needs to know of a node; members as those of `agent.node.Node`."""
+    """The part of a node that `Ticks` needs; members as those of `agent.node.Node`."""
 
     @property
     def plan(self) -> FaultPlan: ...
@@ -33,7 +33,7 @@ class Ticked(Protocol):
 class Ticks:
     """When a node ticks, by its own clock: at deadlines on the grid, or later where a rule wants it.
 
-    What drives a node waits until `due_ns`, asks `take` for the time to tell it, ticks it and calls `plan`.
+    What drives a node waits until `due_ns`, asks `take` which time to tick it with, ticks it, calls `plan`.
 
     Args:
         now_ns: the node's clock now; its first deadline is the next of the grid.
@@ -57,9 +57,9 @@ class Ticks:
         """The mission's epoch, None before the node has a mission."""
         return self._plan.epoch_ns
 
-    def plan(self, told_ns: int) -> None:
-        """Finds the tick after one that was told `told_ns`."""
-        self._deadline_ns = next_tick_ns(told_ns, self._period_ns, self._phase_ns)
+    def plan(self, tick_ns: int) -> None:
+        """Plans the tick after the one at `tick_ns`."""
+        self._deadline_ns = next_tick_ns(tick_ns, self._period_ns, self._phase_ns)
         plan = self._plan
         if self._changes != plan.changes:
             self._changes = plan.changes
@@ -67,15 +67,15 @@ class Ticks:
         self.due_ns = self._deadline_ns + (self._late_ns() if self._jittery else 0)
 
     def take(self, now_ns: int) -> tuple[int, int]:
-        """The time that a tick is told which begins at `now_ns`, and the number of ticks that are skipped.
+        """The time to give a tick that begins at `now_ns`, and the number of ticks that are skipped.
 
         The time is that which was planned, not `now_ns`: what is decided then does not depend on a
         scheduler. Deadlines that have passed meanwhile are skipped.
         """
-        period_ns, told_ns = self._period_ns, self.due_ns
-        if now_ns >= told_ns + period_ns:
-            told_ns += (now_ns - told_ns) // period_ns * period_ns
-        return told_ns, (told_ns - self._deadline_ns) // period_ns
+        period_ns, tick_ns = self._period_ns, self.due_ns
+        if now_ns >= tick_ns + period_ns:
+            tick_ns += (now_ns - tick_ns) // period_ns * period_ns
+        return tick_ns, (tick_ns - self._deadline_ns) // period_ns
 
     def _late_ns(self) -> int:
         """By how much the next tick comes late: a draw for its round, uniform up to the rule's limit."""

@@ -109,7 +109,7 @@ class TimedRule:
 
 
 class SensorFaults(NamedTuple):
-    """What a measurement suffers; names and units of `agent.fleet.fault_rules.Rule`, 0 for nothing."""
+    """Faults of one measurement; names and units of `agent.fleet.fault_rules.Rule`, 0 for nothing."""
 
     position_noise_m: float = 0.0
     heading_noise_rad: float = 0.0
@@ -132,6 +132,7 @@ def named(rules: Sequence[Rule], kind: str) -> tuple[Rule, ...]:
 
 
 def effects_of(rule: Rule) -> dict[str, Effect[Any]]:
+    """Effects of a rule on links, by name; a partition that gives none loses all messages."""
     effects = link_effects(rule)
     if rule.partition is not None and not rule.given(LINK_FIELDS):
         effects["loss"] = _LOST
@@ -139,7 +140,7 @@ def effects_of(rule: Rule) -> dict[str, Effect[Any]]:
 
 
 class LinkRules:
-    """The rules of one link, the first first."""
+    """The rules of one link, in the order in which they win."""
 
     def __init__(
         self, rules: tuple[TimedRule, ...], defaults: dict[str, Effect[Any]], replay: Replay | None = None

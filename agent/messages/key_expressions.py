@@ -9,7 +9,7 @@ ROLES = ("agent", "plant")
 
 
 def of_robot(fleet: str, robot: int) -> str:
-    """How all keys begin on which one robot's agent and plant say something."""
+    """Prefix of the keys on which one robot's agent and plant publish."""
     return f"{fleet}/robot/{robot}/"
 
 
@@ -54,7 +54,7 @@ def resume(fleet: str) -> str:
 
 
 def relayed(fleet: str, robot: int | str) -> str:
-    """Operators' missions, stops and leaves as one agent says them again, byte by byte, to everybody.
+    """Operators' missions, stops and resumes as one agent relays them, byte by byte, to everybody.
 
     Only operators publish on `mission`, `stop` and `resume`; a robot has this key, of its own.
     """
@@ -67,7 +67,7 @@ def beacon(fleet: str, robot: int | str) -> str:
 
 
 def heartbeat(fleet: str) -> str:
-    """That an operator is there, to every agent."""
+    """Sign of life of an operator, to every agent."""
     return f"{fleet}/heartbeat"
 
 
@@ -77,7 +77,7 @@ def ask(fleet: str) -> str:
 
 
 def checks(fleet: str, robot: int | str) -> str:
-    """What a plant has to say of its body before a drive, for operators."""
+    """A plant's checks of its body before a drive, for operators."""
     return f"{fleet}/robot/{robot}/plant/checks"
 
 
@@ -111,7 +111,7 @@ def events(fleet: str) -> str:
 
 
 def near(fleet: str, robot: int) -> list[str]:
-    """What agent and plant of one robot tell each other, directly even where there are routers."""
+    """Keys between agent and plant of one robot, which go directly even where there are routers."""
     return [plant_state(fleet, robot), wrench(fleet, robot), relayed(fleet, robot)]
 
 

@@ -9,7 +9,7 @@ FIRST_ROUND: Final = 1 << 20
 
 
 class SequenceNumbers:
-    """Sequence numbers of one topic, which say when: they count rounds from the mission's epoch.
+    """Sequence numbers of one topic: they count rounds (ticks of the grid) from the mission's epoch.
 
     So the messages of a run and of its simulation bear the same numbers, a process that starts again goes on
     with those of its place, and a skipped tick leaves a gap. Before a mission is known they count from 0.
@@ -24,7 +24,7 @@ class SequenceNumbers:
         self._count = 0
 
     def begin(self, epoch_ns: int) -> None:
-        """Told of the mission's epoch (wall time, ns)."""
+        """Sets the mission's epoch (wall time, ns), from which rounds count."""
         self._epoch_ns = epoch_ns
 
     def next(self, stamp_ns: int) -> int:

@@ -22,7 +22,7 @@ AUTHOR_MAX: Final = 60
 EVERY_AUTHOR: Final = "*"
 """As `Faults.author`, without rules: clears the rules of every author."""
 SILENT_MAX: Final = 16
-"""Robots of which one `Beacon` tells that they are silent."""
+"""Silent robots in one `Beacon`."""
 TRACE_MAX: Final = 128
 """Entries of one `LinkTrace`."""
 FLOAT_MAX: Final = 1e15
@@ -68,9 +68,9 @@ class HandState(NamedTuple):
     Position, velocity (m, m/s, W) are those at `time_ns`; forces are per unit mass (m/s^2, W).
     `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
     is False the robot brakes, comes to rest, and its forces say nothing about its motion.
-    The correction is what the safety filter and a way round what blocks it make of the two forces: it
-    accelerates by the sum of all three. `doubt` (m) is how far it may be from where it says: it is 0 unless
-    its plant is lost.
+    The correction is what the safety filter and a detour make of the two forces: it accelerates by the sum
+    of all three. `doubt` is the position uncertainty (m), how far it may be from where it says: 0 unless its
+    plant is lost.
     `degree` is how many constraints act on it: edges, and what it is kept away from.
     `multipliers` are the sender's copies of lambda, one ``(robot, lambda)`` for each of its edges and each
     robot that it is kept away from.
@@ -106,11 +106,11 @@ NO_FORCES: Final = (0.0,) * 6
 class PlantState(NamedTuple):
     """One body as its plant measures it, valid at `time_ns`.
 
-    x, y (m, W), heading (rad, counter-clockwise from x), speed along the heading (m/s),
-    yaw rate (rad/s). `force` (N) and `torque` (N m) are what acts on the body from now on, after
-    limits. `driving` is False while the plant brakes of its own accord (no fresh wrench, or told
-    so); `healthy` is False when the measurement must not be used; `obeying` is False when it may be, but the
-    body does not do what it is asked: its operator has it. `note` says why.
+    x, y (m, W), heading (rad, counter-clockwise from x), speed along the heading (m/s), yaw rate (rad/s).
+    `force` (N) and `torque` (N m) are what acts on the body from now on, after limits. `driving` is False
+    while the plant brakes: for want of a fresh wrench, or as it was asked to. `healthy` is False when the
+    measurement must not be used; `obeying` is False when it may be, but the body does not do what it is
+    asked: its operator has it. `note` says why.
     """
 
     robot: int
@@ -189,7 +189,7 @@ class Resume(NamedTuple):
 
 
 class Checks(NamedTuple):
-    """What a plant has to say of its body before a drive, for operators.
+    """A plant's checks of its body before a drive, for operators.
 
     A line is ``(name, level, found, advice)``: what was looked at, one of `LEVELS`, what was found, and
     what to do about it ("" when there is nothing to do). At most `CHECKS_MAX` lines, which fit if no text
@@ -274,10 +274,10 @@ class Event(NamedTuple):
 class Beacon(NamedTuple):
     """Where one robot is, a few times a second, from its agent to all others.
 
-    Hand point and its velocity (m, m/s, W) at `time_ns`, `following` and `doubt` as in `HandState`. Then what
-    it knows: the mission (its version and `tag`), the last stop and the last resume (-1: none). Who knows
-    later ones says them again. `silent` are robots that it has not heard for a while, as they were then:
-    ``(robot, time_ns, following, x, y, vx, vy)``. One that has just started cannot know of them else.
+    Hand point and its velocity (m, m/s, W) at `time_ns`, `following` and `doubt` as in `HandState`. Then the
+    orders that it has acknowledged: the mission (its version and `tag`), the last stop and the last resume
+    (-1: none). Who has later ones relays them. `silent` are robots that it has not heard for a while, as they
+    were then: ``(robot, time_ns, following, x, y, vx, vy)``. A robot that has just started hears of them so.
     """
 
     robot: int
@@ -304,7 +304,7 @@ class Heartbeat(NamedTuple):
 
 
 class Ask(NamedTuple):
-    """An operator asks for the mission and the last stop or resume: agents say them again."""
+    """An operator asks for the mission and the last stop or resume: agents relay them."""
 
     time_ns: int
     author: str

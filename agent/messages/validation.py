@@ -44,7 +44,7 @@ REASONS: Final = ("oversized", "checksum", "malformed", "version", "type", "not_
 
 
 class Malformed(ValueError):
-    """A payload that is not a valid message; `reason` is one of `REASONS`, `detail` tells more."""
+    """A payload that is not a valid message; `reason` is one of `REASONS`, `detail` is for people."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")
@@ -112,7 +112,7 @@ def are_pairs(multipliers: tuple[Any, ...], heard: tuple[Any, ...]) -> bool:
 
 
 def are_versions(versions: tuple[int, ...]) -> bool:
-    """Whether the versions of a beacon may be some."""
+    """True when all versions of a beacon are -1 (none) or above, and below `TIME_NS_MAX`."""
     return min(versions) >= -1 and max(versions) < TIME_NS_MAX
 
 
@@ -124,6 +124,7 @@ def _check_floats(values: tuple[float, ...], what: str) -> None:
 
 
 def shown(value: Any) -> str:
+    """A received value for a message to people: at most 40 characters."""
     if isinstance(value, tuple):  # its repr could be as deep as the sender liked
         return "an array"
     text = repr(value)

@@ -2,7 +2,7 @@
 
 A process of its own on the robot's computer: a slow disk stalls only this one. It is linked to the robot's
 agent and plant and to nobody else, and it publishes nothing. Peers do not relay, so it hears what these
-two say, orders included, which agents tell on when they take them.
+two say, orders included, which agents relay when they take them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ POLL_S: Final = 0.05
 INBOX_S: Final = 60
 """A recorder that does not get to run for so long misses nothing."""
 MESSAGES_PER_TICK: Final = 5.5
-"""What one robot says, statuses and what it tells on included."""
+"""What one robot says, statuses and what it relays included."""
 INBOX_MIN: Final = 4096
 LOOK_BACK: Final = 32
 """So many of the newest segments are asked for orders."""
@@ -88,8 +88,8 @@ def about(fleet: Fleet, fleet_toml: str, robot: int) -> About:
 
 
 def known(path: Path, orders: frozenset[str]) -> list[Received]:
-    """The orders that the newest segment of a folder tells of that tells of any: the newest of all may be
-    damaged or cut. None where there is none that can be read."""
+    """The orders in the newest segment of a folder that holds any: the newest of all may be damaged or cut.
+    None where there is none that can be read."""
     with suppress(OSError):
         for segment in segment_paths(path)[: -LOOK_BACK - 1 : -1]:
             with suppress(OSError):
@@ -178,7 +178,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     log = logger(robot, "recorder")
     try:
         fleet = load_fleet(options.fleet)
-        told = about(fleet, read_text(options.fleet, "fleet file"), robot)
+        whose = about(fleet, read_text(options.fleet, "fleet file"), robot)
         with SystemdNotifier() as systemd:
             systemd.ready()  # it does its work: a disk that is full must not look like a start that fails
             folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, systemd, log)
@@ -191,8 +191,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 inbox = inbox_size(fleet)
                 bus.subscribe(key_expressions.everything(fleet.fleet.name), inbox)
                 log(f"recording into {path}, at most {fleet.recording.max_mb} MB")
-                orders = order_keys(told.fleet, robot)
-                recorder = RobotRecorder(folder, told, orders, known(path, orders), log)
+                orders = order_keys(whose.fleet, robot)
+                recorder = RobotRecorder(folder, whose, orders, known(path, orders), log)
                 with RecorderThread(recorder) as thread:
                     record(bus, inbox, thread, shutdown, systemd)
                 log(f"ending ({shutdown.why})")

@@ -1,4 +1,4 @@
-"""Makes blocks of what a robot says, and puts them on the disk of its computer, come what may.
+"""Makes blocks of what a robot says, and writes them to the disk of its computer.
 
 No clock, no bus: the process around it has both. What the disk does not take is counted, and the block
 after it says how much is missing.
@@ -48,7 +48,7 @@ def order_keys(fleet: str, robot: int) -> frozenset[str]:
 
 
 def known_orders(path: Path, orders: Container[str]) -> Iterator[Received]:
-    """The orders that a segment tells of, as they were received.
+    """The orders in a segment, as they were received.
 
     Raises:
         OSError: it cannot be read.
@@ -119,11 +119,11 @@ class RobotRecorder:
             self._known_bytes -= sum(map(len, oldest))
 
     def overflow(self) -> None:
-        """Told that messages were lost before they were added."""
+        """Notes that messages were lost before they were added."""
         self._flags |= OVERFLOW
 
     def lose(self, count: int) -> None:
-        """Told that so many messages were given up before they were added: the disk was too slow."""
+        """Counts messages that were given up before they were added: the disk was too slow."""
         if self._retry_ns is None:  # else it is said when the disk takes some again
             self._log(f"the disk was too slow: {count} messages were not kept")
         self.lost += count
@@ -161,7 +161,7 @@ class RobotRecorder:
         self._retry_ns, self.lost = None, 0
 
     def set_clock(self, by_s: float) -> None:
-        """Told that the wall clock was set: what comes now is in a segment of its own. `flush` before."""
+        """Begins a segment, as the wall clock was set by `by_s` s. Call `flush` before."""
         self._folder.end_segment()
         if self._retry_ns is not None:
             self._retry_ns = 0

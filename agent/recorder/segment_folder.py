@@ -25,7 +25,7 @@ RESERVE_BYTES: Final = 200_000_000
 LOCK_NAME: Final = "lock"
 SEGMENT_NAME: Final = re.compile(r"([0-9]{8,18})-[0-9a-f]{8}\.segment")
 """Number of the segment, and what tells it from one of the same number in a folder that was emptied: whoever
-has a copy of it knows that it only grows."""
+has a copy of it can count on its only growing."""
 _HELD: Final = (errno.EWOULDBLOCK, errno.EACCES)
 PASSING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 """Errors of a disk: it may be better later. Any other, such as a folder of somebody else's, stays."""
@@ -109,7 +109,7 @@ class SegmentFolder:
         self.close()
 
     def close(self) -> None:
-        """Completes the newest segment and lets go of the folder."""
+        """Completes the newest segment and unlocks the folder."""
         self.end_segment()
         os.close(self._lock)
 

@@ -1,7 +1,7 @@
 """The bytes of what a robot's computer records (PURE). `agent.recorder.segment_folder` has the files.
 
 A segment is a file to which blocks are only ever appended. Each block is a head (`_HEAD`) and its content,
-compressed by zlib. The first block tells whose the segment is (`About`), the second which orders were known
+compressed by zlib. The first block says whose the segment is (`About`), the second which orders were known
 before it, all others hold messages: so each segment stands alone. Heads and contents have checksums of their
 own: a segment can be cut at any byte and damaged anywhere, and all blocks that are whole are read. A power
 loss costs the block that was being written.
@@ -36,7 +36,7 @@ KNOWN: Final = 2
 ORDERS: Final = 1
 """It holds orders: those who look for them need not read all other blocks."""
 OVERFLOW: Final = 2
-"""More came than the recorder could take: nobody knows how much is missing before it."""
+"""More came than the recorder could take: how much is missing before it is not known."""
 
 # Magic, kind, flags, format, bytes of the content, messages in it, messages lost before it, reception of the
 # first and of the last (ns), CRC-32 of the content, CRC-32 of all that.
@@ -144,10 +144,10 @@ class Segment:
                 yield block
 
     def about(self, block: Block) -> About | None:
-        """What a block of the kind `ABOUT` tells, None when it is damaged."""
+        """What a block of the kind `ABOUT` holds, None when it is damaged."""
         try:
-            told = msgpack.unpackb(self._content(block))
-            about = About(**told)
+            fields = msgpack.unpackb(self._content(block))
+            about = About(**fields)
         except Exception:  # msgpack raises a dozen unrelated types; each means the same here
             self.damaged += 1
             return None

@@ -32,7 +32,7 @@ class _Heard(NamedTuple):
 
 
 class RecorderThread:
-    """Has `recorder` take what was heard. A context manager; leaving it waits until all is on the disk.
+    """Has `recorder` take what was heard. A context manager, whose end waits until all is on the disk.
 
     Attributes:
         error: what ended the thread before its time; None while it works.
@@ -69,7 +69,7 @@ class RecorderThread:
         room for.
 
         Args:
-            overflow: messages were lost before these, nobody knows how many.
+            overflow: messages were lost before these, it is not known how many.
             step_s: by how much the wall clock was set after these.
         """
         heard = _Heard(now_ns, messages, 0, overflow, step_s)
@@ -93,6 +93,7 @@ class RecorderThread:
 
     @property
     def working(self) -> bool:
+        """Whether the thread still runs."""
         return self._thread.is_alive()
 
     # ------------------------------------------------------------------ the thread

@@ -1,4 +1,4 @@
-"""Zenoh, and the only module of the agent that imports it.
+"""The bus over Zenoh; no other module of the agent imports it.
 
 No callbacks: samples wait in bounded rings until `drain` takes them, so a flood costs its sender's
 old messages and never this process's time or memory.
@@ -24,10 +24,11 @@ from agent.security.access_control import Security
 Mode = Literal["peer", "client", "router"]
 
 PAYLOAD_BYTES_MAX: Final = 65_536
-"""Larger payloads are dropped at the link. Above `messages.BYTES_MAX`, so that most are counted."""
+"""Larger payloads are dropped at the link. Above `agent.messages.types.BYTES_MAX`, so that most are
+counted."""
 LEASE_MS: Final = 1000
 LINK_TIMEOUT_S: Final = 3.0
-"""A link that is not open by then is tried anew. Robots have a shorter one among each other, by their fleet
+"""A link that is not open by then is tried again. Robots have a shorter one among each other, by their fleet
 file: the first packet of an attempt is lost where a peer is out of reach, and not sent again for a second."""
 TX_QUEUE_SIZE: Final = 16
 RUNTIME: Final = (
@@ -39,11 +40,11 @@ messages a second keep none of them busy, and handing over between threads cost 
 Zenoh reads it from the environment; a ``ZENOH_RUNTIME`` that is set already is left alone."""
 RETRY_MS: Final = (50, 150)
 LINGER_PERIOD_S: Final = 0.5
-"""How often it is looked for links that are new (`agent.runtime.tcp_linger`)."""
+"""How often new links are looked for (`agent.runtime.tcp_linger`)."""
 PRESENCE_SIZE: Final = 4096
 """Changes of who is there that wait, and that are taken at once."""
 M_ARENA_MAX: Final = -8
-"""Of glibc's `mallopt`."""
+"""Parameter of glibc's mallopt(3): the number of arenas."""
 
 
 class BusError(RuntimeError):
@@ -165,7 +166,7 @@ def _open_client(
 
 
 class Bus:
-    """On the bus. Use it as a context manager: a session left open hangs the interpreter.
+    """One process's place on the bus. A context manager: a session that stays open hangs the interpreter.
 
     Without routers it is one session, a peer of those it connects to and of those that connect to it. With
     routers it is a client of one of them for all that concerns others; what is between the processes of one
@@ -178,7 +179,7 @@ class Bus:
         near: keys that come directly from this robot's own processes, though there are routers.
         security: how links are secured, None for not at all.
         go_on_waiting: asked whether to try again when no router answers.
-        link_timeout_s: a link that is not open by then is tried anew.
+        link_timeout_s: a link that is not open by then is tried again.
 
     Raises:
         BusError: an endpoint cannot be listened on, or no router answers.
@@ -221,7 +222,7 @@ class Bus:
         self.close()
 
     def close(self) -> None:
-        """Leaves the bus; safe to call twice."""
+        """Closes its sessions; safe to call twice."""
         for session in self._sessions:
             if not session.is_closed():
                 session.close()
@@ -320,7 +321,8 @@ class Presence:
     def update(self) -> list[tuple[str, bool]]:
         """Changes since the last call: (key of the token, True when it came or False when it went).
 
-        Of tokens that stand for no process nothing is told or kept: anybody may declare as many as he likes.
+        Tokens that stand for no process are neither returned nor kept: anybody may declare as
+        many as he likes.
         """
         changes = []
         for _ in range(PRESENCE_SIZE):  # a flood that comes faster than it is taken must not keep the loop

@@ -13,7 +13,7 @@ class RealClock:
     A wall clock that is set while robots drive must not move them: it is read once.
 
     Args:
-        skew_ns, drift: by how much it is to be wrong, `LocalTime`.
+        skew_ns, drift: by how much it is to be wrong (`agent.common.time.LocalTime`).
     """
 
     def __init__(self, skew_ns: int = 0, drift: float = 0.0) -> None:
@@ -29,13 +29,16 @@ class RealClock:
         self._local = LocalTime(skew_ns, drift)
 
     def begin(self, epoch_ns: int) -> None:
+        """See `agent.common.time.Clock`."""
         if self._local.epoch_ns is None:
             self._local = self._local._replace(epoch_ns=epoch_ns)
 
     def now_ns(self) -> int:
+        """The present, wall time in ns."""
         return self._local.local_ns(time.monotonic_ns() + self._offset_ns)
 
     def sleep_until(self, time_ns: int) -> None:
+        """Returns at `time_ns` (wall time) or, when that is past, at once."""
         remaining = self._local.true_ns(time_ns) - time.monotonic_ns() - self._offset_ns
         if remaining > 0:
             time.sleep(remaining / NS_PER_S)

@@ -28,7 +28,7 @@ from agent.security.credentials import CredentialsError, NotYetValidError
 from agent.security.identity import of_robot
 
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
-"""A process that was told to end has this long to bring its robot to a standstill."""
+"""A process that was asked to end has this long to bring its robot to a standstill."""
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
 FAILED, BAD_INPUT = 1, 2
 
@@ -65,6 +65,7 @@ class Shutdown:
         self.asked, self.why = True, signal.Signals(number).name
 
     def look_for_parent(self) -> None:
+        """Asks the process to end when its parent is gone, if it is to end with it."""
         if self._parent and os.getppid() != self._parent:
             self.asked, self.why = True, "the process that started it is gone"
 
@@ -72,7 +73,7 @@ class Shutdown:
 def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: SystemdNotifier) -> None:
     """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
 
-    Wakes at the deadline, drains the bus, ticks, publishes. A tick is told the time of its
+    Wakes at the deadline, drains the bus, ticks, publishes. A tick gets the time of its
     deadline, not of its waking; skipped ones are counted.
     """
     ticks = Ticks(node, clock.now_ns())
@@ -135,7 +136,7 @@ def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, serv
 
 
 def robot_arguments(program: str, description: str) -> argparse.ArgumentParser:
-    """Of the command line of every process of a robot."""
+    """Parser of what the command line of every process of a robot has."""
     parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
     parser.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot in that file")

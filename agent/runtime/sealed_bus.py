@@ -1,9 +1,8 @@
 """The bus of a secured fleet: links prove who is at their ends, and orders who gave them.
 
-What an order says is for an operator to say, whoever passes it on: it comes sealed
-(`agent.security.sealed_order`), is opened here, and those behind this never see one that is not genuine. A
-robot that says an order again says the operator's own bytes. What is refused, by Zenoh or here, is told in a
-few lines.
+Only an operator can give an order, whoever relays it: it comes sealed (`agent.security.sealed_order`) and is
+opened here, and those behind this never see one that is not genuine. A robot that relays an order publishes
+the operator's own bytes. What is refused, by Zenoh or here, is logged in a few lines.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ def gate_of(fleet: Fleet, found: Credentials, refused: Log) -> OrderGate:
     """Where orders come in and go out with whoever has these credentials.
 
     Args:
-        refused: told of each order that is not let in.
+        refused: writes a line of the log for each order that is not let in.
     """
     sealer = Sealer(found) if found.identity.role == "operator" else None
     name = fleet.fleet.name
@@ -58,7 +57,7 @@ class SealedBus(Bus):
     Args:
         fleet: whose it is.
         folder: with the files of `identity`: a robot's, or an operator's, who seals what it says.
-        log: told of what is refused.
+        log: writes a line of the log for what is refused.
         go_on_waiting: as of a `Bus`; asked after what was refused meanwhile has been said.
         bus: what else a `Bus` takes.
 
@@ -93,6 +92,7 @@ class SealedBus(Bus):
             raise
 
     def close(self) -> None:
+        """As `Bus.close`; logs the refusals that still wait."""
         super().close()
         self._say_refusals(10 * NS_PER_S)  # what would have had to wait
         self._zenoh_log.close()
@@ -100,14 +100,14 @@ class SealedBus(Bus):
     def publish(self, key: str, payload: bytes) -> None:
         """Publishes; an order sealed: by this operator, or as the operator who gave it did.
 
-        A robot cannot say an order that it did not hear.
+        A robot cannot publish an order that it did not hear.
         """
         sealed = self._gate.let_out(key, payload, time.time_ns())
         if sealed is not None:
             super().publish(key, sealed)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
-        """As `Bus.drain`, with orders opened; those that are not genuine are left out and told of."""
+        """As `Bus.drain`, with orders opened; those that are not genuine are left out and logged."""
         now_ns = time.time_ns()
         for key, payload in super().drain():
             opened = self._gate.let_in(key, payload, now_ns)

@@ -1,4 +1,4 @@
-"""What a process tells systemd of itself, where it runs as a unit that wants to know (sd_notify(3))."""
+"""Notifications to systemd, sd_notify(3), where a process runs as a unit that wants them."""
 
 from __future__ import annotations
 

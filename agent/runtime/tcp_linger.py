@@ -1,4 +1,4 @@
-"""Takes from Zenoh's sockets what makes closing one wait.
+"""Turns ``SO_LINGER`` off on Zenoh's sockets, so that closing one does not wait.
 
 Zenoh sets ``SO_LINGER`` to 10 s on every TCP and TLS link. When a peer has gone without a word (its cable,
 its radio, its power), the close of its link then blocks a thread of Zenoh's for so long, and with it every

@@ -1,4 +1,4 @@
-"""Zenoh's own log, which alone tells of what it refuses, kept from the process's output and read for that.
+"""Zenoh's own log, kept from the process's output and read for what Zenoh refuses, which only it says.
 
 Zenoh writes its log to standard output, from the thread that serves the links: a pipe that is full would stop
 them. So the log goes to a file in memory, which never makes anybody wait, and is emptied when it has grown.
@@ -79,7 +79,7 @@ class ZenohLog:
             return
         if self._is_news:
             self._is_news = False
-            yield f"{WANTED} is set: Zenoh's log is on standard output, and what it refuses is not told here"
+            yield f"{WANTED} is set: Zenoh's log is on standard output, and what it refuses is not shown here"
         if self._is_wanted or self._read_file(now_ns):
             yield from self.refusals.lines(now_ns)
 

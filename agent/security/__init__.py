@@ -1,1 +1,1 @@
-"""Who somebody is and who may say what: keys, certificates, access control, signed orders."""
+"""Identities and what each may publish: keys, certificates, access control, signed orders."""

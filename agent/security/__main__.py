@@ -47,11 +47,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     take.add_argument("--robot", required=True, type=int, metavar="ID", help="id of the robot")
     options = parser.parse_args(argv)
     try:
-        told = options.command(options, Path(options.folder).expanduser())
+        answers = options.command(options, Path(options.folder).expanduser())
     except (CredentialsError, IdentityError) as error:
         print(error, file=sys.stderr)
         return FAILED
-    for each in told:
+    for each in answers:
         print(json.dumps(each))
     return DONE
 
@@ -72,10 +72,10 @@ def _requested(
     folder: Path, identity: Identity, wanted: Sequence[str], authority: bytes | None
 ) -> dict[str, object]:
     why = wanting(folder, identity, wanted, authority, time.time())
-    told: dict[str, object] = {"identity": identity.common_name, "wanting": why}
+    answer: dict[str, object] = {"identity": identity.common_name, "wanting": why}
     if why:
-        told["request"] = make_request(folder, identity).decode("ascii")
-    return told
+        answer["request"] = make_request(folder, identity).decode("ascii")
+    return answer
 
 
 def _store(options: argparse.Namespace, folder: Path) -> list[dict[str, object]]:

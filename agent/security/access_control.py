@@ -1,4 +1,4 @@
-"""Who may say what on the bus: Zenoh's settings for mutual TLS and access control (PURE).
+"""Zenoh's settings for mutual TLS and access control: who may publish what on the bus (PURE).
 
 Every process checks what comes in over each of its links, by the common name of the certificate at the other
 end: all is denied but what is listed here. Rules that deny leak (wildcards go round them), so there are none.
@@ -68,10 +68,10 @@ def access_settings(
     operators: Sequence[str] = (MAIN,),
     routers: Sequence[str] = (MAIN,),
 ) -> dict[str, Any]:
-    """What each of the fleet's certificates may say; the same for agents, plants, operators and routers.
+    """What each of the fleet's certificates may publish; the same for agents, plants, operators and routers.
 
-    A robot says what is under its own keys, and that it is alive. Operators give orders. A router passes on
-    what others say: it has the same list, and has looked already. All may listen to all of the fleet.
+    A robot publishes under its own keys, and that it is alive. Operators give orders. A router passes on what
+    others publish: it has the same list, and has looked already. All may listen to all of the fleet.
 
     Raises:
         agent.security.identity.IdentityError: a name or id that no certificate can have.

@@ -1,4 +1,4 @@
-"""What a certificate says, once its authority has been found to have signed it.
+"""Certificates: what one holds, once its authority has been found to have signed it.
 
 Before that nothing in it is looked at: it may come from anybody. `cryptography` is imported when it is first
 needed, as only the robots of a secured fleet have it.
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
 
 DER_BYTES_MAX: Final = 4096
-"""Of one certificate: one with `identity.ADDRESSES_MAX` long host names is the largest that we make."""
+"""Of one certificate: one with `agent.security.identity.ADDRESSES_MAX` long host names is the largest that
+we make."""
 PEM_BYTES_MAX: Final = 16_384
 DAY_S: Final = 86_400
 REASONS: Final = ("oversized", "malformed", "unknown_authority", "not_yet_valid", "expired")
@@ -64,6 +65,7 @@ class Certificate:
             raise CertificateError("expired", f"the certificate of {self.identity} {when}")
 
     def days_left(self, now_s: float) -> float:
+        """Days from `now_s` (wall time) until it expires; below 0 after that."""
         return (self.not_after_s - now_s) / DAY_S
 
 
@@ -167,6 +169,7 @@ def new_request(key: EllipticCurvePrivateKey, identity: Identity) -> bytes:
 
 
 def pem_of(certificate: x509.Certificate) -> bytes:
+    """The certificate in PEM."""
     from cryptography.hazmat.primitives import serialization
 
     return certificate.public_bytes(serialization.Encoding.PEM)

@@ -1,7 +1,7 @@
-"""What one process proves with who it is: a private key, the certificate for it, the fleet's authority.
+"""Credentials of one process: a private key, the certificate for it, the fleet's authority.
 
-Three files in a folder that only one user can look into. The private key is made where it is used and never
-leaves; a request for a certificate goes to the operator's authority
+Three files in a folder that only one user can look into. The private key is made where it is used and stays
+there; a request for a certificate goes to the operator's authority
 (`deploy.inventory.certificate_authority`), which signs it.
 """
 
@@ -69,10 +69,12 @@ class Files:
 
     @property
     def certificate(self) -> Path:
+        """Its own certificate."""
         return self.folder / f"{self.identity.common_name}.crt"
 
     @property
     def key(self) -> Path:
+        """Its private key."""
         return self.folder / f"{self.identity.common_name}.key"
 
     @property
@@ -82,6 +84,7 @@ class Files:
 
     @property
     def next_authority(self) -> Path:
+        """The authority's certificate beside `next_certificate`."""
         return self.folder / "ca.next.crt"
 
     @property
@@ -101,6 +104,7 @@ class Credentials:
 
     @property
     def identity(self) -> Identity:
+        """Whose they are, as the certificate says."""
         return self.certificate.identity
 
     @property
@@ -200,8 +204,8 @@ def wanting(
     """Why `identity` needs a new certificate, "" when it does not.
 
     Args:
-        addresses: as `agent.security.identity.addresses` gives them; those that its certificate must hold
-        for. authority_pem: the fleet's authority, None when it is the one that is known already.
+        addresses: what its certificate must hold for, as `agent.security.identity.addresses` gives it.
+        authority_pem: the fleet's authority, None when it is the one that is known already.
 
     Raises:
         CredentialsError: `authority_pem` is none, or a file is there that others can read.

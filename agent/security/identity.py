@@ -1,4 +1,4 @@
-"""Who somebody is on the bus: a certificate's common name, and the addresses that it holds for (PURE)."""
+"""Identities on the bus: a certificate's common name, and the addresses that it holds for (PURE)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Where sealed orders come in and go out, between the bus and whoever takes and gives orders (PURE).
+"""The gate through which sealed orders come in and go out: between the bus and a process (PURE).
 
-Inside, an order is what its codec made, sealed or not; so nobody inside can take one that is no operator's.
+Behind it an order is what its codec made, without its seal: the gate opens the seal, and lets nothing in that
+is no operator's.
 """
 
 from __future__ import annotations
@@ -17,20 +18,20 @@ from agent.messages.validation import TYPE_OF
 from agent.security.sealed_order import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
-"""Of what is said once and not again (heartbeats, faults, questions) a seal is not older, nor that much
-ahead: who has overheard one cannot use it later. Missions, stops and leaves have versions, and are said
-again."""
+"""Of what is sent once and not relayed (heartbeats, faults, questions) a seal is not older, nor that much
+ahead: who has overheard one cannot use it later. Missions, stops and resumes have versions, and are
+relayed."""
 SEALS_BYTES_MAX: Final = 2_097_152
-"""Of orders that may be said again: thousands of stops, or some twenty of the largest missions."""
+"""Of orders that may be relayed: thousands of stops, or some twenty of the largest missions."""
 NEW_MAX: Final = 4
 NEW_PERIOD_NS: Final = NS_PER_S // 10
-"""Within such a period so many seals that one robot tells are verified, and then no more, genuine or not:
+"""Within such a period so many seals that one robot relays are verified, and then no more, genuine or not:
 to verify one costs ten times as much as to make one up, and old orders can be repeated for nothing. Those
-that were verified of late are known, and cost nothing. What operators say themselves is always looked at."""
+that were verified of late are remembered, and cost nothing. What operators send is always looked at."""
 _LASTING: Final = tuple(
     bytes([0x90 | 2 + len(kind._fields), VERSION, TYPE_OF[kind]]) for kind in (Mission, Stop, Resume)
 )
-"""How those orders begin that are said again by whoever knows them (`agent.messages.codec`)."""
+"""How the orders begin that robots relay (`agent.messages.codec`)."""
 
 
 class OrderGate:
@@ -41,7 +42,7 @@ class OrderGate:
         robots: ids of its robots.
         opener: of that fleet.
         sealer: of the operator whose process this is, None for those who only pass on what operators said.
-        refused: told in a few words of each order that is not let in.
+        refused: called with a few words for each order that is not let in.
     """
 
     def __init__(
@@ -63,8 +64,8 @@ class OrderGate:
                 key_expressions.ask,
             )
         )
-        self._told: Final = frozenset(key_expressions.relayed(fleet, robot) for robot in robots)
-        self._like_told: Final = tuple(key_expressions.relayed(fleet, "*").split("*"))
+        self._relayed: Final = frozenset(key_expressions.relayed(fleet, robot) for robot in robots)
+        self._like_relayed: Final = tuple(key_expressions.relayed(fleet, "*").split("*"))
         self._opener, self._sealer, self._refused = opener, sealer, refused
         self._sealed: OrderedDict[bytes, bytes] = OrderedDict()
         self._size = 0
@@ -73,7 +74,7 @@ class OrderGate:
 
     def is_order(self, key: str) -> bool:
         """Whether only what an operator has sealed is let through on `key`."""
-        before, after = self._like_told
+        before, after = self._like_relayed
         return key in self._orders or (key.startswith(before) and key.endswith(after))
 
     def let_in(self, key: str, payload: bytes, now_ns: int) -> bytes | None:
@@ -84,11 +85,11 @@ class OrderGate:
         """
         if not self.is_order(key):
             return payload
-        is_told = key in self._told
-        if not is_told and key not in self._orders:
-            self._refused("an order where no robot of the fleet tells any")  # whoever said it chose the key
+        is_relayed = key in self._relayed
+        if not is_relayed and key not in self._orders:
+            self._refused("an order where no robot of the fleet relays any")  # whoever sent it chose the key
             return None
-        if is_told and not self._opener.knows(payload) and self._is_too_much(key, now_ns):
+        if is_relayed and not self._opener.knows(payload) and self._is_too_much(key, now_ns):
             self._refused(f"an order on {key}: after too many that were new")
             return None
         try:
@@ -97,8 +98,8 @@ class OrderGate:
             self._refused(f"an order on {key}: {error.reason.replace('_', ' ')}")
             return None
         lasts = order.payload.startswith(_LASTING)
-        if is_told and not lasts:
-            self._refused(f"an order on {key}: not one that robots tell")
+        if is_relayed and not lasts:
+            self._refused(f"an order on {key}: not one that robots relay")
             return None
         if not lasts and abs(now_ns - order.sealed_ns) > AGE_NS_MAX:
             when = "long ago" if now_ns > order.sealed_ns else "in the future"
@@ -110,7 +111,7 @@ class OrderGate:
     def let_out(self, key: str, payload: bytes, now_ns: int) -> bytes | None:
         """What is to go out on `key`; None for an order that no operator has given.
 
-        An order that is said again goes out as the same bytes, which receivers know already.
+        An order that is relayed goes out as the same bytes, which receivers may have verified already.
 
         Args:
             now_ns: the present, wall time.

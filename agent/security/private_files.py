@@ -111,6 +111,7 @@ def move(source: Path, target: Path) -> None:
 
 
 def reason(error: OSError) -> str:
+    """Why the system refused, in its own words."""
     return (error.strerror or str(error)).lower()
 
 

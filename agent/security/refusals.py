@@ -29,7 +29,7 @@ PERIOD_NS: Final = 10_000_000_000
 LINKS_MAX: Final = 256
 """Links that are remembered by who is at their other end."""
 KINDS_MAX: Final = 64
-"""Different refusals that are told apart."""
+"""Different refusals that are counted apart."""
 
 _WORTH_READING: Final = (b"intercepted", b"link_tls", b"Unable to connect", b"low_pass")
 _COLOURS: Final = re.compile(rb"\x1b\[[0-9;]*m")

@@ -9,7 +9,7 @@ transmitter on and somebody's thumb at its mode switch: any mode but GUIDED stop
 
 names two of ArduPilot's simulator, each with a second port for the tests' operator; without one the operator
 speaks on the bridge's connection. Start the simulators at places 3 m and more apart (`--home`), at speedup 1.
-What is measured is judged by what a real ArduRover was measured to do (docs/rovers.md).
+What is measured is judged by what a real ArduRover was measured to do (docs/rovers-measurements.md).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Numbers and names that ArduPilot Rover has for modes, messages, commands and parameters (PURE).
 
 Numbers as in MAVLink's ``common`` and ``ardupilotmega`` dialects and in ArduPilot's ``Rover/mode.h``; what
-the vehicle does with them is measured (``docs/rovers.md``). pymavlink's own enums stay out, so that pure
-modules may import this one.
+the vehicle does with them is measured (``docs/rovers-measurements.md``). pymavlink's own enums stay out, so
+that pure modules may import this one.
 """
 
 from __future__ import annotations

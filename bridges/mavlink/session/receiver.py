@@ -1,4 +1,5 @@
-"""Takes what a rover says in a MAVLink session: the half of `session.Session` that listens."""
+"""Takes what a rover says in a MAVLink session: the half of
+`bridges.mavlink.session.session.Session` that listens."""
 
 from __future__ import annotations
 

@@ -228,7 +228,7 @@ def open_transport(
     *,
     timing: Timing = TIMING,
 ) -> Transport:
-    """Begins to open a connection (`connection_string.parse_connection`) and returns at once.
+    """Begins to open a connection (`bridges.mavlink.transport.connection_string`) and returns at once.
 
     Args:
         baud: of a serial device.

@@ -175,7 +175,7 @@ def test_robots_tell_missions_stops_and_leaves_alone(scene: Scene, key: str) -> 
     assert sealed is not None
     told = key_expressions.relayed(FLEET, 2)
     assert scene.one.let_in(told, sealed, NOW_NS) is None
-    assert scene.refused == [f"an order on {told}: not one that robots tell"]
+    assert scene.refused == [f"an order on {told}: not one that robots relay"]
     assert list(scene.one._sealed) == [stop]
 
 
@@ -186,7 +186,7 @@ def test_only_robots_of_the_fleet_tell_each_on_one_key(scene: Scene, where: str)
     sealed = scene.operator.let_out(stop, encode(ORDERS[stop]), NOW_NS)
     assert sealed is not None
     assert scene.one.let_in(key_expressions.relayed(FLEET, where), sealed, NOW_NS) is None
-    assert scene.refused == ["an order where no robot of the fleet tells any"]
+    assert scene.refused == ["an order where no robot of the fleet relays any"]
 
 
 def test_what_is_said_once_is_sealed_anew_each_time(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""The simulated rover moves as ArduRover was measured to (docs/rovers.md)."""
+"""The simulated rover moves as ArduRover was measured to (docs/rovers-measurements.md)."""
 
 from __future__ import annotations
 
