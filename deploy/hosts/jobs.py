@@ -19,7 +19,6 @@ from deploy.inventory.hosts import robots_on
 
 AT_ONCE_MAX: Final = 32
 """Hosts that are worked on at a time."""
-LOOK_S: Final = 0.1
 
 Work = Callable[[HostConnection, Row], None]
 """What is done with one host, in a thread of its own. Says in the row what it does and what became of it; may
@@ -31,6 +30,7 @@ class HostJobs:
 
     Args:
         accept_new: takes the keys of hosts that were never met before for their own.
+        look_s: how often it is looked what happens.
 
     Attributes:
         rows: by host, what happens there.
@@ -38,12 +38,18 @@ class HostJobs:
     """
 
     def __init__(
-        self, fleet: Fleet, hosts: Sequence[HostSection], work: Work, *, accept_new: bool = False
+        self,
+        fleet: Fleet,
+        hosts: Sequence[HostSection],
+        work: Work,
+        *,
+        accept_new: bool = False,
+        look_s: float = 0.1,
     ) -> None:
         self.rows: Final = {host.name: Row(host.name, robots_on(fleet, host)) for host in hosts}
         self.ended = False
         self._why = "interrupted"
-        self._work, self._accept_new = work, accept_new
+        self._work, self._accept_new, self._look_s = work, accept_new, look_s
         self._hosts = hosts
         self._connections: list[HostConnection] = []
         self._guard = threading.Lock()
@@ -72,7 +78,7 @@ class HostJobs:
         while self.busy and not interrupt.count:
             look()
             view.show(list(self.rows.values()))
-            time.sleep(LOOK_S)
+            time.sleep(self._look_s)
         if interrupt.count:
             self.end()
 

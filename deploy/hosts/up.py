@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from agent.fleet.hosts import HostSection
@@ -22,21 +23,35 @@ from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
 from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.jobs import LOOK_S, HostJobs
+from deploy.hosts.jobs import HostJobs
 from deploy.hosts.setup import Keys, Prepared, prepare
 from deploy.hosts.view import DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
 
-LISTEN_S: Final = 1.5
-"""A fleet that is up is heard within this: whether it drives decides how its robots start again."""
-PRESENT_TIMEOUT_S: Final = 30.0
-UNITS_PERIOD_S: Final = 2.0
-"""How often it is looked whether a unit that is waited for has failed for good."""
-IDLE_S: Final = 3.0
-"""A robot that came back drives again within this after the first sign of it, if the others still do."""
-SETTLE_S: Final = 5.0
-
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Times of bringing a fleet up, s.
+
+    Attributes:
+        look_s: how often it is looked what happens.
+        listen_s: a fleet that is up is heard within this: whether it drives decides how its robots start
+            again.
+        present_s: how long a robot may take to be heard after its start.
+        units_period_s: how often it is looked whether a unit that is waited for has failed for good.
+        idle_s: a robot that came back drives again within this after the first sign of it, if the others
+            still do.
+        settle_s: how long those that came first may take to find those that came last.
+    """
+
+    look_s: float = 0.1
+    listen_s: float = 1.5
+    present_s: float = 30.0
+    units_period_s: float = 2.0
+    idle_s: float = 3.0
+    settle_s: float = 5.0
 
 
 class BringUp:
@@ -47,6 +62,7 @@ class BringUp:
         hosts: those to bring up.
         keys: gives robots of a secured fleet their certificates; None where it is not secured.
         accept_new: takes the keys of hosts that were never met before for their own.
+        timing: how long things may take.
 
     Attributes:
         rows: by host, what became of it.
@@ -55,10 +71,16 @@ class BringUp:
     """
 
     def __init__(
-        self, fleet: Fleet, hosts: Sequence[HostSection], keys: Keys | None, *, accept_new: bool
+        self,
+        fleet: Fleet,
+        hosts: Sequence[HostSection],
+        keys: Keys | None,
+        *,
+        accept_new: bool,
+        timing: Timing | None = None,
     ) -> None:
-        self._fleet, self._keys = fleet, keys
-        self._jobs = HostJobs(fleet, hosts, self._bring, accept_new=accept_new)
+        self._fleet, self._keys, self._timing = fleet, keys, timing or Timing()
+        self._jobs = HostJobs(fleet, hosts, self._bring, accept_new=accept_new, look_s=self._timing.look_s)
         self.rows: Final = self._jobs.rows
         self.left: set[int] = set()
         self.warnings: list[str] = []
@@ -77,7 +99,7 @@ class BringUp:
             agent.runtime.bus.BusError: the operator's session cannot be opened.
         """
         with Arrivals(self._fleet) as self._arrivals:
-            listen_until = time.monotonic() + LISTEN_S
+            listen_until = time.monotonic() + self._timing.listen_s
 
             def look() -> None:
                 self._arrivals.look()
@@ -101,12 +123,12 @@ class BringUp:
     def _settle(self, interrupt: Interrupt) -> None:
         """Gives those that came first a moment to find those that came last."""
         here = [robot for row in self.rows.values() for robot in row.outcomes]
-        deadline = time.monotonic() + SETTLE_S
+        deadline = time.monotonic() + self._timing.settle_s
         while time.monotonic() < deadline and not interrupt.count:
             self._arrivals.look()
             if all(map(self._arrivals.settled, here)):
                 break
-            time.sleep(LOOK_S)
+            time.sleep(self._timing.look_s)
 
     def _conclude(self, row: Row) -> None:
         """Says of a host's robots what they do at the end."""
@@ -123,7 +145,7 @@ class BringUp:
 
         def before_changes() -> None:
             say("listening whether the fleet drives")
-            if not self._listened.wait(LISTEN_S + 5.0):
+            if not self._listened.wait(self._timing.listen_s + 5.0):
                 raise HostError("left as it was: this machine is too busy to hear whether the fleet drives")
             if self._foreign:
                 raise HostError(
@@ -243,22 +265,26 @@ class BringUp:
         """
         waiting = dict(since)
         now = time.monotonic()
-        deadline, look_due, idle_due = now + PRESENT_TIMEOUT_S, now + UNITS_PERIOD_S, now + IDLE_S
+        deadline, look_due, idle_due = (
+            now + self._timing.present_s,
+            now + self._timing.units_period_s,
+            now + self._timing.idle_s,
+        )
         while waiting and now < deadline and not self._jobs.ended:
             row.step = f"waiting for {robots_words(list(waiting))} on the bus"
             here = [robot for robot in waiting if self._arrivals.is_here(robot, waiting[robot])]
             if self._arrivals.driving or not here or not all(map(self._arrivals.settled, here)):
-                idle_due = now + IDLE_S
+                idle_due = now + self._timing.idle_s
             for robot in here:
                 if not drives or self._arrivals.drives(robot) or now >= idle_due:
                     row.outcomes[robot] = self._arrivals.says(robot)
                     del waiting[robot]
             if waiting and now >= look_due:
-                look_due = now + UNITS_PERIOD_S
+                look_due = now + self._timing.units_period_s
                 for robot in self._failed(connection, waiting):
                     del waiting[robot]
             if waiting:
-                time.sleep(LOOK_S)
+                time.sleep(self._timing.look_s)
             now = time.monotonic()
         return all(robot in row.outcomes for robot in since)
 

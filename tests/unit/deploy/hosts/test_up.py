@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,11 @@ from agent.messages.codec import encode
 from agent.messages.types import Status
 from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
-from deploy.hosts import up
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import Bundle
 from deploy.hosts.connection import Clock, HostError
 from deploy.hosts.systemd_units import roles, unit_name
-from deploy.hosts.up import BringUp
+from deploy.hosts.up import BringUp, Timing
 from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of
 from tests.unit.deploy.hosts.test_ansible import ROOT, WHEELS, fleet
@@ -201,12 +201,6 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
     monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
     monkeypatch.setattr("deploy.hosts.up.program_archive", lambda: b"program")
-    for module in ("up", "jobs"):
-        monkeypatch.setattr(f"deploy.hosts.{module}.LOOK_S", 0.005)
-    monkeypatch.setattr(up, "UNITS_PERIOD_S", 0.02)
-    monkeypatch.setattr(up, "LISTEN_S", 0.2)
-    monkeypatch.setattr(up, "IDLE_S", 0.05)
-    monkeypatch.setattr(up, "SETTLE_S", 0.1)
     return there
 
 
@@ -218,8 +212,11 @@ def ssh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
 
 
-def bring(world: World, view: View | None = None) -> BringUp:
-    work = BringUp(world.fleet, hosts_of(world.fleet, "here"), None, accept_new=False)
+QUICK = Timing(look_s=0.005, listen_s=0.2, units_period_s=0.02, idle_s=0.05, settle_s=0.1)
+
+
+def bring(world: World, view: View | None = None, timing: Timing = QUICK) -> BringUp:
+    work = BringUp(world.fleet, hosts_of(world.fleet, "here"), None, accept_new=False, timing=timing)
     work.run(view or View(), Interrupt())  # type: ignore[arg-type]
     return work
 
@@ -229,11 +226,10 @@ def ends(work: BringUp) -> dict[str, tuple[str, str]]:
 
 
 def test_with_nothing_to_do_it_ends_as_soon_as_all_are_heard(
-    world: World, monkeypatch: pytest.MonkeyPatch
+    world: World,
 ) -> None:
-    monkeypatch.setattr(up, "LISTEN_S", 1000.0)
     world.everybody("ready")
-    work = bring(world)
+    work = bring(world, timing=replace(QUICK, listen_s=1000.0))
     assert ends(work) == dict.fromkeys(("rover1", "rover2"), (DONE, "up, nothing to do"))
     assert sorted(world.log) == [("tidy", "rover1"), ("tidy", "rover2")]
     assert _say(work, Interrupt()) == 0
@@ -301,7 +297,7 @@ def test_a_stop_during_an_upgrade_does_not_halt_it(world: World) -> None:
     world.after = {1: "stopped", 3: "stopped"}
     begun = time.monotonic()
     work = bring(world)
-    assert time.monotonic() - begun < up.PRESENT_TIMEOUT_S / 2
+    assert time.monotonic() - begun < Timing().present_s / 2
     assert ends(work)["rover1"] == (DONE, "up, robots 1 and 3 started")
 
 
@@ -328,10 +324,9 @@ def test_without_having_listened_nothing_is_touched(world: World, monkeypatch: p
     assert world.log == []
 
 
-def test_robots_of_a_host_are_waited_for_together(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(up, "PRESENT_TIMEOUT_S", 0.3)
+def test_robots_of_a_host_are_waited_for_together(world: World) -> None:
     view = View()
-    work = bring(world, view)
+    work = bring(world, view, replace(QUICK, present_s=0.3))
     assert "waiting for robots 1, 3 and 5 on the bus" in view.steps
     assert ends(work)["rover1"] == (
         FAILED,
