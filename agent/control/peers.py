@@ -327,7 +327,7 @@ class Peers:
         return self._heard
 
     def rely(self, peer: Peer, wanted: bool, period_s: float) -> float:
-        """Moves the trust in a robot on by one tick, and returns it."""
+        """Moves the trust in a robot (0..1) on by one tick, up if `wanted`, and returns it."""
         if wanted:
             peer.trust = min(1.0, peer.trust + period_s / TRUST_GAINED_S)
         else:

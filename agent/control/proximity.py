@@ -22,7 +22,7 @@ from agent.formation.mission_plan import Plan
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often robots that are near are looked for, ns."""
 AHEAD_S: Final = 0.5
-"""Who comes closer is listened to so much earlier: beacons and looks take about as long."""
+"""A robot that comes closer is listened to so much earlier: beacons and looks take about as long."""
 FAR_M: Final = 4.0
 """Nobody comes near from so far beyond the sensing distance between two beacons."""
 STAY_M: Final = 0.3

@@ -38,6 +38,7 @@ T = TypeVar("T", bound=Impairment)
 
 Process = Literal["agent", "plant", "both"]
 LIMIT: Final = 10_000
+"""Messages that may wait on one link where a rule gives no `limit`."""
 _FAR: Final = 1e6
 _TICK: Final = 1e-3  # no fleet ticks faster
 
@@ -137,13 +138,16 @@ EFFECTS: Final = (
 )  # fmt: skip
 """Effects on links; ``jitter`` and ``distribution`` are parts of ``delay``."""
 LINK_FIELDS: Final = (*EFFECTS, "jitter", "distribution")
+"""Fields of a rule that are about links."""
 SENSOR_FIELDS: Final = (
     "position_noise_m", "heading_noise_rad", "speed_noise_mps", "yaw_rate_noise_radps", "position_bias_m",
     "heading_bias_rad", "speed_bias_mps", "yaw_rate_bias_radps", "jump_m", "jump_probability", "dropout",
 )  # fmt: skip
+"""Fields of a rule that are about measurements."""
 ACTION_FIELDS: Final = ("kill", "pause", "restart")
 CLOCK_FIELDS: Final = ("clock_skew", "clock_drift")
 PROCESS_FIELDS: Final = (*ACTION_FIELDS, *CLOCK_FIELDS, "tick_jitter")
+"""Fields of a rule that are about processes and their clocks."""
 
 
 def _noise(what: str, unit: str, limit: float = 100.0) -> Any:
@@ -334,7 +338,7 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class FaultsSection(Impairments):
-    """``[faults]``."""
+    """``[faults]``: faults of all links between agents, and of some at times."""
 
     seed: int | None = setting(
         None, "Seed of the links' draws; that of `[fleet]` where not given.", ge=0, le=2**63 - 1, example="0"

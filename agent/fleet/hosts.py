@@ -85,7 +85,7 @@ class HostSection:
 
 @dataclass(frozen=True, slots=True)
 class NetworkSection:
-    """``[network]``."""
+    """``[network]``: how processes reach each other, and who may give orders."""
 
     address: str = setting(
         "127.0.0.1",
@@ -131,7 +131,7 @@ class NetworkSection:
 
 @dataclass(frozen=True, slots=True)
 class RecordingSection:
-    """``[recording]``."""
+    """``[recording]``: what robots' computers record."""
 
     enabled: bool = setting(True, "Each robot with a host records what it says, for `handfast fetch`.")
     max_mb: int = setting(

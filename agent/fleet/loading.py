@@ -31,6 +31,7 @@ from agent.fleet.sections import (
 from agent.fleet.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20
+"""Largest fleet file, scenario or file of orders."""
 
 
 def load_fleet(

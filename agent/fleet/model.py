@@ -31,6 +31,7 @@ from agent.fleet.sections import (
 )
 
 LOOPBACK: Final = re.compile(r"127\.[0-9.]+|\[::1\]|localhost")
+"""Addresses that only this machine reaches."""
 
 ANY_ADDRESS: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
 """Where everybody is listened to, and where a robot's own processes are then."""

@@ -26,7 +26,7 @@ _SLOW_SHARE: Final = 0.75
 
 @dataclass(frozen=True, slots=True)
 class AvoidanceSection:
-    """``[avoidance]``."""
+    """``[avoidance]``: how far robots keep from what they share no edge with, and the safety filter."""
 
     enabled: bool = setting(
         True,
@@ -126,7 +126,7 @@ class GeofenceSection:
 
 @dataclass(frozen=True, slots=True)
 class SupervisionSection:
-    """``[supervision]``."""
+    """``[supervision]``: what robots do about silent neighbours and absent operators."""
 
     slow_after_s: float | None = setting(
         None,

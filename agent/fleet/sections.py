@@ -40,7 +40,7 @@ TRAJECTORY_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] 
 
 @dataclass(frozen=True, slots=True)
 class FleetSection:
-    """``[fleet]``."""
+    """``[fleet]``: name, rate, duration and seed of a run."""
 
     name: str = field(
         metadata=about(
@@ -62,7 +62,7 @@ class FleetSection:
 
 @dataclass(frozen=True, slots=True)
 class FormationSection:
-    """``[formation]``."""
+    """``[formation]``: places, edges and their distances."""
 
     edges: tuple[tuple[int, int], ...] = field(
         metadata=about(
@@ -106,7 +106,7 @@ class FormationSection:
 
 @dataclass(frozen=True, slots=True)
 class ControlSection:
-    """``[control]``."""
+    """``[control]``: gains, limits and timeouts of the control law."""
 
     coupling: Coupling = setting(
         "joint",
@@ -294,7 +294,7 @@ class MavlinkSection:
 
 @dataclass(frozen=True, slots=True)
 class DatumSection:
-    """``[datum]``."""
+    """``[datum]``: where the origin of W lies on the earth."""
 
     latitude_deg: float = field(
         metadata=about("Latitude, WGS 84.", unit="deg", ge=-85, le=85, example="-35.363261")

@@ -22,7 +22,7 @@ Waypoints
     path turns back on itself the reference turns that far before the waypoint.
 
     Blends of two neighbouring waypoints must not overlap. Where a leg is too short for that it is
-    driven slower than asked (`leg_speeds`), its neighbours as fast as they can: the acceleration
+    driven slower than asked (`legs`), its neighbours as fast as they can: the acceleration
     limit always holds, the speed gives way.
 """
 

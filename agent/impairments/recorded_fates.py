@@ -16,7 +16,9 @@ from collections.abc import Sequence
 from typing import Final
 
 LOST: Final = -1
+"""The fate of a message that was lost."""
 UNTOUCHED: Final = -2
+"""The fate of a message that no rule concerned."""
 DELAY_US_MAX: Final = 2**31 - 1
 """35 minutes, which int32 holds; a message that comes later is of no use to anybody."""
 FATES_MAX: Final = 10_000_000

@@ -33,8 +33,10 @@ from agent.links.timed_rules import (
 from agent.messages.types import EVERY_AUTHOR, Faults
 
 AUTHORS_MAX: Final = 16
+"""Authors whose live rules hold at once."""
 
 ENDED_MAX: Final = 64
+"""Authors whose ended rules are remembered by their version."""
 
 
 class LiveSet(NamedTuple):

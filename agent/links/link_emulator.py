@@ -41,6 +41,7 @@ from agent.messages.types import (
 )
 
 TRACE_PERIOD_NS: Final = NS_PER_S // 5
+"""Decisions wait at most so long before they are published, ns."""
 _LOST_US: Final = -1
 _PURPOSES: Final = ("delay", "loss", "duplicate", "reorder", "corrupt", "slot", "range", "second delay")
 
@@ -185,7 +186,7 @@ class LinkEmulator:
         self.idle = not self._ruled
 
     def refresh(self) -> None:
-        """To be called when the plan has changed: looks again at what it says."""
+        """Takes over the plan's rules; to be called when they have changed."""
         if self._changes != self.plan.changes:
             self._changes = self.plan.changes
             for link in self._links.values():

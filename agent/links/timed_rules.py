@@ -21,6 +21,7 @@ from agent.impairments.impairments import Corrupt, Delay, Duplicate, Loss, Range
 from agent.impairments.recorded_fates import UNTOUCHED
 
 FOREVER_NS: Final = 2**62
+"""An end that never comes: later than any time of a message."""
 
 _LOST: Final = Effect(Loss.parse("100%"))
 
@@ -41,6 +42,7 @@ class LinkEffects(NamedTuple):
 
 
 NONE: Final = LinkEffects()
+"""The effects of a link to which nothing happens."""
 
 
 def link_effects(settings: Impairments) -> dict[str, Effect[Any]]:

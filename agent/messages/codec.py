@@ -49,6 +49,7 @@ from agent.messages.validation import (
 )
 
 VERSION: Final = 6
+"""Version of the protocol, the first field of every message."""
 _HEAD: Final = 2  # version and type come before the fields
 # The messages of every tick, by the types on the wire: number of the class, its floats, the class.
 _FREQUENT: Final = {
@@ -83,7 +84,7 @@ def newer(mission: Mission, known: Mission | None) -> bool:
 
 
 def tag(mission: Mission) -> int:
-    """A number that tells missions of one version apart, by which `newer` puts them in order."""
+    """A number that distinguishes missions of one version, by which `newer` puts them in order."""
     return crc32(_content(mission))
 
 

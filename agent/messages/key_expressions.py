@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 ROLES = ("agent", "plant")
+"""Processes of a robot that have a liveliness token."""
 
 
 def of_robot(fleet: str, robot: int) -> str:

@@ -9,10 +9,12 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 BYTES_MAX: Final = 10_240
+"""Of any message but a `Mission`."""
 MISSION_BYTES_MAX: Final = 49_152
 """Of a `Mission`, which may write out a formation: some 900 robots. Beyond `BYTES_MAX` the checksum finds
 any two flipped bits, not three."""
 NEIGHBOURS_MAX: Final = 64
+"""Edges of one robot at most; as many multipliers, or neighbours heard, has one `HandState` at most."""
 TEXT_MAX: Final = 200
 """Bytes of any text but `Faults.rules`."""
 RULES_MAX: Final = 8192
@@ -28,6 +30,7 @@ TRACE_MAX: Final = 128
 FLOAT_MAX: Final = 1e15
 """No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
+"""All times (ns), versions and sequence numbers are below it."""
 FUTURE_NS_MAX: Final = 250_000_000
 """A message may be stamped this far ahead of the local clock; the clocks of a fleet agree better."""
 HEARD_ROUNDS: Final = 7
@@ -35,6 +38,7 @@ HEARD_ROUNDS: Final = 7
 DEGREE_MAX: Final = 1000
 """Constraints that act on one robot."""
 ROBOT_MAX: Final = 9999
+"""Largest id of a robot; the smallest is 1."""
 
 TOPICS: Final = ("hand", "state", "wrench", "beacon")
 """What a link carries, by the number in a `LinkTrace`: agent to agent, plant to agent, agent to plant,
@@ -189,7 +193,7 @@ class Resume(NamedTuple):
 
 
 class Checks(NamedTuple):
-    """A plant's checks of its body before a drive, for operators.
+    """What a plant has to say of its body before a drive, for operators.
 
     A line is ``(name, level, found, advice)``: what was looked at, one of `LEVELS`, what was found, and
     what to do about it ("" when there is nothing to do). At most `CHECKS_MAX` lines, which fit if no text

@@ -41,6 +41,7 @@ from agent.messages.types import (
 )
 
 REASONS: Final = ("oversized", "checksum", "malformed", "version", "type", "not_finite", "range")
+"""Why payloads are refused; receivers count them by these names."""
 
 
 class Malformed(ValueError):

@@ -40,11 +40,13 @@ from agent.runtime.systemd_notify import SystemdNotifier
 from agent.runtime.version import handfast_version
 
 POLL_S: Final = 0.05
+"""Time between two looks at the bus, s."""
 INBOX_S: Final = 60
 """A recorder that does not get to run for so long misses nothing."""
 MESSAGES_PER_TICK: Final = 5.5
 """What one robot says, statuses and what it relays included."""
 INBOX_MIN: Final = 4096
+"""Smallest inbox, messages."""
 LOOK_BACK: Final = 32
 """So many of the newest segments are asked for orders."""
 FOR_GOOD: Final = (errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.EACCES, errno.EPERM)

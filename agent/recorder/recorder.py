@@ -124,7 +124,7 @@ class RobotRecorder:
 
     def lose(self, count: int) -> None:
         """Counts messages that were given up before they were added: the disk was too slow."""
-        if self._retry_ns is None:  # else it is said when the disk takes some again
+        if self._retry_ns is None:  # else it is logged when the disk takes some again
             self._log(f"the disk was too slow: {count} messages were not kept")
         self.lost += count
 

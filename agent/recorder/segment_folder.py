@@ -18,11 +18,13 @@ from types import TracebackType
 from typing import Final, Self
 
 SEGMENT_BYTES_MAX: Final = 8_000_000
+"""A segment that would grow beyond this is complete."""
 SEGMENTS_MIN: Final = 4
 """So many segments make a full folder at least: the oldest goes as a whole."""
 RESERVE_BYTES: Final = 200_000_000
 """What stays free on the disk for everything else on that computer."""
 LOCK_NAME: Final = "lock"
+"""File in the folder that its one recorder has locked."""
 SEGMENT_NAME: Final = re.compile(r"([0-9]{8,18})-[0-9a-f]{8}\.segment")
 """Number of the segment, and what tells it from one of the same number in a folder that was emptied: whoever
 has a copy of it can count on its only growing."""

@@ -27,10 +27,12 @@ PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `agent.messages.types.BYTES_MAX`, so that most are
 counted."""
 LEASE_MS: Final = 1000
+"""A peer that was silent for so long is gone."""
 LINK_TIMEOUT_S: Final = 3.0
 """A link that is not open by then is tried again. Robots have a shorter one among each other, by their fleet
 file: the first packet of an attempt is lost where a peer is out of reach, and not sent again for a second."""
 TX_QUEUE_SIZE: Final = 16
+"""Batches that wait on one link to be sent."""
 RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (handover: app), tx: (handover: app), "
     "rx: (handover: app), net: (handover: app))"
@@ -39,6 +41,7 @@ RUNTIME: Final = (
 messages a second keep none of them busy, and handing over between threads cost a fifth of the CPU.
 Zenoh reads it from the environment; a ``ZENOH_RUNTIME`` that is set already is left alone."""
 RETRY_MS: Final = (50, 150)
+"""Shortest and longest pause between two attempts to connect."""
 LINGER_PERIOD_S: Final = 0.5
 """How often new links are looked for (`agent.runtime.tcp_linger`)."""
 PRESENCE_SIZE: Final = 4096

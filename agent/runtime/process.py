@@ -30,6 +30,7 @@ from agent.security.identity import of_robot
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
+"""How often the parent process is looked for, ns."""
 FAILED, BAD_INPUT = 1, 2
 
 Log = Callable[[str], None]

@@ -16,6 +16,7 @@ from struct import Struct
 from typing import Final
 
 FOLDER: Final = "/dev/fd"
+"""Lists the file descriptors of the process."""
 _LINGER: Final = Struct("ii")  # whether, and for how many seconds
 
 

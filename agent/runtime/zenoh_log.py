@@ -19,6 +19,7 @@ from agent.security.refusals import Refusals
 READ_MAX: Final = 131_072
 """Bytes that are read at once; of a flood the rest is counted by its size."""
 POLL_NS: Final = 200_000_000
+"""How often the log is read, ns."""
 SIZE_MAX: Final = 2_097_152
 """A log of this size is emptied at once, whenever it was read last."""
 WANTED: Final = "RUST_LOG"

@@ -20,6 +20,7 @@ DER_BYTES_MAX: Final = 4096
 """Of one certificate: one with `agent.security.identity.ADDRESSES_MAX` long host names is the largest that
 we make."""
 PEM_BYTES_MAX: Final = 16_384
+"""Of one certificate in PEM."""
 DAY_S: Final = 86_400
 REASONS: Final = ("oversized", "malformed", "unknown_authority", "not_yet_valid", "expired")
 MISSING: Final = (

@@ -11,11 +11,13 @@ from typing import Final
 from agent.messages.types import ROBOT_MAX
 
 ROLES: Final = ("robot", "operator", "router")
+"""What an identity may be."""
 MAIN: Final = "main"
 """The operator or router that is meant where no name is given."""
 COMMON_NAME_MAX: Final = 64
 """X.509's limit (RFC 5280, ub-common-name)."""
 ADDRESSES_MAX: Final = 32
+"""Addresses in one certificate."""
 _FLEET: Final = re.compile(r"[A-Za-z0-9_-]{1,40}", re.ASCII)
 _NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,20}", re.ASCII)
 _NUMBER: Final = re.compile(r"[1-9][0-9]{0,3}", re.ASCII)

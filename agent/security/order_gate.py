@@ -89,7 +89,7 @@ class OrderGate:
         if not is_relayed and key not in self._orders:
             self._refused("an order where no robot of the fleet relays any")  # whoever sent it chose the key
             return None
-        if is_relayed and not self._opener.knows(payload) and self._is_too_much(key, now_ns):
+        if is_relayed and not self._opener.has_verified(payload) and self._is_too_much(key, now_ns):
             self._refused(f"an order on {key}: after too many that were new")
             return None
         try:

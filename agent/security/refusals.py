@@ -26,6 +26,7 @@ FILTER: Final = ",".join(
 )
 """What of Zenoh's log is wanted, as its ``RUST_LOG`` has it."""
 PERIOD_NS: Final = 10_000_000_000
+"""Each kind of refusal is logged at most once in this time, ns."""
 LINKS_MAX: Final = 256
 """Links that are remembered by who is at their other end."""
 KINDS_MAX: Final = 64

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cryptography import x509
 
 VERSION: Final = 1
+"""Version of the seal, the first field of a sealed order."""
 DOMAIN: Final = b"handfast order 1\0"
 """Goes before what is signed: the same key proves who its holder is on TLS links, and neither of the two
 kinds of signature must pass for the other."""
@@ -31,7 +32,7 @@ SEALED_BYTES_MAX: Final = MISSION_BYTES_MAX + DER_BYTES_MAX + SIGNATURE_BYTES_MA
 CERTIFICATES_MAX: Final = 16
 """Operators' certificates that are remembered as verified."""
 ORDERS_MAX: Final = 32
-"""Orders that are remembered as verified: many robots say the same one again."""
+"""Orders that are remembered as verified: many robots relay the same one."""
 REASONS: Final = (
     "oversized", "malformed", "unknown_authority", "not_yet_valid", "expired", "not_an_operator",
     "bad_signature",
@@ -99,8 +100,8 @@ class Opener:
         self._certificates: OrderedDict[bytes, Certificate] = OrderedDict()
         self._orders: OrderedDict[bytes, tuple[Certificate, int, bytes]] = OrderedDict()
 
-    def knows(self, sealed: bytes) -> bool:
-        """Whether to open it takes no signature to be verified."""
+    def has_verified(self, sealed: bytes) -> bool:
+        """Whether these bytes were verified of late: then `open` verifies no signature."""
         return sealed in self._orders
 
     def open(self, sealed: bytes, now_s: float) -> Order:

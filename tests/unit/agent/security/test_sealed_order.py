@@ -142,11 +142,11 @@ def test_an_order_is_written_in_one_way(ann: Credentials, opener: Opener) -> Non
 
 def test_what_was_opened_is_known(ann: Credentials, opener: Opener) -> None:
     sealed, forged_one = Sealer(ann).seal(PAYLOAD, NOW_NS), forged(ann, PAYLOAD, b"")
-    assert not opener.knows(sealed)
+    assert not opener.has_verified(sealed)
     opener.open(sealed, NOW_S)
     assert reason(opener, forged_one) == "bad_signature"
-    assert opener.knows(sealed)
-    assert not opener.knows(forged_one)
+    assert opener.has_verified(sealed)
+    assert not opener.has_verified(forged_one)
 
 
 def test_dates_count_each_time(ann: Credentials, opener: Opener) -> None:
