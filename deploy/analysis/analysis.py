@@ -180,6 +180,6 @@ def _settled_after(grid: Floats, off: Flags, from_s: float, until_s: float) -> f
 
 
 def norm(vectors: Floats) -> Floats:
-    """Lengths (...) of vectors (..., 2)."""
+    """Euclidean lengths (...) of vectors (..., 2)."""
     length: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
     return length

@@ -45,7 +45,7 @@ class Desired:
 
 
 def desired(recording: Recording, geometry: Geometry, grid: Floats) -> Desired:
-    """What was wanted at `grid` (k,) s, of fleets that heard what the recording holds.
+    """What the fleet was to do at `grid` (k,) s, if it heard what the recording holds.
 
     A mission that cannot be driven is left out, as agents leave it.
     """

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def number(value: float | None) -> float | None:
-    """Rounded to a micro-unit, so that the last bits of a platform's sine do not show; None for NaN."""
+    """A float, rounded to a micro-unit, so that the last bits of a platform's sine do not show; NaN: None."""
     if value is None or not isfinite(value):
         return None
     return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
@@ -23,8 +23,10 @@ def largest(values: NDArray[Any]) -> float | None:
 
 
 def percentile(values: NDArray[Any], percent: float) -> float | None:
+    """The percentile (`percent` 0..100) of values, rounded; None without any."""
     return number(float(np.percentile(values, percent))) if values.size else None
 
 
 def mean(values: NDArray[Any]) -> float | None:
+    """The mean of values, rounded; None without any."""
     return number(float(values.mean())) if values.size else None

@@ -49,13 +49,13 @@ def _window(dice: Dice, trouble_s: float, longest_s: float, least_s: float = 0.2
 
 
 def _flapping(dice: Dice, trouble_s: float) -> Tables:
-    """Comes and goes, until the trouble ends."""
+    """The fields of a rule that comes and goes until the trouble ends."""
     at, lasts = dice.between(0.0, trouble_s - _BEGIN_S, 2), dice.between(0.2, 1.2, 2)
     return {"at": at, "for": lasts, "every": round(lasts + dice.between(0.2, 2.0), 2), "until": trouble_s}
 
 
 def _place(dice: Dice, ids: Sequence[int]) -> Tables:
-    """Which links; none named: all of them."""
+    """The fields of a rule that name its links; none: all links."""
     where = dice.weighted((("all", 3.0), ("robot", 2.0), ("one", 2.0), ("from", 1.0), ("to", 1.0)))
     if where == "robot":
         return {"robot": dice.pick(ids)}

@@ -21,7 +21,7 @@ Pair = tuple[float, float]
 
 
 class Shape(NamedTuple):
-    """Place of every robot, and who shares an edge."""
+    """A formation: place of every robot, and who shares an edge."""
 
     offsets: Mapping[int, Pair]
     edges: Sequence[tuple[int, int]]

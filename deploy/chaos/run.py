@@ -40,7 +40,7 @@ ELSEWHERE: Final = "elsewhere"
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one scenario.
+    """The result of one scenario.
 
     Attributes:
         violations: of oracles, in time for each; or what went wrong beside them.

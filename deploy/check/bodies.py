@@ -197,6 +197,7 @@ def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
 
 
 def check_noise(fleet: Fleet) -> Iterator[Finding]:
+    """How much commanded acceleration the gains make of measurement noise."""
     noisy = [
         robot
         for robot in fleet.robots

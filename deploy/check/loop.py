@@ -46,6 +46,7 @@ def check_saturation(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
 
 def check_gains(fleet: Fleet) -> Iterator[Finding]:
+    """Do coupling, gains and relaxation suit this fleet's size and distances."""
     control, n = fleet.control, len(fleet.members)
     if control.coupling == "edge" and n > 2:
         name = "the paper's law" if control.kp == 0.0 else 'the law edge by edge (coupling = "edge")'

@@ -69,6 +69,7 @@ def _contradictions(fleet: Fleet, lengths: Floats, distances: Floats) -> Iterato
 
 
 def unplaced(message: str) -> str:
+    """The finding's text for a formation without places that meet its distances."""
     return (
         message.removeprefix("formation.distance_m: ")
         + "; correct the distances, leave an edge out, or give offsets"

@@ -22,7 +22,7 @@ NAMED_MAX: Final = 6
 class Attached:
     """The agents and plants of `fleet`, wherever they run.
 
-    One that disappears is missed, no more: what runs it starts it again, and the others drive on.
+    A process that disappears is only reported: what runs it starts it again, and the others drive on.
     """
 
     def __init__(self, fleet: Fleet) -> None:

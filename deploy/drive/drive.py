@@ -81,7 +81,9 @@ class Drive:
         self.reasons: list[str] = []
 
     def run(self, *, detach: bool = False) -> None:
-        """From the wait for the fleet to standstill; with `detach`, until all have acknowledged the mission.
+        """Drives the fleet, from the wait until it is ready to standstill.
+
+        With `detach` only until all have acknowledged the mission.
 
         Raises:
             deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped

@@ -12,7 +12,7 @@ from agent.supervision.state_machine import DRIVING, State
 from deploy.console.wording import robots
 
 SENTENCES_MAX: Final = 8
-"""Of one moment; of more only the number is said."""
+"""So many changes of one moment are shown; of more only the number."""
 _STANDBY: Final = State.STANDBY.value
 _RELEASED: Final = State.RELEASED.value
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
@@ -21,9 +21,9 @@ _IN: Final = (_STANDBY, State.FAULT.value)
 
 
 class News:
-    """Takes what is heard of a fleet; `sentences` gives what is worth a line.
+    """Makes sentences of the orders and states that are heard of a fleet.
 
-    That robots become ready, start, and come to rest at the end is not.
+    That robots become ready, start, and come to rest at the end is left out.
     """
 
     def __init__(self, fleet: Fleet) -> None:

@@ -12,8 +12,8 @@ from agent.messages.types import Stop
 from deploy.orders.operator import Known
 
 OVER: Final = "the run is over"
-"""Reason of the stop at the regular end of a drive. The next drive lifts it; any other was said by somebody
-who meant it, and stands until somebody says otherwise."""
+"""Reason of the stop at the regular end of a drive. The next drive lifts it; any other stop was ordered
+for a reason, and holds until somebody resumes the fleet."""
 BROKEN_OFF: Final = "the drive broke off"
 """Likewise at the end of one that an error of this program or its machine has ended."""
 

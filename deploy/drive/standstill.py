@@ -32,7 +32,7 @@ class Standstill:
         self.lost: RecordingError | None = None
 
     def wait(self, view: View, reason: str) -> None:
-        """Says the stop, again and again, until all stand, or gives up after a while."""
+        """Sends the stop again and again until all stand, or gives up after a while."""
         fleet_state, processes = self._fleet_state, self._fleet_state.processes
         processes.resume_all()
         stop = fleet_state.operator.order_stop(fleet_state.clock.now_ns(), reason)

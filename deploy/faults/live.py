@@ -20,7 +20,7 @@ Receiver = tuple[int, str]
 
 
 def receivers(fleet: Fleet) -> list[Receiver]:
-    """Every agent and plant."""
+    """All processes that live rules are for: every agent and plant."""
     return [(robot, role) for robot in fleet.ids for role in key_expressions.ROLES]
 
 
@@ -41,7 +41,10 @@ class LiveSet(NamedTuple):
 
 
 class Held:
-    """Takes the echoes of one fleet's agents and plants (`agent.messages.key_expressions.faults_held`)."""
+    """Which live rules each agent and plant of a fleet holds, from their echoes on the bus.
+
+    Echoes come on `agent.messages.key_expressions.faults_held`.
+    """
 
     def __init__(self, fleet: Fleet) -> None:
         self._ids = fleet.ids
@@ -64,16 +67,16 @@ class Held:
                 del self._latest[next(iter(self._latest))]
 
     def forget(self, receiver: Receiver) -> None:
-        """A process has started again, and holds nothing."""
+        """Forgets what a process held: it has started again, and holds nothing."""
         for known in [known for known in self._latest if known[0] == receiver]:
             del self._latest[known]
 
     def echo(self, receiver: Receiver, author: str) -> Faults | None:
-        """The last that one process said of an author's rules; without rules when it holds none any more."""
+        """The last echo of one process of an author's rules; without rules when it holds none any more."""
         return self._latest.get((receiver, author))
 
     def sets(self, now_ns: int) -> list[LiveSet]:
-        """What is held at the wall time `now_ns`, the newest first."""
+        """The live rules that are held at the wall time `now_ns`, the newest first."""
         found: dict[str, tuple[Faults, set[Receiver]]] = {}
         for (receiver, author), message in self._latest.items():
             over = message.lease_ns and now_ns >= message.time_ns + message.lease_ns

@@ -80,7 +80,7 @@ def when(rule: Rule) -> str:
 
 
 def described(rule: Rule) -> str:
-    """`loss 100% on 1->2, from 5 to 15 s`."""
+    """A rule with its times: `loss 100% on 1->2, from 5 to 15 s`."""
     return f"{words(rule)}, {when(rule)}"
 
 
@@ -112,7 +112,7 @@ def next_begin(rule: Rule, time_s: float) -> float | None:
 
 
 def lasts(rule: Rule) -> bool:
-    """Whether it holds for a time: a restart is done at once."""
+    """Whether a rule holds for a time: a restart is done at once."""
     return set(_effects(rule)) != {"restart"} or rule.partition is not None
 
 

@@ -41,19 +41,19 @@ PLATFORM_SAYS: Final = (
 
 
 class DeploymentError(ValueError):
-    """A fleet that cannot be written so; the text is one clear line."""
+    """A fleet that cannot be written as a folder for Ansible; the text is one clear line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pack:
-    """What hosts of one platform get."""
+    """What is installed on hosts of one platform."""
 
     platform: Platform
     bundle: Bundle
 
 
 def parse_platform(text: str) -> Platform:
-    """The platform that is given so (`PLATFORM_SAYS`).
+    """Reads a platform from an option's text (`PLATFORM_SAYS`).
 
     Raises:
         DeploymentError: it is none, or one that handfast does not run on.

@@ -18,7 +18,10 @@ _SETTLED: Final = _DRIVING | {State.STOPPED.value, State.RELEASED.value, State.H
 
 
 class Arrivals(OperatorSession):
-    """Who is there, and since when. One thread collects; others may look."""
+    """A session that hears which agents and plants are there, since when, and their states.
+
+    One thread collects; others may look.
+    """
 
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
@@ -36,7 +39,10 @@ class Arrivals(OperatorSession):
         self.statuses.pop(receiver[0], None)
 
     def is_here(self, robot: int, since: Mapping[str, float]) -> bool:
-        """Whether its agent, heard from, and its plant are there; of roles in `since` only who came later."""
+        """Whether a robot's agent and plant are there, and a status of the agent came.
+
+        since: monotonic time (s) by role; such a process counts only if it came later.
+        """
         came = {role: self._came.get((robot, role)) for role in ROLES}
         return robot in self.statuses and all(
             moment is not None and moment >= since.get(role, moment) for role, moment in came.items()
@@ -44,7 +50,7 @@ class Arrivals(OperatorSession):
 
     @property
     def complete(self) -> bool:
-        """Whether all robots are heard, and what was ordered of them."""
+        """Whether a status of every robot was heard, and all orders that they have acknowledged."""
         return all(robot in self.statuses for robot in self.fleet.ids) and not self.operator.behind
 
     def drives(self, robot: int) -> bool:
@@ -57,7 +63,7 @@ class Arrivals(OperatorSession):
         return any(map(self.drives, self.fleet.ids))
 
     def settled(self, robot: int) -> bool:
-        """Whether it is ready to drive, drives, or has driven."""
+        """Whether a robot is ready to drive, drives, or has driven."""
         status = self.statuses.get(robot)
         return status is not None and (is_ready(status.state) or status.state in _SETTLED)
 

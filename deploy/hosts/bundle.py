@@ -54,7 +54,7 @@ class Platform:
 
     @classmethod
     def of(cls, about: Mapping[str, Any]) -> Platform:
-        """That of a computer, from what `deploy.hosts.remote_program.hello` says of it.
+        """The platform of a computer, from what `deploy.hosts.remote_program.hello` says of it.
 
         Raises:
             BundleError: it is no Linux.
@@ -133,7 +133,7 @@ def bundle_for(platform: Platform, program: bytes) -> Bundle:
 
 
 def end_downloads() -> None:
-    """Ends those under way: they fail. From another thread."""
+    """Ends downloads that are under way: they fail. May be called from another thread."""
     with _guard:
         for process in _downloads:
             process.kill()

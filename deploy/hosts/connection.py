@@ -137,7 +137,7 @@ class HostConnection:
         self._listener.join(CLOSE_S)
 
     def abort(self) -> None:
-        """Ends it at once, whatever it is doing: a question under way fails. From another thread."""
+        """Ends the conversation at once: a question under way fails. May be called from another thread."""
         self._process.kill()
 
     # ------------------------------------------------------------------ questions

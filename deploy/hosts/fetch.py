@@ -43,7 +43,7 @@ class Fetching:
         self.folders: dict[int, Path] = {}
 
     def __call__(self, connection: HostConnection, row: Row) -> None:
-        """Brings those of one host; see `deploy.hosts.jobs.Work`.
+        """Brings the recordings of one host's robots; see `deploy.hosts.jobs.Work`.
 
         Raises:
             deploy.hosts.connection.HostError: the connection was lost, a file cannot be read or kept, or the

@@ -83,7 +83,7 @@ class HostJobs:
             self.end()
 
     def end(self, why: str = "interrupted") -> None:
-        """What is still under way fails now, for a reason; the first one counts."""
+        """Makes what is still under way fail now, for a reason; the first reason counts."""
         with self._guard:
             self._why = self._why if self.ended else why
             self.ended = True

@@ -42,8 +42,10 @@ GAPS_SHOWN: Final = 5
 
 @dataclass(frozen=True)
 class Choice:
-    """What is taken: without anything of the one fleet that was recorded last its last mission, from
-    `MARGIN_NS` before its epoch until so long after its end.
+    """Which part of the recordings is made into a run.
+
+    By default the last mission of the fleet that was recorded last, from `MARGIN_NS` before its epoch until
+    so long after its end.
 
     Args:
         fleet: name of the fleet.
@@ -58,7 +60,7 @@ class Choice:
 
 
 class Merged(NamedTuple):
-    """What became of it. `metrics` are those of the run, as in its ``metrics.json``."""
+    """The run that was made of recordings. `metrics` are those of the run, as in its ``metrics.json``."""
 
     folder: Path
     robots: tuple[int, ...]
@@ -127,8 +129,10 @@ def merge(
 
 @dataclass(frozen=True)
 class _Plan:
-    """Segments of one fleet file that are read within a time; orders by the time of their reception, those
-    from before that still hold and those within."""
+    """What is read: segments of one fleet file, within a time (wall clock, ns).
+
+    `orders`: by the time of their reception, those within the time and those from before that still hold.
+    """
 
     segments: Sequence[SegmentFile]
     newest: SegmentFile
@@ -222,8 +226,8 @@ def _digest_of_most(segments: Sequence[SegmentFile]) -> str:
 def _orders(
     recorded: Sequence[RecordedOrder], mission: Mission | None, since_ns: int, robots: frozenset[int]
 ) -> list[Received]:
-    """Those from `since_ns` on; of those before what belongs to the mission, and a stop that still holds for
-    one of `robots`, with the resumes after it."""
+    """The orders from `since_ns` on; of those before what belongs to the mission, and a stop that still holds
+    for one of `robots`, with the resumes after it."""
     earlier = [order for received, order in recorded if received[0] < since_ns]
     stopped = max((order.version for order in earlier if isinstance(order, Stop)), default=None)
     halted = robots if stopped is not None else frozenset()

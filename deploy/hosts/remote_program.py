@@ -111,7 +111,7 @@ def clock() -> int:
 
 
 def environment() -> dict[str, str]:
-    """That of commands to the user's systemd: not every login over ssh says where it is."""
+    """The environment of commands to the user's systemd: not every login over ssh says where it is."""
     runtime = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}"
     return os.environ | {
         "XDG_RUNTIME_DIR": runtime,
@@ -209,6 +209,7 @@ def missing(paths: dict[str, str]) -> list[str]:
 
 
 def sha256(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal; "" where it cannot be read."""
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -231,6 +232,7 @@ def put(path: str, blob: bytes) -> None:
 
 
 def write(target: Path, data: bytes) -> None:
+    """Writes a file whole or not at all: under a hidden name first, then renamed."""
     hidden = target.with_name(f".{target.name}.new")
     with suppress(FileNotFoundError):
         hidden.unlink()
@@ -553,6 +555,7 @@ def get(path: str, offset: int = 0, most: int = 1 << 20) -> Answer:
 
 
 def answer(line: bytes, blob: bytes) -> Answer:
+    """The answer to one request: a line of JSON, and its data."""
     asked = json.loads(line)
     name = asked.pop("do")
     if asked.pop("blob", None) is not None:
@@ -562,6 +565,7 @@ def answer(line: bytes, blob: bytes) -> Answer:
 
 
 def main() -> None:
+    """Answers the requests on standard input, one after the other, until it ends."""
     source, sink = sys.stdin.buffer, sys.stdout.buffer
     os.umask(0o077)
     sink.write(b"\n" + GREETING)

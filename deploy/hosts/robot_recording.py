@@ -73,7 +73,7 @@ class SegmentFile:
 
 @dataclass
 class Damage:
-    """What was found damaged while reading, by robot: pieces. And messages that are not its own."""
+    """How many damaged pieces, and messages that are not its own, were found in each robot's recording."""
 
     pieces: dict[int, int] = field(default_factory=dict)
     foreign: dict[int, int] = field(default_factory=dict)
@@ -86,14 +86,14 @@ class Damage:
 
 
 class Recordings(NamedTuple):
-    """All segments that hold messages, and of which robots some were left out as another's."""
+    """All segments that hold messages. `refused`: robots in whose folders were segments of another robot."""
 
     segments: Sequence[SegmentFile]
     refused: Sequence[int]
 
 
 def recordings(folders: Mapping[int, Path]) -> Recordings:
-    """What there is in the folders of robots, by their ids.
+    """The segments in the folders of robots, by their ids.
 
     A segment that lost its first block belongs to whom its neighbour in the folder belongs to.
 

@@ -81,6 +81,7 @@ def roles(fleet: Fleet) -> tuple[str, ...]:
 
 
 def unit_name(fleet: str, robot: int, role: str) -> str:
+    """Name of the systemd unit of a robot's process."""
     return f"handfast-{fleet}-robot-{robot}-{role}.service"
 
 

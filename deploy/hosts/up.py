@@ -55,7 +55,7 @@ class Timing:
 
 
 class BringUp:
-    """One `handfast up`.
+    """Brings a fleet up on its hosts, once (`handfast up`).
 
     Args:
         fleet: resolved and located.
@@ -289,14 +289,14 @@ class BringUp:
         return all(robot in row.outcomes for robot in since)
 
     def _failed(self, connection: HostConnection, robots: Iterable[int]) -> list[int]:
-        """Those of which a process will not start again by itself."""
+        """Robots of which a process has failed and will not start again by itself."""
         states = self._states(connection, robots)
         return sorted({robot for (robot, _), state in states.items() if state.startswith("failed")})
 
     def _states(
         self, connection: HostConnection, robots: Iterable[int], roles: Sequence[str] = ROLES
     ) -> dict[tuple[int, str], str]:
-        """States of robots' units."""
+        """State of the systemd unit of each process (robot, role)."""
         name = self._fleet.fleet.name
         names = {
             (robot, role): systemd_units.unit_name(name, robot, role) for robot in robots for role in roles

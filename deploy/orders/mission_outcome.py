@@ -17,7 +17,7 @@ def words(mission: Mission) -> str:
 
 
 class Ordering:
-    """What becomes of a mission.
+    """What becomes of a new mission, from the statuses that come after it.
 
     Args:
         mission: as it is sent.

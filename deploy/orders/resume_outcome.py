@@ -16,7 +16,7 @@ _OVER: Final = (State.STOPPED.value, MISSION_OVER)
 
 
 class Resuming:
-    """What became of a resume.
+    """What becomes of a resume, from the messages that come after it.
 
     Args:
         fleet: as it runs.

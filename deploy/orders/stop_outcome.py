@@ -22,7 +22,7 @@ def has_heard(status: Status | None, stop: Stop) -> bool:
 
 
 class Stopping:
-    """What becomes of a stop.
+    """What becomes of a stop, from the messages that come after it.
 
     Args:
         fleet: as it runs.

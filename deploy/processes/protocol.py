@@ -44,7 +44,7 @@ class FleetProcesses(Protocol):
         ...
 
     def deaths(self) -> Sequence[tuple[Ended, str]]:
-        """Those that have ended since the last call without a rule's order, and how."""
+        """Processes that have ended since the last call without a rule's order, and how."""
         ...
 
     def lacking(self) -> list[str]:
@@ -56,5 +56,5 @@ class FleetProcesses(Protocol):
         ...
 
     def resume_all(self) -> None:
-        """Lets go on what rules have paused."""
+        """Lets the processes go on that rules have paused."""
         ...

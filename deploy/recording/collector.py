@@ -46,7 +46,7 @@ from deploy.recording.tables import (
 # a host whose clock was never set): it would stretch the run by hours.
 CLOCK_TOLERANCE_NS: Final = 60_000_000_000
 _RUN_NS_MAX: Final = 12 * 3600 * 10**9
-"""For so long after the start a clock that drifts on purpose is relays from garbage."""
+"""A clock that drifts on purpose is accepted for so long after the start; later stamps count as garbage."""
 _BEACON: Final = TOPICS.index("beacon")
 _OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon)
 
@@ -54,7 +54,7 @@ _OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, B
 _Sink = Rows | StatusRows
 
 ASIDE_MESSAGES: Final = 20_000
-"""After so many, what was collected is put aside."""
+"""After so many messages, what was collected is moved from memory to a file."""
 
 
 class RunData:
@@ -72,7 +72,7 @@ class RunData:
         self.fleet, self.mode = fleet, mode
         self.seed = fleet.fleet.seed if seed is None else seed
         self.foreign = 0
-        # Agents say them again: what is kept is who said it first.
+        # Agents relay orders: the first message of each is kept.
         self._missions: dict[Mission, Mission] = {}
         self._stops: dict[Stop, Stop] = {}
         self._resumes: dict[Resume, Resume] = {}

@@ -32,7 +32,7 @@ from deploy.recording.tables import (
 
 @dataclass(frozen=True)
 class RobotData:
-    """All that one robot sent. `truth` is empty unless its plant's measurements are noisy."""
+    """All that one robot sent, over time. `truth` is empty unless its plant's measurements are noisy."""
 
     id: int
     plant: Table
@@ -65,14 +65,17 @@ class LiveFaults(NamedTuple):
 
 @dataclass(frozen=True)
 class Recording:
-    """One run. `robots` has an entry for every robot of the fleet, in the fleet's order."""
+    """One run, with all that was recorded of it.
+
+    `robots` has an entry for every robot of the fleet, in the fleet's order.
+    """
 
     fleet: Fleet
     robots: Mapping[int, RobotData]
     missions: Sequence[Mission]
-    """Each of them once, as it was first said."""
+    """Each mission once, as it was first sent."""
     stops: Sequence[Stop]
-    """Likewise."""
+    """Each stop once, as it was first sent."""
     epoch_ns: int | None
     """Wall clock of fleet time zero; None when no mission was recorded (time then starts with the data)."""
     mode: str = "run"
@@ -91,7 +94,7 @@ class Recording:
     events: Sequence[Event] = ()
     """What was done to processes on purpose."""
     resumes: Sequence[Resume] = ()
-    """Resumes, each of them once, as it was first said."""
+    """Each resume once, as it was first sent."""
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -105,7 +108,7 @@ class Recording:
 
     @property
     def mission(self) -> Mission | None:
-        """The one that holds in the end."""
+        """The mission that holds in the end (`last_mission`)."""
         return last_mission(self.missions)
 
     def fleet_time_s(self, time_ns: int) -> float:

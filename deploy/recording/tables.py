@@ -175,6 +175,8 @@ class Rows:
 
 
 class HandRows(Rows):
+    """The growing table of one robot's hand states, and a second one of their multipliers."""
+
     def __init__(self, robot: int, store: Store) -> None:
         super().__init__(HandState, robot, HAND_COLUMNS, store)
         self._multiplier_times, self._multipliers = store.column("q"), store.column("d")
@@ -198,6 +200,8 @@ def _bounded(value: int) -> int:
 
 
 class StatusRows:
+    """The growing table of one agent's statuses, which `table` makes a `StatusTable`."""
+
     kind: type[Message] = Status
 
     def __init__(self, robot: int, store: Store) -> None:

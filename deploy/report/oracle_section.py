@@ -14,7 +14,7 @@ TRANSITIONS_MAX: Final = 400
 
 
 def section(recording: Recording, found: dict[str, Any]) -> str:
-    """All of them, with their headings; without changes of mission no table of those."""
+    """The three tables with their headings (HTML); without changes of mission no table of those."""
     parts = ["<h2>What must always hold</h2>", _oracles_table(found)]
     if found["changes"]:
         parts += ["<h2>Changes of mission</h2>", _changes_table(found)]

@@ -92,6 +92,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def nth_color(index: int) -> str:
+    """A colour of the palette, over again from its start when there are more lines than colours."""
     return PALETTE[index % len(PALETTE)]
 
 

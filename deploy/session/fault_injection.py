@@ -24,7 +24,7 @@ ECHO_S: Final = 1.5
 TAKE_S: Final = 2.5
 """Receivers that have not taken the rules by then are named."""
 GONE_NS: Final = 2 * NS_PER_S
-"""Rules that a receiver had and does not take again for so long were cleared."""
+"""Rules that a receiver had and has not taken again for so long were cleared."""
 AFTER_END_NS: Final = 3 * NS_PER_S // 10
 """The rules stay for this long after their end, for messages of that time that are on their way."""
 RULES_SHOWN: Final = 4
@@ -226,7 +226,7 @@ class Line:
 
 
 def names(receivers: Sequence[Receiver]) -> str:
-    """``robot 3's plant, robot 4's agent and plant``."""
+    """The processes in words: ``robot 3's plant, robot 4's agent and plant``."""
     roles: dict[int, list[str]] = {}
     for robot, role in receivers:
         roles.setdefault(robot, []).append(role)

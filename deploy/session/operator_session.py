@@ -19,7 +19,7 @@ INBOX: Final = 4096
 
 
 class OperatorSession(Session):
-    """Hears and gives orders.
+    """A session that hears and gives orders.
 
     Attributes:
         operator: what has been ordered, and gives orders.

@@ -32,7 +32,7 @@ def valid(payload: bytes) -> Message | None:
 
 
 class Session:
-    """On the bus of `fleet`, connected to every agent and plant. A context manager.
+    """An operator on the bus of `fleet`, connected to every agent and plant. A context manager.
 
     Attributes:
         bus: what those that build on this subscribe to and publish on.

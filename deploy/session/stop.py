@@ -44,11 +44,11 @@ class StopSession(Session):
 
     @property
     def _send_at_once(self) -> bool:
-        """Whether somebody has come since it was said last, or a later one has to be outdone."""
+        """Whether a process has come since the stop was sent last, or the stop got a greater version."""
         return len(self.alive) > self._sent_to or self._stopping.message is not self._sent
 
     def stop(self) -> Stopping:
-        """Says it again, at once to every process that comes, until all brake; gives up after a while.
+        """Sends the stop again, at once to every process that comes, until all brake; gives up after a while.
 
         Raises:
             deploy.inventory.running.NoAnswerError: nobody is there.

@@ -23,7 +23,7 @@ class Bodies:
         """The body for a new plant of a robot, at `now_ns` by the robot's clock.
 
         The first is where the fleet file has it. After that a unicycle stands where it was, at rest; a rover
-        is the same one, which went on by itself, with a new bridge that knows nothing.
+        is the same one, which went on by itself, with a new bridge.
         """
         if self._fleet.robot(robot).plant == "mavlink":
             # Here: other fleets need none of it.

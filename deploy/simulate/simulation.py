@@ -46,7 +46,7 @@ WARM_UP_PERIODS: Final = 10
 """Periods from the start to the epoch, for a fleet that is ready after half of them; more where agents first
 listen for who is near."""
 EPOCH_AHEAD_NS: Final = NS_PER_S // 2
-"""One that needs longer drives so long after it is ready, as in a run."""
+"""A fleet that needs longer to be ready drives so long after that, as in a run."""
 READY_TIMEOUT_NS: Final = 60 * NS_PER_S
 AGAIN_NS: Final = NS_PER_S // 2
 """A node that starts again gets the orders so long after, as in a run."""
@@ -99,7 +99,7 @@ class _Bus:
             ring.append((arrival_ns, key, payload))
 
     def announce(self, token: str, time_ns: int, *, here: bool) -> None:
-        """A process comes or goes, as others see it at `time_ns`."""
+        """Shows others, at `time_ns`, that a process comes or goes."""
         if here != (token in self.tokens):
             (self.tokens.add if here else self.tokens.discard)(token)
             for host in self._keys:
@@ -148,12 +148,12 @@ class _Host:
         self.life += 1
 
     def lapse(self, life: int, now_ns: int) -> None:
-        """Its lease is over: if it is paused still, as it was at `life`, others see it go."""
+        """Ends the liveliness lease of a paused process: if it is paused still (`life`), others see it go."""
         if self.paused and self.life == life:
             self._bus.announce(self.node.alive_key, now_ns, here=False)
 
     def resume(self, now_ns: int) -> None:
-        """It wakes at once if it has slept through a tick."""
+        """Lets a paused process go on: at once if it has slept through a tick."""
         self.paused = False
         self._bus.announce(self.node.alive_key, now_ns + LATENCY_NS, here=True)
         self._plan(now_ns)
@@ -166,7 +166,7 @@ class _Host:
             self._bus.listen(self)
 
     def see(self, time_ns: int, key: str, here: bool) -> None:
-        """A liveliness token comes or goes at `time_ns`."""
+        """Notes that a liveliness token comes or goes at `time_ns`."""
         if self.up and _matches(self.node.watched, key):
             self._changes.append((time_ns, key, here))
 

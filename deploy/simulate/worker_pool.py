@@ -36,7 +36,7 @@ GoOn = Callable[[], bool]
 
 
 class PoolError(RuntimeError):
-    """Workers cannot be started; one line."""
+    """Workers cannot be started; the text is one line."""
 
 
 class Abandoned(Exception):
@@ -47,11 +47,11 @@ class Work(Protocol[Result]):
     """Runs that have numbers. Each worker gets a copy."""
 
     def execute(self, number: int, go_on: GoOn) -> Result:
-        """Drives one; raises `Abandoned` when `go_on`, asked now and then, says no, and nothing else."""
+        """Drives one run; raises `Abandoned` when `go_on`, asked now and then, says no, and nothing else."""
         ...
 
     def unfinished(self, number: int, reason: str, wall_s: float, *, timed_out: bool) -> Result:
-        """What stands for one whose process died, or was ended because it took too long."""
+        """The result of a run whose process died, or was ended because it took too long."""
         ...
 
 
@@ -103,7 +103,7 @@ class _Worker:
             self.connection.send(run)
 
     def take(self) -> tuple[Any, ...]:
-        """What it sent, in a tuple; none when it is gone."""
+        """What the process sent, in a tuple; empty when it is gone."""
         try:
             return (self.connection.recv(),)
         except (EOFError, ConnectionResetError):

@@ -34,7 +34,7 @@ _BRACKETS: Final = {"[": "]", "{": "}"}
 
 
 class SweepError(ValueError):
-    """A sweep that cannot be; the text is one clear message."""
+    """A sweep that cannot be made; the text is one clear message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Axis:
 
 
 def parse_axis(text: str) -> Axis:
-    """One ``--over``: ``table.field=value,value,...``, split at commas outside quotes and brackets.
+    """Reads one ``--over``: ``table.field=value,value,...``, split at commas outside quotes and brackets.
 
     Raises:
         SweepError: it is not of that form, or gives a value twice.
@@ -121,7 +121,7 @@ def _numbers(keys: Sequence[str], values: Sequence[str]) -> tuple[list[float] | 
 
 
 def number(text: str, unit: str) -> float | None:
-    """What a value such as ``50ms`` is in `unit`, None when it is no such number."""
+    """The number that a value such as ``50ms`` is in `unit`, None when it is no such number."""
     text = text.strip().strip("\"'")
     try:
         value = quantity(text, unit) if unit in UNITS else float(text)
@@ -211,7 +211,7 @@ class Plan:
         )
 
     def fleet(self, run: int) -> Fleet:
-        """What a run drives, resolved.
+        """The fleet that a run drives, resolved.
 
         Raises:
             ValueError: the square of random starts has no room.

@@ -35,7 +35,7 @@ NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of one run.
+    """The result of one run.
 
     Attributes:
         run: its number in the plan.

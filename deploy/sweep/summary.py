@@ -27,7 +27,7 @@ SUMMARISED: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """So many of so many, with the 95 % interval of the share behind it (Wilson 1927)."""
+    """A count of a total, with the 95 % interval of the share behind it (Wilson 1927)."""
 
     count: int
     of: int
@@ -79,7 +79,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """How far a field goes with the others as they are.
+    """How far a field can go until runs fail, with the other fields fixed.
 
     `good` counts the values, from the least on, with which every run was safe and settled; `trouble` says
     what the next one brought, empty when there is none.
@@ -97,7 +97,7 @@ class Margin:
 
     @property
     def failed(self) -> str | None:
-        """The next value, None when there is none."""
+        """The first value that was not good, None when all were."""
         return self.axis.values[self.good] if self.good < len(self.axis.values) else None
 
     def __str__(self) -> str:

@@ -1,7 +1,7 @@
 """Oracles: what must hold in every run, whatever happens, and what of it did not.
 
-An oracle looks at a whole recording and says each thing that must not have been. One that has nothing to
-look at (no obstacle, no process that was killed) does not apply: None.
+An oracle looks at a whole recording and gives each violation of its rule. One that has nothing to look at
+(no obstacle, no process that was killed) does not apply: None.
 """
 
 from __future__ import annotations

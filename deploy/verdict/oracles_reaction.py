@@ -76,7 +76,7 @@ def plant_dead(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violatio
 
 
 def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) -> float | None:
-    """First of the times at which something is bad, from `limit_s` after a process went until it is back."""
+    """First time (s) at which something is bad, from `limit_s` after a process went until it is back."""
     when = times[bad & (times > down.start_s + limit_s) & (times < min(down.end_s, end_s))]
     return float(when.min()) if len(when) else None
 

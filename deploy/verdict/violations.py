@@ -1,4 +1,4 @@
-"""What an oracle says, and what oracles share."""
+"""Violations, which oracles give, and what the oracles share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REACTION_S: Final = 0.1
 
 
 class Violation(NamedTuple):
-    """Something that must never be was, at fleet time `t_s`; `message` is a full sentence."""
+    """An oracle's rule was broken at fleet time `t_s`; `message` is a full sentence."""
 
     oracle: str
     t_s: float
@@ -50,5 +50,5 @@ def windows(recording: Recording) -> list[Span]:
 
 
 def is_constant(rule: Rule) -> bool:
-    """Whether it holds for the whole run."""
+    """Whether a rule of faults holds for the whole run."""
     return rule.at is None and rule.duration is None and rule.every is None
