@@ -1,4 +1,4 @@
-"""The last stage against exhaustive search, and in closed loop: nobody comes too close, whatever is asked."""
+"""The safety filter against exhaustive search, and in closed loop: nobody comes too close."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The law, the last stage and the way out of what holds robots up, in closed loop: all reach their places."""
+"""The law, the safety filter and detours, in closed loop: all reach their places."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def given(controller: Controller, robot: int, x: float, *, follows: bool, speed:
 
 
 def test_navigation_constraint_and_correction_are_what_the_wrench_does():
-    """Others predict the robot by their sum: here the last stage has something to correct."""
+    """Others predict the robot by their sum: here the safety filter has something to correct."""
     fleet = parse_fleet(PAIR, source="here")
     controller, body = Controller(fleet, resolve(fleet), 1), fleet.robot(1)
     now_ns = T0 + fleet.period_ns

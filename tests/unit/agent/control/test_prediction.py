@@ -172,7 +172,7 @@ def test_prediction_is_the_navigation_loop_solved(age: float, decay: float):
 
 
 def test_at_once_it_accelerates_as_it_was_told_to():
-    """One that the last stage holds back accelerates by less than it would like to."""
+    """One that the safety filter holds back accelerates by less than it would like to."""
     held = message((1.4, 0.2), (0.3, 1.8), (0.1, -0.1), correction=(-0.5, 0.75))
     free = held._replace(correction_x=0.0, correction_y=0.0)
     now, likes = (predicted(each, circling, 0.0, DECAY, None) for each in (held, free))

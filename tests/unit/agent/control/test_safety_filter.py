@@ -1,4 +1,4 @@
-"""The last stage: the half planes of every limit, and the nearest acceleration that keeps them."""
+"""The safety filter: the half planes of every limit, and the nearest acceleration that keeps them."""
 
 from __future__ import annotations
 
