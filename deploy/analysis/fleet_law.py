@@ -23,7 +23,7 @@ Scalar = float | Array
 
 
 class Edges(NamedTuple):
-    """What the law needs of m edges at one instant; attributes as those of `agent.control.law.Edges`."""
+    """What the law needs of m edges at one instant; attributes as those of `agent.control.law.Edge`."""
 
     normal: Array
     distance: Array

@@ -53,7 +53,7 @@ def _path(name: str, folder: Path, what: str) -> Path:
 
 
 def describe(parser: argparse.ArgumentParser, more: str) -> None:
-    """Goes on with a command's description, which begins with its line in the table of commands."""
+    """Adds to a command's description, which begins with its line in the table of commands."""
     text = parser.description or " "
     parser.description = f"{text[0].upper()}{text[1:]}{more}"
 

@@ -19,8 +19,11 @@ def _raise(number: int, _frame: object) -> None:
 
 @contextmanager
 def remembered() -> Iterator[None]:
-    """Within it Ctrl-C raises KeyboardInterrupt, as ever, and `Interrupt.caught` raises it once more if it
-    was swallowed: a module that is being loaded may do that, and the command would go on."""
+    """A context in which Ctrl-C raises KeyboardInterrupt, as usual, and is remembered if it is swallowed.
+
+    A module that is being loaded may swallow it, and the command would go on: `Interrupt.caught` raises it
+    once more.
+    """
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield  # ignored, by who started this process, or not this function's to answer

@@ -9,7 +9,7 @@ LINE_PERIOD_S: Final = 10.0
 
 
 def make_progress(stream: TextIO, total: int, done: int = 0, *, quiet: bool, trouble: str) -> Lines | Bar:
-    """A bar with rate and time left on a terminal, else a plain line from time to time. Context managers.
+    """Makes what shows progress: a bar on a terminal, else a plain line from time to time. Context managers.
 
     Args:
         total, done: all runs, and those that were done before.
@@ -54,7 +54,7 @@ class Lines:
 
 
 def clock(seconds: float) -> str:
-    """h:mm:ss"""
+    """A duration (s) as h:mm:ss."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}"

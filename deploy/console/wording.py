@@ -17,13 +17,13 @@ def robots(ids: Iterable[Any]) -> str:
 
 
 def counted(name: str, numbers: Iterable[Any]) -> str:
-    """'leg 2 is' or 'legs 2, 3 are'."""
+    """Numbered things as a subject: 'leg 2 is' or 'legs 2, 3 are'."""
     shown = list(numbers)
     return f"{name} {some(shown)} is" if len(shown) == 1 else f"{name}s {some(shown)} are"
 
 
 def some(ids: Iterable[Any]) -> str:
-    """'1, 2, 3', or '1, 2, 3, 4, 5, 6, 7, 8 and 37 more'."""
+    """The first few of a list: '1, 2, 3', or '1, 2, 3, 4, 5, 6, 7, 8 and 37 more'."""
     shown = [str(number) for number in ids]
     text = ", ".join(shown[:NAMES_SHOWN])
     return f"{text} and {len(shown) - NAMES_SHOWN} more" if len(shown) > NAMES_SHOWN else text

@@ -20,7 +20,7 @@ STYLES: Final = {DOING: "", DONE: "green", FAILED: "bold red"}
 
 @dataclass
 class Row:
-    """One host.
+    """One host: what is being done with it, and what became of it.
 
     Attributes:
         host: its name.

@@ -219,7 +219,7 @@ def _ending(days: float) -> str:
 
 
 def state(entry: Issued, authority: Authority, now_s: float) -> str:
-    """What is to be said of the last certificate of somebody, in a few words."""
+    """The state of somebody's last certificate, in a few words."""
     days = entry.days_left(now_s)
     if entry.generation != authority.generation:
         return "void: of an authority that was replaced"

@@ -103,7 +103,7 @@ def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
 
 
 def has_key(robot: Robot) -> bool:
-    """Whether it is a vehicle that is to sign."""
+    """Whether a robot is a vehicle that is to sign its messages."""
     return robot.plant == "mavlink" and robot.mavlink is not None and robot.mavlink.signing_key is not None
 
 

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bundled fleet: `handfast up` has brought it up on its hosts, or somebody has started its agents and "
         "plants. What `run` does besides starting and ending processes: gives the mission and the file's "
         "orders, shows and records, and stops every robot at the end or at Ctrl-C. A process that "
-        "disappears is missed, and the others drive on. Exit status: 0 fine; 1 the verdict failed, or the "
+        "disappears is reported, and the others drive on. Exit status: 0 fine; 1 the verdict failed, or the "
         "fleet does not answer; 2 bad input; 130 after Ctrl-C.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file, or name of a bundled fleet")
@@ -46,12 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="lift a stop that somebody has said; without it only that of a drive's regular end is",
+        help="lift a stop that somebody has ordered; without it only that of a drive's regular end is",
     )
     parser.add_argument(
         "--detach",
         action="store_true",
-        help="give the mission and leave: nobody records, robots drive alone to its end",
+        help="give the mission and end: nobody records, robots drive alone to its end",
     )
     parser.add_argument(
         "--out", metavar="DIR", help="the drive's folder (default: runs/FLEET-TIME); must be empty or new"
@@ -200,7 +200,7 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
 
 def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt: Interrupt) -> int:
-    """Gives the mission and leaves."""
+    """Gives the mission and ends, while the robots drive on."""
     from deploy.drive.attached import Attached
     from deploy.drive.drive import Drive
     from deploy.drive.live_view import make_view
