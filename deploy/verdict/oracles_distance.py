@@ -20,7 +20,7 @@ from plant.unicycle import BRAKE_DECELERATION_MAX
 
 CLEARANCE_TOLERANCE_M: Final = 0.01
 OUTSIDE_S: Final = 1.0
-"""So long a robot may go on driving outside the geofence."""
+"""A robot outside the geofence must hold within so long."""
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 _RELEASED: Final = frozenset({State.RELEASED.value})
 

@@ -31,7 +31,7 @@ _COMMAND_SHARE: Final = 1.0 + 1e-6
 RECOVERED_S: Final = 20.0
 """Within so long after the last fault or change all drive in formation again."""
 ERROR_M: Final = 0.1
-"""Of the distance of an edge at the end, where only links fail and the formation has settled."""
+"""Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 _NEAR_SHARE: Final = 1.05
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
 _EXCUSED: Final = frozenset({State.RELEASED.value})

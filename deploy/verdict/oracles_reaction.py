@@ -20,12 +20,12 @@ from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 STOP_S: Final = 0.2
 """From a stop to the last plant that brakes."""
 VEHICLE_STAND_S: Final = 5.0
-"""So long a real vehicle may need to stand: how hard it brakes is not known."""
+"""A real vehicle may take so long to come to rest: how hard it brakes is not known."""
 AGREED_S: Final = 3.0
 """What an operator ordered so long ago, all have acknowledged."""
 _LOSS_MAX: Final = 0.5
 _DELAY_MAX_S: Final = 0.5
-"""What is said five times a second comes through in time if no more is lost, and it comes no later."""
+"""Statuses, five a second, come through in time where links lose no more and delay no longer."""
 HEARD_S: Final = 1.0
 """An agent that says nothing for so long is not taken to be alive."""
 _DRIVING: Final = frozenset(state.value for state in DRIVING)
@@ -176,7 +176,7 @@ def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violati
         behind = [robot for robot, version in versions.items() if version != newest]
         if behind:
             message = (
-                f"At {end_s:.1f} s not all knew the same {what}: robot {behind[0]} had version "
+                f"At {end_s:.1f} s not all had acknowledged the same {what}: robot {behind[0]} had version "
                 f"{versions[behind[0]]}, the newest is {newest}."
             )
             found.append(Violation("one_mission", end_s, message))

@@ -83,7 +83,7 @@ def test_stop_holds_until_resume_whatever_comes_between(tmp_path: Path) -> None:
         assert not any(m.state == "running" for _, m in fleet.since(started_ns, Status, 2))
         assert all(m.brake for _, m in fleet.since(started_ns, Wrench, 2))
 
-        # A mission is no leave to drive, be it of a new epoch.
+        # A mission is no resume, be it of a new epoch.
         mission = fleet.mission
         assert mission is not None
         epoch_ns = (time.time_ns() + NS_PER_S // 2) // fleet.fleet.period_ns * fleet.fleet.period_ns

@@ -52,7 +52,7 @@ class Robots:
     """Robots of `FLEET` as a `Bus` shows them: they tell `history`, and take what is said to them.
 
     Attributes:
-        said: what was published, each with the versions that the robots said they knew at that time.
+        said: what was published, each with the versions that the robots had acknowledged at that time.
         late_s: how long after a mission each takes it; None: never.
         refuses: robots whose file is another.
         deaf: robots that take no stop and no resume.
@@ -188,7 +188,7 @@ def test_a_fleet_that_is_ready_gets_a_mission_and_at_its_end_a_stop() -> None:
     assert robots.of(Resume) == []
 
 
-def test_leave_to_drive_comes_when_all_know_the_mission() -> None:
+def test_a_resume_comes_when_all_have_acknowledged_the_mission() -> None:
     robots = Robots("stopped", over(), STOP)
     robots.late_s = {1: 0.0, 2: 0.4}
     drive, said = driven(robots, resume=True)
@@ -197,16 +197,16 @@ def test_leave_to_drive_comes_when_all_know_the_mission() -> None:
     assert "told to stop" not in said  # what was before it is no news
     kinds = [type(message) for message, _ in robots.said if type(message) is not Ask]
     assert kinds.index(Resume) > kinds.index(Mission)
-    (leave, known), *_ = [each for each in robots.said if type(each[0]) is Resume]
+    (resume, known), *_ = [each for each in robots.said if type(each[0]) is Resume]
     mission = robots.of(Mission)[0]
     assert known == [mission.version] * 2
-    assert isinstance(leave, Resume)
-    assert leave.version > STOP.version
-    assert leave.robots == ()
-    assert mission.epoch_ns - leave.time_ns > 0.4 * S
+    assert isinstance(resume, Resume)
+    assert resume.version > STOP.version
+    assert resume.robots == ()
+    assert mission.epoch_ns - resume.time_ns > 0.4 * S
 
 
-def test_who_does_not_take_the_mission_gets_no_leave() -> None:
+def test_who_does_not_take_the_mission_gets_no_resume() -> None:
     robots = Robots("stopped", over(), Stop(5, 100 * S, OVER))
     robots.late_s = {1: 0.0, 2: None}
     drive, _ = driven(robots)

@@ -31,7 +31,7 @@ def stop(version: int, reason: str = "a person") -> Stop:
     return Stop(version, EPOCH, reason)
 
 
-def leave(version: int, *ids: int) -> Resume:
+def resumed(version: int, *ids: int) -> Resume:
     return Resume(version, EPOCH, ids)
 
 
@@ -42,7 +42,7 @@ def test_a_fleet_that_was_ordered_nothing_or_whose_mission_is_over_may_be_driven
 
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_fleet_that_drives_is_left_alone(resume: bool) -> None:
-    driving = known(MISSION._replace(note="robot 7 joins"), stop(2), leave(3))
+    driving = known(MISSION._replace(note="robot 7 joins"), stop(2), resumed(3))
     begun, end = clock(EPOCH - S, AFTER), clock(EPOCH + 60 * S, AFTER)
     assert refusal(driving, AFTER - 1, resume=resume) == (
         f"square is driving already: a mission that was given at {begun} (robot 7 joins) "
@@ -51,7 +51,7 @@ def test_a_fleet_that_drives_is_left_alone(resume: bool) -> None:
 
 
 def test_a_stop_that_somebody_said_stands_until_it_is_lifted_by_name() -> None:
-    stopped = known(MISSION, leave(2), stop(3))
+    stopped = known(MISSION, resumed(2), stop(3))
     for now_ns in (DURING, AFTER):
         assert refusal(stopped, now_ns, resume=False) == (
             f"the robots of square were told to stop at {clock(EPOCH, now_ns)}: a person; drive with "
@@ -73,11 +73,11 @@ def test_the_stop_at_a_drives_regular_end_is_no_obstacle() -> None:
     [
         ([], False),
         ([stop(3)], True),
-        ([stop(3), leave(2)], True),
-        ([stop(3), leave(3)], True),  # of equal versions the stop holds
-        ([stop(3), leave(4)], False),
-        ([leave(4), stop(3)], False),
-        ([stop(3), leave(4, 1, 2)], True),  # the others stand
+        ([stop(3), resumed(2)], True),
+        ([stop(3), resumed(3)], True),  # of equal versions the stop holds
+        ([stop(3), resumed(4)], False),
+        ([resumed(4), stop(3)], False),
+        ([stop(3), resumed(4, 1, 2)], True),  # the others stand
     ],
 )
 def test_which_stop_is_in_force(orders: list[Stop | Resume], stands: bool) -> None:

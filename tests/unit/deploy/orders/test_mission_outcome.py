@@ -1,4 +1,4 @@
-"""A new mission on its way: who knows it, and whether another one was quicker."""
+"""A new mission on its way: who has acknowledged it, and whether another one was quicker."""
 
 from __future__ import annotations
 

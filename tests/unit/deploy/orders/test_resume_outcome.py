@@ -1,4 +1,4 @@
-"""Leave to drive again: who gets it, and what became of it."""
+"""A resume: which robots it is for, and what became of it."""
 
 from __future__ import annotations
 

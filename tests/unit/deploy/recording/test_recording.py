@@ -364,7 +364,7 @@ def test_a_stop_lasts_until_leave_of_a_greater_version_for_that_robot() -> None:
             Stop(version, EPOCH_NS + round(t * 1e9), ""),
         )
 
-    def leave(t: float, version: int, *robots: int) -> Sent:
+    def resume(t: float, version: int, *robots: int) -> Sent:
         stamp = EPOCH_NS + round(t * 1e9)
         return (stamp, key_expressions.resume(NAME), Resume(version, stamp, robots))
 
@@ -374,11 +374,11 @@ def test_a_stop_lasts_until_leave_of_a_greater_version_for_that_robot() -> None:
 
     assert halts() == (1.6, {1: [], 2: []})
     assert halts(stop(0.5, 7)) == (0.5, {1: [(0.5, inf)], 2: [(0.5, inf)]})
-    assert halts(stop(0.5, 7), leave(0.8, 8)) == (1.6, {1: [(0.5, 0.8)], 2: [(0.5, 0.8)]})
-    assert halts(stop(0.5, 7), leave(0.8, 7)) == halts(stop(0.5, 7), leave(0.2, 6)) == halts(stop(0.5, 7))
-    assert halts(leave(0.2, 8), stop(0.5, 7)) == halts()
-    assert halts(stop(0.5, 7), leave(0.8, 8, 2)) == (1.6, {1: [(0.5, inf)], 2: [(0.5, 0.8)]})
-    again = halts(stop(0.5, 7), leave(0.8, 8), stop(1.0, 9), stop(1.2, 10))
+    assert halts(stop(0.5, 7), resume(0.8, 8)) == (1.6, {1: [(0.5, 0.8)], 2: [(0.5, 0.8)]})
+    assert halts(stop(0.5, 7), resume(0.8, 7)) == halts(stop(0.5, 7), resume(0.2, 6)) == halts(stop(0.5, 7))
+    assert halts(resume(0.2, 8), stop(0.5, 7)) == halts()
+    assert halts(stop(0.5, 7), resume(0.8, 8, 2)) == (1.6, {1: [(0.5, inf)], 2: [(0.5, 0.8)]})
+    again = halts(stop(0.5, 7), resume(0.8, 8), stop(1.0, 9), stop(1.2, 10))
     assert again == (1.0, {robot: [(0.5, 0.8), (1.0, inf)] for robot in (1, 2)})
 
 

@@ -165,13 +165,13 @@ def test_an_operator_beside_it_is_followed() -> None:
     assert isinstance(last, Mission)
     assert last.version == theirs.version + 1
     assert [row[0] for row in last.robots] == [1, 2]
-    leave = Resume(theirs.version, simulation.now_ns, ())
-    simulation.publish(key_expressions.resume("square"), encode(leave))
+    resume = Resume(theirs.version, simulation.now_ns, ())
+    simulation.publish(key_expressions.resume("square"), encode(resume))
     simulation.publish(key_expressions.resume("square"), b"rubbish")
     simulation.give(order("stop"))
     stop = of(Stop, heard)[-1]
     assert isinstance(stop, Stop)
-    assert stop.version == leave.version + 1
+    assert stop.version == resume.version + 1
 
 
 def test_heartbeats_only_where_they_are_needed() -> None:

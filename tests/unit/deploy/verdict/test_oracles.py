@@ -351,10 +351,11 @@ def knows(robot: int, **versions: int) -> Change:
 def test_one_mission() -> None:
     assert found("one_mission", PAIR) == []
     assert found("one_mission", PAIR, change=knows(2, mission_version=0)) == [
-        "At 4.0 s not all knew the same mission: robot 2 had version 0, the newest is 1."
+        "At 4.0 s not all had acknowledged the same mission: robot 2 had version 0, the newest is 1."
     ]
     assert found("one_mission", PAIR, change=knows(1, order_version=3)) == [
-        "At 4.0 s not all knew the same last stop or resume: robot 2 had version 0, the newest is 3."
+        "At 4.0 s not all had acknowledged the same last stop or resume: robot 2 had version 0, the newest "
+        "is 3."
     ]
     nobody = both(knows(1, mission_version=0), knows(2, mission_version=0))
     assert len(found("one_mission", PAIR, change=nobody) or []) == 1
