@@ -160,11 +160,11 @@ class Drive:
 
     def _lift(self, stop: Stop, by_ns: int) -> bool:
         """Resumes as soon as all have acknowledged the new mission: nobody may go on with one before it."""
-        while ignorant := self._fleet_state.ignorant:
+        while late := self._fleet_state.without_mission:
             if not self._go_on():
                 return False
             if self._clock.now_ns() >= by_ns:
-                self._fail(f"Not started: {robots(ignorant)} did not take the mission.")
+                self._fail(f"Not started: {robots(late)} did not take the mission.")
                 return False
         newest = stop_in_force(self._operator)
         if newest is None or newest.version != stop.version:
@@ -179,7 +179,7 @@ class Drive:
     def _hand_over(self) -> bool:
         """Waits until all have acknowledged the mission, and leaves them alone; False when not all do."""
         by_ns = (self._fleet_state.epoch_ns or 0) + self._timing.hand_over_ns
-        while late := self._fleet_state.ignorant or self._fleet_state.slow:
+        while late := self._fleet_state.without_mission or self._fleet_state.without_order:
             if not self._go_on():
                 return False
             if self._clock.now_ns() >= by_ns:
@@ -204,10 +204,10 @@ class Drive:
 
     def _is_refused(self) -> bool:
         """Whether an agent has refused the mission because it reads another fleet file."""
-        strangers = self._fleet_state.strangers
-        if strangers:
-            self._fail(f"Not driven: this is not the fleet file that is read by {robots(strangers)}.")
-        return bool(strangers)
+        others = self._fleet_state.on_other_file
+        if others:
+            self._fail(f"Not driven: this is not the fleet file that is read by {robots(others)}.")
+        return bool(others)
 
     def _is_overtaken(self) -> bool:
         """Whether another operator has begun another drive, which those that were up before go on with."""

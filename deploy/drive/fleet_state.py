@@ -171,7 +171,7 @@ class FleetState:
             return all(map(is_ready, states))
         # Those that drove before stand: a new mission and a resume make them ready.
         return all(is_ready(state) or state == State.STOPPED.value for state in states) and (
-            self.operator.foreign is not None or not self.operator.claimants(self.clock.now_ns())
+            self.operator.foreign is not None or not self.operator.ahead(self.clock.now_ns())
         )
 
     def waits(self, missing: Sequence[str]) -> str:
@@ -179,14 +179,14 @@ class FleetState:
         if missing:
             return ", ".join(missing)
         found = waits(self.fleet.ids, self.watch.statuses, self.states)
-        claimants = self.operator.claimants(self.clock.now_ns())
-        if claimants and not found:
-            says = "says" if len(claimants) == 1 else "say"
-            return f"{robots(claimants)} {says} that something was ordered, and nobody relays it"
+        ahead = self.operator.ahead(self.clock.now_ns())
+        if ahead and not found:
+            says = "says" if len(ahead) == 1 else "say"
+            return f"{robots(ahead)} {says} that something was ordered, and nobody relays it"
         return in_words(found) if found else in_words(self.checks.waits())
 
     @property
-    def ignorant(self) -> list[int]:
+    def without_mission(self) -> list[int]:
         """Robots whose agent has not acknowledged the mission, or whose plant does not have its epoch."""
         version, statuses = self.operator.mission_version, self.watch.statuses
         return [
@@ -194,17 +194,17 @@ class FleetState:
             for robot in self.fleet.ids
             if robot not in statuses
             or statuses[robot].mission_version < version
-            or not self.operator.counts(self.states.get(robot))
+            or not self.operator.has_epoch(self.states.get(robot))
         ]
 
     @property
-    def slow(self) -> list[int]:
+    def without_order(self) -> list[int]:
         """Robots whose agents have not acknowledged the last stop or resume."""
         version = self.operator.order_version
         return [robot for robot, each in self.watch.statuses.items() if each.order_version < version]
 
     @property
-    def strangers(self) -> list[int]:
+    def on_other_file(self) -> list[int]:
         """Robots whose agents have refused the mission because they read another fleet file."""
         version = self.operator.mission_version
         return [

@@ -12,7 +12,7 @@ from deploy.drive.fleet_state import FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
 from deploy.drive.timing import Timing
-from deploy.orders.stop_outcome import has_heard
+from deploy.orders.stop_outcome import has_acknowledged
 from deploy.recording.recorder import RecordingError
 
 LOOK_S: Final = 0.02
@@ -49,7 +49,9 @@ class Standstill:
             self._collect()
             rest = all(stands(statuses.get(robot), fleet_state.states.get(robot)) for robot in waiting)
             # Those that end now will not drive again; others must have latched the stop.
-            if rest and (processes.ours or all(has_heard(statuses.get(robot), stop) for robot in waiting)):
+            if rest and (
+                processes.ours or all(has_acknowledged(statuses.get(robot), stop) for robot in waiting)
+            ):
                 break
             if now >= again:
                 again = now + self._timing.stop_again_s
@@ -57,7 +59,7 @@ class Standstill:
                     fleet_state.say(stop)
             time.sleep(LOOK_S)
         self._collect()
-        self.deaf = [robot for robot in fleet.ids if not has_heard(statuses.get(robot), stop)]
+        self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
 
     @property
     def _timeout_s(self) -> float:

@@ -34,9 +34,9 @@ class Ordering:
         """Takes what was heard until now: the robots whose agents are there, their last statuses, and the
         newest mission. True when nothing is left to wait for."""
         self._agents, self._statuses, self._newest = agents, statuses, newest
-        return self.overruled or (bool(agents) and all(map(self.has_it, agents)))
+        return self.overruled or (bool(agents) and all(map(self.has_acknowledged, agents)))
 
-    def has_it(self, robot: int) -> bool:
+    def has_acknowledged(self, robot: int) -> bool:
         """Whether a robot's agent has acknowledged the mission."""
         status = self._statuses.get(robot)
         return status is not None and status.mission_version == self._mission.version
@@ -50,7 +50,9 @@ class Ordering:
     @property
     def done(self) -> bool:
         """Whether every robot of the fleet has acknowledged it."""
-        return not self.overruled and all(robot in self._agents and self.has_it(robot) for robot in self._ids)
+        return not self.overruled and all(
+            robot in self._agents and self.has_acknowledged(robot) for robot in self._ids
+        )
 
     def outcomes(self) -> list[str]:
         """What became of it, in words."""
@@ -64,7 +66,7 @@ class Ordering:
     def _outcome(self, robot: int) -> str:
         if robot not in self._agents:
             return "its agent is not there; the others will relay it"
-        if self.has_it(robot):
+        if self.has_acknowledged(robot):
             return "acknowledged"
         status = self._statuses.get(robot)
         if status is None:

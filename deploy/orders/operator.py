@@ -150,7 +150,7 @@ class Operator(Known):
             for mission, order in self._acknowledged.values()
         )
 
-    def claimants(self, now_ns: int) -> list[int]:
+    def ahead(self, now_ns: int) -> list[int]:
         """Robots that have acknowledged an order which was not heard here, if its version can be true."""
         return [
             robot
@@ -226,7 +226,7 @@ class Operator(Known):
             status = statuses.get(robot)
             if up(robot, "agent") and status is not None and status.mission_version < version:
                 return self.again()
-            if up(robot, "plant") and not self.counts(plants.get(robot)):
+            if up(robot, "plant") and not self.has_epoch(plants.get(robot)):
                 return self.again()
         if any(
             self._lacks_order(statuses.get(robot), plants.get(robot), up(robot, "agent"))
@@ -235,7 +235,7 @@ class Operator(Known):
             return [*self.latest]
         return []
 
-    def counts(self, plant: PlantState | None) -> bool:
+    def has_epoch(self, plant: PlantState | None) -> bool:
         """Whether a plant has the mission's epoch: its sequence numbers count from that."""
         if plant is None or self.mission is None:
             return False

@@ -16,7 +16,7 @@ BRAKING: Final = frozenset(
 """States of an agent that has acknowledged a stop."""
 
 
-def has_heard(status: Status | None, stop: Stop) -> bool:
+def has_acknowledged(status: Status | None, stop: Stop) -> bool:
     """Whether an agent that says this, or nothing, has acknowledged a stop and brakes."""
     return status is not None and status.order_version >= stop.version and status.state in BRAKING
 
@@ -66,7 +66,7 @@ class Stopping:
 
     def _obeys(self, robot: int) -> bool:
         """Whether the robot's agent has acknowledged the stop and brakes."""
-        return has_heard(self._statuses.get(robot), self.message)
+        return has_acknowledged(self._statuses.get(robot), self.message)
 
     def stands_by(self, robot: int) -> bool:
         """Whether agent and plant of a robot both brake."""

@@ -211,17 +211,17 @@ def test_who_tells_of_more_is_known_as_far_as_it_can_be() -> None:
     made = operator()
     most = US + AHEAD_US_MAX
     made.hear(key_expressions.status("square", 1), status(1, most + 1, most + 1))
-    assert made.claimants(EPOCH) == []
+    assert made.ahead(EPOCH) == []
     assert made.behind, "it is asked for all the same"
     made.hear(key_expressions.status("square", 2), status(2, 0, most))
     made.hear(key_expressions.beacon("square", 3), Beacon(3, 1, EPOCH, True, *[0.0] * 5, most, 0, 0, -1))
     made.hear(key_expressions.status("square", 1), status(4, most, most))  # of another robot
     made.hear(key_expressions.status("square", 99), status(99, most, most))
-    assert made.claimants(EPOCH) == [2, 3]
+    assert made.ahead(EPOCH) == [2, 3]
     made.hear(key_expressions.status("square", 3), status(3))  # it has started again, and knows nothing
-    assert made.claimants(EPOCH) == [2]
+    assert made.ahead(EPOCH) == [2]
     made.hear(STOP, Stop(most, EPOCH, ""))
-    assert made.claimants(EPOCH) == []
+    assert made.ahead(EPOCH) == []
 
 
 def test_a_version_that_cannot_be_changes_none() -> None:
