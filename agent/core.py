@@ -1,7 +1,7 @@
 """One robot's agent, without clock, socket, thread or randomness of its own.
 
 `Agent.receive` takes what came off the bus, `Agent.tick` says what to put on it. A process
-(`process.py`) and the virtual-time simulation drive the same object with the same bytes.
+(`agent.runtime.process`) and the virtual-time simulation drive the same object with the same bytes.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Agent:
         self._ingress = Ingress(fleet, robot, "agent", sources)
         self.plan: Final = self._ingress.plan
         self._always = (
-            # A stop is taken before a mission: who catches up must not drive first. What robots tell comes
+            # A stop is taken before a mission: who catches up must not drive first. What robots relay comes
             # on one key, and so in the order in which it is said: there too the stop first.
             key_expressions.stop(name),
             key_expressions.resume(name),
@@ -258,7 +258,7 @@ class Agent:
         self._situation.ending = True
 
     def timed(self, duration_ns: int, missed: int) -> None:
-        """Told by the loop after each tick: how long it took, and how many ticks were skipped before it."""
+        """Takes from the loop, after each tick, how long it took and how many were skipped before it."""
         self._report.timed(duration_ns, missed)
 
     # ------------------------------------------------------------------ out
