@@ -326,7 +326,7 @@ class Peers:
             self._heard = tuple(sorted((peer.robot, peer.clock.least_us or 0) for peer in known))
         return self._heard
 
-    def rely(self, peer: Peer, wanted: bool, period_s: float) -> float:
+    def update_trust(self, peer: Peer, wanted: bool, period_s: float) -> float:
         """Moves the trust in a robot (0..1) on by one tick, up if `wanted`, and returns it."""
         if wanted:
             peer.trust = min(1.0, peer.trust + period_s / TRUST_GAINED_S)

@@ -1,9 +1,9 @@
-"""How far a robot relies on its neighbours, and what it does about those that it cannot rely on (PURE).
+"""How far a robot trusts its neighbours, and what it does about those that it cannot trust (PURE).
 
 A neighbour's last state is carried forward as it grows old; from `supervision.slow_after_s` on the robot
 drives slower, and from `control.prediction_horizon_s` on, or as soon as the neighbour's process is seen to
 be gone, trust in that edge fades. So it does for a neighbour that is heard but does not follow the law. The
-edge comes back as slowly as trust does. Whom it does not rely on it still keeps away from.
+edge comes back as slowly as trust does. It keeps away from whom it does not trust, too.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class NeighbourTrust:
             heard = age is not None and age <= self._horizon_ns and peer.here
             wanted = heard and message is not None and message.following
             if drives:
-                controller.peers.rely(peer, wanted, period_s)
+                controller.peers.update_trust(peer, wanted, period_s)
             else:
                 peer.trust = 1.0 if wanted and state is State.READY else 0.0
             if edge.weight < BEGUN:

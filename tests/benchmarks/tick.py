@@ -47,7 +47,7 @@ COMMAND_TIMEOUT_S: Final = 60.0
 STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
     "decode": ((core, "decode"),),
     "accept": ((Peers, "accept"), (Peers, "accept_beacon"), (core.Agent, "_accept_plant")),
-    "rely": ((NeighbourTrust, "update"),),
+    "trust": ((NeighbourTrust, "update"),),
     "predict": ((Peers, "predict"),),
     "law": tuple(
         (law, name)

@@ -463,10 +463,10 @@ def test_trust_goes_fast_and_comes_back_slowly():
     known = peers()
     peer, period_s = known.get(2), PERIOD / S
     assert peer.trust == 0.0
-    gained = [known.rely(peer, True, period_s) for _ in range(100)]
+    gained = [known.update_trust(peer, True, period_s) for _ in range(100)]
     assert gained[:2] == pytest.approx([period_s / TRUST_GAINED_S, 2 * period_s / TRUST_GAINED_S])
     assert gained[round(TRUST_GAINED_S / period_s)] == 1.0
-    lost = [known.rely(peer, False, period_s) for _ in range(50)]
+    lost = [known.update_trust(peer, False, period_s) for _ in range(50)]
     assert lost[0] == pytest.approx(1.0 - period_s / TRUST_LOST_S)
     assert lost[round(TRUST_LOST_S / period_s)] == 0.0
 
