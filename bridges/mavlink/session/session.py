@@ -257,7 +257,7 @@ class Session(Receiver):
         if system is not None and self.connected(now_ns):
             if self._is_due("timesync", now_ns, TIMESYNC_PERIOD_NS):
                 # Bridges of one fleet tick at the same times: the token tells whose question it was. A little
-                # early is still before it was sent, which is all that `BootClock` reckons with.
+                # early is still before it was sent, which is all that `BootClock` needs.
                 asked_ns = now_ns - self.settings.token % TOKEN_NS
                 self._asked.append(asked_ns)
                 self._own_times.append(asked_ns)
