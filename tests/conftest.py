@@ -11,6 +11,8 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
 
 HERE = Path(__file__).parent
 PROCESS_FOLDERS = ("hosts", "process")  # every test in them starts processes; the longest first
@@ -39,6 +41,18 @@ def pytest_report_header(config: pytest.Config) -> str:
     if seed is None:
         return "random examples: the same in every run"
     return f"random examples: seed {seed}; again with --hypothesis-seed={seed}"
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
+    """With --dist loadfile: modules side by side, but one set of test hosts at a time, which is enough."""
+    return OneSetOfHosts(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+class OneSetOfHosts(LoadFileScheduling):
+    """Gives all tests of tests/hosts to one worker."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "tests/hosts" if nodeid.startswith("tests/hosts/") else super()._split_scope(nodeid)
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

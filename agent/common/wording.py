@@ -96,4 +96,6 @@ def _plural(hint: Any, unit: str | None) -> str:
         return f"arrays of {len(args)} {_plural(args[0], unit)}"
     if is_dataclass(hint):
         return "tables"
+    if hint is str:
+        return "strings"
     return ("whole numbers" if hint is int else "numbers") + (f" ({unit})" if unit else "")

@@ -3,7 +3,8 @@
 Each limit is a half plane of the hand's acceleration u (m/s^2, W); how they come about is in
 docs/theory.md, (F1) to (F9). `project` finds the nearest u that meets all of them, exactly, by
 adding one plane at a time (Seidel 1991; linearProgram2 and 3 of ORCA, van den Berg et al. 2011).
-Where they cannot all be met, the body's own limits come first, then separation, then speed.
+Where they cannot all be met, the body's own limits come first, then separation, then separation from robots
+whose place is only supposed, then speed.
 """
 
 from __future__ import annotations

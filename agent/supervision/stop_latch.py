@@ -8,7 +8,7 @@ from typing import Final
 from agent.messages.types import Resume, Stop
 
 AWAITED: Final = "waiting to be told to resume"
-"""How a reason ends to which nothing is left but this leave."""
+"""How a reason ends where only a resume is missing."""
 
 _NEVER: Final = -1
 
@@ -21,14 +21,14 @@ class StopLatch:
 
     Args:
         robot: whose process this is.
-        grant: called when leave is given to it, stopped or not.
+        on_resume: called when a resume names this robot or all, stopped or not.
 
     Attributes:
-        version: of the last stop or leave that is known, 0 when there was none.
+        version: of the last stop or resume that is known, 0 when there was none.
     """
 
-    def __init__(self, robot: int, grant: Callable[[], None]) -> None:
-        self._robot, self._grant = robot, grant
+    def __init__(self, robot: int, on_resume: Callable[[], None]) -> None:
+        self._robot, self._on_resume = robot, on_resume
         self._stop: Stop | None = None
         self._resume: Resume | None = None
         self._resumed = _NEVER
@@ -44,11 +44,11 @@ class StopLatch:
 
     def accept_resume(self, resume: Resume) -> str | None:
         """Takes a message; returns why it is refused, None when it is not."""
-        # Of leaves for single robots, the greatest may be another's: what counts here is the own greatest.
+        # Of resumes for single robots, the greatest may be another's: what counts here is the own greatest.
         mine = (not resume.robots or self._robot in resume.robots) and resume.version > self._resumed
         if mine:
             self._resumed = resume.version
-            self._grant()
+            self._on_resume()
         if self._resume is not None and resume.version <= self._resume.version:
             return None if mine or resume.version == self._resume.version else "out_of_order"
         self._resume = resume
@@ -64,7 +64,7 @@ class StopLatch:
 
     @property
     def mark(self) -> tuple[int, int]:
-        """What is known here, to compare: versions of the last stop and of the last leave, -1 for none."""
+        """What is known here, to compare: versions of the last stop and of the last resume, -1 for none."""
         return (
             -1 if self._stop is None else self._stop.version,
             -1 if self._resume is None else self._resume.version,

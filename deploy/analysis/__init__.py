@@ -1,1 +1,2 @@
-"""What a recording says of the motion: distances, errors, presence, stability."""
+"""The motion of a whole fleet: from a recording (distances, errors, presence), and from the law (stability,
+rigidity, forces in balance)."""

@@ -1,2 +1,2 @@
-"""What there is: hosts and how they are reached, fleets that run on this machine, the certificate
+"""What there is to operate: hosts and how they are reached, fleets that run on this machine, the certificate
 authority."""

@@ -18,7 +18,7 @@ MODULES: Final = {"unicycle": "plant", "mavlink": "bridges.mavlink"}
 """Kind of plant -> module that hosts it."""
 VEHICLE: Final = "vehicle"
 """Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""
-VEHICLE_MODULE: Final = "bridges.mavlink.simulator.__main__"
+VEHICLE_MODULE: Final = "bridges.mavlink.simulator"
 
 
 class Processes:

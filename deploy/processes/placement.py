@@ -19,7 +19,7 @@ class Vehicle:
 
     Attributes:
         robot: whose vehicle it is.
-        arguments: the command line of `bridges.mavlink.simulator.__main__`.
+        arguments: the command line of `bridges.mavlink.simulator`.
         ground_station: where a ground station reaches it, as pymavlink writes it.
     """
 

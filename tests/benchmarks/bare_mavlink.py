@@ -17,6 +17,8 @@ import socket
 import sys
 
 os.environ["MAVLINK20"] = "1"
+from typing import Any
+
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -29,7 +31,7 @@ def request(system: int, message: int, interval_us: int) -> dialect.MAVLink_mess
     return dialect.MAVLink_command_long_message(system, AUTOPILOT, command, 0, *values)
 
 
-def by_mavutil(order: dict) -> None:
+def by_mavutil(order: dict[str, Any]) -> None:
     vehicle = mavutil.mavlink_connection(f"udpin:{order['host']}:{order['port']}")
     heartbeat = vehicle.wait_heartbeat()
     for message, interval_us in order["intervals"]:
@@ -39,7 +41,7 @@ def by_mavutil(order: dict) -> None:
         vehicle.recv_match(blocking=True)
 
 
-def by_parser(order: dict) -> None:
+def by_parser(order: dict[str, Any]) -> None:
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.bind((order["host"], order["port"]))
     mav = dialect.MAVLink(None, 255, 0)

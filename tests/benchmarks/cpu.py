@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -113,12 +114,13 @@ def run(options: Options) -> Result:
             for arm in arms if number % 2 == 0 else arms[::-1]:
                 arm()
     result = Result()
-    for what, of, against in (
+    comparisons: tuple[tuple[str, Callable[[Cost], float], list[Cost]], ...] = (
         ("agent + plant, handfast / bare", lambda cost: cost.robot, bares),
         ("agent, handfast / bare", lambda cost: cost.cpu["agent"], bares),
         ("plant, handfast / bare", lambda cost: cost.cpu["plant"], bares),
         ("agent + plant, handfast / bare with our Zenoh threads", lambda cost: cost.robot, tuned),
-    ):
+    )
+    for what, of, against in comparisons:
         ratios = [of(a) / of(b) for a, b in zip(ours, against, strict=True)]
         note = f"rounds {' '.join(f'{ratio:.2f}' for ratio in ratios)}"
         limit = TARGET if what == "agent + plant, handfast / bare" else None

@@ -78,13 +78,13 @@ def idle_cost(rounds: int) -> tuple[list[float], list[float]]:
 
 
 def _receive_without_links(agent: Any) -> Callable[[int, str, bytes], None]:
-    """`Agent.receive` of a hand state without the look at the reception."""
-    hands, neighbours = agent._hands, agent._neighbours
+    """`Agent.receive` of a hand state without the look at the ingress."""
+    hands, peers = agent._hands, agent._peers
 
     def receive(now_ns: int, key: str, payload: bytes) -> None:
         message = decode(payload)
         if type(message) is HandState and hands.get(key) == message.robot:
-            reason = neighbours.accept(message, now_ns)
+            reason = peers.accept(message, now_ns)
             if reason is not None:
                 agent._reject(reason)
 

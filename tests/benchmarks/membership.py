@@ -35,6 +35,7 @@ from deploy.recording.recording import Recording
 from deploy.report.plotting import DOTTED, GREY, INK, PALETTE, new_figure, nth_color, write
 from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, table
+from tests.hand_acceleration import hand_acceleration
 
 ORDERS: Final = Path(__file__).parents[2] / "docs" / "orders"
 WINDOWS_S: Final = {"join": (12.0, 34.0), "leave": (12.0, 24.0), "reshape": (12.0, 44.0)}
@@ -87,7 +88,7 @@ def _commands(recording: Recording, fleet: Fleet, robot: int) -> tuple[Floats, F
             continue
         pose = hand.advance(Pose(*at), force, torque, body.mass_kg, body.inertia_kgm2, half_s)
         found.append(
-            hand.hand_acceleration(force, torque, pose, body.mass_kg, body.inertia_kgm2, body.hand_offset_m)
+            hand_acceleration(force, torque, pose, body.mass_kg, body.inertia_kgm2, body.hand_offset_m)
         )
     return plant.t, np.array(found)
 

@@ -31,7 +31,7 @@ def test_the_tests_for_autopilots_pass_against_simulated_rovers(tmp_path: Path) 
         sys.executable,
         "-P",
         "-m",
-        "bridges.mavlink.simulator.__main__",
+        "bridges.mavlink.simulator",
         f"--boot={BOOT_S}",
         "--exit-with-parent",
     ]

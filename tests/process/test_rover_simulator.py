@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from bridges.mavlink.ardupilot import constants
 from tests.process.harness import ADDRESS, PATIENCE_S, environment, no_trouble, running, wait_for
 
-SERVER = (sys.executable, "-P", "-m", "bridges.mavlink.simulator.__main__")
+SERVER = (sys.executable, "-P", "-m", "bridges.mavlink.simulator")
 
 
 class Simulator:

@@ -1,1 +1,1 @@
-"""Commands that bring a fleet up on its computers and look after it there."""
+"""Commands for a fleet on its own computers: keys and routers that it needs there, and from up to down."""

@@ -1,1 +1,1 @@
-"""Commands that need nothing but this machine: they make, check, drive, judge and draw."""
+"""Commands that start what they need on this machine: they make, check, drive, judge and draw."""

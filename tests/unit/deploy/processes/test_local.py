@@ -73,7 +73,7 @@ def running(**options: Any) -> Processes:
 def test_each_robot_has_an_agent_and_a_plant_and_a_simulated_rover_where_it_has_one() -> None:
     made = running()
     assert [(child.robot, child.role, child.module) for child in started] == [
-        (2, "vehicle", "bridges.mavlink.simulator.__main__"),
+        (2, "vehicle", "bridges.mavlink.simulator"),
         (1, "agent", "agent"),
         (1, "plant", "plant"),
         (2, "agent", "agent"),
