@@ -18,8 +18,12 @@ _NUMBER = re.compile(r"([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})
 _QUANTITY_MAX = 60  # characters
 _SETTING_MAX = 200
 _SHOWN_MAX = 60
+Vector = tuple[float, float]
+"""(x, y)."""
 DISTANCE_MIN: Final = 1e-9
 """Nearer to each other than this (m), two points have no direction between them."""
+FAR_M: Final = 1e6
+"""Nothing in a fleet file or a mission is further away than this (m): its square is far from overflow."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN
+from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
 from agent.control.detour import Blocker, Detour
@@ -29,7 +29,6 @@ from agent.messages.types import NEIGHBOURS_MAX, PlantState
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
 
-Vector = tuple[float, float]
 Key = int | str
 """Of a multiplier: a robot's id for an edge, minus its id where it is only kept away from, the name of a
 boundary with a number."""

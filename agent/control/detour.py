@@ -16,6 +16,8 @@ from __future__ import annotations
 from math import atan2, cos, hypot, remainder, sin, tau
 from typing import Final, NamedTuple
 
+from agent.common.quantities import Vector
+
 PATIENCE_S: Final = 0.8
 """A robot is blocked after so long by what stands still for good."""
 PATIENCE_WITH_ROBOTS_S: Final = 4.0
@@ -39,8 +41,6 @@ STEER: Final = 3.0
 """rad/s: how fast the direction that is asked for turns; a body cannot turn at once, and would swing."""
 HUG: Final = 0.05
 """How much it leans against what it follows; less than `AGAINST`."""
-
-Vector = tuple[float, float]
 
 
 class Blocker(NamedTuple):

@@ -10,6 +10,7 @@ from functools import lru_cache
 from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final, NamedTuple
 
+from agent.common.quantities import Vector
 from agent.control.law import saturation
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -20,7 +21,6 @@ BRAKING_TIME_S: Final = 0.2
 APPROACH_SHARE: Final = 0.25
 """A robot makes for its place with at least this share of its speed limit, however fast the formation is."""
 
-Vector = tuple[float, float]
 Transition = tuple[float, float, float, float, float, float, float]
 """What `transition` returns: (a11, a12, a21, a22, b1, b2, remains)."""
 

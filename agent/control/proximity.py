@@ -23,7 +23,7 @@ LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often robots that are near are looked for, ns."""
 AHEAD_S: Final = 0.5
 """A robot that comes closer is listened to so much earlier: beacons and looks take about as long."""
-FAR_M: Final = 4.0
+UNSEEN_M: Final = 4.0
 """Nobody comes near from so far beyond the sensing distance between two beacons."""
 STAY_M: Final = 0.3
 """A robot is listened to until it is so much further away than the sensing distance."""
@@ -75,7 +75,7 @@ class Proximity:
         self._due_ns = now_ns + LOOK_PERIOD_NS
         near = []
         gone = []
-        far = self.sensing + FAR_M
+        far = self.sensing + UNSEEN_M
         for peer in self._peers.known:
             message = peer.message
             if message is None or peer.robot in neighbours:

@@ -11,14 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
+from agent.common.quantities import FAR_M, Vector
 from agent.common.reader import Reader
 from agent.common.settings import about, entries, setting
 from agent.common.wording import example, show
-from agent.fleet.safety import Pair
 from agent.fleet.sections import TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
-
-_FAR_M: Final = 1e6
 
 Kind = Literal["join", "leave", "replace", "reshape", "stop", "resume"]
 
@@ -37,12 +35,12 @@ ORDER_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 class ShapeSection:
     """``[order.formation]``: the formation that is to be taken up."""
 
-    offsets: tuple[Pair, ...] | None = setting(
+    offsets: tuple[Vector, ...] | None = setting(
         None,
         "New places, one pair for each member in the order of the file.",
         unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
+        ge=-FAR_M,
+        le=FAR_M,
         example="[[0.0, 0.5], [0.0, -0.5]]",
     )
     edges: tuple[tuple[int, int], ...] | None = setting(
@@ -54,7 +52,7 @@ class ShapeSection:
         "Without `offsets` new places are found that meet them.",
         unit="m",
         gt=0,
-        le=_FAR_M,
+        le=FAR_M,
         example="1.5",
     )
 
@@ -98,15 +96,15 @@ class OrderSection:
         "there are.",
         unit="m",
         gt=0,
-        le=_FAR_M,
+        le=FAR_M,
         example="1.0",
     )
-    offset_m: Pair | None = setting(
+    offset_m: Vector | None = setting(
         None,
         "`join`: its place in the formation. Left out: found from its edges, away from the others.",
         unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
+        ge=-FAR_M,
+        le=FAR_M,
         example="[1.5, 0.5]",
     )
     scale: float | None = setting(

@@ -10,13 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
+from agent.common.quantities import FAR_M, Vector
 from agent.common.reader import Reader
 from agent.common.settings import about, setting
 from agent.common.wording import show
-
-Pair = tuple[float, float]
-
-_FAR_M: Final = 1e6
 
 CORNERS_MAX: Final = 200
 """Corners of one polygon: every robot measures its way to each side in every tick."""
@@ -40,7 +37,7 @@ class AvoidanceSection:
         "puts between two such robots.",
         unit="m",
         gt=0,
-        le=_FAR_M,
+        le=FAR_M,
         example="0.6",
     )
     clearance_m: float | None = setting(
@@ -48,7 +45,7 @@ class AvoidanceSection:
         "No hand point comes nearer to an obstacle than this. Left out: half of `formation.safe_distance_m`.",
         unit="m",
         gt=0,
-        le=_FAR_M,
+        le=FAR_M,
         example="0.3",
     )
     sensing_m: float | None = setting(
@@ -57,7 +54,7 @@ class AvoidanceSection:
         "`distance_m`, or more where two robots at `control.max_speed_mps` need it to brake in.",
         unit="m",
         gt=0,
-        le=_FAR_M,
+        le=FAR_M,
         example="2.0",
     )
     beacon_hz: float = setting(
@@ -89,18 +86,18 @@ class ObstacleSection:
         pattern_says="up to 40 printable characters",
         example='"shed"',
     )
-    centre_m: Pair | None = setting(
-        None, "Of a circle: its centre.", unit="m", ge=-_FAR_M, le=_FAR_M, example="[2.0, 1.0]"
+    centre_m: Vector | None = setting(
+        None, "Of a circle: its centre.", unit="m", ge=-FAR_M, le=FAR_M, example="[2.0, 1.0]"
     )
     radius_m: float | None = setting(
-        None, "Of a circle: its radius.", unit="m", gt=0, le=_FAR_M, example="0.4"
+        None, "Of a circle: its radius.", unit="m", gt=0, le=FAR_M, example="0.4"
     )
-    points_m: tuple[Pair, ...] | None = setting(
+    points_m: tuple[Vector, ...] | None = setting(
         None,
         f"Of a polygon: its corners in order, either way round, 3 to {CORNERS_MAX}; it need not be convex.",
         unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
+        ge=-FAR_M,
+        le=FAR_M,
         example="[[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]]",
     )
 
@@ -109,18 +106,18 @@ class ObstacleSection:
 class GeofenceSection:
     """``[geofence]``: where robots may be."""
 
-    points_m: tuple[Pair, ...] = field(
+    points_m: tuple[Vector, ...] = field(
         metadata=about(
             f"Its corners in order, either way round, 3 to {CORNERS_MAX}. A robot whose hand point is "
             "outside holds.",
             unit="m",
-            ge=-_FAR_M,
-            le=_FAR_M,
+            ge=-FAR_M,
+            le=FAR_M,
             example="[[-10.0, -10.0], [30.0, -10.0], [30.0, 30.0], [-10.0, 30.0]]",
         )
     )
     warn_m: float = setting(
-        0.5, "Nearer to it than this, a robot is pushed back, and says so.", unit="m", gt=0, le=_FAR_M
+        0.5, "Nearer to it than this, a robot is pushed back, and says so.", unit="m", gt=0, le=FAR_M
     )
 
 
@@ -215,7 +212,7 @@ def _check_kind(row: Mapping[str, Any], place: str, reader: Reader) -> None:
         )
 
 
-def _check_polygon(points: Sequence[Pair | None], place: str, reader: Reader) -> None:
+def _check_polygon(points: Sequence[Vector | None], place: str, reader: Reader) -> None:
     count = len(points)
     if not 3 <= count <= CORNERS_MAX:
         reader.add(place, f"must have 3 to {CORNERS_MAX} corners, got {count}")
@@ -223,7 +220,7 @@ def _check_polygon(points: Sequence[Pair | None], place: str, reader: Reader) ->
     corners = [point for point in points if point is not None]
     if len(corners) < count:
         return  # one has a problem of its own
-    first: dict[Pair, int] = {}
+    first: dict[Vector, int] = {}
     for number, corner in enumerate(corners, 1):
         if first.setdefault(corner, number) != number:
             again = (
@@ -252,12 +249,12 @@ def _check_polygon(points: Sequence[Pair | None], place: str, reader: Reader) ->
         )
 
 
-def _is_flat(corners: Sequence[Pair]) -> bool:
+def _is_flat(corners: Sequence[Vector]) -> bool:
     a, b = corners[0], max(corners, key=lambda corner: _square(corners[0], corner))
     return all(_turn(a, b, corner) == 0 for corner in corners)
 
 
-def _crossing(corners: Sequence[Pair]) -> tuple[int, int] | None:
+def _crossing(corners: Sequence[Vector]) -> tuple[int, int] | None:
     """Numbers (from 0) of the first two sides that have a point in common which is not a corner of both."""
     count = len(corners)
     sides = [(corners[k], corners[(k + 1) % count]) for k in range(count)]
@@ -279,14 +276,14 @@ def _crossing(corners: Sequence[Pair]) -> tuple[int, int] | None:
     return min(found, default=None)
 
 
-def _corner(corners: Sequence[Pair], a: int, b: int) -> tuple[Pair, Pair, Pair]:
+def _corner(corners: Sequence[Vector], a: int, b: int) -> tuple[Vector, Vector, Vector]:
     """The corner that two next sides a < b share, with the corners before and after it."""
     count = len(corners)
     at = b if b - a == 1 else 0
     return corners[at - 1], corners[at], corners[(at + 1) % count]
 
 
-def _meet(a: Pair, b: Pair, c: Pair, d: Pair) -> bool:
+def _meet(a: Vector, b: Vector, c: Vector, d: Vector) -> bool:
     """Whether the segments ab and cd have a point in common."""
     turns = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
     if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
@@ -295,7 +292,7 @@ def _meet(a: Pair, b: Pair, c: Pair, d: Pair) -> bool:
     return any(turn == 0 and _is_between(*three) for turn, three in zip(turns, ends, strict=True))
 
 
-def _turn(a: Pair, b: Pair, c: Pair) -> int:
+def _turn(a: Vector, b: Vector, c: Vector) -> int:
     """1 when c lies to the left of the way from a to b, -1 to the right, 0 on it within rounding."""
     first, second = (b[0] - a[0]) * (c[1] - a[1]), (b[1] - a[1]) * (c[0] - a[0])
     if abs(first - second) <= 1e-12 * (abs(first) + abs(second)):
@@ -303,16 +300,16 @@ def _turn(a: Pair, b: Pair, c: Pair) -> int:
     return 1 if first > second else -1
 
 
-def _ahead(a: Pair, b: Pair, c: Pair) -> float:
+def _ahead(a: Vector, b: Vector, c: Vector) -> float:
     """Above 0 when the way from b to c goes on as that from a to b, below when it goes back."""
     return (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
 
 
-def _is_between(a: Pair, b: Pair, c: Pair) -> bool:
+def _is_between(a: Vector, b: Vector, c: Vector) -> bool:
     return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
 
 
-def _square(a: Pair, b: Pair) -> float:
+def _square(a: Vector, b: Vector) -> float:
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2
 
 

@@ -11,12 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from agent.common.quantities import FAR_M, Vector
 from agent.common.settings import about, setting
 
-Pair = tuple[float, float]
 Coupling = Literal["edge", "joint", "penalty"]
-
-_FAR_M: Final = 1e6  # further away than any robot: squares of it stay far from overflow
 
 LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
     "paper": {
@@ -75,18 +73,18 @@ class FormationSection:
             "r_s: two robots of an edge never come this close. Below the distance of every edge.",
             unit="m",
             gt=0,
-            le=_FAR_M,
+            le=FAR_M,
             example="0.22",
         )
     )
-    offsets: tuple[Pair, ...] | None = setting(
+    offsets: tuple[Vector, ...] | None = setting(
         None,
         "Where each robot stands relative to the trajectory, one pair per `[[robot]]` in their order, those "
         "in reserve left out. "
         "This or `distance_m` must be given.",
         unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
+        ge=-FAR_M,
+        le=FAR_M,
         example="[[0.0, 0.5], [0.0, -0.5]]",
     )
     distance_m: float | tuple[float, ...] | None = setting(
@@ -94,7 +92,7 @@ class FormationSection:
         "Desired distance of every edge, or an array with one per edge. Left out: taken from `offsets`.",
         unit="m",
         gt=0,
-        le=_FAR_M,
+        le=FAR_M,
         example="1.0",
     )
     assign: bool = setting(
@@ -174,22 +172,22 @@ class TrajectorySection:
     kind: Literal["line", "waypoints", "circle", "hold"] = setting(
         "hold", "What the formation's reference point does. Fields of other kinds are errors."
     )
-    start_m: Pair = setting(
+    start_m: Vector = setting(
         (0.0, 0.0),
         "`line`: where the reference is at the start; `hold`: where it stays.",
         unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
+        ge=-FAR_M,
+        le=FAR_M,
     )
-    velocity_mps: Pair | None = setting(
+    velocity_mps: Vector | None = setting(
         None, "`line`: constant velocity.", unit="m/s", ge=-100, le=100, example="[0.2, 0.2]"
     )
-    waypoints_m: tuple[Pair, ...] | None = setting(
+    waypoints_m: tuple[Vector, ...] | None = setting(
         None,
         "`waypoints`: at least two points, driven in order; the first is the start, the last is held.",
         unit="m",
-        ge=-_FAR_M,
-        le=_FAR_M,
+        ge=-FAR_M,
+        le=FAR_M,
         example="[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]]",
     )
     speed_mps: float | None = setting(
@@ -198,10 +196,10 @@ class TrajectorySection:
     corner_acceleration: float = setting(
         0.3, "`waypoints`: acceleration with which corners are rounded.", unit="m/s2", gt=0, le=100
     )
-    centre_m: Pair | None = setting(
-        None, "`circle`: its centre.", unit="m", ge=-_FAR_M, le=_FAR_M, example="[0.0, 0.0]"
+    centre_m: Vector | None = setting(
+        None, "`circle`: its centre.", unit="m", ge=-FAR_M, le=FAR_M, example="[0.0, 0.0]"
     )
-    radius_m: float | None = setting(None, "`circle`: its radius.", unit="m", gt=0, le=_FAR_M, example="3.0")
+    radius_m: float | None = setting(None, "`circle`: its radius.", unit="m", gt=0, le=FAR_M, example="3.0")
     phase_rad: float = setting(
         0.0,
         "`circle`: angle of the start, seen from the centre.",
@@ -368,10 +366,10 @@ class Robot(Body):
     # The file must give these; the defaults here only let them follow Body's.
     id: int = setting(0, "The robot's number, which `edges` use.", ge=1, le=9999, required=True)
     x_m: float = setting(
-        0.0, "Where its centre starts, east.", unit="m", ge=-_FAR_M, le=_FAR_M, required=True, example="-1.0"
+        0.0, "Where its centre starts, east.", unit="m", ge=-FAR_M, le=FAR_M, required=True, example="-1.0"
     )
     y_m: float = setting(
-        0.0, "Where its centre starts, north.", unit="m", ge=-_FAR_M, le=_FAR_M, required=True, example="1.4"
+        0.0, "Where its centre starts, north.", unit="m", ge=-FAR_M, le=FAR_M, required=True, example="1.4"
     )
     heading_rad: float = setting(
         0.0,

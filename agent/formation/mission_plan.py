@@ -10,22 +10,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot
-from typing import Any, Final
+from typing import Any
 
 from agent.common.models import build
+from agent.common.quantities import FAR_M, Vector
 from agent.common.reader import Reader
 from agent.common.settings import about
 from agent.common.time import NS_PER_S
 from agent.common.wording import show
 from agent.fleet.model import Fleet
-from agent.fleet.sections import TRAJECTORY_FIELDS, Pair, TrajectorySection
+from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
 from agent.formation.geometry import Geometry
 from agent.formation.trajectory import Sample, Trajectory, make_trajectory
 from agent.messages.types import NEIGHBOURS_MAX, Mission
-
-FAR_M: Final = 1e6
-"""No place is further from the reference, and no edge longer, as in a fleet file."""
 
 Edges = dict[tuple[int, int], float]
 """Wanted distance (m) of each edge (i, j), i < j."""
@@ -54,7 +52,7 @@ class Plan:
 
     mission: Mission
     members: tuple[int, ...]
-    offsets: Mapping[int, Pair]
+    offsets: Mapping[int, Vector]
     edges: Mapping[tuple[int, int], float]
     section: TrajectorySection
     trajectory: Trajectory
@@ -121,7 +119,7 @@ def trajectory_parts(section: TrajectorySection) -> tuple[tuple[str, Any], ...]:
 
 
 def _plan(
-    mission: Mission, fleet: Fleet, members: tuple[int, ...], offsets: Mapping[int, Pair], edges: Edges
+    mission: Mission, fleet: Fleet, members: tuple[int, ...], offsets: Mapping[int, Vector], edges: Edges
 ) -> Plan:
     section = _section(mission.trajectory) if mission.trajectory else fleet.trajectory
     try:
@@ -142,9 +140,9 @@ def _plan(
     )
 
 
-def _given_places(mission: Mission, fleet: Fleet, safe: float) -> dict[int, Pair]:
+def _given_places(mission: Mission, fleet: Fleet, safe: float) -> dict[int, Vector]:
     known = set(fleet.ids)
-    offsets: dict[int, Pair] = {}
+    offsets: dict[int, Vector] = {}
     for robot, x, y in mission.robots:
         if robot not in known:
             there_are = show(fleet.ids, 80)[1:-1]
@@ -165,7 +163,7 @@ def _given_places(mission: Mission, fleet: Fleet, safe: float) -> dict[int, Pair
     return offsets
 
 
-def _closer(offsets: Mapping[int, Pair], least: float) -> tuple[int, int, float] | None:
+def _closer(offsets: Mapping[int, Vector], least: float) -> tuple[int, int, float] | None:
     """Two robots whose places are nearer to each other than `least`, and how near; None when none are."""
     cells: dict[tuple[int, int], list[int]] = {}
     for robot, (x, y) in offsets.items():
@@ -183,7 +181,7 @@ def _closer(offsets: Mapping[int, Pair], least: float) -> tuple[int, int, float]
     return None
 
 
-def _given_edges(mission: Mission, offsets: Mapping[int, Pair], safe: float) -> Edges:
+def _given_edges(mission: Mission, offsets: Mapping[int, Vector], safe: float) -> Edges:
     edges: Edges = {}
     for i, j, distance in mission.edges:
         name = f"the edge [{i}, {j}]"

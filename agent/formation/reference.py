@@ -19,10 +19,9 @@ from dataclasses import replace
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN
+from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
-from agent.fleet.sections import Pair
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan, plan_of
 from agent.formation.trajectory import Sample
@@ -55,7 +54,7 @@ class _Instant(NamedTuple):
     """
 
     sample: Sample
-    offsets: Mapping[int, Pair]
+    offsets: Mapping[int, Vector]
     before: _Instant | None
     share: float
     rate: float

@@ -34,7 +34,8 @@ from itertools import pairwise
 from math import cos, hypot, inf, isfinite, sin, sqrt
 from typing import Final, Protocol
 
-from agent.fleet.sections import Pair, TrajectorySection
+from agent.common.quantities import Vector
+from agent.fleet.sections import TrajectorySection
 
 Sample = tuple[float, float, float, float, float, float]
 """x, y (m), vx, vy (m/s), ax, ay (m/s^2), in W."""
@@ -58,7 +59,7 @@ class _Line:
 
     __slots__ = ("_rest", "_vx", "_vy", "_x", "_y")
 
-    def __init__(self, start: Pair, velocity: Pair) -> None:
+    def __init__(self, start: Vector, velocity: Vector) -> None:
         self._x, self._y = start
         self._vx, self._vy = velocity
         self._rest: Sample = (self._x, self._y, 0.0, 0.0, 0.0, 0.0)
@@ -74,7 +75,7 @@ class _Hold:
 
     __slots__ = ("_rest",)
 
-    def __init__(self, place: Pair) -> None:
+    def __init__(self, place: Vector) -> None:
         self._rest: Sample = (place[0], place[1], 0.0, 0.0, 0.0, 0.0)
 
     def at(self, t: float) -> Sample:
@@ -86,7 +87,7 @@ class _Circle:
 
     __slots__ = ("_phase", "_radius", "_rate", "_rest", "_x", "_y")
 
-    def __init__(self, centre: Pair, radius: float, rate: float, phase: float) -> None:
+    def __init__(self, centre: Vector, radius: float, rate: float, phase: float) -> None:
         self._x, self._y = centre
         self._radius = radius
         self._rate = rate  # rad/s, negative when clockwise
@@ -111,7 +112,7 @@ class _Waypoints:
 
     __slots__ = ("_begins", "_pieces", "_rest")
 
-    def __init__(self, points: tuple[Pair, ...], speeds: tuple[float, ...], acceleration: float) -> None:
+    def __init__(self, points: tuple[Vector, ...], speeds: tuple[float, ...], acceleration: float) -> None:
         changes = _velocity_changes(points, speeds)
         times = [_PEAK * hypot(*change) / acceleration for change in changes]
         # A piece is (begin, x, y, vx, vy, T, dvx, dvy): state at its begin and, in a blend, the
@@ -276,11 +277,11 @@ def _make_waypoints(section: TrajectorySection) -> _Waypoints | _Hold:
     return _Waypoints(points, _leg_speeds(points, speed, acceleration), acceleration)
 
 
-def _waypoint_fields(section: TrajectorySection) -> tuple[tuple[Pair, ...], float, float]:
+def _waypoint_fields(section: TrajectorySection) -> tuple[tuple[Vector, ...], float, float]:
     """Distinct waypoints, wanted speed and acceleration limit."""
     if not section.waypoints_m:
         raise ValueError("trajectory.waypoints_m must list at least one waypoint")
-    points: list[Pair] = []
+    points: list[Vector] = []
     for k, waypoint in enumerate(section.waypoints_m):
         point = _pair(f"waypoints_m[{k + 1}]", waypoint)
         if not points or _length(points[-1], point) > _SAME:
@@ -289,7 +290,7 @@ def _waypoint_fields(section: TrajectorySection) -> tuple[tuple[Pair, ...], floa
     return tuple(points), speed, _positive("corner_acceleration", section.corner_acceleration)
 
 
-def _leg_speeds(points: tuple[Pair, ...], speed: float, acceleration: float) -> tuple[float, ...]:
+def _leg_speeds(points: tuple[Vector, ...], speed: float, acceleration: float) -> tuple[float, ...]:
     """Speed of every leg: as asked, or as much slower as its two blends need to fit in it.
 
     The blends of leg k's ends take (T_k + T_k+1) / 2 of its time, length / v_k: it fits while
@@ -315,7 +316,7 @@ def _leg_speeds(points: tuple[Pair, ...], speed: float, acceleration: float) -> 
 
 
 def _fits(
-    points: tuple[Pair, ...], lengths: list[float], speeds: list[float], k: int, acceleration: float
+    points: tuple[Vector, ...], lengths: list[float], speeds: list[float], k: int, acceleration: float
 ) -> bool:
     here = _velocity(points, speeds, k)
     before = _velocity(points, speeds, k - 1)
@@ -324,7 +325,7 @@ def _fits(
     return 0.5 * _PEAK * speeds[k] * change <= acceleration * lengths[k]
 
 
-def _velocity_changes(points: tuple[Pair, ...], speeds: tuple[float, ...]) -> list[Pair]:
+def _velocity_changes(points: tuple[Vector, ...], speeds: tuple[float, ...]) -> list[Vector]:
     """Change of velocity at every waypoint."""
     changes = []
     for k in range(len(points)):
@@ -333,7 +334,7 @@ def _velocity_changes(points: tuple[Pair, ...], speeds: tuple[float, ...]) -> li
     return changes
 
 
-def _velocity(points: tuple[Pair, ...], speeds: tuple[float, ...] | list[float], k: int) -> Pair:
+def _velocity(points: tuple[Vector, ...], speeds: tuple[float, ...] | list[float], k: int) -> Vector:
     """Velocity on leg k; zero before the first and after the last."""
     if not 0 <= k < len(speeds):
         return 0.0, 0.0
@@ -342,11 +343,11 @@ def _velocity(points: tuple[Pair, ...], speeds: tuple[float, ...] | list[float],
     return (bx - ax) * scale, (by - ay) * scale
 
 
-def _length(a: Pair, b: Pair) -> float:
+def _length(a: Vector, b: Vector) -> float:
     return hypot(b[0] - a[0], b[1] - a[1])
 
 
-def _pair(name: str, value: Pair | None) -> Pair:
+def _pair(name: str, value: Vector | None) -> Vector:
     if value is None or not (isfinite(value[0]) and isfinite(value[1])):
         raise ValueError(f"trajectory.{name} must be two finite numbers, not {value}")
     return float(value[0]), float(value[1])

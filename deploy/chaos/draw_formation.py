@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from agent.common.quantities import Vector
 from agent.formation.assignment import assign_slots
 from deploy.chaos.dice import Dice
 
@@ -17,13 +18,11 @@ APART_FACTOR: Final = 2.2
 _APART_MIN_M: Final = 0.6
 _SAME: Final = 1.01
 
-Pair = tuple[float, float]
-
 
 class Shape(NamedTuple):
     """A formation: place of every robot, and who shares an edge."""
 
-    offsets: Mapping[int, Pair]
+    offsets: Mapping[int, Vector]
     edges: Sequence[tuple[int, int]]
 
     @property
@@ -46,7 +45,7 @@ def draw_shape(dice: Dice, robots: Sequence[int], safe_m: float) -> Shape:
     return Shape(dict(zip(robots, places, strict=True)), _connected(dice, robots, places))
 
 
-def near_shape(shape: Shape, before: Mapping[int, Pair]) -> Shape:
+def near_shape(shape: Shape, before: Mapping[int, Vector]) -> Shape:
     """The same shape with its places given to the robots so that they have the least to drive."""
     robots, places = list(shape.offsets), list(shape.offsets.values())
     costs = np.array([[dist(before[robot], place) ** 2 for place in places] for robot in robots])
@@ -79,9 +78,9 @@ def _lattice(dice: Dice, robots: Sequence[int], spacing: float) -> Shape:
     return Shape(dict(zip(robots, places, strict=True)), edges)
 
 
-def _scattered(dice: Dice, count: int, spacing: float) -> list[Pair]:
+def _scattered(dice: Dice, count: int, spacing: float) -> list[Vector]:
     """Places in a disc, none nearer than `spacing` to another."""
-    points: list[Pair] = []
+    points: list[Vector] = []
     radius = 0.6 * spacing * count**0.5
     while len(points) < count:
         angle, away = 2.0 * pi * dice.share(), radius * dice.share() ** 0.5
@@ -93,12 +92,12 @@ def _scattered(dice: Dice, count: int, spacing: float) -> list[Pair]:
     return _centred(points)
 
 
-def _centred(points: Sequence[Pair]) -> list[Pair]:
+def _centred(points: Sequence[Vector]) -> list[Vector]:
     x, y = (sum(point[axis] for point in points) / len(points) for axis in (0, 1))
     return [(round(a - x, 3), round(b - y, 3)) for a, b in points]
 
 
-def _connected(dice: Dice, robots: Sequence[int], places: Sequence[Pair]) -> list[tuple[int, int]]:
+def _connected(dice: Dice, robots: Sequence[int], places: Sequence[Vector]) -> list[tuple[int, int]]:
     """A spanning tree that prefers short edges, and some more edges."""
     inside, edges = [0], set[tuple[int, int]]()
     while len(inside) < len(robots):

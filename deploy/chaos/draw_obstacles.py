@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from math import ceil, cos, dist, hypot, pi, sin
 from typing import Any, Final, NamedTuple
 
+from agent.common.quantities import Vector
 from deploy.chaos.dice import Dice
 
 Tables = dict[str, Any]
-Pair = tuple[float, float]
-
 OBSTACLES_MAX: Final = 6
 _FREE_M: Final = 0.35
 """Obstacles are so much further from the hands at the start than robots keep from them."""
@@ -21,8 +20,8 @@ _FENCE_M: Final = 3.0
 class Reach(NamedTuple):
     """The box that all places and starts of a scenario lie in."""
 
-    low: Pair
-    high: Pair
+    low: Vector
+    high: Vector
 
     @property
     def size(self) -> float:
@@ -30,7 +29,7 @@ class Reach(NamedTuple):
         return dist(self.low, self.high)
 
 
-def hands(tables: Tables) -> list[Pair]:
+def hands(tables: Tables) -> list[Vector]:
     """Hand points of all robots at the start."""
     length = tables["robot_defaults"]["hand_offset_m"]
     return [
@@ -39,7 +38,7 @@ def hands(tables: Tables) -> list[Pair]:
     ]
 
 
-def draw_obstacles(dice: Dice, tables: Tables, way: Sequence[Pair]) -> list[Tables]:
+def draw_obstacles(dice: Dice, tables: Tables, way: Sequence[Vector]) -> list[Tables]:
     """Circles and polygons about `way`, the places that the reference passes, none on a start."""
     starts = hands(tables)
     found: list[Tables] = []

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import tomli_w
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
@@ -19,12 +20,12 @@ from agent.formation.geometry import resolve, resolved
 from agent.formation.mission_plan import Plan
 from deploy.chaos.dice import Dice
 from deploy.chaos.draw_formation import APART_FACTOR, apart_m, draw_shape, near_shape
-from deploy.chaos.draw_obstacles import Pair, Reach, hands
+from deploy.chaos.draw_obstacles import Reach, hands
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import Operator
 
 Tables = dict[str, Any]
-Draw = Callable[[Dice, Pair], Tables]
+Draw = Callable[[Dice, Vector], Tables]
 """A trajectory that begins near a place."""
 
 LAST_S: Final = 1.5
@@ -113,16 +114,16 @@ class _Drawing:
         order["offset_m"] = list(place)
         return order
 
-    def _seen_from_reference(self, robot: int, at: float) -> Pair:
+    def _seen_from_reference(self, robot: int, at: float) -> Vector:
         """Where a robot that has not moved since the start is."""
         x, y = hands(self._tables)[self._fleet.index(robot)]
         cx, cy = self._plan.reference(self._epoch_ns + round(at * NS_PER_S))[:2]
         return x - cx, y - cy
 
-    def _free_place(self, least: float, here: Pair) -> Pair | None:
+    def _free_place(self, least: float, here: Vector) -> Vector | None:
         """A place beside the others and well apart from them; of some, the one that is nearest to `here`."""
         places, dice = list(self._plan.offsets.values()), self._dice
-        free: list[Pair] = []
+        free: list[Vector] = []
         for _ in range(_TRIES):
             (x, y), away, angle = dice.pick(places), dice.between(1.0, 2.0) * least, 2.0 * pi * dice.share()
             place = round(x + away * cos(angle), 3), round(y + away * sin(angle), 3)

@@ -15,12 +15,13 @@ from typing import Final
 
 import numpy as np
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.common.wording import show
 from agent.fleet.loading import digest
 from agent.fleet.model import Fleet, FormationError
 from agent.fleet.orders import ORDER_FIELDS, OrderSection, ShapeSection
-from agent.fleet.sections import Pair, TrajectorySection
+from agent.fleet.sections import TrajectorySection
 from agent.formation.graph import components
 from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, trajectory_parts, written_plan
 from agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
@@ -43,7 +44,7 @@ class OrderError(ValueError):
 class _Change:
     """What is to hold from the take-over on; `note` says in words what is new. Trajectory None: as it is."""
 
-    offsets: Mapping[int, Pair]
+    offsets: Mapping[int, Vector]
     edges: Sequence[tuple[int, int, float]]
     note: str
     trajectory: TrajectorySection | None = None
@@ -173,7 +174,7 @@ def _leave(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
     return _Change(offsets=offsets, edges=edges, note=note)
 
 
-def _parts(offsets: Mapping[int, Pair], edges: Sequence[tuple[int, int, float]]) -> int:
+def _parts(offsets: Mapping[int, Vector], edges: Sequence[tuple[int, int, float]]) -> int:
     row = {robot: k for k, robot in enumerate(offsets)}
     return len(components(len(row), [(row[i], row[j]) for i, j, _ in edges]))
 
@@ -226,7 +227,7 @@ def _reshape(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
     )
 
 
-def _distances(shape: ShapeSection, plan: Plan, fleet: Fleet, offsets: Mapping[int, Pair]) -> Edges:
+def _distances(shape: ShapeSection, plan: Plan, fleet: Fleet, offsets: Mapping[int, Vector]) -> Edges:
     """The edges after a reshaping, in the order in which they are given, with their distances."""
     given = tuple(plan.edges) if shape.edges is None else shape.edges
     wanted = shape.distance_m
@@ -251,7 +252,7 @@ def _distances(shape: ShapeSection, plan: Plan, fleet: Fleet, offsets: Mapping[i
     return edges
 
 
-def _found(offsets: Mapping[int, Pair], edges: Edges, safe: float) -> dict[int, Pair]:
+def _found(offsets: Mapping[int, Vector], edges: Edges, safe: float) -> dict[int, Vector]:
     """Places that meet the edges' distances, near those that are."""
     row = {robot: k for k, robot in enumerate(offsets)}
     wanted = np.array(list(edges.values()))
@@ -294,7 +295,7 @@ def _refuse_unknown(robot: int, fleet: Fleet) -> None:
         raise OrderError(f"robot {robot} is not in the fleet: its ids are {show(fleet.ids, 80)[1:-1]}")
 
 
-def _point(place: Pair) -> str:
+def _point(place: Vector) -> str:
     return f"[{place[0]:.4g}, {place[1]:.4g}]"
 
 

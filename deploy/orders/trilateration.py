@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from math import dist, hypot, sqrt
 from typing import Final
 
-from agent.fleet.sections import Pair
+from agent.common.quantities import Vector
 from agent.formation.realisation import DISTANCE_TOLERANCE
 
 _STEPS: Final = 20
 _SAME: Final = 1e-6  # places nearer to each other than this share of a distance are one
 
 
-def trilaterate(anchors: Sequence[Pair], distances: Sequence[float]) -> tuple[Pair, ...]:
+def trilaterate(anchors: Sequence[Vector], distances: Sequence[float]) -> tuple[Vector, ...]:
     """The places, at most two, that meet all distances (above zero) within `DISTANCE_TOLERANCE`.
 
     Two circles meet in two points at most; those of the first anchor with each other one are brought to the
@@ -22,7 +22,7 @@ def trilaterate(anchors: Sequence[Pair], distances: Sequence[float]) -> tuple[Pa
     Args:
         anchors: at least two.
     """
-    found: list[Pair] = []
+    found: list[Vector] = []
     for anchor, distance in zip(anchors[1:], distances[1:], strict=True):
         for start in _meeting(anchors[0], distances[0], anchor, distance):
             place = _nearest(start, anchors, distances)
@@ -36,7 +36,9 @@ def trilaterate(anchors: Sequence[Pair], distances: Sequence[float]) -> tuple[Pa
     return tuple(found[:2])
 
 
-def place_apart(anchors: Sequence[Pair], distances: Sequence[float], others: Sequence[Pair]) -> Pair | None:
+def place_apart(
+    anchors: Sequence[Vector], distances: Sequence[float], others: Sequence[Vector]
+) -> Vector | None:
     """The place with these distances from the anchors that is furthest from the nearest of the others.
 
     From a single anchor it is the one straight away from the others' centroid (+x where the anchor is that).
@@ -60,7 +62,7 @@ def place_apart(anchors: Sequence[Pair], distances: Sequence[float], others: Seq
     return x + distance * out_x / size, y + distance * out_y / size
 
 
-def _meeting(a: Pair, radius: float, b: Pair, other: float) -> tuple[Pair, ...]:
+def _meeting(a: Vector, radius: float, b: Vector, other: float) -> tuple[Vector, ...]:
     """Where two circles meet, the left one from `a` to `b` first; where they do not, the point between."""
     x, y = b[0] - a[0], b[1] - a[1]
     apart = hypot(x, y)
@@ -73,7 +75,7 @@ def _meeting(a: Pair, radius: float, b: Pair, other: float) -> tuple[Pair, ...]:
     return (foot_x - across * y, foot_y + across * x), (foot_x + across * y, foot_y - across * x)
 
 
-def _nearest(place: Pair, anchors: Sequence[Pair], distances: Sequence[float]) -> Pair:
+def _nearest(place: Vector, anchors: Sequence[Vector], distances: Sequence[float]) -> Vector:
     x, y = place
     for _ in range(_STEPS):
         xx = xy = yy = bx = by = 0.0
