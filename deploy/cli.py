@@ -9,12 +9,12 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, Final, NamedTuple
 
+from agent.common.errors import Error, packages_named
 from deploy.console.data_files import bundled
 from deploy.console.exit import BAD_INPUT, FAILED, INTERRUPTED
 from deploy.console.interrupt import remembered
 
 ROVER_SIMULATOR: Final = "rover-simulator"
-ROVER_PACKAGES: Final = ("pymap3d", "serial")
 
 
 class Command(NamedTuple):
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status (see `--help`)."""
     arguments = sys.argv[1:] if argv is None else list(argv)
     try:
-        with remembered():
+        with remembered(), packages_named():
             if arguments[:1] == [ROVER_SIMULATOR]:
                 from deploy.commands.local.rover_simulator import run
 
@@ -104,16 +104,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             result: int = options.command(options)
             sys.stdout.flush()  # here, where an output that nobody reads is found
             return result
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] in ("agent", "plant", "bridges", "deploy"):
-            raise
-        whose, extra = ("rovers'", "rover") if error.name in ROVER_PACKAGES else ("operator's", "operator")
-        print(
-            f"handfast: this needs the package {error.name}: install the {whose} extra, "
-            f"pip install 'handfast[{extra}]'",
-            file=sys.stderr,
-        )
-        return BAD_INPUT
     except KeyboardInterrupt:
         # One that came up through an `exec`, as of a dataclass that was being made, has `python -m` end
         # with the signal instead of with a status, unless another `exec` comes after it.
@@ -123,13 +113,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output is gone (`handfast check ... | head`): nothing is left to say or flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
-    except Exception as error:
-        # Here: `--help` needs nothing of fleets.
-        from agent.fleet.model import FleetError
-        from deploy.console.arguments import InputError
-
-        if not isinstance(error, (FleetError, InputError)):
-            raise
+    except Error as error:
         print(f"handfast: {error}", file=sys.stderr)
         return BAD_INPUT
 

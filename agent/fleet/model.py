@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from agent.common.errors import Error
 from agent.common.reader import Problem
 from agent.common.settings import about
 from agent.common.wording import printable, show
@@ -39,7 +40,7 @@ ANY_ADDRESS: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
 _PROBLEMS_SHOWN_MAX: Final = 100
 
 
-class FleetError(ValueError):
+class FleetError(Error, ValueError):
     """A fleet file that cannot be used. `problems` is never empty; `str()` lists them, one to a line."""
 
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:

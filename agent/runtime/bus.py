@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 import zenoh
 
+from agent.common.errors import Error
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import INBOX_SIZE
 from agent.runtime.tcp_linger import Lingering
@@ -50,7 +51,7 @@ M_ARENA_MAX: Final = -8
 """Parameter of glibc's mallopt(3): the number of arenas."""
 
 
-class BusError(RuntimeError):
+class BusError(Error, RuntimeError):
     """The bus cannot be opened; the text says which endpoint and why."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from agent.common.errors import Error
 from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.model import Fleet
 from agent.fleet.sections import LAWS
@@ -12,7 +13,7 @@ from deploy.console.data_files import FLEETS, SCENARIOS, bundled
 from deploy.console.wording import some
 
 
-class InputError(Exception):
+class InputError(Error):
     """Bad input; the text is one clear message."""
 
 

@@ -30,6 +30,8 @@ from deploy.inventory.folders import cache_folder
 
 PACKAGES: Final = ("agent", "plant", "bridges")
 """What a robot runs; `deploy` is the operator's."""
+MODULE: Final = "handfast.py"
+"""What laws and plants of one's own import."""
 DOWNLOAD_TIMEOUT_S: Final = 600.0
 GLIBC_OLDEST: Final = 17
 _INDEX: Final = "bundle.json"
@@ -226,6 +228,7 @@ def _contents() -> Iterator[tuple[str, bytes]]:
         for path in sorted((ROOT / package).rglob("*")):
             if path.is_file() and path.suffix != ".pyc":
                 yield path.relative_to(ROOT).as_posix(), path.read_bytes()
+    yield MODULE, (ROOT / MODULE).read_bytes()
     version = handfast_version()
     metadata = f"Metadata-Version: 2.1\nName: handfast\nVersion: {version}\n"
     yield f"handfast-{version}.dist-info/METADATA", metadata.encode()

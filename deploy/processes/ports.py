@@ -7,6 +7,7 @@ import os
 import socket
 from typing import Final
 
+from agent.common.errors import Error
 from agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 BLOCK: Final = 128
@@ -15,7 +16,7 @@ PORT_MAX: Final = 32_767
 """Above lies the range from which the system picks ports for outgoing connections."""
 
 
-class NoPortsError(RuntimeError):
+class NoPortsError(Error, RuntimeError):
     """No run of free ports is left."""
 
 

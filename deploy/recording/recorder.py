@@ -19,6 +19,7 @@ from typing import IO, Final, Self
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
+from agent.common.errors import Error
 from agent.fleet.loading import law_name, to_dict
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode
@@ -44,7 +45,7 @@ _TIME_MAX: Final = 2**64 - 1
 _SEQUENCE_MASK: Final = 2**32 - 1  # MCAP's sequence has 32 bits
 
 
-class RecordingError(Exception):
+class RecordingError(Error):
     """A recording that cannot be written or read; the text is one line naming the file."""
 
 

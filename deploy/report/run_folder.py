@@ -8,6 +8,7 @@ from typing import Any
 
 import tomli_w
 
+from agent.common.errors import Error
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
@@ -18,7 +19,7 @@ from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER, METRICS_FILE, REC
 from deploy.verdict import metrics
 
 
-class FolderError(RuntimeError):
+class FolderError(Error, RuntimeError):
     """The folder cannot be made or written; one line that names it."""
 
 

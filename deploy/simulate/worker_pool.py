@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Any, Final, Generic, Protocol, TypeVar
 
+from agent.common.errors import Error
 from deploy.processes.child import ONE_THREAD
 
 POLL_S: Final = 0.2
@@ -35,7 +36,7 @@ Result = TypeVar("Result", covariant=True)
 GoOn = Callable[[], bool]
 
 
-class PoolError(RuntimeError):
+class PoolError(Error, RuntimeError):
     """Workers cannot be started; the text is one line."""
 
 

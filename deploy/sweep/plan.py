@@ -14,6 +14,7 @@ from math import isfinite, prod, sqrt
 from typing import Any, Final
 
 from agent.common import random_streams
+from agent.common.errors import Error
 from agent.common.quantities import UNITS, quantity
 from agent.common.reader import Problem
 from agent.common.settings import entries
@@ -33,7 +34,7 @@ _SEED_SHIFT: Final = 11  # seeds of 53 bits: every program that reads the table 
 _BRACKETS: Final = {"[": "]", "{": "}"}
 
 
-class SweepError(ValueError):
+class SweepError(Error, ValueError):
     """A sweep that cannot be made; the text is one clear message."""
 
 

@@ -175,6 +175,7 @@ def test_while_they_drive_one_robot_at_a_time_starts_again(deployment: Deploymen
     newer = tmp_path / "newer"
     for package in ("agent", "plant", "bridges", "deploy"):
         shutil.copytree(ROOT / package, newer / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "handfast.py", newer)
     with open(newer / "agent" / "core.py", "a") as stream:
         stream.write("# another version\n")
     upgraded = FleetOnHosts(fleet.hosts, fleet.folder, tables(fleet.hosts), fleet.cache, newer)

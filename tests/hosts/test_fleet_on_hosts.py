@@ -192,6 +192,7 @@ def test_an_upgrade_takes_one_robot_at_a_time_and_the_rest_drive(fleet: FleetOnH
     newer = tmp_path / "newer"
     for package in ("agent", "plant", "bridges", "deploy"):
         shutil.copytree(ROOT / package, newer / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "handfast.py", newer)
     with open(newer / "agent" / "core.py", "a") as stream:
         stream.write("# another version\n")
     tables = delta(list(fleet.hosts), fleet=CALM, control=PATIENT)

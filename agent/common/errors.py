@@ -1,0 +1,36 @@
+"""The base of all errors that a user can cause, and that of a package which is not installed (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+_OURS: Final = ("agent", "plant", "bridges", "deploy")
+_ROVER_PACKAGES: Final = ("pymap3d", "serial")
+
+
+class Error(Exception):
+    """What a user asked for cannot be; the text says what is wrong, and what would be right."""
+
+
+class MissingPackageError(Error, ImportError):
+    """Something needs a package that is not installed; the text says how to install it."""
+
+
+@contextmanager
+def packages_named(what: str = "this") -> Iterator[None]:
+    """A context, or a decorator, in which a package that `what` needs and that is not installed becomes a
+    `MissingPackageError`. That one of our own is missing stays what it is, but for `deploy` as a whole, which
+    robots do not have."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if not name or (name in _OURS and error.name != "deploy"):
+            raise
+        whose, extra = ("rovers'", "rover") if name in _ROVER_PACKAGES else ("operator's", "operator")
+        raise MissingPackageError(
+            f"{what} needs the package {error.name}: install the {whose} extra, "
+            f"pip install 'handfast[{extra}]'"
+        ) from None
