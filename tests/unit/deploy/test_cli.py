@@ -133,7 +133,8 @@ def loaded_by(*arguments: str) -> set[str]:
 
 def test_help_loads_no_command_and_nothing_of_fleets() -> None:
     loaded = loaded_by("--help")
-    assert not loaded & {*HEAVY, "numpy", "agent", "bridges", "plant"}
+    assert not loaded & {*HEAVY, "numpy", "bridges", "plant"}
+    assert {name for name in loaded if name.startswith("agent.")} == {"agent.common", "agent.common.errors"}
     assert not [name for name in loaded if name.startswith("deploy.commands.")]
 
 
