@@ -350,7 +350,7 @@ class Agent:
         plant = self._situation.plant
         assert plant is not None
         drive = self._controller.drive(plant, now_ns, self._trust.slower)
-        multipliers = self._controller.multipliers()
+        multipliers = self._controller.coupling.shared()
         numbers = (drive.force, drive.torque, *drive.forces, *(value for _, value in multipliers))
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:
             # Never sent, never hidden: this tick brakes, and the next finds the fault.

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
+from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.detour import Blocker, Detour
 from agent.control.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
 from agent.control.prediction import Prediction, approach, constraint_decay
@@ -24,14 +25,10 @@ from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
 from agent.links.ticks import next_tick_ns
-from agent.messages.types import NEIGHBOURS_MAX, PlantState
+from agent.messages.types import PlantState
 
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
-
-Key = int | str
-"""Of a multiplier: a robot's id for an edge, minus its id where it is only kept away from, the name of a
-boundary with a number."""
 
 
 class Drive(NamedTuple):
@@ -59,17 +56,6 @@ class Drive(NamedTuple):
         return self[2:8]
 
 
-class _Constraint(NamedTuple):
-    """One constraint at one instant: `other` is None for what stands still."""
-
-    key: Key
-    edge: law.Edge
-    other: Prediction | None
-    degree: int
-    one_sided: bool
-    name: str = ""
-
-
 class _Scene(NamedTuple):
     """What acts on the own hand at one instant, as it is found.
 
@@ -81,7 +67,7 @@ class _Scene(NamedTuple):
     own: hand.Hand
     nx: float
     ny: float
-    constraints: list[_Constraint]
+    constraints: list[Constraint]
     planes: list[safety_filter.HalfPlane]
 
 
@@ -115,10 +101,9 @@ class Controller:
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
         self.detour: Final = Detour(fleet.period_ns / NS_PER_S)
-        self._multipliers: dict[Key, float] = {}
         self._blockers: list[Blocker] = []
         self._gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
-        self._coupling = control.coupling
+        self.coupling: Final = COUPLINGS[control.coupling](self._gains, self.peers)
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m
         self._acceleration_max = control.max_acceleration
@@ -139,7 +124,7 @@ class Controller:
 
     def restart(self) -> None:
         """Forgets the multipliers: the robot begins to drive."""
-        self._multipliers.clear()
+        self.coupling.restart()
         self._blockers.clear()
         self.detour.reset()
 
@@ -162,16 +147,6 @@ class Controller:
         if edges is not self._course_edges:
             self._course_edges = edges
             self.edges = tuple((edge, self.peers.get(edge.other)) for edge in edges)
-
-    def multipliers(self) -> tuple[tuple[int, float], ...]:
-        """Own copies of lambda that others have copies of: ``(robot, lambda)``, one for each robot."""
-        known = self._multipliers
-        shared = [
-            (abs(key), value)
-            for key, value in known.items()
-            if type(key) is int and (key > 0 or -key not in known)
-        ]
-        return tuple(shared[:NEIGHBOURS_MAX])
 
     def drive(self, plant: PlantState, now_ns: int, slower: float = 1.0) -> Drive:
         """The law at the tick `now_ns`. Its numbers may be absurd: look at them before they are sent.
@@ -202,7 +177,12 @@ class Controller:
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
         scene = _Scene(now_ns, own, gx, gy, [], [])
         self._look_round(scene, acting_ns)
-        cx, cy = self._solve(scene.constraints)
+        cx, cy = self.coupling.force(scene.constraints)
+        self._blockers = [
+            Blocker(each.edge.normal[0], each.edge.normal[1], each.name, each.other is None)
+            for each in scene.constraints
+            if each.one_sided
+        ]
         ux, uy = gx + cx, gy + cy
         causes: tuple[str, ...] = ()
         if self.proximity.enabled:
@@ -260,7 +240,7 @@ class Controller:
                 constraint = self._constraint(scene, other, offset, edge.distance, edge.rate, edge.bend)
                 if weight < 1.0:
                     constraint = law.weighted(constraint, weight)
-                scene.constraints.append(_Constraint(peer.robot, constraint, other, peer.degree, False))
+                scene.constraints.append(Constraint(peer.robot, constraint, other, peer.degree, False))
             if self.proximity.enabled:
                 self._keep_away(scene, peer, time_ns, other, pushes=weight < 1.0)
         for peer in self.proximity.close:
@@ -306,7 +286,7 @@ class Controller:
         if pushes and not guessed and rho - doubt < self.proximity.distance:
             scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
             constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.proximity.distance)
-            scene.constraints.append(_Constraint(-peer.robot, constraint, other, peer.degree, True, name))
+            scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
         gap = self._safe_distance + self._margin + doubt
         # Where it is, nobody knows: those that are heard come first.
@@ -358,7 +338,7 @@ class Controller:
                         self._gains,
                     )
                     key = f"{near.name} {near.side}"
-                    scene.constraints.append(_Constraint(key, constraint, None, 0, True, near.name))
+                    scene.constraints.append(Constraint(key, constraint, None, 0, True, near.name))
                 plane = safety_filter.keep_clear(
                     near.name,
                     near.distance,
@@ -369,44 +349,6 @@ class Controller:
                     self._barrier_rate,
                 )
                 scene.planes.append(plane)
-
-    # ------------------------------------------------------------------ multipliers
-
-    def _solve(self, constraints: list[_Constraint]) -> Vector:
-        """Own constraint force F_c (32), m/s^2; moves the multipliers on by one tick."""
-        gains, before = self._gains, self._multipliers
-        values = [before.get(each.key, 0.0) for each in constraints]
-        if self._coupling == "joint":
-            edges = {each.key for each in constraints if not each.one_sided}
-            for k, each in enumerate(constraints):
-                # A robot with an edge that is not quite relied on has two multipliers: the edge's is shared.
-                if type(each.key) is int and (each.key > 0 or -each.key not in edges):
-                    copy = self.peers.take_copy(abs(each.key))
-                    if copy is not None:
-                        values[k] = 0.5 * (values[k] + copy)
-            cx, cy = _total(constraints, values)
-            own_degree = len(constraints)
-            for k, each in enumerate(constraints):
-                other = each.other
-                pull = (cx, cy) if other is None else (cx - other.constraint[0], cy - other.constraint[1])
-                degrees = own_degree + (0 if other is None else max(1, each.degree))
-                values[k] = law.multiplier_sweep(each.edge, values[k], pull, degrees, gains)
-        elif self._coupling == "edge":
-            values = [
-                law.multiplier_edge(each.edge, gains, 1 if each.other is None else 2) for each in constraints
-            ]
-        else:
-            values = [law.multiplier_penalty(each.edge, gains) for each in constraints]
-        for k, each in enumerate(constraints):
-            if each.one_sided:
-                values[k] = law.repelling(values[k])
-        self._multipliers = {each.key: value for each, value in zip(constraints, values, strict=True)}
-        self._blockers = [
-            Blocker(each.edge.normal[0], each.edge.normal[1], each.name, each.other is None)
-            for each in constraints
-            if each.one_sided
-        ]
-        return _total(constraints, values)
 
     def _last_stage(
         self,
@@ -442,13 +384,3 @@ SLOW_SPEED: Final = 0.2
 def _within(value: float, most: float | None) -> float:
     """What the actuator can give of it: contradicting limits are beyond the safety filter."""
     return value if most is None else max(-most, min(most, value))
-
-
-def _total(constraints: list[_Constraint], values: list[float]) -> Vector:
-    """Own constraint force (32) with these multipliers, m/s^2."""
-    cx = cy = 0.0
-    for each, value in zip(constraints, values, strict=True):
-        fx, fy = law.force(each.edge, value)
-        cx += fx
-        cy += fy
-    return cx, cy

@@ -89,10 +89,10 @@ class Prediction(NamedTuple):
     force F_c, m/s^2.
     """
 
-    position: tuple[float, float]
-    velocity: tuple[float, float]
-    navigation: tuple[float, float]
-    constraint: tuple[float, float]
+    position: Vector
+    velocity: Vector
+    navigation: Vector
+    constraint: Vector
 
 
 def following(

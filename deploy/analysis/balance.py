@@ -18,6 +18,7 @@ from agent.control.prediction import approach
 from agent.fleet.model import Fleet
 from deploy.analysis import fleet_law
 from deploy.analysis.analysis import Analysis
+from deploy.analysis.couplings import coupling_of
 
 STILL_S: Final = 2.0
 STILL_M: Final = 0.1
@@ -70,16 +71,16 @@ def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[fleet_law.Array, fleet
     navigation = -control.c1 * np.array(shares) * error
     columns = np.flatnonzero(a.counts[row])
     i, j = a.edges[columns].T
-    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
+    coupling = coupling_of(fleet)
     edges = fleet_law.edges(
         (a.hands[row, i] - a.hands[row, j]).T,
         np.zeros((2, len(columns))),
         navigation[:, i] - navigation[:, j],
         a.wanted[row, columns],
         fleet.formation.safe_distance_m,
-        gains,
+        coupling.gains,
     )
-    multipliers = fleet_law.multipliers_fleet(control.coupling, edges, i, j, n, gains)
+    multipliers = coupling.multipliers(edges, i, j, n)
     total: fleet_law.Array = navigation + fleet_law.total_forces(
         fleet_law.forces(edges, multipliers), i, j, n
     )

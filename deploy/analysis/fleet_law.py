@@ -111,15 +111,6 @@ def multipliers_joint(e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots
     return result
 
 
-def multipliers_fleet(
-    coupling: str, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int, gains: Gains
-) -> Array:
-    """Multipliers of all edges of a fleet, (m,), as its `control.coupling` finds them; "joint" exactly."""
-    if coupling == "joint":
-        return multipliers_joint(e, i, j, robots, gains)
-    return multipliers_edge(e, gains) if coupling == "edge" else multipliers_penalty(e, gains)
-
-
 def forces(e: Edges, multipliers: Array) -> Array:
     """Constraint force of every edge on its robot i: A_i^T lambda = phi' lambda n (29), (2, m), m/s^2."""
     size = e.slope * multipliers

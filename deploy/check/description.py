@@ -11,11 +11,12 @@ import numpy as np
 from agent.control.boundaries import obstacles_of
 from agent.control.safety_distances import clearance, sensing_distance
 from agent.fleet.model import Fleet
-from agent.fleet.sections import SIMULATOR, ControlSection
+from agent.fleet.sections import SIMULATOR
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry, resolve, start_hands
 from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
+from deploy.analysis.couplings import coupling_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.check.safety import parting
@@ -45,7 +46,7 @@ def describe(fleet: Fleet) -> str:
         lines.append(f"  cannot be driven: {error}")
         return "\n".join(lines)
     lines.append(f"  formation: {_describe_shape(fleet, geometry)}")
-    lines.append(f"  law: {_describe_law(fleet.control)}")
+    lines.append(f"  law: {_describe_law(fleet)}")
     lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
     lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
     lines += [f"  {line}" for line in _describe_safety(fleet, geometry)]
@@ -92,15 +93,11 @@ def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:
     return ", ".join(parts)
 
 
-def _describe_law(control: ControlSection) -> str:
-    name = {
-        "joint": "joint multipliers",
-        "edge": "edge by edge" if control.kp > 0.0 else "edge by edge, the paper's",
-        "penalty": "potential field",
-    }[control.coupling]
+def _describe_law(fleet: Fleet) -> str:
+    control = fleet.control
     return (
-        f"{name}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 {control.k2:g}, kp "
-        f"{control.kp:g}; at most {control.max_acceleration:g} m/s2"
+        f"{coupling_of(fleet).title}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 "
+        f"{control.k2:g}, kp {control.kp:g}; at most {control.max_acceleration:g} m/s2"
     )
 
 

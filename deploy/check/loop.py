@@ -10,15 +10,8 @@ import numpy as np
 
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
-from deploy.analysis.stability import (
-    SETTLED,
-    Mode,
-    at_start,
-    modes,
-    sampled_radius,
-    settling_time,
-    sweep_radius,
-)
+from deploy.analysis.couplings import Mode, coupling_of
+from deploy.analysis.stability import SETTLED, at_start, sampled_radius, settling_time
 from deploy.check.finding import Finding
 from deploy.console.wording import robots
 
@@ -47,25 +40,9 @@ def check_saturation(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
 def check_gains(fleet: Fleet) -> Iterator[Finding]:
     """Do coupling, gains and relaxation suit this fleet's size and distances."""
-    control, n = fleet.control, len(fleet.members)
-    if control.coupling == "edge" and n > 2:
-        name = "the paper's law" if control.kp == 0.0 else 'the law edge by edge (coupling = "edge")'
-        yield Finding(
-            "info",
-            "control.coupling",
-            f"{name} is not proved stable for {n} robots: a robot with several edges feels forces that "
-            "(33) leaves "
-            'out (docs/theory.md). coupling = "joint" is proved',
-        )
-    if control.coupling == "penalty":
-        yield Finding(
-            "info",
-            "control.coupling",
-            'the potential-field law (coupling = "penalty") is a yardstick: its forces are not bounded '
-            "near the safe "
-            'distance and compete with navigation (docs/theory.md). coupling = "joint" is the one to drive '
-            "with",
-        )
+    control, remark = fleet.control, coupling_of(fleet).remark(len(fleet.members))
+    if remark:
+        yield Finding("info", "control.coupling", remark)
     if control.kp == 0.0:
         yield Finding(
             "info",
@@ -87,8 +64,8 @@ def check_gains(fleet: Fleet) -> Iterator[Finding]:
 def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     """Is the law stable at the formation: as it is, sampled, and with its delay not predicted."""
     control, rate = fleet.control, fleet.fleet.rate_hz
-    safe = fleet.formation.safe_distance_m
-    linear = modes(geometry, control, safe)
+    coupling = coupling_of(fleet)
+    linear = coupling.modes(geometry)
     if not linear:
         return
     softest = min(linear, key=lambda mode: min(mode.k1, mode.k2))
@@ -112,8 +89,8 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
     def whole(at: float) -> float:
         result = radius(at, True)
-        if control.coupling == "joint" and len(geometry.edges) and len(geometry.ids) <= SWEEP_ROBOTS_MAX:
-            result = max(result, sweep_radius(geometry, control, safe, at))
+        if len(geometry.edges) and len(geometry.ids) <= SWEEP_ROBOTS_MAX:
+            result = max(result, coupling.sweep_radius(geometry, at))
         return result
 
     stiffest = max(extreme, key=lambda mode: max(mode.k2, sqrt(mode.k1)))

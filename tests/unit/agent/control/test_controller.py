@@ -73,7 +73,7 @@ def test_no_more_multipliers_are_told_than_a_message_holds():
         peer.trust = 0.5
     plant = PlantState(1, 0, T0, *[0.0] * 7, True, True, True, "")
     controller.drive(plant, T0 + fleet.period_ns)
-    assert len(controller.multipliers()) <= NEIGHBOURS_MAX
+    assert len(controller.coupling.shared()) <= NEIGHBOURS_MAX
 
 
 PAIR = """

@@ -13,7 +13,8 @@ from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation.geometry import resolve, start_hands
 from deploy.analysis import fleet_law
-from deploy.analysis.stability import Mode, modes, sampled_radius, settling_time, sweep_radius
+from deploy.analysis.couplings import COUPLINGS, Mode
+from deploy.analysis.stability import sampled_radius, settling_time
 from deploy.check.check import Finding, check
 from deploy.check.description import describe
 
@@ -239,7 +240,7 @@ def test_modes_are_those_of_the_law_itself(coupling: str):
         return -np.array(columns).T
 
     stiffness, damping = differences(0), differences(1)
-    found = modes(geometry, control, 0.22)
+    found = COUPLINGS[coupling](control, 0.22).modes(geometry)
     assert len(found) == 2 * n
     assert np.sort(np.linalg.eigvals(stiffness).real) == pytest.approx(
         sorted(mode.k1 for mode in found), abs=1e-5
@@ -273,12 +274,7 @@ def commanded(geometry, control, error, rate, multipliers=None):
             edges, multipliers, total[:, i] - total[:, j], degree[i] + degree[j], gains
         )
         return navigation + fleet_law.total_forces(fleet_law.forces(edges, new), i, j, n), new
-    if control.coupling == "joint":
-        new = fleet_law.multipliers_joint(edges, i, j, n, gains)
-    elif control.coupling == "edge":
-        new = fleet_law.multipliers_edge(edges, gains)
-    else:
-        new = fleet_law.multipliers_penalty(edges, gains)
+    new = COUPLINGS[control.coupling](control, 0.22).multipliers(edges, i, j, n)
     return navigation + fleet_law.total_forces(fleet_law.forces(edges, new), i, j, n)
 
 
@@ -288,7 +284,7 @@ def test_sweep_radius_says_how_the_sampled_law_grows(kd: float, stable: bool):
     given, rate_hz = lattice(3), 50.0
     geometry = resolve(given)
     control = replace(given.control, kd=kd)
-    radius = sweep_radius(geometry, control, 0.22, rate_hz)
+    radius = COUPLINGS["joint"](control, 0.22).sweep_radius(geometry, rate_hz)
     assert (radius < 1.0) == stable
     h, n = 1.0 / rate_hz, len(geometry.ids)
     generator = np.random.default_rng(5)

@@ -1,0 +1,124 @@
+"""Couplings: how a robot finds the multipliers of its own constraints, one class for each `control.coupling`
+(PURE).
+
+`deploy.analysis.couplings` has the same of a whole fleet, for analyses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+from agent.common.quantities import Vector
+from agent.control import law
+from agent.control.peers import Peers
+from agent.control.prediction import Prediction
+from agent.messages.types import NEIGHBOURS_MAX
+
+Key = int | str
+"""Of a multiplier: a robot's id for an edge, minus its id where it is only kept away from, the name of a
+boundary with a number."""
+
+
+class Constraint(NamedTuple):
+    """One constraint at one instant: `other` is None for what stands still, `degree` that of the other."""
+
+    key: Key
+    edge: law.Edge
+    other: Prediction | None
+    degree: int
+    one_sided: bool
+    name: str = ""
+
+
+class Coupling:
+    """The multipliers of one robot's constraints: a subclass finds them in `values`.
+
+    Args:
+        gains: of the law.
+        peers: the other robots, for their copies of shared multipliers.
+    """
+
+    def __init__(self, gains: law.Gains, peers: Peers) -> None:
+        self._gains, self._peers = gains, peers
+        self._multipliers: dict[Key, float] = {}
+
+    def restart(self) -> None:
+        """Forgets the multipliers: the robot begins to drive."""
+        self._multipliers.clear()
+
+    def force(self, constraints: list[Constraint]) -> Vector:
+        """Own constraint force F_c (32), m/s^2; moves the multipliers on by one tick."""
+        values = self.values(constraints, [self._multipliers.get(each.key, 0.0) for each in constraints])
+        for k, each in enumerate(constraints):
+            if each.one_sided:
+                values[k] = law.repelling(values[k])
+        self._multipliers = {each.key: value for each, value in zip(constraints, values, strict=True)}
+        return _total(constraints, values)
+
+    def shared(self) -> tuple[tuple[int, float], ...]:
+        """Own copies of lambda that others have copies of: ``(robot, lambda)``, one for each robot."""
+        known = self._multipliers
+        shared = [
+            (abs(key), value)
+            for key, value in known.items()
+            if type(key) is int and (key > 0 or -key not in known)
+        ]
+        return tuple(shared[:NEIGHBOURS_MAX])
+
+    def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
+        """Multipliers of the constraints at this tick, from those of the last one."""
+        raise NotImplementedError
+
+
+class Joint(Coupling):
+    """One sweep a tick towards the joint multipliers of all edges around (J2)."""
+
+    def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
+        values, gains = before, self._gains
+        edges = {each.key for each in constraints if not each.one_sided}
+        for k, each in enumerate(constraints):
+            # A robot with an edge that is not quite relied on has two multipliers: the edge's is shared.
+            if type(each.key) is int and (each.key > 0 or -each.key not in edges):
+                copy = self._peers.take_copy(abs(each.key))
+                if copy is not None:
+                    values[k] = 0.5 * (values[k] + copy)
+        cx, cy = _total(constraints, values)
+        own_degree = len(constraints)
+        for k, each in enumerate(constraints):
+            other = each.other
+            pull = (cx, cy) if other is None else (cx - other.constraint[0], cy - other.constraint[1])
+            degrees = own_degree + (0 if other is None else max(1, each.degree))
+            values[k] = law.multiplier_sweep(each.edge, values[k], pull, degrees, gains)
+        return values
+
+
+class EdgeByEdge(Coupling):
+    """Each edge on its own, as published (33)."""
+
+    def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
+        return [
+            law.multiplier_edge(each.edge, self._gains, 1 if each.other is None else 2)
+            for each in constraints
+        ]
+
+
+class Penalty(Coupling):
+    """A potential field, the yardstick."""
+
+    def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
+        return [law.multiplier_penalty(each.edge, self._gains) for each in constraints]
+
+
+COUPLINGS: Final[Mapping[str, type[Coupling]]] = {"joint": Joint, "edge": EdgeByEdge, "penalty": Penalty}
+"""By their name in `control.coupling`."""
+
+
+def _total(constraints: list[Constraint], values: list[float]) -> Vector:
+    """Own constraint force (32) with these multipliers, m/s^2."""
+    cx = cy = 0.0
+    for each, value in zip(constraints, values, strict=True):
+        fx, fy = law.force(each.edge, value)
+        cx += fx
+        cy += fy
+    return cx, cy

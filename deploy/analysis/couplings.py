@@ -1,0 +1,191 @@
+"""Couplings for a whole fleet at once, one class for each `control.coupling`: what `check` and analyses ask
+of a law by linear algebra.
+
+Pure (numpy only). `agent.control.couplings` has each for one robot's own constraints.
+
+Near the formation the law is linear in e = r - r_d, and for every coupling its gains act mode by mode. With A
+the constraint matrix of all edges at the formation, phi ~ A e, and u = -K1 e - K2 edot in each mode of these
+symmetric matrices (mu their eigenvalue):
+
+    joint    A^T (k2 + A A^T)^-1 A            K = (1 - mu) (c1, c2) + mu (kp, kd),  0 <= mu < 1
+    edge     A^T (k2 + diag(A A^T))^-1 A      the same, but mu can pass 1: the gap in Theorem 1
+    penalty  A^T A                            K = (c1, c2) + mu (kp, kd)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.control.law import Gains
+from agent.fleet.model import Fleet
+from agent.fleet.sections import ControlSection
+from agent.formation.geometry import Geometry
+from deploy.analysis import fleet_law
+from deploy.analysis.fleet_law import Array, Edges
+from deploy.analysis.rigidity import rigidity_matrix
+
+
+class Mode(NamedTuple):
+    """One mode of the linearised formation: u = -k1 e - k2 edot; `shape`: it changes edges' lengths."""
+
+    k1: float
+    k2: float
+    shape: bool
+
+
+class FleetCoupling:
+    """The law of a whole fleet with one coupling.
+
+    Attributes:
+        title: what it is, in a few words.
+        shares_navigation: an edge takes its share of a mode from navigation, instead of adding to it.
+        bounded: while nothing is clipped, and with k_p > 0, the energy at the start bounds phi of every edge
+            for all time (J3).
+    """
+
+    title = ""
+    shares_navigation: ClassVar[bool] = True
+    bounded: ClassVar[bool] = False
+
+    def __init__(self, control: ControlSection, safe_distance: float) -> None:
+        self.control, self.safe_distance = control, safe_distance
+        self.gains: Final = Gains(control.kd, control.k2, control.kp, control.relaxation)
+
+    def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
+        """Multipliers of all edges of a fleet, (m,); where robots reach them by sweeps, exactly."""
+        raise NotImplementedError
+
+    def modes(self, geometry: Geometry) -> tuple[Mode, ...]:
+        """Modes of the law linearised at the formation, 2n of them; every distance is above the safe one."""
+        n, control = len(geometry.ids), self.control
+        values = self._eigenvalues(self._jacobian(geometry)).tolist()
+        found = []
+        for value in [*values, *[0.0] * (2 * n - len(values))][: 2 * n]:
+            rest = 1.0 - value if self.shares_navigation else 1.0
+            k1, k2 = rest * control.c1 + value * control.kp, rest * control.c2 + value * control.kd
+            found.append(Mode(k1, k2, value > 1e-9))
+        return tuple(found)
+
+    def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
+        """Largest |eigenvalue| of the sampled law with the dynamics of its multipliers; 0 where these have
+        none."""
+        return 0.0
+
+    def remark(self, robots: int) -> str:
+        """What the author of a fleet of so many robots should know of this coupling, "" for nothing."""
+        return ""
+
+    def _eigenvalues(self, jacobian: Array) -> Array:
+        """mu of the modes in which edges change."""
+        values: Array = np.asarray(np.linalg.svd(jacobian, compute_uv=False) ** 2, dtype=np.float64)
+        return values
+
+    def _jacobian(self, geometry: Geometry) -> Array:
+        """A of all edges at the formation, (m, 2n): phi' = 1 / (d - r_s) where rho = d (10)."""
+        slope = 1.0 / (geometry.distances - self.safe_distance)
+        jacobian: Array = rigidity_matrix(geometry.offsets, geometry.edges) * slope[:, None]
+        return jacobian
+
+
+class Joint(FleetCoupling):
+    """All multipliers together (J2)."""
+
+    title = "joint multipliers"
+    bounded = True
+
+    def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
+        return fleet_law.multipliers_joint(e, i, j, robots, self.gains)
+
+    def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
+        """Largest |eigenvalue| of the sampled joint law with its multipliers moved by one sweep a tick.
+
+        State: e, edot of every robot and the multiplier of every edge, with neighbours predicted exactly.
+        lambda' = lambda + W^-1 (A (c1 e + c2 edot) - kd A edot - kp A e - (k2 + A A^T) lambda), the
+        sweep of `agent.control.law`, and u = -c1 e - c2 edot + A^T lambda'.
+        """
+        control, jacobian = self.control, self._jacobian(geometry)
+        m, n2 = jacobian.shape
+        h = 1.0 / rate_hz
+        degree = np.bincount(geometry.edges.ravel(), minlength=n2 // 2)
+        slope2 = 1.0 / (geometry.distances - self.safe_distance) ** 2
+        gain = 1.0 / (control.k2 + slope2 * degree[geometry.edges].sum(axis=1))
+        sweep = np.hstack(
+            [
+                (control.c1 - control.kp) * gain[:, None] * jacobian,
+                (control.c2 - control.kd) * gain[:, None] * jacobian,
+                np.eye(m) - gain[:, None] * (control.k2 * np.eye(m) + jacobian @ jacobian.T),
+            ]
+        )
+        force = (
+            np.hstack([-control.c1 * np.eye(n2), -control.c2 * np.eye(n2), np.zeros((n2, m))])
+            + jacobian.T @ sweep
+        )
+        hold = np.hstack([np.eye(n2), h * np.eye(n2), np.zeros((n2, m))])
+        velocity = np.hstack([np.zeros((n2, n2)), np.eye(n2), np.zeros((n2, m))])
+        matrix = np.vstack([hold + 0.5 * h * h * force, velocity + h * force, sweep])
+        return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+    def _eigenvalues(self, jacobian: Array) -> Array:
+        values = super()._eigenvalues(jacobian)
+        return values / (self.control.k2 + values)
+
+
+class EdgeByEdge(FleetCoupling):
+    """Each edge on its own, as published (33)."""
+
+    def __init__(self, control: ControlSection, safe_distance: float) -> None:
+        super().__init__(control, safe_distance)
+        self._published = control.kp == 0.0
+        self.title = "edge by edge, the paper's" if self._published else "edge by edge"
+
+    def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
+        return fleet_law.multipliers_edge(e, self.gains)
+
+    def remark(self, robots: int) -> str:
+        if robots <= 2:
+            return ""
+        name = "the paper's law" if self._published else 'the law edge by edge (coupling = "edge")'
+        return (
+            f"{name} is not proved stable for {robots} robots: a robot with several edges feels forces that "
+            "(33) leaves "
+            'out (docs/theory.md). coupling = "joint" is proved'
+        )
+
+    def _eigenvalues(self, jacobian: Array) -> Array:
+        weight = self.control.k2 + np.sum(jacobian**2, axis=1)
+        return super()._eigenvalues(jacobian / np.sqrt(weight)[:, None])
+
+
+class Penalty(FleetCoupling):
+    """A potential field, the yardstick."""
+
+    title = "potential field"
+    shares_navigation = False
+
+    def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
+        return fleet_law.multipliers_penalty(e, self.gains)
+
+    def remark(self, robots: int) -> str:
+        return (
+            'the potential-field law (coupling = "penalty") is a yardstick: its forces are not bounded '
+            "near the safe "
+            'distance and compete with navigation (docs/theory.md). coupling = "joint" is the one to drive '
+            "with"
+        )
+
+
+COUPLINGS: Final[Mapping[str, type[FleetCoupling]]] = {
+    "joint": Joint,
+    "edge": EdgeByEdge,
+    "penalty": Penalty,
+}
+"""By their name in `control.coupling`."""
+
+
+def coupling_of(fleet: Fleet) -> FleetCoupling:
+    """The form of a fleet's law for all its robots at once."""
+    return COUPLINGS[fleet.control.coupling](fleet.control, fleet.formation.safe_distance_m)

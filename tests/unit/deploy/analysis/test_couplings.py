@@ -1,0 +1,66 @@
+"""What analyses ask of a coupling. That its modes are the law's: `tests/unit/deploy/check/test_check.py`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.fleet.model import Fleet
+from agent.fleet.sections import ControlSection
+from agent.formation.geometry import resolve
+from deploy.analysis.couplings import COUPLINGS
+from tests.unit.deploy.synthetic_run import make_fleet
+
+PAIR = make_fleet([(0.0, 0.0), (2.0, 0.0)], [(1, 2)])
+TRIANGLE = make_fleet([(0.0, 0.0), (1.0, 0.0), (0.5, 0.8)], [(1, 2), (2, 3), (1, 3)])
+
+
+def of(name: Any, kp: float = 1.0) -> Any:
+    return COUPLINGS[name](ControlSection(coupling=name, kp=kp), 0.22)
+
+
+@pytest.mark.parametrize(("name", "most"), [("joint", 1.0), ("edge", 2.0), ("penalty", 1e4)])
+def test_modes_are_two_for_each_robot_and_weak_ones_are_navigation(name: str, most: float):
+    geometry = resolve(TRIANGLE)
+    coupling = of(name, kp=2.0)
+    modes = coupling.modes(geometry)
+    control = coupling.control
+    assert len(modes) == 6
+    assert sum(mode.shape for mode in modes) == 3
+    for mode in modes:
+        if mode.shape:
+            share = (mode.k1 - control.c1) / (control.kp - (control.c1 if name != "penalty" else 0.0))
+            assert 0.0 < share < most
+        else:
+            assert (mode.k1, mode.k2) == (control.c1, control.c2)
+
+
+def test_only_the_edge_law_overcorrects_and_only_where_edges_share_robots():
+    def largest(name: Any, fleet: Fleet) -> float:
+        coupling = COUPLINGS[name](ControlSection(coupling=name, kp=1.4, k2=0.01), 0.22)
+        return max(mode.k1 - 0.4 for mode in coupling.modes(resolve(fleet)))
+
+    assert largest("edge", TRIANGLE) > 1.2
+    assert largest("edge", PAIR) < 1.0
+    assert largest("joint", TRIANGLE) < 1.0
+
+
+def test_sweeps_are_the_joint_laws_alone():
+    geometry = resolve(TRIANGLE)
+    radius = {name: of(name).sweep_radius(geometry, 50.0) for name in COUPLINGS}
+    assert 0.9 < radius.pop("joint") < 1.0
+    assert set(radius.values()) == {0.0}
+
+
+def test_what_each_says_of_itself():
+    said = {name: (of(name).title, of(name).remark(3)) for name in COUPLINGS}
+    assert said["joint"] == ("joint multipliers", "")
+    assert said["edge"][0] == "edge by edge"
+    assert "not proved stable for 3 robots" in said["edge"][1]
+    assert (of("edge", kp=0.0).title, of("edge").remark(2)) == ("edge by edge, the paper's", "")
+    assert said["penalty"][0] == "potential field"
+    assert "yardstick" in said["penalty"][1]
+    assert [name for name in COUPLINGS if COUPLINGS[name].bounded] == ["joint"]
+    assert np.isfinite(of("joint").gains).all()
