@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from agent.common.reader import T
-from agent.common.settings import entries
+from agent.common.settings import Entry, Sectioned, T, entries
 
 
-def build(model: type[T], values: Mapping[str, Any]) -> T:
-    """The model of what `Reader.read` returned without problems."""
+def build(
+    model: type[T], values: Mapping[str, Any], known: Callable[[type], Mapping[str, Entry]] = entries
+) -> T:
+    """The model of what `Reader.read` returned without problems.
+
+    Args:
+        known: what a table of a model may hold: `Reader.entries` where tables of plugins are among it.
+    """
     untyped: type = model
     arguments: dict[str, Any] = {}
-    for entry in entries(untyped).values():
+    sections: list[tuple[str, object]] = []
+    for entry in known(untyped).values():
         if not entry.attribute:
             continue
         value = values[entry.attribute]
         if entry.table is not None:
-            value = build(entry.table, value) if value is not None else None
+            value = build(entry.table, value, known) if value is not None else None
         elif entry.tables is not None:
-            value = tuple(build(entry.tables, row) for row in value)
-        arguments[entry.attribute] = value
+            value = tuple(build(entry.tables, row, known) for row in value)
+        if not entry.is_section:
+            arguments[entry.attribute] = value
+        elif value is not None:
+            sections.append((entry.key, value))
+    if sections:
+        arguments["sections"] = tuple(sections)
     return model(**arguments)
 
 
@@ -33,7 +44,7 @@ def plain(instance: object) -> dict[str, Any]:
     table: dict[str, Any] = {}
     model: type = type(instance)
     for entry in entries(model).values():
-        if not entry.attribute:
+        if not entry.attribute or entry.is_section:
             continue
         value = getattr(instance, entry.attribute)
         if entry.table is not None:
@@ -44,6 +55,8 @@ def plain(instance: object) -> dict[str, Any]:
             value = [plain(row) for row in value]
         if value is not None:
             table[entry.key] = _lists(value) if entry.setting.parse is None else str(value)
+    if isinstance(instance, Sectioned):
+        table |= {name: plain(section) for name, section in instance.sections}
     return table
 
 

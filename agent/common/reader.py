@@ -11,15 +11,13 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import UnionType
-from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, Final, Literal, Union, get_args, get_origin
 
 from agent.common.quantities import UNITS, Unit, quantity
-from agent.common.settings import Entry, Setting, entries
-from agent.common.wording import describe, example, joined, key_text, printable, show
-
-T = TypeVar("T")
+from agent.common.settings import Entry, Sectioned, Setting, entries
+from agent.common.wording import describe, example, joined, key_text, nearest, printable, show
 
 _INVALID: Final = object()  # what a value that has a problem reads as
 
@@ -45,10 +43,16 @@ class Reader:
     `override` first, for each ``--set``; then `read`, whose result (attribute -> value, nested tables as
     dicts, arrays of tables as lists of dicts) holds only what is valid: a value with a problem is absent,
     and an element of an array with a problem is None. `build` makes the models when there is no problem.
+
+    Attributes:
+        sections: tables of plugins that a model, or one derived from it, may hold besides its own.
+        unread: models of which not all such tables are known: an unknown one is no problem there.
     """
 
     def __init__(self, root: type) -> None:
         self._root = root
+        self.sections: Mapping[type, Sequence[Entry]] = {}
+        self.unread: frozenset[type] = frozenset()
         self._problems: list[Problem] = []
         self._overridden: dict[str, str] = {}  # place in the file -> how the command line names it
         self._suggestions = 0
@@ -57,6 +61,12 @@ class Reader:
     def problems(self) -> tuple[Problem, ...]:
         """All problems so far; those of a value that ``--set`` gave are placed there, not in the file."""
         return tuple(Problem(self._blamed(problem.place), problem.message) for problem in self._problems)
+
+    def entries(self, model: type) -> Mapping[str, Entry]:
+        """Everything that a table of this model may hold in this document, by key."""
+        own = entries(model)
+        added = [e for holder, held in self.sections.items() if issubclass(model, holder) for e in held]
+        return {**own, **{entry.key: entry for entry in added}} if added else own
 
     def add(self, place: str, message: str) -> None:
         """Adds one problem at a place of the file."""
@@ -79,10 +89,10 @@ class Reader:
     def _table(
         self, model: type, raw: Mapping[str, Any], place: str, inherited: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        known = entries(model)
+        known = self.entries(model)
         for key in raw:
             if key not in known:
-                self._unknown(model, str(key), joined(place, key))
+                self._unknown(model, str(key), joined(place, key), raw[key])
         values: dict[str, Any] = {}
         shared: dict[str, Any] = {}
         for entry in known.values():
@@ -105,7 +115,7 @@ class Reader:
             else:
                 value = entry.default
             if not entry.attribute:
-                shared = _handed_down(entry.hint, value)
+                shared = self._handed_down(entry.hint, value)
             elif value is not _INVALID:
                 values[entry.attribute] = value
         return values
@@ -129,11 +139,19 @@ class Reader:
             self.add(place, f"must be a table: write {header} and its fields below it, got {show(value)}")
             return _INVALID
         handed = inherited if isinstance(inherited, Mapping) else None
-        needs = [e.key for e in entries(model).values() if e.required]
+        needs = [e.key for e in self.entries(model).values() if e.required]
         if needs and entry.key not in raw and handed is None:
             self.add(place, f"table {header} is missing: it must give at least {' and '.join(needs)}")
             return _INVALID
         return self._table(model, value, place, handed)
+
+    def complete(self, entry: Entry, values: dict[str, Any], place: str) -> None:
+        """Puts a table that nobody gave into valid values, as if it stood there empty."""
+        if entry.table is not None and values.get(entry.attribute, _INVALID) is None:
+            here = joined(place, entry.key)
+            value = self._sub_table(replace(entry, optional=False), entry.table, {}, here, None)
+            if value is not _INVALID:
+                values[entry.attribute] = value
 
     def _rows(
         self, entry: Entry, model: type, raw: Mapping[str, Any], place: str, shared: Mapping[str, Any]
@@ -270,26 +288,29 @@ class Reader:
             return _INVALID
         return self._number(float, value, place, said, raw)
 
-    def _unknown(self, model: type, key: str, place: str) -> None:
-        names = list(entries(model))
-        kind = "table" if model is self._root else "field"
-        elsewhere = [home for e in entries(self._root).values() for home in _homes(e, key)]
+    def _unknown(self, model: type, key: str, place: str, value: object = None) -> None:
+        names = list(self.entries(model))
+        is_section = isinstance(value, Mapping) and issubclass(model, Sectioned)
+        kind = "table" if model is self._root or is_section else "field"
+        elsewhere = [home for e in entries(self._root).values() for home in self._homes(e, key)]
         near = self._nearest(key, names)
+        if is_section and issubclass(model, tuple(self.unread)):
+            return
         if near is not None:
             self.add(place, f"unknown {kind}; did you mean {near}?")
         elif elsewhere:
             homes = " or ".join(f"[{name}]" for name in elsewhere)
             self.add(place, f"unknown {kind}; {key} belongs in {homes}")
+        elif is_section:
+            self.add(place, f"unknown {kind}: no plugin that is used here has one of this name")
         else:
             self.add(place, f"unknown {kind}; known here: {', '.join(names)}")
 
     def _nearest(self, name: str, names: Iterable[str]) -> str | None:
         self._suggestions += 1
-        if self._suggestions > _SUGGESTIONS_MAX or len(name) > 60:
+        if self._suggestions > _SUGGESTIONS_MAX:
             return None
-        from difflib import get_close_matches  # here: a robot starts faster without it
-
-        return next(iter(get_close_matches(name, list(names), n=1, cutoff=0.6)), None)
+        return nearest(name, names)
 
     def override(self, raw: dict[str, Any], text: str) -> None:
         """Puts one ``table.field=value`` of the command line into the raw document, before it is read.
@@ -306,9 +327,9 @@ class Reader:
         model, node, place = self._root, raw, ""
         while keys:
             key = keys.pop(0)
-            entry = entries(model).get(key)
+            entry = self.entries(model).get(key)
             if entry is None:
-                self._unknown(model, key, label)
+                self._unknown(model, key, label, {} if keys else None)
                 return
             place = joined(place, key)
             if not keys:
@@ -331,7 +352,7 @@ class Reader:
             if not isinstance(row, dict):
                 return  # reported by _row, or by read(): the file has no table there
             model, node = inside, row
-        first = next(iter(entries(model)))
+        first = next(iter(self.entries(model)))
         self.add(label, f"names an entry, not a field of it: write for example {label[6:]}.{first}=value")
 
     def _row(self, rows: Any, wanted: str, place: str, label: str) -> tuple[Any, str]:
@@ -346,29 +367,28 @@ class Reader:
         self.add(label, f"there is no {place} with id {key_text(wanted)}; ids are {there_are}")
         return None, place
 
+    def _homes(self, entry: Entry, key: str, above: str = "") -> Iterable[str]:
+        """Names of the tables, from this one down, that may hold `key`."""
+        model, name = entry.table or entry.tables, above + entry.key
+        if model is not None:
+            if key in self.entries(model):
+                yield name
+            for inside in self.entries(model).values():
+                yield from self._homes(inside, key, name + ".")
 
-def _homes(entry: Entry, key: str, above: str = "") -> Iterable[str]:
-    """Names of the tables, from this one down, that may hold `key`."""
-    model, name = entry.table or entry.tables, above + entry.key
-    if model is not None:
-        if key in entries(model):
-            yield name
-        for inside in entries(model).values():
-            yield from _homes(inside, key, name + ".")
+    def _handed_down(self, model: type, values: Any) -> dict[str, Any]:
+        """What entries of an array inherit of their table of defaults.
 
-
-def _handed_down(model: type, values: Any) -> dict[str, Any]:
-    """What entries of an array inherit of their table of defaults: `_INVALID` for what had a problem there.
-
-    Else they would take the model's own default for it, and be blamed for what nobody wrote.
-    """
-    given = values if isinstance(values, Mapping) else {}
-    handed: dict[str, Any] = {}
-    for entry in entries(model).values():
-        value = given.get(entry.attribute, _INVALID)
-        nested = entry.table is not None and isinstance(value, Mapping)
-        handed[entry.attribute] = _handed_down(entry.hint, value) if nested else value
-    return handed
+        `_INVALID` for what had a problem there. Else they would take the model's own default for it, and be
+        blamed for what nobody wrote.
+        """
+        given = values if isinstance(values, Mapping) else {}
+        handed: dict[str, Any] = {}
+        for entry in self.entries(model).values():
+            value = given.get(entry.attribute, _INVALID)
+            nested = entry.table is not None and isinstance(value, Mapping)
+            handed[entry.attribute] = self._handed_down(entry.hint, value) if nested else value
+        return handed
 
 
 def _override_value(entry: Entry, written: str) -> object:

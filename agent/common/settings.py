@@ -7,12 +7,18 @@ A model is a frozen dataclass whose fields carry what a user needs to know of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache, reduce
 from operator import or_
 from types import NoneType, UnionType
-from typing import Any, Final, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+S = TypeVar("S", bound="Sectioned")
+
+Sections = tuple[tuple[str, Any], ...]
+"""Tables of plugins that a model holds: name and model of each."""
 
 _METADATA: Final = "setting"
 
@@ -35,6 +41,7 @@ class Setting:
     shared: tuple[str, type] | None = None  # array of tables: key and model of the table of defaults
     parse: Callable[[object], object] | None = None  # reads the value; ValueError says what is right
     named: str | None = None  # tables by name, [key.NAME]: attribute of the model that holds the NAME
+    sections: Callable[[], Iterable[Entry]] | None = None  # the field `sections`: those that are built in
 
     def range_text(self) -> str:
         """The bounds in words, empty when there are none."""
@@ -82,6 +89,7 @@ class Entry:
     required: bool
     default: Any  # None when required or optional
     setting: Setting
+    is_section: bool = False  # held in the model's `sections`, by its key
 
     @property
     def table(self) -> type | None:
@@ -99,6 +107,28 @@ def _model(hint: Any) -> type | None:
     return hint if isinstance(hint, type) and is_dataclass(hint) else None
 
 
+def section_entry(name: str, model: type, doc: str) -> Entry:
+    """The table `name` that is held in a model's `sections`."""
+    return Entry(name, name, model, True, False, None, Setting(doc), is_section=True)
+
+
+class Sectioned:
+    """Base of a model that holds tables of plugins, in a field `sections`."""
+
+    __slots__ = ()
+    sections: Sections
+
+    def section(self, model: type[T]) -> T | None:
+        """The table of this model, None where it is not given."""
+        return next((section for _, section in self.sections if type(section) is model), None)
+
+    def with_section(self: S, section: object) -> S:
+        """The same with another table in the place of that of its model."""
+        model = type(section)
+        held = tuple((name, section if type(old) is model else old) for name, old in self.sections)
+        return replace(self, sections=held)  # type: ignore[type-var]  # subclasses are dataclasses
+
+
 @cache
 def entries(model: type) -> Mapping[str, Entry]:
     """Everything a table of this model may hold, by key: own fields first, inherited ones after them."""
@@ -107,6 +137,9 @@ def entries(model: type) -> Mapping[str, Entry]:
     found: dict[str, Entry] = {}
     for item in sorted(fields(model), key=lambda f: f.name in inherited):
         said: Setting = item.metadata[_METADATA]
+        if said.sections is not None:
+            found |= {entry.key: entry for entry in said.sections()}
+            continue
         hint, optional = _without_none(hints[item.name])
         default = item.default
         if item.default_factory is not MISSING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import is_dataclass
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
@@ -46,6 +46,15 @@ def key_text(key: object) -> str:
     """A key as TOML writes it: bare where that is allowed, else quoted and cut short."""
     text = str(key)
     return text if _BARE_KEY.fullmatch(text) else show(text, 30)
+
+
+def nearest(name: str, names: Iterable[str]) -> str | None:
+    """The most similar of these names, None when none is similar."""
+    from difflib import get_close_matches  # here: a robot starts faster without it
+
+    if len(name) > 60:  # slow to compare
+        return None
+    return next(iter(get_close_matches(name, list(names), n=1, cutoff=0.6)), None)
 
 
 def joined(place: str, key: object) -> str:

@@ -15,9 +15,9 @@ from agent.common.reader import Reader
 from agent.common.wording import show
 from agent.fleet.fault_checks import check_faults
 from agent.fleet.hosts import PORT_MAX, check_hosts
+from agent.fleet.mavlink_section import SHARED_LINKS, SIMULATOR
 from agent.fleet.orders import check_orders
 from agent.fleet.safety import check_safety
-from agent.fleet.sections import SHARED_LINKS, SIMULATOR
 from agent.fleet.trajectory_checks import check_trajectory
 from agent.messages.types import NEIGHBOURS_MAX
 

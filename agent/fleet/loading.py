@@ -16,17 +16,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.common.models import build, plain
+from agent.common.plugins import PluginError
 from agent.common.reader import Problem, Reader
 from agent.common.wording import printable, show
+from agent.fleet import plants
 from agent.fleet.checks import check_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.fleet.orders import ORDER_FIELDS
+from agent.fleet.plugin_tables import NAMES_A_PLUGIN, complete, read_plugins
 from agent.fleet.scenario import ScenarioError, parse_scenario, read_orders
 from agent.fleet.sections import (
     LAWS,
-    LINK_FIELDS,
     TRAJECTORY_FIELDS,
     ControlSection,
+    load_law,
 )
 from agent.fleet.trajectory_checks import kinds_by_field
 
@@ -93,11 +96,11 @@ def parse_fleet(
 ) -> Fleet:
     """The fleet that a TOML text describes.
 
-    `source` names the text in messages. `law` is a name of `LAWS`; `overrides` are ``table.field=value`` as
-    typed after ``--set``. They win over the law, and the law over the text. `scenario` is the text of a file
-    of faults: its rules come before the text's, its other settings win over them. `orders` is the text of one
-    of orders, which are added to the text's. Raises `FleetError` with every problem at once (of a text that
-    is not TOML, the one that its parser stops at), and nothing else.
+    `source` names the text in messages. `law` is a name of `LAWS`, or a plugin; `overrides` are
+    ``table.field=value`` as typed after ``--set``. They win over the law, and the law over the text.
+    `scenario` is the text of a file of faults: its rules come before the text's, its other settings win over
+    them. `orders` is the text of one of orders, which are added to the text's. Raises `FleetError` with every
+    problem at once (of a text that is not TOML, the one that its parser stops at), and nothing else.
     """
     raw = fleet_tables(text, source)
     if scenario is not None:
@@ -108,15 +111,26 @@ def parse_fleet(
     reader = Reader(Fleet)
     law_problems = _apply_law(raw, law)
     kind_before = _table(raw, "trajectory").get("kind", "hold")
-    for override in overrides:
+    # First what says which plugins there are: they say which tables there may be.
+    choosing = [text for text in overrides if NAMES_A_PLUGIN.match(text)]
+    for override in choosing:
         reader.override(raw, override)
+    read_plugins(raw, reader)
+    for override in overrides:
+        if override not in choosing:
+            reader.override(raw, override)
     _forget_old_kind(raw, kind_before, reader)
+    plugin_problems = read_plugins(raw, reader)
     values = reader.read(raw)
+    for problem in plugin_problems:
+        reader.add(problem.place, problem.message)
+    if not reader.problems:
+        complete(values, reader)
     check_fleet(values, raw, reader)
     problems = (*law_problems, *_with_ids(reader.problems, raw))
     if problems:
         raise FleetError(source, problems)
-    return build(Fleet, values)
+    return build(Fleet, values, reader.entries)
 
 
 def fleet_tables(text: str, source: str) -> dict[str, Any]:
@@ -191,10 +205,16 @@ def _apply_law(raw: dict[str, Any], law: str | None) -> tuple[Problem, ...]:
     if law is None:
         return ()
     if law not in LAWS:
-        return (Problem("--law", f"must be one of {', '.join(LAWS)}, got {show(law)}"),)
-    for table, preset in LAWS[law].items():
+        try:
+            load_law(law)
+        except PluginError as error:
+            why = str(error) if ":" in law else f"got {show(law)}: {error}"
+            return (Problem("--law", f"must be one of {', '.join(LAWS)}, or a plugin, {why}"),)
+    presets: Mapping[str, Mapping[str, object]] = LAWS.get(law, {"control": {"law": law}})
+    for table, preset in presets.items():
         given = raw.setdefault(table, {})
         if isinstance(given, dict):
+            given.pop("law", None)
             given.update(preset)
     return ()
 
@@ -226,7 +246,9 @@ def _with_ids(problems: Sequence[Problem], raw: Mapping[str, Any]) -> Iterator[P
 
 
 def law_name(control: ControlSection) -> str:
-    """The name in `LAWS` whose coupling and kp these are, else "custom"."""
+    """The name in `LAWS` whose coupling and kp these are, or the plugin that is the law, else "custom"."""
+    if control.law is not None:
+        return control.law
     for name, preset in LAWS.items():
         if all(getattr(control, key) == value for key, value in preset["control"].items()):
             return name
@@ -264,7 +286,8 @@ def digest(fleet: Fleet) -> str:
     del table["fleet"]["description"]
     for robot in table["robot"]:
         robot.pop("host", None)
-        for key in LINK_FIELDS:
-            robot.get("mavlink", {}).pop(key, None)
+        for kind in plants.KINDS.values():
+            for key in kind.local:
+                robot.get(kind.name, {}).pop(key, None)
     canonical = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return blake2b(canonical.encode(), digest_size=8).hexdigest()

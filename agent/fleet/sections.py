@@ -9,10 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
+from agent.common import plugins
 from agent.common.quantities import FAR_M, Vector
-from agent.common.settings import about, setting
+from agent.common.settings import Sectioned, Sections, T, about, setting
+from agent.fleet import plants
+from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 
 Coupling = Literal["edge", "joint", "penalty"]
 
@@ -27,6 +30,9 @@ LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
 }
 """What ``--law NAME`` sets, by table."""
 
+LAWS_GROUP: Final = "handfast.laws"
+"""Group of entry points that are laws of others."""
+
 TRAJECTORY_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "hold": ((), ("start_m",)),
     "line": (("velocity_mps",), ("start_m",)),
@@ -34,6 +40,15 @@ TRAJECTORY_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] 
     "waypoints": (("waypoints_m", "speed_mps"), ("corner_acceleration",)),
 }
 """Fields that each kind of trajectory needs, and those that it takes besides; others are errors with it."""
+
+
+def load_law(reference: str) -> type[Any]:
+    """The class of a law of others.
+
+    Raises:
+        agent.common.plugins.PluginError: there is none.
+    """
+    return plugins.load(reference, LAWS_GROUP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +118,7 @@ class FormationSection:
 
 
 @dataclass(frozen=True, slots=True)
-class ControlSection:
+class ControlSection(Sectioned):
     """``[control]``: gains, limits and timeouts of the control law."""
 
     coupling: Coupling = setting(
@@ -163,6 +178,13 @@ class ControlSection:
         gt=0,
         le=60,
     )
+    law: str | None = setting(
+        None,
+        "A plugin that is the law, in the place of the constraint force and its `coupling`: its class, "
+        "`package.module:Class`, or its name (docs/plugins.md).",
+        example='"my_package.my_module:MyLaw"',
+    )
+    sections: Sections = setting((), "Tables of laws.", sections=tuple)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,85 +233,6 @@ class TrajectorySection:
     clockwise: bool = setting(False, "`circle`: the way round.")
 
 
-SIMULATOR: Final = "simulator"
-"""As a connection: a simulated rover, which whoever starts the bridge starts as well."""
-SHARED_LINKS: Final = ("tcp:", "udpout:")
-"""What a connection begins with that several bridges may have, each to a vehicle of its own."""
-LINK_FIELDS: Final = ("connection", "baud", "signing_key")
-"""Fields of `MavlinkSection` that only say how its own computer reaches a vehicle."""
-_HOST: Final = r"([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])"
-_PORT: Final = r"([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"
-
-
-@dataclass(frozen=True, slots=True)
-class MavlinkSection:
-    """``[robot.mavlink]``: one vehicle and the bridge to it."""
-
-    connection: str | None = setting(
-        None,
-        "Where the vehicle is, as pymavlink writes it: `udpin:HOST:PORT` (it sends to this port), "
-        "`udpout:HOST:PORT`, `tcp:HOST:PORT`, or a serial port, best by its id. `simulator`: `run` and "
-        '`preflight` start a simulated rover. Each robot with `plant = "mavlink"` needs one.',
-        pattern=rf"simulator|(udpin|udpout|udp|tcp):{_HOST}:{_PORT}|/dev/[^\s,]{{1,200}}",
-        pattern_says='"simulator", "udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT" or a serial port '
-        'such as "/dev/serial/by-id/usb-ArduPilot..."',
-        example='"udpin:0.0.0.0:14550"',
-    )
-    baud: int = setting(115_200, "Speed of a serial port.", unit="1/s", ge=1200, le=4_000_000)
-    system: int | None = setting(
-        None,
-        "The vehicle's MAVLink system id (`SYSID_THISMAV`, `MAV_SYSID`). Left out: the first rover that is "
-        "heard; give it where a link carries several, as that to a MAVLink router does.",
-        ge=1,
-        le=254,
-        example="1",
-    )
-    own_system: int | None = setting(
-        None,
-        "The bridge's own system id; left out: the vehicle's. 255 is a ground station's and not possible.",
-        ge=1,
-        le=254,
-        example="1",
-    )
-    own_component: int = setting(
-        191, "The bridge's own component id: 191 to 194 are onboard computers.", ge=2, le=250
-    )
-    state_rate_hz: float = setting(
-        25.0,
-        "How often the vehicle is to send position and attitude. It may grant less; 40 is ArduPilot's most, "
-        "25 its steadiest.",
-        unit="Hz",
-        ge=5,
-        le=50,
-    )
-    arm: bool = setting(
-        False,
-        "The bridge itself puts the vehicle into GUIDED and arms it, as soon as its estimate is good: "
-        "**it may move without anybody at it having said so**. Else its operator does both.",
-    )
-    set_origin: bool = setting(
-        True, "Gives the vehicle the datum as the origin of its EKF while it has none of its own."
-    )
-    signing_key: str | None = setting(
-        None,
-        "File of the key that signs MAVLink messages, which nobody else may read. Left out: not signed.",
-        pattern=r"[^\x00]{1,400}",
-        pattern_says="a file name",
-        example='"~/.config/handfast/rover1.key"',
-    )
-    max_speed_mps: float = setting(
-        1.0, "Never asks for more, forward or in reverse.", unit="m/s", gt=0, le=20
-    )
-    max_acceleration: float = setting(
-        0.8,
-        "Never asks for a faster change of speed. Below the vehicle's own `ATC_ACCEL_MAX`.",
-        unit="m/s2",
-        gt=0,
-        le=20,
-    )
-    max_yaw_rate_radps: float = setting(1.0, "Never asks for a faster turn.", unit="rad/s", gt=0, le=10)
-
-
 @dataclass(frozen=True, slots=True)
 class DatumSection:
     """``[datum]``: where the origin of W lies on the earth."""
@@ -304,7 +247,7 @@ class DatumSection:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class Body(Sectioned):
     """``[robot_defaults]``: what drives, and how it is measured."""
 
     mass_kg: float = setting(10.0, "Mass m.", unit="kg", gt=0, le=1e5)
@@ -318,10 +261,10 @@ class Body:
         gt=0,
         le=100,
     )
-    plant: Literal["unicycle", "mavlink"] = setting(
+    plant: str = setting(
         "unicycle",
         "What drives: `unicycle` is simulated, `mavlink` is an ArduPilot Rover, which `[robot.mavlink]` and "
-        "`[datum]` tell of.",
+        "`[datum]` tell of. Or a plugin: its class, `package.module:Class`, or its name (docs/plugins.md).",
     )
     max_force_n: float | None = setting(
         None, "Largest driving force; left out: no limit.", unit="N", gt=0, le=1e6, example="50.0"
@@ -350,13 +293,12 @@ class Body:
         "of the digest.",
         example='"rover1"',
     )
-    mavlink: MavlinkSection | None = setting(
-        None,
-        'How a robot with `plant = "mavlink"` is reached, and what it may do (docs/rovers.md). In '
-        "`[robot_defaults.mavlink]` for all, in `[robot.mavlink]` below a `[[robot]]` for one, which then "
-        "takes what it leaves out from the former. `connection`, `baud` and `signing_key` are not part of "
-        "the digest.",
-    )
+    sections: Sections = setting((), "Tables of kinds of plant.", sections=plants.built_in_sections)
+
+    def section(self, model: type[T]) -> T | None:
+        """The table of this model, None where the robot's plant has no such table or it is not given."""
+        own = plants.kind(self.plant).section
+        return Sectioned.section(self, model) if own is not None and own.hint is model else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,5 +328,6 @@ class Robot(Body):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether its body is a rover that has to be simulated."""
-        return self.plant == "mavlink" and self.mavlink is not None and self.mavlink.connection == SIMULATOR
+        """Whether its body is a vehicle that has to be simulated."""
+        link = self.section(MavlinkSection)
+        return link is not None and link.connection == SIMULATOR

@@ -13,8 +13,8 @@ from functools import partial
 from typing import Final
 
 from agent.common.time import Clock
+from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
-from agent.fleet.sections import SIMULATOR
 from agent.runtime.process import Log, StartError
 from bridges.mavlink.session.signing import SigningError, open_signing
 from bridges.mavlink.transport.transport import open_transport
@@ -34,7 +34,7 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
         agent.runtime.process.StartError: the fleet file does not say how to reach it, or its key cannot be
         used.
     """
-    section = fleet.robot(robot).mavlink
+    section = fleet.robot(robot).section(MavlinkSection)
     if section is None or section.connection is None or fleet.datum is None:
         raise StartError(f'it is no plant = "mavlink" in the fleet file, but "{fleet.robot(robot).plant}"')
     if section.connection == SIMULATOR:

@@ -8,6 +8,7 @@ from math import dist, floor, inf, log10
 from typing import Final
 
 from agent.control.safety_distances import AHEAD_M, barrier_rate, braking_room
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
@@ -64,8 +65,8 @@ def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:
 
 def _braking(robot: Robot) -> Iterator[tuple[float, str]]:
     """The accelerations (m/s^2) that a body can give its hand, each with the field that limits it."""
-    if robot.plant == "mavlink" and robot.mavlink is not None:
-        yield robot.mavlink.max_acceleration, "mavlink.max_acceleration"
+    if (link := robot.section(MavlinkSection)) is not None:
+        yield link.max_acceleration, "mavlink.max_acceleration"
     if robot.max_force_n is not None:
         yield robot.max_force_n / robot.mass_kg, "max_force_n"
     if robot.max_torque_nm is not None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from agent.control.boundaries import obstacles_of
 from agent.control.safety_distances import clearance, sensing_distance
+from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
-from agent.fleet.sections import SIMULATOR
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry, resolve, start_hands
 from agent.formation.trajectory import make_trajectory
@@ -166,7 +166,7 @@ def _describe_vehicles(fleet: Fleet) -> Iterator[str]:
             f"datum: x = 0, y = 0 is at {datum.latitude_deg:.7f}, {datum.longitude_deg:.7f}, "
             f"{datum.altitude_m:g} m above the sea"
         )
-    links = {robot.id: robot.mavlink for robot in fleet.robots if robot.plant == "mavlink" and robot.mavlink}
+    links = {robot.id: link for robot in fleet.robots if (link := robot.section(MavlinkSection))}
     simulated = [robot for robot, link in links.items() if link.connection == SIMULATOR]
     if simulated:
         yield f"vehicles: {robots(simulated)}, ArduPilot Rovers that are simulated on this machine"

@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 from math import sqrt
 from typing import Final, NamedTuple
 
+from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
-from agent.fleet.sections import SIMULATOR, MavlinkSection, Robot
+from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from bridges.mavlink.transport.connection_string import BY_ID, Connection, parse_connection
 from deploy.check.finding import Finding, Level
@@ -56,8 +57,8 @@ def check_vehicles(fleet: Fleet) -> list[Finding]:
     """All findings; none for a fleet without vehicles."""
     vehicles = []
     for row, robot in enumerate(fleet.robots, 1):
-        link = robot.mavlink
-        if robot.plant == "mavlink" and link is not None and link.connection is not None:
+        link = robot.section(MavlinkSection)
+        if link is not None and link.connection is not None:
             at = None if link.connection == SIMULATOR else parse_connection(link.connection)
             vehicles.append(_Vehicle(row, robot, link, at))
     if not vehicles:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from agent.fleet.hosts import NetworkSection
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from deploy.processes.ports import Reservation
@@ -64,9 +65,10 @@ def place(fleet: Fleet) -> Placed:
 
 def connected(robot: Robot, port: int | None) -> Robot:
     """`robot` with its bridge listening on a port of this machine; as it is without one."""
-    if port is None or robot.mavlink is None:
+    section = robot.section(MavlinkSection)
+    if port is None or section is None:
         return robot
-    return replace(robot, mavlink=replace(robot.mavlink, connection=f"udpin:{ADDRESS}:{port}"))
+    return robot.with_section(replace(section, connection=f"udpin:{ADDRESS}:{port}"))
 
 
 def vehicle(fleet: Fleet, robot: int, port: int) -> Vehicle:

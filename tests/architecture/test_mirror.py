@@ -78,6 +78,7 @@ BY_OTHERS: Final = {
         plant/server
     """,
     "what it does with the others matters: tests of the whole package, of properties, of fleets": """
+        agent/fleet/mavlink_section
         agent/fleet/trajectory_checks
         agent/impairments/delay_distributions
         agent/impairments/loss_models

@@ -79,7 +79,7 @@ def fleet_with(rovers: Sequence[int]) -> Fleet:
     robots, offsets = [], []
     for number, corner in enumerate(CORNERS, start=1):
         robot = replace(whole.robot(corner), id=number)
-        robots.append(robot if number in rovers else replace(robot, plant="unicycle", mavlink=None))
+        robots.append(robot if number in rovers else replace(robot, plant="unicycle", sections=()))
         offsets.append(whole.formation.offsets[whole.index(corner)])
     formation = replace(whole.formation, edges=EDGES, offsets=tuple(offsets))
     return resolved(replace(whole, robots=tuple(robots), formation=formation))

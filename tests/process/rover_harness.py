@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.fleet.loading import parse_fleet
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.messages import key_expressions
@@ -161,7 +162,7 @@ def rovers(
     try:
         if relayed is not None:
             extra = Reservation(ADDRESS, BASE_PORT + 2048, 1)
-            mavlink_section = fleet.robot(relayed).mavlink
+            mavlink_section = fleet.robot(relayed).section(MavlinkSection)
             assert mavlink_section is not None
             assert mavlink_section.connection is not None
             bridge_port = int(mavlink_section.connection.rpartition(":")[2])

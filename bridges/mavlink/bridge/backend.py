@@ -8,8 +8,8 @@ from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
-from agent.fleet.sections import MavlinkSection
 from agent.runtime.process import Log
 from agent.supervision.state_machine import at_rest
 from bridges.mavlink.ardupilot import constants, frames
@@ -52,7 +52,7 @@ def session(fleet: Fleet, robot: int, signing: Signing | None, token: int) -> Se
     Args:
         token: any number that other bridges are not likely to have (`SessionSettings`).
     """
-    section = fleet.robot(robot).mavlink or MavlinkSection()
+    section = fleet.robot(robot).section(MavlinkSection) or MavlinkSection()
     return Session(
         SessionSettings(
             system=section.system,
@@ -91,7 +91,7 @@ class MavlinkPlant(PlantBackend):
         self, fleet: Fleet, robot: int, link: Session, transport: Transport, log: Log, *, look: bool = False
     ) -> None:
         body = fleet.robot(robot)
-        self._section = section = body.mavlink or MavlinkSection()
+        self._section = section = body.section(MavlinkSection) or MavlinkSection()
         self._start = body.x_m, body.y_m
         self._datum = frames.datum_of(fleet)
         self._link, self._transport, self._log = link, transport, log

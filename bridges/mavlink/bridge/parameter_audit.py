@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import degrees
 from typing import Final
 
-from agent.fleet.sections import MavlinkSection
+from agent.fleet.mavlink_section import MavlinkSection
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.session.session import Session
 from plant.backend import WAITING, Check

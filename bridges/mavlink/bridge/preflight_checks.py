@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.sections import MavlinkSection
+from agent.fleet.mavlink_section import MavlinkSection
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.bridge import parameter_audit

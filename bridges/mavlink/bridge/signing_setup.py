@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S, Clock
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
-from agent.fleet.sections import MavlinkSection
 from bridges.mavlink.session.session import Session
 from bridges.mavlink.session.settings import SessionSettings
 from bridges.mavlink.session.signing import Signing, SigningError, open_signing
@@ -188,7 +188,7 @@ def open_setup(fleet: Fleet, robot: int, clock: Clock) -> SigningSetup:
         SigningError: its key or its timestamps cannot be used.
         ValueError: its connection is none, or an identity is another's.
     """
-    section = fleet.robot(robot).mavlink
+    section = fleet.robot(robot).section(MavlinkSection)
     assert section is not None
     assert section.connection is not None
     assert section.signing_key is not None

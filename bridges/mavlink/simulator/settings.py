@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from math import isfinite, radians
 from typing import Final, Literal
 
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from bridges.mavlink.ardupilot import constants
@@ -112,7 +113,8 @@ class Settings:
 
 def system_of(robot: Robot) -> int:
     """System id of a simulated rover: one for each robot, so that a ground station can watch several."""
-    wanted = robot.mavlink.system if robot.mavlink is not None else None
+    section = robot.section(MavlinkSection)
+    wanted = section.system if section is not None else None
     return wanted or (robot.id - 1) % SYSTEM_MAX + 1
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from deploy.console.arguments import (
@@ -104,7 +105,8 @@ def _give(fleet: Fleet, robots: Sequence[Robot], interrupt: Interrupt) -> int:
 
 def has_key(robot: Robot) -> bool:
     """Whether a robot is a vehicle that is to sign its messages."""
-    return robot.plant == "mavlink" and robot.mavlink is not None and robot.mavlink.signing_key is not None
+    link = robot.section(MavlinkSection)
+    return link is not None and link.signing_key is not None
 
 
 def prepare_keys(robots: Sequence[Robot], *, make: bool) -> None:
@@ -119,9 +121,10 @@ def prepare_keys(robots: Sequence[Robot], *, make: bool) -> None:
     from bridges.mavlink.session.signing import SigningError, load_key, make_key
 
     for robot in robots:
-        assert robot.mavlink is not None
-        assert robot.mavlink.signing_key is not None
-        path = Path(robot.mavlink.signing_key).expanduser()
+        link = robot.section(MavlinkSection)
+        assert link is not None
+        assert link.signing_key is not None
+        path = Path(link.signing_key).expanduser()
         missing = not os.path.lexists(path)
         if missing and not make:
             raise InputError(f"robot {robot.id}: there is no signing key {path}: --make-keys makes one")

@@ -8,15 +8,16 @@ import pytest
 import tomli_w
 
 from agent.fleet.loading import digest, parse_fleet, to_dict
-from agent.fleet.sections import DatumSection, MavlinkSection
+from agent.fleet.mavlink_section import MavlinkSection
+from agent.fleet.sections import DatumSection
 from tests.unit.agent.fleet.fleet_texts import DATUM, MIXED, ROVERS, problems, small
 
 
 def test_a_fleet_of_simulated_and_real_robots() -> None:
     fleet = small(text=MIXED)
     assert [robot.plant for robot in fleet.robots] == ["mavlink", "unicycle", "unicycle"]
-    assert fleet.robot(3).mavlink == MavlinkSection(connection="udpin:0.0.0.0:14550")
-    assert fleet.robot(7).mavlink is None
+    assert fleet.robot(3).section(MavlinkSection) == MavlinkSection(connection="udpin:0.0.0.0:14550")
+    assert fleet.robot(7).section(MavlinkSection) is None
     assert fleet.datum == DatumSection(-35.363261, 149.165230, 0.0)
     assert small().datum is None
 
@@ -26,7 +27,7 @@ def test_a_vehicle_takes_from_the_defaults_what_it_does_not_say_itself() -> None
     text = text.replace(DATUM, "") + DATUM  # the table is of the last [[robot]]
     fleet = small("robot_defaults.mavlink.state_rate_hz=20", text=text)
     shared = MavlinkSection(connection="simulator", arm=True, state_rate_hz=20.0)
-    assert [robot.mavlink for robot in fleet.robots] == [
+    assert [robot.section(MavlinkSection) for robot in fleet.robots] == [
         shared,
         shared,
         replace(shared, connection="/dev/serial/by-id/usb-ArduPilot_1", baud=57600),
@@ -34,9 +35,8 @@ def test_a_vehicle_takes_from_the_defaults_what_it_does_not_say_itself() -> None
 
 
 def test_any_number_of_vehicles_may_be_simulated() -> None:
-    assert [robot.mavlink.connection for robot in small(text=ROVERS).robots if robot.mavlink] == [
-        "simulator"
-    ] * 3
+    sections = [robot.section(MavlinkSection) for robot in small(text=ROVERS).robots]
+    assert [section.connection for section in sections if section] == ["simulator"] * 3
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_any_number_of_vehicles_may_be_simulated() -> None:
             ROVERS,
             ["robot_defaults.plant=mavlnk"],
             [
-                '--set robot_defaults.plant: must be one of "unicycle", "mavlink", got "mavlnk"; '
-                'did you mean "mavlink"?'
+                '--set robot_defaults.plant: must be one of "unicycle", "mavlink", or a plugin, got "mavlnk"'
+                '; did you mean "mavlink"?'
             ],
         ),
         (
@@ -159,7 +159,7 @@ SHARED = [
 
 def test_a_routers_link_carries_several_vehicles_that_say_which_they_are() -> None:
     fleet = small(*SHARED, "robot.5.mavlink.system=3", text=ROVERS)
-    assert [robot.mavlink and robot.mavlink.system for robot in fleet.robots] == [1, 2, 3]
+    assert [link.system for robot in fleet.robots if (link := robot.section(MavlinkSection))] == [1, 2, 3]
     for other, number in (("robot.5.mavlink.baud=9600", 1), ("robot.5.mavlink.system=2", 2)):
         assert problems(*SHARED, other, text=ROVERS) == [
             f'robot[3].mavlink.connection: robot[{number}] has "tcp:10.0.0.1:5760" already: each robot '
@@ -193,7 +193,7 @@ def test_a_simulated_robot_needs_nothing_of_what_a_vehicle_needs() -> None:
 )  # fmt: skip
 def test_connections(connection: str) -> None:
     fleet = small(f"robot.3.mavlink.connection={connection}", text=MIXED)
-    assert fleet.robot(3).mavlink == MavlinkSection(connection=connection)
+    assert fleet.robot(3).section(MavlinkSection) == MavlinkSection(connection=connection)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,8 @@ def test_an_error_lists_all_its_problems() -> None:
         parse_fleet(text, source="small.toml", overrides=["control.c1=-1"], law="best")
     assert str(caught.value) == (
         "small.toml: 4 problems\n"
-        '  --law: must be one of paper, edge, joint, penalty, got "best"\n'
+        '  --law: must be one of paper, edge, joint, penalty, or a plugin, got "best": no plugin has the '
+        'name "best"; no entry point is in handfast.laws\n'
         "  --set control.c1: must be more than 0 and at most 10000 1/s2, got -1\n"
         "  robot[2].mas_kg: unknown field; did you mean mass_kg? (the robot with id 7)\n"
         "  formation.distance_m: 1.0 is too small: r_s must be below every distance, "

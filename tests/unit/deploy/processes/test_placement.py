@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
+from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.simulator.settings import parse_home
@@ -30,7 +31,8 @@ def test_bridges_and_rovers_meet_on_ports_behind_those_of_the_fleet(rovers: Flee
     placed, taken, vehicles = place(rovers)
     taken.close()
     base = placed.network.base_port
-    links = [robot.mavlink.connection for robot in placed.robots if robot.mavlink is not None]
+    sections = [robot.section(MavlinkSection) for robot in placed.robots]
+    links = [section.connection for section in sections if section is not None]
     first = base + 2 * 6
     assert links == [
         f"udpin:127.0.0.1:{first}",
@@ -53,7 +55,7 @@ def test_the_rest_of_the_file_is_as_it_was_and_can_be_read_again(rovers: Fleet) 
     placed, taken, _ = place(rovers)
     taken.close()
     back = tuple(
-        replace(mine, mavlink=its.mavlink) for mine, its in zip(placed.robots, rovers.robots, strict=True)
+        replace(mine, sections=its.sections) for mine, its in zip(placed.robots, rovers.robots, strict=True)
     )
     assert replace(placed, robots=back, network=rovers.network) == rovers
     assert digest(parse_fleet(tomli_w.dumps(to_dict(placed)), source="placed")) == digest(placed)

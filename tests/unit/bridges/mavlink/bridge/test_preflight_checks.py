@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.time import NS_PER_S
-from agent.fleet.sections import MavlinkSection
+from agent.fleet.mavlink_section import MavlinkSection
 from bridges.mavlink.ardupilot import constants, frames
 from bridges.mavlink.bridge import preflight_checks
 from bridges.mavlink.bridge.preflight_checks import BridgeState
@@ -28,7 +28,7 @@ class Looked:
         self.scene = Scene(*overrides, **settings)
         self.scene.run(seconds)
         self.link = self.scene.bridge.link
-        self.section = self.scene.fleet.robot(1).mavlink or MavlinkSection()
+        self.section = self.scene.fleet.robot(1).section(MavlinkSection) or MavlinkSection()
         self.found = BridgeState(
             self.scene.now_ns, "", "", 0.02, "", self.scene.bridge.reading.pose, (-3.0, 4.2), ""
         )

@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.common.time import NS_PER_S
-from agent.fleet.sections import MavlinkSection
+from agent.fleet.mavlink_section import MavlinkSection
 from bridges.mavlink.ardupilot import constants
 from bridges.mavlink.bridge.signing_setup import (
     CONFIRM_NS,

@@ -1,0 +1,162 @@
+"""agent.common.plugins: a stranger's class is found, or one line says what is wrong with it."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from agent.common import plugins
+from agent.common.plugins import PluginError
+
+GROUP = "handfast.tests"
+PACKAGE = {
+    "__init__.py": "",
+    "good.py": """
+        from dataclasses import dataclass
+
+        from agent.common.plugins import PluginError
+        from agent.common.settings import setting
+
+
+        @dataclass(frozen=True)
+        class Settings:
+            \"\"\"How it slips.\"\"\"
+
+            slip: float = setting(0.1, "Slip.", ge=0, lt=1)
+
+
+        class Drag(PluginError):
+            section = "drag"
+            Settings = Settings
+
+
+        class Plain:
+            pass
+
+
+        class Melted:
+            section = "drag"
+
+            class Settings:
+                slip = 0.1
+
+
+        class Loose:
+            section = "drag"
+
+            @dataclass(frozen=True)
+            class Settings:
+                slip: float = 0.1
+
+
+        class Odd(Drag):
+            section = "Not A Name"
+
+
+        VALUE = 3
+        """,
+    "broken.py": "import math\n\nprint(math.pie)\n",
+    "unfinished.py": "def f(:\n",
+    "lacking.py": "import no_such_package_at_all\n",
+    "leaving.py": "raise SystemExit(3)\n",
+}
+
+
+@pytest.fixture(autouse=True)
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    folder = tmp_path / "strange_things"
+    folder.mkdir()
+    for name, text in PACKAGE.items():
+        (folder / name).write_text(dedent(text))
+    info = tmp_path / "strange_things-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strange-things\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(
+        f"[{GROUP}]\ndrag = strange_things.good:Drag\nwhole = strange_things.good\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    plugins._entry_points.cache_clear()
+    yield folder
+    plugins._entry_points.cache_clear()
+    plugins._registered.clear()
+    for name in [name for name in sys.modules if name.startswith("strange_things")]:
+        del sys.modules[name]
+
+
+def test_a_class_is_found_by_its_module_by_its_name_and_when_it_was_registered() -> None:
+    drag = plugins.load("strange_things.good:Drag", GROUP)
+    assert drag.__name__ == "Drag"
+    assert plugins.load("drag", GROUP) is drag
+    assert plugins.resolve("drag", GROUP) == "strange_things.good:Drag"
+    plugins.register("mine", drag)
+    assert plugins.load("mine", GROUP, "agent.common.plugins:PluginError") is drag
+
+
+@pytest.mark.parametrize(
+    ("reference", "says"),
+    [
+        ("no_such_thing.at_all:X", "there is no module no_such_thing: is its package installed"),
+        ("strange_things.god:Drag", "there is no module strange_things.god"),
+        ("strange_things.good:Drga", "there is no Drga in strange_things.good; did you mean Drag?"),
+        ("strange_things.good:Quite", "it has: Settings, Drag, Plain, Melted, Loose, Odd"),
+        ("strange_things.good:VALUE", "is no class, but int"),
+        ("strange_things.good:Plain", "is no subclass of PluginError: write class Plain(PluginError)"),
+        ("strange_things.broken:X", r"AttributeError: .*pie.* \(.*broken.py:3\)"),
+        ("strange_things.unfinished:X", r"SyntaxError: .* \(.*unfinished.py:1\)"),
+        ("strange_things.lacking:X", r"ModuleNotFoundError: .*no_such_package_at_all.* \(.*lacking.py:1\)"),
+        ("strange_things.leaving:X", r"SystemExit: 3 \(.*leaving.py:1\)"),
+        ("strange_things/good.py:Drag", 'a class is written "package.module:Class"'),
+        ("strange_things.good", 'a class is written "package.module:Class"'),
+        ("drg", 'no plugin has the name "drg"; did you mean drag?'),
+        ("spring", "names here are: drag, whole"),
+        ("whole", 'its entry point is "strange_things.good"'),
+    ],
+)
+def test_what_is_wrong_is_one_line(reference: str, says: str) -> None:
+    with pytest.raises(PluginError) as caught:
+        plugins.load(reference, GROUP, "agent.common.plugins:PluginError")
+    text = str(caught.value)
+    assert re.search(says.replace("(PluginError)", r"\(PluginError\)"), text)
+    assert reference in text
+    assert "\n" not in text
+
+
+def test_a_group_that_nobody_is_in() -> None:
+    with pytest.raises(PluginError, match=r'"spring"; no entry point is in handfast.nobody'):
+        plugins.load("spring", "handfast.nobody")
+
+
+def test_the_table_of_a_class() -> None:
+    drag = plugins.load("strange_things.good:Drag", GROUP)
+    entry = plugins.section(drag, "drag", ())
+    assert entry is not None
+    assert (entry.key, entry.hint, entry.setting.doc) == ("drag", drag.Settings, "How it slips.")
+    assert plugins.section(PluginError, "none", ()) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("Melted", "Settings must be a class below @dataclass"),
+        ("Loose", "its Settings cannot be read: .*; write each field as"),
+        ("Odd", 'section = "Not A Name" is no name of a table: write for example section = "odd"'),
+    ],
+)
+def test_a_table_that_is_declared_wrongly(name: str, says: str) -> None:
+    with pytest.raises(PluginError, match=f"ref: .*{says}"):
+        plugins.section(plugins.load(f"strange_things.good:{name}", GROUP), "ref", ())
+
+
+def test_the_name_of_a_field_is_taken() -> None:
+    with pytest.raises(PluginError, match='section = "drag" is taken'):
+        plugins.section(plugins.load("drag", GROUP), "drag", ("drag",))
+
+
+def test_a_name_that_cannot_be_registered() -> None:
+    with pytest.raises(PluginError, match="a:b"):
+        plugins.register("a:b", PluginError)
