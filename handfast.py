@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from agent.common.settings import about as about
     from agent.common.settings import setting as setting
     from agent.control.hand import Pose as Pose
+    from agent.control.law_plugin import Law as Law
+    from agent.control.law_plugin import Moment as Moment
+    from agent.control.law_plugin import Neighbour as Neighbour
     from agent.fleet.model import FleetError as FleetError
     from plant.backend import Command as Command
     from plant.backend import Reading as Reading
@@ -29,6 +32,9 @@ _MODULES: Final = {
     # for laws and plants of one's own
     "Command": "plant.backend",
     "FleetError": "agent.fleet.model",
+    "Law": "agent.control.law_plugin",
+    "Moment": "agent.control.law_plugin",
+    "Neighbour": "agent.control.law_plugin",
     "Pose": "agent.control.hand",
     "Reading": "plant.backend",
     "about": "agent.common.settings",
@@ -41,6 +47,9 @@ __all__ = [
     "Command",
     "Error",
     "FleetError",
+    "Law",
+    "Moment",
+    "Neighbour",
     "Pose",
     "Reading",
     "about",

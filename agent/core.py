@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import exp, hypot, isfinite
 from typing import Final
 
+from agent.common.errors import Error
 from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.control.controller import Controller
@@ -349,7 +350,11 @@ class Agent:
     def _drive(self, now_ns: int, here: hand.Hand) -> list[Outgoing]:
         plant = self._situation.plant
         assert plant is not None
-        drive = self._controller.drive(plant, now_ns, self._trust.slower)
+        try:
+            drive = self._controller.drive(plant, now_ns, self._trust.slower)
+        except Error as error:  # of a law of others: it is not asked again
+            self._situation.numbers = str(error)
+            return self._brake(now_ns, here)
         multipliers = self._controller.coupling.shared()
         numbers = (drive.force, drive.torque, *drive.forces, *(value for _, value in multipliers))
         if not isfinite(sum(numbers)) or max(numbers) > FLOAT_MAX or min(numbers) < -FLOAT_MAX:

@@ -111,18 +111,24 @@ def section(plugin: type[Any], reference: str, taken: Iterable[str]) -> Entry | 
     return section_entry(name, model, printable((model.__doc__ or "").strip().split("\n")[0]))
 
 
-def blame(error: BaseException) -> str:
-    """An exception in one line: type, text, and the file and line of the innermost code of others."""
-    place, trace = "", error.__traceback__
+def blame(error: BaseException, plugin: type[Any] | None = None) -> str:
+    """An exception in one line: type, text, and the file and line of the innermost code of others.
+
+    Args:
+        plugin: the innermost line of its module, by the file's name, where there is one.
+    """
+    place, own, trace = "", "", error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
         if not file.startswith("<frozen") and file != __file__ and "/importlib/" not in file:
             place = f" ({file}:{trace.tb_lineno})"
+        if plugin is not None and trace.tb_frame.f_globals.get("__name__") == plugin.__module__:
+            own = f" ({file.rpartition('/')[2]}:{trace.tb_lineno})"
         trace = trace.tb_next
     if isinstance(error, SyntaxError) and error.filename:
         place = f" ({error.filename}:{error.lineno})"
     text = str(error.msg if isinstance(error, SyntaxError) else error).strip().split("\n")[0]
-    return printable(f"{type(error).__name__}: {text[:200]}{place}")
+    return printable(f"{type(error).__name__}: {text[:200]}{own or place}")
 
 
 def _imported(reference: str) -> Any:

@@ -9,7 +9,7 @@ forward to that instant; evaluated there, the sampled loop is of second order in
 from __future__ import annotations
 
 from math import ceil, hypot
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
@@ -27,6 +27,9 @@ from agent.formation.reference import Edge, Reference
 from agent.links.ticks import next_tick_ns
 from agent.messages.types import PlantState
 
+if TYPE_CHECKING:
+    from agent.control.own_law import OwnLaw
+
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
 
@@ -36,7 +39,7 @@ class Drive(NamedTuple):
 
     force (N) and torque (N m) to ask of the plant; the navigation force F_n, the constraint force F_c and
     the correction that make up the acceleration, m/s^2, W; how many constraints acted; what the last
-    stage changed it for.
+    stage changed it for; numbers that a law of others has for its neighbours.
     """
 
     force: float
@@ -49,6 +52,7 @@ class Drive(NamedTuple):
     correction_y: float
     degree: int
     causes: tuple[str, ...]
+    own: tuple[float, ...]
 
     @property
     def forces(self) -> tuple[float, ...]:
@@ -104,6 +108,11 @@ class Controller:
         self._blockers: list[Blocker] = []
         self._gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
         self.coupling: Final = COUPLINGS[control.coupling](self._gains, self.peers)
+        self._own_law: OwnLaw | None = None
+        if control.law is not None:
+            from agent.control.own_law import OwnLaw  # here: others do not need it
+
+            self._own_law = OwnLaw(fleet, robot, self.peers)
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m
         self._acceleration_max = control.max_acceleration
@@ -125,6 +134,8 @@ class Controller:
     def restart(self) -> None:
         """Forgets the multipliers: the robot begins to drive."""
         self.coupling.restart()
+        if self._own_law is not None:
+            self._own_law.restart()
         self._blockers.clear()
         self.detour.reset()
 
@@ -153,6 +164,9 @@ class Controller:
 
         Args:
             slower: share of the speed that it would have, for one that has to be careful.
+
+        Raises:
+            agent.control.own_law.LawError: a law of others gives nothing to drive by.
         """
         acting_ns = self.acting_ns(now_ns)
         body = self._pose_at(plant, acting_ns)
@@ -177,7 +191,13 @@ class Controller:
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
         scene = _Scene(now_ns, own, gx, gy, [], [])
         self._look_round(scene, acting_ns)
-        cx, cy = self.coupling.force(scene.constraints)
+        numbers: tuple[float, ...] = ()
+        if self._own_law is None:
+            cx, cy = self.coupling.force(scene.constraints)
+        else:
+            ux, uy = self._own_law.acceleration(now_ns, acting_ns, own, (gx, gy), motion, self.edges)
+            cx, cy = ux - gx, uy - gy
+            numbers = self._own_law.numbers
         self._blockers = [
             Blocker(each.edge.normal[0], each.edge.normal[1], each.name, each.other is None)
             for each in scene.constraints
@@ -194,7 +214,7 @@ class Controller:
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         force, torque = _within(force, self._force_max), _within(torque, self._torque_max)
         correction = ux - nx - cx, uy - ny - cy
-        return Drive(force, torque, nx, ny, cx, cy, *correction, len(scene.constraints), causes)
+        return Drive(force, torque, nx, ny, cx, cy, *correction, len(scene.constraints), causes, numbers)
 
     def hand_at(self, plant: PlantState, time_ns: int) -> hand.Hand:
         """Own hand at a wall time after the plant's state, from what acts on the body until then."""

@@ -12,10 +12,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from agent.common.errors import Error
 from agent.common.time import NS_PER_S, Clock
 from agent.common.wording import printable
 from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
+from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.ticks import Ticks
 from agent.messages import key_expressions
@@ -229,7 +230,7 @@ def main(
 
     Args:
         start: makes the process's part from the fleet, the robot's id, the clock and what writes a line
-            of the log. May raise `FleetError` or `StartError`.
+            of the log. May raise `Error` or `StartError`.
 
     Returns the exit status: 0 when it was asked to end, 1 when the bus cannot be opened now, 2 for bad input.
     """
@@ -244,11 +245,11 @@ def main(
     try:
         with SystemdNotifier() as service:
             _run(options, start, shutdown, service, log)
-    except (FleetError, StartError) as error:
-        log(str(error))
-        return BAD_INPUT
     except BusError as error:
         if not shutdown.asked:
             log(str(error))
             return FAILED
+    except (Error, StartError) as error:
+        log(str(error))
+        return BAD_INPUT
     return 0

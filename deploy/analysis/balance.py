@@ -18,7 +18,7 @@ from agent.control.prediction import approach
 from agent.fleet.model import Fleet
 from deploy.analysis import fleet_law
 from deploy.analysis.analysis import Analysis
-from deploy.analysis.couplings import coupling_of
+from deploy.analysis.couplings import FleetCoupling, coupling_of
 
 STILL_S: Final = 2.0
 STILL_M: Final = 0.1
@@ -31,13 +31,16 @@ UNBALANCED: Final = 0.3
 
 def caught(a: Analysis, fleet: Fleet, row: int = -1) -> bool:
     """Whether at a row of the grid, the end, edges are off and all robots at these are at rest with their
-    forces in balance."""
+    forces in balance; never by a law of others."""
+    coupling = coupling_of(fleet)
+    if coupling is None:
+        return False
     ends = np.unique(a.edges[np.flatnonzero(a.off[row])])
     if not len(ends):
         return False
     rows = _lately(a, row)
     moved = np.ptp(a.hands[rows] - a.desired[rows], axis=0).max(axis=1)
-    navigation, total = (np.hypot(*forces)[ends] for forces in _forces(a, fleet, row))
+    navigation, total = (np.hypot(*forces)[ends] for forces in _forces(a, fleet, coupling, row))
     return bool((moved[ends] < STILL_M).all() and (total < UNBALANCED * navigation.max()).all())
 
 
@@ -57,7 +60,9 @@ def _lately(a: Analysis, row: int) -> NDArray[np.bool_]:
     return lately
 
 
-def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[fleet_law.Array, fleet_law.Array]:
+def _forces(
+    a: Analysis, fleet: Fleet, coupling: FleetCoupling, row: int
+) -> tuple[fleet_law.Array, fleet_law.Array]:
     """Navigation force on every robot, and what is left of all forces, (2, n), m/s^2, if none moves in the
     formation."""
     control, n = fleet.control, len(a.ids)
@@ -71,7 +76,6 @@ def _forces(a: Analysis, fleet: Fleet, row: int) -> tuple[fleet_law.Array, fleet
     navigation = -control.c1 * np.array(shares) * error
     columns = np.flatnonzero(a.counts[row])
     i, j = a.edges[columns].T
-    coupling = coupling_of(fleet)
     edges = fleet_law.edges(
         (a.hands[row, i] - a.hands[row, j]).T,
         np.zeros((2, len(columns))),

@@ -14,13 +14,15 @@ symmetric matrices (mu their eigenvalue):
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control import own_law
 from agent.control.law import Gains
+from agent.control.own_law import LawError
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.geometry import Geometry
@@ -37,7 +39,36 @@ class Mode(NamedTuple):
     shape: bool
 
 
-class FleetCoupling:
+class FleetLaw:
+    """The law of a whole fleet, linearised.
+
+    Attributes:
+        place: field of the fleet file that chooses it.
+        unstable: what makes it unstable at the formation, and what would not, "" where nobody knows.
+        softer, damped: what to do where it is too stiff for the rate, or for a lag.
+    """
+
+    place: ClassVar[str] = "control.law"
+    unstable: ClassVar[str] = ""
+    softer: ClassVar[str] = "lower its gains"
+    damped: ClassVar[str] = "make it softer or raise its damping"
+
+    def modes(self, geometry: Geometry) -> tuple[Mode, ...]:
+        """Modes of the law linearised at the formation, 2n of them; every distance is above the safe one."""
+        raise NotImplementedError
+
+    @property
+    def stiffest(self) -> tuple[Mode, ...]:
+        """Modes that it can have away from the formation, where these are stiffer."""
+        return ()
+
+    def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
+        """Largest |eigenvalue| of the sampled law with the dynamics of its multipliers; 0 where these have
+        none."""
+        return 0.0
+
+
+class FleetCoupling(FleetLaw):
     """The law of a whole fleet with one coupling.
 
     Attributes:
@@ -48,6 +79,10 @@ class FleetCoupling:
     """
 
     title = ""
+    place = "control.coupling"
+    unstable = ' (edges that share a robot overcorrect each other); take coupling = "joint", or kp of about 1'
+    softer = "lower kd and kp"
+    damped = "lower kp or raise kd"
     shares_navigation: ClassVar[bool] = True
     bounded: ClassVar[bool] = False
 
@@ -60,7 +95,6 @@ class FleetCoupling:
         raise NotImplementedError
 
     def modes(self, geometry: Geometry) -> tuple[Mode, ...]:
-        """Modes of the law linearised at the formation, 2n of them; every distance is above the safe one."""
         n, control = len(geometry.ids), self.control
         values = self._eigenvalues(self._jacobian(geometry)).tolist()
         found = []
@@ -70,10 +104,11 @@ class FleetCoupling:
             found.append(Mode(k1, k2, value > 1e-9))
         return tuple(found)
 
-    def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
-        """Largest |eigenvalue| of the sampled law with the dynamics of its multipliers; 0 where these have
-        none."""
-        return 0.0
+    @property
+    def stiffest(self) -> tuple[Mode, ...]:
+        """Near the safe distance phi' grows without limit, and the joint law's modes become (kp, kd)."""
+        kp, kd = self.control.kp, self.control.kd
+        return (Mode(kp, kd, True),) if kp > 0.0 and kd > 0.0 else ()
 
     def remark(self, robots: int) -> str:
         """What the author of a fleet of so many robots should know of this coupling, "" for nothing."""
@@ -186,6 +221,46 @@ COUPLINGS: Final[Mapping[str, type[FleetCoupling]]] = {
 """By their name in `control.coupling`."""
 
 
-def coupling_of(fleet: Fleet) -> FleetCoupling:
-    """The form of a fleet's law for all its robots at once."""
+class OwnFleetLaw(FleetLaw):
+    """A law of others, by the modes that its class gives."""
+
+    def __init__(self, modes: Sequence[tuple[float, float, bool]]) -> None:
+        self._modes = tuple(Mode(float(k1), float(k2), bool(shape)) for k1, k2, shape in modes)
+        if not np.isfinite(self._modes).all():
+            raise ValueError("modes() must give finite numbers")
+
+    def modes(self, geometry: Geometry) -> tuple[Mode, ...]:
+        return self._modes
+
+
+def coupling_of(fleet: Fleet) -> FleetCoupling | None:
+    """The form of a fleet's coupling for all its robots at once; None for a law of others."""
+    if fleet.control.law is not None:
+        return None
     return COUPLINGS[fleet.control.coupling](fleet.control, fleet.formation.safe_distance_m)
+
+
+def law_of(fleet: Fleet) -> FleetLaw | None:
+    """The linearised law of a fleet; None for a law of others that does not give its own."""
+    coupling = coupling_of(fleet)
+    if coupling is not None:
+        return coupling
+    try:
+        return own_law_of(fleet)
+    except LawError:  # `check` says it
+        return None
+
+
+def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
+    """A fleet's law of others, None when it does not give its modes.
+
+    Raises:
+        LawError: it fails at that.
+    """
+    kind = own_law.kind_of(fleet)
+
+    def linearised() -> OwnFleetLaw | None:
+        modes = kind.modes(fleet, own_law.settings_of(fleet))
+        return None if modes is None else OwnFleetLaw(modes)
+
+    return own_law.attempt(kind, linearised)

@@ -18,7 +18,7 @@ from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import edge_lengths
 from agent.formation.trajectory import make_trajectory
 from deploy.analysis import fleet_law
-from deploy.analysis.couplings import Mode, coupling_of
+from deploy.analysis.couplings import FleetCoupling, FleetLaw, Mode, coupling_of
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def sampled_radius(mode: Mode, rate_hz: float, *, predicted: bool = True) -> flo
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def settling_time(fleet: Fleet, geometry: Geometry) -> float | None:
+def settling_time(fleet: Fleet, geometry: Geometry, law: FleetLaw) -> float | None:
     """Estimate (s) of when every edge is within `SETTLED` of its distance; None when it never is.
 
     From the slowest mode that changes edges, as if all of the largest relative error at the start were
@@ -52,7 +52,7 @@ def settling_time(fleet: Fleet, geometry: Geometry) -> float | None:
     """
     lengths = edge_lengths(start_hands(fleet), geometry.edges)
     error = np.abs(lengths / geometry.distances - 1.0).max(initial=0.0)
-    rates = [_decay(mode) for mode in coupling_of(fleet).modes(geometry) if mode.shape]
+    rates = [_decay(mode) for mode in law.modes(geometry) if mode.shape]
     if not rates or error <= SETTLED:
         return 0.0
     return log(float(error) / SETTLED) / min(rates) if min(rates) > 0.0 else None
@@ -74,10 +74,9 @@ class Start(NamedTuple):
     energy: float
 
 
-def at_start(fleet: Fleet, geometry: Geometry) -> Start:
+def at_start(fleet: Fleet, geometry: Geometry, coupling: FleetCoupling) -> Start:
     """The law where the fleet file has the robots stand, before anything is clipped."""
-    control, coupling = fleet.control, coupling_of(fleet)
-    gains = coupling.gains
+    control, gains = fleet.control, coupling.gains
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)
     error = (start_hands(fleet) - geometry.offsets - (x, y)).T
     rate = np.broadcast_to(np.array([[-vx], [-vy]]), error.shape)  # the robots start at rest
@@ -109,11 +108,13 @@ def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:
     """
     control, safe = fleet.control, fleet.formation.safe_distance_m
     lengths = edge_lengths(start_hands(fleet), geometry.edges)
-    bounded = coupling_of(fleet).bounded and control.kp > 0.0
-    if not bounded or float(lengths.min(initial=inf)) <= safe:
+    coupling = coupling_of(fleet)
+    if coupling is None or not coupling.bounded or control.kp <= 0.0:
+        return None
+    if float(lengths.min(initial=inf)) <= safe:
         return None
     span = float(geometry.distances.min()) - safe
-    phi = sqrt(2.0 * at_start(fleet, geometry).energy / control.kp)
+    phi = sqrt(2.0 * at_start(fleet, geometry, coupling).energy / control.kp)
     beyond = phi - (1.0 / control.relaxation - 1.0)  # of what phi is where its tangent begins
     if beyond <= 0.0:
         least = safe + span / (1.0 + phi)

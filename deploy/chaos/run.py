@@ -17,13 +17,15 @@ from typing import Any, Final
 import tomli_w
 
 from agent.fleet.loading import parse_fleet
-from agent.formation.geometry import resolved
+from agent.fleet.model import Fleet
+from agent.formation.geometry import resolve, resolved
+from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.balance import caught
 from deploy.recording.recording import Recording
 from deploy.simulate.judged import drive as simulate
 from deploy.simulate.worker_pool import Abandoned, GoOn
+from deploy.verdict import oracles
 from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
-from deploy.verdict.run_result import RunResult
 from deploy.verdict.violations import Violation
 
 CRASH: Final = "crash"
@@ -87,7 +89,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     begun_s = time.perf_counter()
     fleet = resolved(parse_fleet(text, source=source))
     try:
-        outcome = judged(RunResult(simulate(fleet, go_on)))
+        outcome = judged(simulate(fleet, go_on), fleet)
     except Abandoned:
         raise
     except Exception as error:
@@ -95,9 +97,10 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     return replace(outcome, wall_s=time.perf_counter() - begun_s)
 
 
-def judged(result: RunResult) -> Outcome:
+def judged(recording: Recording, fleet: Fleet) -> Outcome:
     """What a drive came to, whether of real processes or in virtual time."""
-    recording, found = result.recording, result.violations
+    analysis = analyse(recording, resolve(fleet))
+    found = oracles.examine(recording, analysis, fleet)
     beside = READY if recording.epoch_ns is None else ORDERS
     wrong = [Violation(beside, 0.0, reason) for reason in recording.reasons]
     states, transitions, limits = _exercised(recording)
@@ -107,7 +110,7 @@ def judged(result: RunResult) -> Outcome:
         states,
         transitions,
         limits,
-        _ended(result),
+        _ended(recording, analysis, fleet),
         recording.end_s,
     )
 
@@ -126,11 +129,10 @@ def _exercised(recording: Recording) -> tuple[dict[str, int], dict[str, int], in
     return dict(states), dict(transitions), limits
 
 
-def _ended(result: RunResult) -> str:
-    recording, analysis = result.recording, result.analysis
+def _ended(recording: Recording, analysis: Analysis, fleet: Fleet) -> str:
     if analysis.counts[-1].any() and not analysis.off[-1].any():
         return IN_FORMATION
-    if caught(analysis, result.fleet):
+    if caught(analysis, fleet):
         return CAUGHT
     return (
         SOON if (last_trouble_s(recording, analysis) or 0.0) + RECOVERED_S >= recording.end_s else ELSEWHERE

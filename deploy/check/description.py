@@ -8,6 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from agent.common.models import plain
+from agent.common.wording import show
 from agent.control.boundaries import obstacles_of
 from agent.control.safety_distances import clearance, sensing_distance
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
@@ -16,7 +18,7 @@ from agent.formation import trajectory
 from agent.formation.geometry import Geometry, resolve, start_hands
 from agent.formation.trajectory import make_trajectory
 from agent.links.fault_plan import FaultPlan
-from deploy.analysis.couplings import coupling_of
+from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.check.safety import parting
@@ -94,9 +96,16 @@ def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:
 
 
 def _describe_law(fleet: Fleet) -> str:
-    control = fleet.control
+    control, coupling = fleet.control, coupling_of(fleet)
+    if coupling is None:
+        settings = [plain(section) for _, section in control.sections]
+        own = "".join(f" {name} {show(value)}," for table in settings for name, value in table.items())
+        return (
+            f"{control.law}, a plugin;{own} c1 {control.c1:g}, c2 {control.c2:g}; at most "
+            f"{control.max_acceleration:g} m/s2"
+        )
     return (
-        f"{coupling_of(fleet).title}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 "
+        f"{coupling.title}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 "
         f"{control.k2:g}, kp {control.kp:g}; at most {control.max_acceleration:g} m/s2"
     )
 
@@ -223,10 +232,11 @@ def _describe_start(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
     safe = fleet.formation.safe_distance_m
     if not len(geometry.edges) or float(geometry.distances.min()) <= safe:
         return
-    settling = settling_time(fleet, geometry)
-    if settling is None:
+    law = law_of(fleet)
+    settling = None if law is None else settling_time(fleet, geometry, law)
+    if law is not None and settling is None:
         yield f"settling: edges do not come within {SETTLED:.0%}: the law is unstable at the formation"
-    else:
+    elif settling is not None:
         yield f"settling: edges within {SETTLED:.0%} after about {settling:.2g} s"
     least = guaranteed_distance(fleet, geometry)
     if least is not None:

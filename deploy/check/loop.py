@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
-from deploy.analysis.couplings import Mode, coupling_of
+from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.stability import SETTLED, at_start, sampled_radius, settling_time
 from deploy.check.finding import Finding
 from deploy.console.wording import robots
@@ -23,7 +23,10 @@ KP_HIGH: Final = 4.0
 
 def check_saturation(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     """Saturation at the start."""
-    start = at_start(fleet, geometry)
+    coupling = coupling_of(fleet)
+    if coupling is None:
+        return
+    start = at_start(fleet, geometry, coupling)
     limit = fleet.control.max_acceleration
     over = np.flatnonzero(start.demand > limit)
     if len(over):
@@ -40,9 +43,12 @@ def check_saturation(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
 
 def check_gains(fleet: Fleet) -> Iterator[Finding]:
     """Do coupling, gains and relaxation suit this fleet's size and distances."""
-    control, remark = fleet.control, coupling_of(fleet).remark(len(fleet.members))
+    control, coupling = fleet.control, coupling_of(fleet)
+    if coupling is None:
+        return
+    remark = coupling.remark(len(fleet.members))
     if remark:
-        yield Finding("info", "control.coupling", remark)
+        yield Finding("info", coupling.place, remark)
     if control.kp == 0.0:
         yield Finding(
             "info",
@@ -63,26 +69,21 @@ def check_gains(fleet: Fleet) -> Iterator[Finding]:
 
 def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     """Is the law stable at the formation: as it is, sampled, and with its delay not predicted."""
-    control, rate = fleet.control, fleet.fleet.rate_hz
-    coupling = coupling_of(fleet)
-    linear = coupling.modes(geometry)
-    if not linear:
+    law, rate = law_of(fleet), fleet.fleet.rate_hz
+    linear = law.modes(geometry) if law is not None else ()
+    if law is None or not linear:
         return
     softest = min(linear, key=lambda mode: min(mode.k1, mode.k2))
     if min(softest.k1, softest.k2) <= 0.0:
         yield Finding(
             "error",
-            "control.coupling",
+            law.place,
             "the law is unstable at the formation itself: in one of its modes it pulls with "
-            f"{softest.k1:.3g} 1/s2 and damps with {softest.k2:.3g} 1/s, where both must be above 0 (edges "
-            "that share a robot overcorrect "
-            'each other); take coupling = "joint", or kp of about 1',
+            f"{softest.k1:.3g} 1/s2 and damps with {softest.k2:.3g} 1/s, where both must be above 0"
+            f"{law.unstable}",
         )
         return
-    # Near the safe distance phi' grows without limit and the joint law's modes become (kp, kd).
-    extreme = (
-        (*linear, Mode(control.kp, control.kd, True)) if control.kp > 0.0 and control.kd > 0.0 else linear
-    )
+    extreme = (*linear, *law.stiffest)
 
     def radius(at: float, predicted: bool) -> float:
         return max(sampled_radius(mode, at, predicted=predicted) for mode in set(extreme))
@@ -90,7 +91,7 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     def whole(at: float) -> float:
         result = radius(at, True)
         if len(geometry.edges) and len(geometry.ids) <= SWEEP_ROBOTS_MAX:
-            result = max(result, coupling.sweep_radius(geometry, at))
+            result = max(result, law.sweep_radius(geometry, at))
         return result
 
     stiffest = max(extreme, key=lambda mode: max(mode.k2, sqrt(mode.k1)))
@@ -101,7 +102,7 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             "error",
             "fleet.rate_hz",
             f"{rate:.4g} Hz is too slow for these gains: the sampled loop is unstable (largest eigenvalue "
-            f"{whole(rate):.4g}; {gains}); take at least {needed:.3g} Hz, or lower kd and kp",
+            f"{whole(rate):.4g}; {gains}); take at least {needed:.3g} Hz, or {law.softer}",
         )
     elif radius(rate, False) >= 1.0 or whole(0.5 * rate) >= 1.0:
         needed = _rate_for(lambda at: max(whole(0.5 * at), radius(at, False)), rate)
@@ -110,7 +111,7 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             "fleet.rate_hz",
             f"{rate:.4g} Hz leaves little margin: the loop is stable only while a delay of one period is "
             f"predicted and no two periods in a row are missed ({gains}); take at least {needed:.3g} Hz, or "
-            "lower kd and kp",
+            f"{law.softer}",
         )
     # s^2 (lag s + 1) + K2 s + K1 is stable while K2 > lag K1 (Routh).
     row, robot = max(enumerate(fleet.robots, 1), key=lambda item: item[1].actuator_lag_s)
@@ -122,9 +123,9 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             f"robot[{row}].actuator_lag_s",
             f"{robot.actuator_lag_s:.4g} s is {'too ' if share >= 1.0 else ''}long for these gains: a mode "
             f"with {slow.k1:.3g} 1/s2 and {slow.k2:.3g} 1/s is unstable from {slow.k2 / slow.k1:.3g} s on; "
-            "lower kp or raise kd",
+            f"{law.damped}",
         )
-    settling = settling_time(fleet, geometry)
+    settling = settling_time(fleet, geometry, law)
     if settling is not None and settling > fleet.fleet.duration_s:
         yield Finding(
             "info",

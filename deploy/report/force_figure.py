@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deploy.recording.link_table import Floats
+from deploy.recording.recording import Recording
 from deploy.report.plotting import (
     LEGEND_MAX,
     PALETTE,
@@ -18,12 +19,10 @@ from deploy.report.plotting import (
     note,
     nth_color,
 )
-from deploy.verdict.run_result import RunResult
 
 
-def forces(result: RunResult) -> Figure:
+def forces(recording: Recording) -> Figure:
     """Navigation and constraint forces per unit mass, and what is asked of each body, over time."""
-    recording = result.recording
     figure = new_figure(8.6, 5.6)
     panels = figure.subplots(2, 2, sharex=True)
     grid = recording.grid

@@ -15,7 +15,6 @@ from deploy.recording.recording import Recording
 from deploy.report.fault_strip import time_axes
 from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note
 from deploy.verdict.link_metrics import Ages, ages
-from deploy.verdict.run_result import RunResult
 
 NAME: Final = "links"
 PERIODS_OLD: Final = 2.0
@@ -25,17 +24,19 @@ WORST: Final = 4
 _BINS: Final = 150
 
 
-def worth_drawing(result: RunResult) -> bool:
+def worth_drawing(recording: Recording) -> bool:
     """Whether something was done to messages, or they were old without."""
-    if len(result.recording.links):
+    if len(recording.links):
         return True
-    old_ms = 1e3 * PERIODS_OLD / result.fleet.fleet.rate_hz
-    return bool(result.ages_ms.size) and float(np.percentile(result.ages_ms, 99)) > old_ms
+    found = [robot.status.ages_between(0.0, recording.end_s) for robot in recording.robots.values()]
+    values = np.concatenate(found) / 1e6
+    return (
+        bool(values.size) and float(np.percentile(values, 99)) > PERIODS_OLD / recording.fleet.fleet.rate_hz
+    )
 
 
-def links(result: RunResult) -> Figure:
+def links(recording: Recording) -> Figure:
     """Age of information over time, of all links and of the worst; below it the share of messages lost."""
-    recording = result.recording
     end = max(recording.end_s, 1e-3)
     lost = _lost(recording, end)
     figure = new_figure(7.6, 4.2 if lost is None else 5.4)

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from deploy.console.arguments import InputError
-from deploy.drive.outcome import conclude
+from deploy.console.exit import FAILED, PASSED
+from deploy.drive.outcome import say_verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,10 +18,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _report(options: argparse.Namespace) -> int:
     from deploy.recording.recorder import RecordingError
-    from deploy.report.run_folder import rebuild
+    from deploy.report.report import rebuild
 
     try:
-        result = rebuild(Path(options.folder))
+        metrics = rebuild(Path(options.folder))
     except RecordingError as error:
         raise InputError(str(error)) from None
-    return conclude(result, Path(options.folder))
+    say_verdict(metrics, Path(options.folder))
+    return PASSED if metrics["verdict"]["passed"] else FAILED

@@ -11,6 +11,7 @@ import tomli_w
 
 from agent.common import plugins
 from agent.common.settings import about, setting
+from agent.control.law_plugin import Law
 from agent.fleet.loading import digest, law_name, parse_fleet, to_dict
 from plant.backend import PlantBackend
 from tests.unit.agent.fleet.fleet_texts import SMALL, problems, small
@@ -43,7 +44,7 @@ class Mass(Drag):
     section = "mass_kg"
 
 
-class Spring:
+class Spring(Law):
     section = "spring"
     Settings = SpringSettings
 

@@ -362,7 +362,7 @@ def test_the_settling_estimate_is_that_of_the_law_for_two_robots(kd: float):
     two, edge, places = ((-0.85, 0.0), (0.65, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0))
     given = fleet(two, edge, places, TrajectorySection(), {"kd": kd})
     geometry = resolve(given)
-    estimate = settling_time(given, geometry)
+    estimate = settling_time(given, geometry, COUPLINGS["joint"](given.control, 0.22))
     assert estimate is not None
     error = (start_hands(given) - geometry.offsets).T
     speed, h, last = np.zeros((2, 2)), 0.005, 0.0

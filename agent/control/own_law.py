@@ -1,0 +1,190 @@
+"""Runs a law of others (`agent.control.law_plugin`) in the place of the constraint force.
+
+Whatever is wrong with it is one `LawError` that names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar
+
+from agent.common.errors import Error
+from agent.common.plugins import blame
+from agent.common.quantities import Vector
+from agent.common.time import NS_PER_S
+from agent.common.wording import printable
+from agent.control.hand import Hand
+from agent.control.law_plugin import Law, Moment, Neighbour, Reference
+from agent.control.peers import Peer, Peers
+from agent.fleet.model import Fleet
+from agent.fleet.sections import load_law
+from agent.formation.reference import Edge
+from agent.formation.trajectory import Sample
+from agent.messages.types import FLOAT_MAX
+
+OWN_MAX: Final = 16
+T = TypeVar("T")
+
+
+class LawError(Error):
+    """A law of others did what it must not: one line that names it, and where."""
+
+
+class OwnLaw:
+    """A law of others that drives a robot.
+
+    Attributes:
+        numbers: its numbers for its neighbours.
+
+    Raises:
+        LawError: its class cannot be made.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, peers: Peers) -> None:
+        self.numbers: tuple[float, ...] = ()
+        self._peers = peers
+        self._period = fleet.period_ns / NS_PER_S
+        self._fresh = True
+        self._heard: dict[int, tuple[float, ...]] = {}
+        self._law = make(fleet, robot)
+
+    def restart(self) -> None:
+        """The robot begins to drive: so does the law, when it is asked next."""
+        self._fresh = True
+        self._heard.clear()
+
+    def acceleration(
+        self,
+        now_ns: int,
+        acting_ns: int,
+        own: Hand,
+        navigation: Vector,
+        motion: Sample,
+        edges: Sequence[tuple[Edge, Peer]],
+    ) -> Vector:
+        """What the law gives at the tick `now_ns` for `acting_ns`, m/s^2, W.
+
+        Raises:
+            LawError: that is nothing to drive by.
+        """
+        x, y, vx, vy, ax, ay = motion
+        moment = Moment(
+            (acting_ns - self._peers.epoch_ns) / NS_PER_S,
+            self._period,
+            (own.x, own.y),
+            (own.vx, own.vy),
+            navigation,
+            Reference((x, y), (vx, vy), (ax, ay)),
+            tuple(self._neighbours(now_ns, acting_ns, edges)),
+        )
+        if self._fresh:
+            self._fresh = False
+            attempt(self._law, self._law.restart)
+        wanted, self.numbers = evaluate(self._law, moment)
+        return wanted
+
+    def _neighbours(self, now_ns: int, acting_ns: int, edges: Sequence[tuple[Edge, Peer]]) -> list[Neighbour]:
+        found = []
+        for edge, peer in edges:
+            message, weight = peer.message, edge.weight * peer.trust
+            if message is None or weight <= 0.0:
+                continue
+            own = getattr(message, "own", ())
+            if own:
+                self._heard[peer.robot] = own
+            other = self._peers.predict(peer, acting_ns)
+            age_ns = max(0, now_ns + peer.clock.used_ns - peer.time_ns)
+            found.append(
+                Neighbour(
+                    peer.robot,
+                    other.position,
+                    other.velocity,
+                    other.navigation,
+                    edge.distance,
+                    edge.rate,
+                    weight,
+                    age_ns / NS_PER_S,
+                    self._heard.get(peer.robot, ()),
+                )
+            )
+        return found
+
+
+def make(fleet: Fleet, robot: int) -> Law:
+    """The law of a fleet for one robot.
+
+    Raises:
+        LawError: it cannot be made.
+    """
+    kind = kind_of(fleet)
+    if kind.acceleration is Law.acceleration:
+        raise _failure(kind, "it has no method acceleration(self, now)")
+    return attempt(kind, lambda: kind(robot, fleet, settings_of(fleet)))
+
+
+def kind_of(fleet: Fleet) -> type[Law]:
+    """The class of a fleet's law; there is one."""
+    assert fleet.control.law is not None
+    return load_law(fleet.control.law)
+
+
+def settings_of(fleet: Fleet) -> Any:
+    """The table of a fleet's law; None where it has none."""
+    return dict(fleet.control.sections).get(getattr(kind_of(fleet), "section", ""))
+
+
+def evaluate(law: Law, moment: Moment) -> tuple[Vector, tuple[float, ...]]:
+    """What a law gives at a moment: its acceleration, m/s^2, W, and its numbers.
+
+    Raises:
+        LawError: it gives none, or such that cannot be driven by.
+    """
+    given = attempt(law, lambda: law.acceleration(moment))
+    wanted = _floats(given)
+    if wanted is None or len(wanted) != 2:
+        raise _failure(law, f"acceleration() must return two numbers (x, y) in m/s2, got {_short(given)}")
+    numbers = attempt(law, lambda: law.numbers)
+    own = _floats(numbers)
+    if own is None or len(own) > OWN_MAX:
+        raise _failure(law, f"numbers must be at most {OWN_MAX} finite numbers, got {_short(numbers)}")
+    return (wanted[0], wanted[1]), own
+
+
+def attempt(law: Law | type[Law], call: Callable[[], T]) -> T:
+    """What a call of a law's code gives.
+
+    Raises:
+        LawError: it raises.
+    """
+    try:
+        return call()
+    except (Exception, SystemExit) as error:
+        raise _failure(law, blame(error, _kind(law))) from None
+
+
+def _kind(law: Law | type[Law]) -> type[Law]:
+    return law if isinstance(law, type) else type(law)
+
+
+def _failure(law: Law | type[Law], what: str) -> LawError:
+    kind = _kind(law)
+    return LawError(f"law {kind.__module__}:{kind.__qualname__}: {what}")
+
+
+def _floats(given: Any) -> tuple[float, ...] | None:
+    """Finite numbers that a message can hold; None for anything else."""
+    if isinstance(given, str | bytes):
+        return None
+    try:
+        found = tuple(map(float, given))
+    except Exception:  # whatever it is that can be iterated
+        return None
+    return found if all(-FLOAT_MAX <= value <= FLOAT_MAX for value in found) else None
+
+
+def _short(given: object) -> str:
+    try:
+        text = repr(given)
+    except Exception:
+        text = f"a {type(given).__name__}"
+    return printable(text[:60])

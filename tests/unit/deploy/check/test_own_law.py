@@ -1,0 +1,83 @@
+"""What `check` says of a law of others, and what it does not say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
+from deploy.check.check import Finding, check
+from deploy.check.description import describe
+from deploy.console.arguments import fleet_path
+from tests.unit.agent.control.laws import known
+
+
+@pytest.fixture(autouse=True)
+def _known() -> Iterator[None]:
+    with known():
+        yield
+
+
+def delta(law: str, *overrides: str) -> Fleet:
+    return load_fleet(fleet_path("delta"), [f"control.law={law}", *overrides])
+
+
+def found(law: str, *overrides: str) -> list[Finding]:
+    return [each for each in check(delta(law, *overrides)) if each.place == "control.law"]
+
+
+def test_what_cannot_be_predicted_is_said_once_and_nothing_of_another_law():
+    law = delta("Good", "control.kp=0", "control.coupling=edge")
+    findings = check(law)
+    assert [(each.level, each.place) for each in findings] == [("info", "control.law")]
+    assert findings[0].message == (
+        "law Good cannot be predicted (whether it is stable, when it settles, where accelerations are "
+        "clipped and how near edges come): simulate it"
+    )
+    text = describe(law)
+    assert '  law: Good, a plugin; push 0.0, mistake "", c1 0.4, c2 0.6; at most 5 m/s2' in text
+    assert "settling" not in text
+    assert "bound" not in text
+
+
+def test_a_law_that_gives_its_modes_is_judged_by_them():
+    law = delta("Modal", "fleet.duration_s=3")
+    assert [each.place for each in check(law)] == ["fleet.duration_s", "control.law"]
+    assert "stable" not in found("Modal")[0].message
+    assert "settling: edges within 5%" in describe(law)
+    (stiff,) = [each for each in check(delta("Modal", "control.c2=200")) if each.place == "fleet.rate_hz"]
+    assert stiff.level == "error"
+    assert stiff.message.endswith("or lower its gains")
+
+
+@pytest.mark.parametrize(
+    ("law", "says"),
+    [
+        ("Raises", "ZeroDivisionError: float division by zero (laws.py:"),
+        ("NotMade", "KeyError: 'gain' (laws.py:"),
+        ("OwnSignature", "TypeError: OwnSignature.__init__() takes 1"),
+        ("WrongSignature", "TypeError: WrongSignature.acceleration() takes 1"),
+        ("WithoutMethod", "it has no method acceleration(self, now)"),
+        ("BadRestart", "RuntimeError: not now (laws.py:"),
+        ("Scalar", "acceleration() must return two numbers"),
+        ("ManyNumbers", "numbers must be at most 16"),
+        ("BadModes", "ValueError: modes() must give finite numbers"),
+    ],
+)
+def test_each_mistake_is_one_error(law: str, says: str):
+    (finding,) = found(law)
+    assert finding.level == "error"
+    assert finding.message.startswith(f"law tests.unit.agent.control.laws:{law}: {says}")
+    assert describe(delta(law))
+
+
+def test_a_slow_law_is_a_warning_that_names_it():
+    warning, _ = found("Slow")
+    assert warning.level == "warning"
+    assert warning.message.startswith("law Slow takes ")
+    assert "of a period" in warning.message
+    assert (
+        len(found("Slow", "control.plant_timeout_s=1", "control.wrench_timeout_s=1", "fleet.rate_hz=5")) == 1
+    )
