@@ -55,8 +55,9 @@ format: $(VENV)/.dev ## let ruff lay out the code and repair what it can
 bench: $(VENV)/.dev ## benchmarks
 	$(PY) -m tests.benchmarks
 
-docs: $(VENV)/.dev ## write the reference of the fleet file
+docs: $(VENV)/.dev ## write the references of the fleet file and of metrics
 	$(PY) -m deploy.check.fleet_reference > docs/fleet-file.md
+	$(PY) -m tests.docs.metrics_page > docs/metrics.md
 
 # Keeps the pinned versions that still satisfy pyproject.toml; `make lock UPGRADE=1` takes the newest.
 # The others are constrained by lock.txt, so that all four files always agree.

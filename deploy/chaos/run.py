@@ -17,15 +17,13 @@ from typing import Any, Final
 import tomli_w
 
 from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve, resolved
-from deploy.analysis.analysis import Analysis, analyse
+from agent.formation.geometry import resolved
 from deploy.analysis.balance import caught
 from deploy.recording.recording import Recording
 from deploy.simulate.judged import drive as simulate
 from deploy.simulate.worker_pool import Abandoned, GoOn
-from deploy.verdict import oracles
 from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
+from deploy.verdict.run_result import RunResult
 from deploy.verdict.violations import Violation
 
 CRASH: Final = "crash"
@@ -89,7 +87,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     begun_s = time.perf_counter()
     fleet = resolved(parse_fleet(text, source=source))
     try:
-        outcome = judged(simulate(fleet, go_on), fleet)
+        outcome = judged(RunResult(simulate(fleet, go_on)))
     except Abandoned:
         raise
     except Exception as error:
@@ -97,10 +95,9 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     return replace(outcome, wall_s=time.perf_counter() - begun_s)
 
 
-def judged(recording: Recording, fleet: Fleet) -> Outcome:
+def judged(result: RunResult) -> Outcome:
     """What a drive came to, whether of real processes or in virtual time."""
-    analysis = analyse(recording, resolve(fleet))
-    found = oracles.examine(recording, analysis, fleet)
+    recording, found = result.recording, result.violations
     beside = READY if recording.epoch_ns is None else ORDERS
     wrong = [Violation(beside, 0.0, reason) for reason in recording.reasons]
     states, transitions, limits = _exercised(recording)
@@ -110,7 +107,7 @@ def judged(recording: Recording, fleet: Fleet) -> Outcome:
         states,
         transitions,
         limits,
-        _ended(recording, analysis, fleet),
+        _ended(result),
         recording.end_s,
     )
 
@@ -129,10 +126,11 @@ def _exercised(recording: Recording) -> tuple[dict[str, int], dict[str, int], in
     return dict(states), dict(transitions), limits
 
 
-def _ended(recording: Recording, analysis: Analysis, fleet: Fleet) -> str:
+def _ended(result: RunResult) -> str:
+    recording, analysis = result.recording, result.analysis
     if analysis.counts[-1].any() and not analysis.off[-1].any():
         return IN_FORMATION
-    if caught(analysis, fleet):
+    if caught(analysis, result.fleet):
         return CAUGHT
     return (
         SOON if (last_trouble_s(recording, analysis) or 0.0) + RECOVERED_S >= recording.end_s else ELSEWHERE

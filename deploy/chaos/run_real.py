@@ -19,6 +19,7 @@ from deploy.drive.local import LocalRun
 from deploy.processes.placement import place
 from deploy.recording.mcap_reader import read_run
 from deploy.report.run_folder import RunFolder
+from deploy.verdict.run_result import RunResult
 
 
 def real_results(seeds: Sequence[int], out: Path, interrupt: Interrupt) -> Iterator[Driven]:
@@ -55,5 +56,5 @@ def _drive(text: str, folder: Path, interrupt: Interrupt) -> Outcome:
             kept.close(run.reasons, interrupted=interrupt.count > 0)
     finally:
         placed.ports.close()
-    outcome = judged(read_run(folder), placed.fleet)
+    outcome = judged(RunResult(read_run(folder)))
     return replace(outcome, wall_s=time.perf_counter() - begun_s)

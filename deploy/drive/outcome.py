@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
@@ -17,6 +17,7 @@ from deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:
     from deploy.report.run_folder import RunFolder
+    from deploy.verdict.run_result import RunResult
 
 
 def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolder:
@@ -66,24 +67,22 @@ def finish(
     from deploy.recording.recorder import RecordingError
 
     try:
-        metrics = folder.finish(reasons, interrupted=interrupted, warnings=warnings, report=options.report)
+        result = folder.finish(reasons, interrupted=interrupted, warnings=warnings, report=options.report)
     except RecordingError as error:
         print(f"handfast: {error}", file=sys.stderr)
         return FAILED
-    say_verdict(metrics, folder.path)
-    if interrupted:
-        return INTERRUPTED
-    return PASSED if metrics["verdict"]["passed"] else FAILED
+    status = conclude(result, folder.path)
+    return INTERRUPTED if interrupted else status
 
 
-def say_verdict(metrics: dict[str, Any], folder: Path) -> None:
-    """The verdict, why, and the few figures that say how it went."""
-    verdict = metrics["verdict"]
-    print("PASSED" if verdict["passed"] else "FAILED")
-    for reason in verdict["reasons"]:
+def conclude(result: RunResult, folder: Path) -> int:
+    """Says the verdict, why, and the few figures that say how it went; gives the exit status."""
+    print("PASSED" if result.passed else "FAILED")
+    for reason in result.reasons:
         print(f"  {printable(reason)}")
-    for warning in verdict["warnings"]:
+    for warning in result.warnings:
         print(f"  warning: {printable(warning)}")
+    metrics = result.metrics
     settled = metrics["settling_time_s"]
     nearest = metrics["min_distance_m"]["edge"]
     error = metrics["final_distance_error_m"]
@@ -95,3 +94,4 @@ def say_verdict(metrics: dict[str, Any], folder: Path) -> None:
     )
     report = folder / REPORT_FILE
     print(f"  {report if report.exists() else folder}")
+    return PASSED if result.passed else FAILED

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
@@ -34,6 +34,7 @@ from deploy.hosts.robot_recording import (
 )
 from deploy.recording.recorder import RecordingError
 from deploy.report.run_folder import RunFolder
+from deploy.verdict.run_result import RunResult
 
 MARGIN_NS: Final = 5 * NS_PER_S
 """Of the last mission so much before and after is taken as well."""
@@ -60,7 +61,7 @@ class Choice:
 
 
 class Merged(NamedTuple):
-    """The run that was made of recordings. `metrics` are those of the run, as in its ``metrics.json``."""
+    """The run that was made of recordings. `result` is what came of it."""
 
     folder: Path
     robots: tuple[int, ...]
@@ -68,7 +69,7 @@ class Merged(NamedTuple):
     since_ns: int
     until_ns: int
     warnings: tuple[str, ...]
-    metrics: dict[str, Any]
+    result: RunResult
 
 
 def merge(
@@ -114,14 +115,14 @@ def merge(
                 else f"nothing was recorded {times}"
             )
         said = (*warnings, *plan.warnings, *_refused(there_is.refused), *_missing(plan, fleet, damage))
-        metrics = folder.finish(warnings=said, report=report)
+        result = folder.finish(warnings=said, report=report)
     except BaseException:  # Ctrl-C as well
         with suppress(RecordingError):
             folder.close()
         shutil.rmtree(out, ignore_errors=True)
         raise
     robots = sorted({segment.about.robot for segment in plan.segments})
-    return Merged(out, tuple(robots), count, plan.since_ns, plan.until_ns, said, metrics)
+    return Merged(out, tuple(robots), count, plan.since_ns, plan.until_ns, said, result)
 
 
 # --- what is taken --------------------------------------------------------------------------------

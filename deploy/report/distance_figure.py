@@ -9,11 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.stability import SETTLED
 from deploy.recording.link_table import Floats
-from deploy.recording.recording import Recording
 from deploy.report.fault_strip import time_axes
 from deploy.report.plotting import (
     DOTTED,
@@ -28,18 +26,20 @@ from deploy.report.plotting import (
     note,
     nth_color,
 )
+from deploy.verdict.run_result import RunResult
 
 _NOTE_MAX: Final = 60
 """Characters of a note that are drawn."""
 
 
-def distances(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
+def distances(result: RunResult) -> Figure:
     """The paper's Fig. 4: the distance of every edge over time, with the safe distance; above it faults."""
+    recording, a = result.recording, result.analysis
     figure = new_figure(7.6, 4.2)
     end = max(float(a.grid[-1]), 1e-3)
     (axes,) = time_axes(figure, recording, end)
     axes.set_ylabel("distance between hand points (m)")
-    safe = fleet.formation.safe_distance_m
+    safe = a.safe_m
     few = len(a.edges) <= LEGEND_MAX
     lengths = np.where(np.isfinite(a.wanted), a.distances, np.nan)  # while the edge is in force
     wanted = np.unique(np.round(a.wanted[[0, -1]], 6))

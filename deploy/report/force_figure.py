@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deploy.recording.link_table import Floats
-from deploy.recording.recording import Recording
 from deploy.report.plotting import (
     LEGEND_MAX,
     PALETTE,
@@ -19,10 +18,12 @@ from deploy.report.plotting import (
     note,
     nth_color,
 )
+from deploy.verdict.run_result import RunResult
 
 
-def forces(recording: Recording) -> Figure:
+def forces(result: RunResult) -> Figure:
     """Navigation and constraint forces per unit mass, and what is asked of each body, over time."""
+    recording = result.recording
     figure = new_figure(8.6, 5.6)
     panels = figure.subplots(2, 2, sharex=True)
     grid = recording.grid

@@ -15,6 +15,7 @@ from deploy.recording.recording import Recording
 from deploy.report.fault_strip import time_axes
 from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note
 from deploy.verdict.link_metrics import Ages, ages
+from deploy.verdict.run_result import RunResult
 
 NAME: Final = "links"
 PERIODS_OLD: Final = 2.0
@@ -24,19 +25,17 @@ WORST: Final = 4
 _BINS: Final = 150
 
 
-def worth_drawing(recording: Recording) -> bool:
+def worth_drawing(result: RunResult) -> bool:
     """Whether something was done to messages, or they were old without."""
-    if len(recording.links):
+    if len(result.recording.links):
         return True
-    found = [robot.status.ages_between(0.0, recording.end_s) for robot in recording.robots.values()]
-    values = np.concatenate(found) / 1e6
-    return (
-        bool(values.size) and float(np.percentile(values, 99)) > PERIODS_OLD / recording.fleet.fleet.rate_hz
-    )
+    old_ms = 1e3 * PERIODS_OLD / result.fleet.fleet.rate_hz
+    return bool(result.ages_ms.size) and float(np.percentile(result.ages_ms, 99)) > old_ms
 
 
-def links(recording: Recording) -> Figure:
+def links(result: RunResult) -> Figure:
     """Age of information over time, of all links and of the worst; below it the share of messages lost."""
+    recording = result.recording
     end = max(recording.end_s, 1e-3)
     lost = _lost(recording, end)
     figure = new_figure(7.6, 4.2 if lost is None else 5.4)

@@ -7,7 +7,8 @@ which colour-blind readers tell apart.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,16 +67,23 @@ STYLE: Final[dict[str, Any]] = {
 }
 
 
+@contextmanager
+def styled() -> Iterator[None]:
+    """A context in which figures look like a report's, whatever a user's own matplotlibrc says."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        settings: Any = mpl.rcParams  # its type names every key there is in one version of matplotlib
+        settings.update(STYLE)
+        yield
+
+
 def write(path: Path, draw: Callable[[], Figure]) -> None:
     """Draw and write one picture (PNG).
 
     Raises:
         RecordingError: when it cannot be written.
     """
-    with mpl.rc_context():
-        mpl.rcdefaults()  # a user's own matplotlibrc must not change what a report looks like
-        settings: Any = mpl.rcParams  # its type names every key there is in one version of matplotlib
-        settings.update(STYLE)
+    with styled():
         figure = draw()
         try:
             # No software version and no date in the file: the same run gives the same bytes.

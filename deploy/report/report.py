@@ -7,78 +7,34 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from html import escape
-from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, resolve
 from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
-from deploy.analysis.analysis import Analysis, analyse
+from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, number, percentile
-from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
-from deploy.recording.run_files import FLEET_FILE, METRICS_FILE, RECORDING_FILE, REPORT_FILE
+from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
 from deploy.report import fault_strip, figures, link_figure, link_section, oracle_section
 from deploy.report.html import CSS, bullets, figure, shown, table
 from deploy.verdict import metrics
+from deploy.verdict.run_result import RunResult
 
 
-def finish(folder: str | PathLike[str], recording: Recording) -> dict[str, Any]:
-    """Write ``metrics.json``, the figures and ``report.html`` of a run into its folder; returns the metrics.
-
-    Raises:
-        RecordingError: when something cannot be written.
-        FormationError: when the fleet's formation cannot be resolved.
-    """
-    geometry = resolve(recording.fleet)
-    analysis = analyse(recording, geometry)
-    found = metrics.compute(
-        recording, recording.fleet, geometry, mode=recording.mode, seed=recording.seed,
-        reasons=recording.reasons, analysis=analysis,
-    )  # fmt: skip
-    metrics.write(Path(folder) / METRICS_FILE, found)
-    write_report(folder, recording, recording.fleet, found, geometry=geometry, analysis=analysis)
-    return found
-
-
-def rebuild(folder: str | PathLike[str]) -> dict[str, Any]:
-    """``handfast report RUN``: figures, metrics and page again, from ``run.mcap`` and ``fleet.toml`` alone.
-
-    Raises:
-        RecordingError: when the folder holds no run that can be read, or cannot be written.
-        FleetError, FormationError: when its fleet file is not valid.
-    """
-    return finish(folder, read_run(folder))
-
-
-def write_report(
-    folder: str | PathLike[str],
-    recording: Recording,
-    fleet: Fleet,
-    found: dict[str, Any],
-    *,
-    geometry: Geometry | None = None,
-    analysis: Analysis | None = None,
-) -> Path:
-    """Draw the figures and write ``report.html`` into `folder`; returns the page's path.
-
-    found: the metrics, as `deploy.verdict.metrics.compute` gives them.
+def write_report(folder: Path, result: RunResult) -> Path:
+    """Draws the figures and writes ``report.html`` into `folder`; returns the page's path.
 
     Raises:
         RecordingError: when something cannot be written.
     """
-    a = analyse(recording, geometry or resolve(fleet)) if analysis is None else analysis
-    pictures = figures.write_figures(folder, recording, fleet, a)
-    toml = recording.fleet_toml or _text_of(Path(folder) / FLEET_FILE)
-    page = _page(
-        recording, fleet, found, a, toml, {name: path.read_bytes() for name, path in pictures.items()}
-    )
-    path = Path(folder) / REPORT_FILE
+    pictures = figures.write_figures(folder, result)
+    path = folder / REPORT_FILE
+    page = _page(result, {name: picture.read_bytes() for name, picture in pictures.items()}, folder)
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
@@ -96,12 +52,14 @@ def _text_of(path: Path) -> str:
 # --- words -----------------------------------------------------------------------------------
 
 
-def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[str]:
+def advice(result: RunResult) -> list[str]:
     """What to try after a run that failed or has warnings: sentences (HTML, escaped)."""
-    out = []
-    if found["verdict"]["passed"]:
-        return [*_advice_apart(fleet, found), *link_section.advice(recording, found)]
-    safe = fleet.formation.safe_distance_m
+    out: list[str] = []
+    recording, found = result.recording, result.metrics
+    more = [*_advice_apart(result.fleet, found), *link_section.advice(recording, found)]
+    if result.passed:
+        return more
+    safe = result.analysis.safe_m
     least = found["min_distance_m"]
     ends = [robot.status.at(recording.end_s) for robot in recording.robots.values()]
     states = {end[0] for end in ends if end is not None}
@@ -139,8 +97,7 @@ def advice(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> list[st
                 "Robots with an edge came too close: check that they start further apart than the safe "
                 "distance (<code>handfast check</code>) and that the plants can follow (limits, lag)."
             )
-    out += _advice_apart(fleet, found)
-    out += link_section.advice(recording, found)
+    out += more
     if found["settling_time_s"] is None and found["final_distance_error_m"] is not None:
         out.append(
             "If distances were still changing at the end, drive for longer (<code>--duration</code>). If "
@@ -162,10 +119,10 @@ def _advice_apart(fleet: Fleet, found: dict[str, Any]) -> list[str]:
     ]
 
 
-def _summary(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> str:
+def _summary(result: RunResult) -> str:
     """What the verdict means, in plain words."""
-    safe = fleet.formation.safe_distance_m
-    if found["verdict"]["passed"]:
+    safe, found = result.analysis.safe_m, result.metrics
+    if result.passed:
         settled, closest = found["settling_time_s"], found["min_distance_m"]["edge"]
         if not found["edges"] or settled is None:
             what = "drove to the end"
@@ -177,36 +134,9 @@ def _summary(recording: Recording, fleet: Fleet, found: dict[str, Any]) -> str:
         if closest is not None:
             apart = f" No neighbours came closer than {closest:.3f} m; {safe:g} m is the least allowed."
         return f"The fleet {what}.{apart}"
-    count = len(found["verdict"]["reasons"])
+    count = len(result.reasons)
     return f"{'One thing is not as it' if count == 1 else f'{count} things are not as they'} should be:"
 
-
-_ROWS: Final = (
-    ("min_distance_m.edge", "Closest, robots with an edge", "m",
-     "Least distance ever between two robots that share an edge."),
-    ("min_distance_m.any", "Closest, any two robots", "m", "Least distance ever between any two robots."),
-    ("settling_time_s", "Settling time", "s", "Last time that any edge was more than 5 % off its distance."),
-    ("final_distance_error_m", "Final distance error", "m",
-     "At the end: the worst edge's distance against the wanted one."),
-    ("final_tracking_error_m", "Final tracking error", "m",
-     "At the end: how far the worst robot is from its place on the desired path."),
-    ("rms_distance_error_m", "RMS distance error", "m", "Root mean square over all edges and all times."),
-    ("age_of_information_ms.p50", "Age of information, median", "ms",
-     "How old a neighbour's state was when the law used it."),
-    ("age_of_information_ms.p99", "Age of information, 99 %", "ms", "Of 100 ages, 99 are below this."),
-    ("age_of_information_ms.max", "Age of information, greatest", "ms", "The oldest state ever used."),
-    ("tick.p50_us", "Tick, median", "µs", "Time an agent needs for one round of its loop."),
-    ("tick.p99_us", "Tick, 99 %", "µs", "Of 100 rounds, 99 take less than this."),
-    ("tick.overruns", "Overruns", "", "Rounds that started too late and were skipped."),
-    ("messages.sent", "Messages sent", "", "Hand states, counted once for every neighbour."),
-    ("messages.received", "Messages received", "", "Hand states that agents accepted."),
-    ("messages.lost", "Messages lost", "", "Hand states that did not arrive, or after a newer one."),
-    ("messages.delayed", "Messages delayed", "", "Came more than two rounds after they were sent."),
-    ("messages.duplicated", "Messages duplicated", "", "Arrived more than once."),
-    ("messages.corrupted", "Messages corrupted", "", "Damaged on the way."),
-    ("messages.rejected", "Messages rejected", "",
-     "Malformed, out of order or from the future: dropped, without effect."),
-)  # fmt: skip
 
 _FAULTS_ABOVE: Final = " Above it, what was made to fail on purpose, and when."
 _CAPTIONS: Final = {
@@ -223,20 +153,14 @@ _CAPTIONS: Final = {
 # --- page ------------------------------------------------------------------------------------
 
 
-def _page(
-    recording: Recording,
-    fleet: Fleet,
-    found: dict[str, Any],
-    a: Analysis,
-    toml: str,
-    pictures: dict[str, bytes],
-) -> str:
+def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
+    recording, fleet, found = result.recording, result.fleet, result.metrics
+    toml = recording.fleet_toml or _text_of(folder / FLEET_FILE)
     name = escape(fleet.fleet.name)
-    passed = found["verdict"]["passed"]
-    verdict = "passed" if passed else "failed"
-    reasons = bullets([escape(reason) for reason in found["verdict"]["reasons"]])
-    cautions = bullets([f"Warning: {escape(warning)}" for warning in found["verdict"]["warnings"]])
-    tips = advice(recording, fleet, found)
+    verdict = "passed" if result.passed else "failed"
+    reasons = bullets([escape(reason) for reason in result.reasons])
+    cautions = bullets([f"Warning: {escape(warning)}" for warning in result.warnings])
+    tips = advice(result)
     failing = _FAULTS_ABOVE if fault_strip.lanes(recording, recording.end_s) else ""
     parts = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -246,7 +170,7 @@ def _page(
         f'<p class="soft">{escape(fleet.fleet.description)}</p>' if fleet.fleet.description else "",
         f"<p>{_what(recording, found)}</p>",
         f'<section class="verdict {verdict}">\n<h2>{verdict.capitalize()}</h2>\n'
-        f"<p>{_summary(recording, fleet, found)}</p>\n{reasons}{cautions}"
+        f"<p>{_summary(result)}</p>\n{reasons}{cautions}"
         + (f"<p><strong>What to try</strong></p>{bullets(tips)}" if tips else "")
         + "</section>",
         figure("trajectories", pictures["trajectories"], _CAPTIONS["trajectories"]),
@@ -254,7 +178,7 @@ def _page(
         "<h2>In numbers</h2>",
         _metrics_table(found),
         "<h2>Robots</h2>",
-        _robots_table(recording, a),
+        _robots_table(recording, result.analysis),
         oracle_section.section(recording, found),
         link_section.section(recording, found, pictures.get(link_figure.NAME)),
         "<h2>Forces and timing</h2>",
@@ -285,12 +209,13 @@ def _what(recording: Recording, found: dict[str, Any]) -> str:
 
 
 def _metrics_table(found: dict[str, Any]) -> str:
-    rows = []
-    for place, title, unit, meaning in _ROWS:
-        value: Any = found
-        for key in place.split("."):
-            value = value[key]
-        rows.append(f'<tr><td>{title}</td><td class="n">{shown(value, unit)}</td><td>{meaning}</td></tr>')
+    titled = [metric for metric in metrics.METRICS if metric.title]
+    titled.sort(key=lambda metric: metric.name.startswith("messages."))  # counts last
+    rows = [
+        f'<tr><td>{metric.title}</td><td class="n">'
+        f"{shown(metrics.look_up(found, metric.name), metric.unit)}</td><td>{metric.meaning}</td></tr>"
+        for metric in titled
+    ]
     for reason, count in found.get("messages_rejected_by_reason", {}).items():
         rows.append(f'<tr><td>Rejected: {escape(reason)}</td><td class="n">{shown(count)}</td><td></td></tr>')
     head = '<tr><th>Metric</th><th class="n">Value</th><th>Meaning</th></tr>'

@@ -1,22 +1,22 @@
-"""The folder that a run leaves: made at its start, completed at its end."""
+"""The folder that a run leaves: made at its start, completed at its end, its results made again."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import tomli_w
 
 from agent.common.errors import Error
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
 from agent.messages.types import Message
 from deploy.recording.collector import RunData
+from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder
 from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER, METRICS_FILE, RECORDING_FILE
 from deploy.verdict import metrics
+from deploy.verdict.run_result import RunResult
 
 
 class FolderError(Error, RuntimeError):
@@ -37,7 +37,7 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, fleet: Fleet, mode: str) -> None:
-        self.path, self._fleet, self._mode = path, fleet, mode
+        self.path = path
         self.fleet_file = path / FLEET_FILE
         toml = tomli_w.dumps(to_dict(fleet))
         try:
@@ -79,28 +79,38 @@ class RunFolder:
         interrupted: bool = False,
         warnings: Sequence[str] = (),
         report: bool = True,
-    ) -> dict[str, Any]:
-        """Completes the recording, writes ``metrics.json`` and, if asked, figures and report.
-
-        Returns the metrics.
+    ) -> RunResult:
+        """Completes the recording and writes what comes of it, as `write_result` does.
 
         Raises:
             deploy.recording.recorder.RecordingError: something cannot be written.
         """
         self.close(reasons, interrupted=interrupted, warnings=warnings)
         recording = self._data.recording(reasons=reasons, interrupted=interrupted, warnings=warnings)
-        result = metrics.compute(
-            recording,
-            self._fleet,
-            resolve(self._fleet),
-            mode=self._mode,
-            seed=self._fleet.fleet.seed,
-            reasons=reasons,
-        )
-        metrics.write(self.path / METRICS_FILE, result)
-        if report:
-            # Drawing needs matplotlib, which is slow to load: a run starts without it.
-            from deploy.report.report import write_report
+        return write_result(self.path, RunResult(recording), report=report)
 
-            write_report(self.path, recording, self._fleet, result)
-        return result
+
+def rebuild(folder: Path) -> RunResult:
+    """``handfast report RUN``: what comes of a run again, from its recording and ``fleet.toml`` alone.
+
+    Raises:
+        RecordingError: when the folder holds no run that can be read, or cannot be written.
+        FleetError, FormationError: when its fleet file is not valid.
+    """
+    return write_result(folder, RunResult(read_run(folder)))
+
+
+def write_result(folder: Path, result: RunResult, *, report: bool = True) -> RunResult:
+    """Writes ``metrics.json`` and, if asked, figures and report of a run into its folder; returns `result`.
+
+    Raises:
+        RecordingError: when something cannot be written.
+        FormationError: when the fleet's formation cannot be resolved.
+    """
+    metrics.write(folder / METRICS_FILE, result.metrics)
+    if report:
+        # Drawing needs matplotlib, which is slow to load: a run starts without it.
+        from deploy.report.report import write_report
+
+        write_report(folder, result)
+    return result

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deploy.recording.link_table import Floats
-from deploy.recording.recording import Recording
 from deploy.report.plotting import (
     GREY,
     INK,
@@ -15,10 +14,12 @@ from deploy.report.plotting import (
     new_figure,
     note,
 )
+from deploy.verdict.run_result import RunResult
 
 
-def timing(recording: Recording) -> Figure:
+def timing(result: RunResult) -> Figure:
     """How long ticks took and how old the neighbours' states were, over time and as distributions."""
+    recording = result.recording
     figure = new_figure(8.6, 5.6)
     panels = figure.subplots(2, 2, width_ratios=(1.6, 1.0))
     statuses = [robot.status for robot in recording.robots.values()]

@@ -10,10 +10,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from agent.control.boundaries import fence_of, obstacles_of
-from agent.fleet.model import Fleet
 from deploy.analysis.analysis import Analysis
 from deploy.recording.link_table import Floats
-from deploy.recording.recording import Recording
 from deploy.report.plotting import (
     DASHED,
     DOTTED,
@@ -27,15 +25,17 @@ from deploy.report.plotting import (
     nth_color,
     view,
 )
+from deploy.verdict.run_result import RunResult
 
 
-def trajectories(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
+def trajectories(result: RunResult) -> Figure:
     """The paper's Fig. 3: paths, desired ones dotted, starts as circles, the formation at several times.
 
     With what the fleet file puts in the way: obstacles grey, the geofence dashed.
     """
+    fleet, a = result.fleet, result.analysis
     ground = [*obstacles_of(fleet), *([fence] if (fence := fence_of(fleet)) is not None else [])]
-    few = len(recording.ids) <= LEGEND_MAX
+    few = len(a.ids) <= LEGEND_MAX
     everything = np.concatenate([a.hands.reshape(-1, 2), a.desired.reshape(-1, 2)])
     everything = everything[np.isfinite(everything).all(axis=1)]
     low, high = view(everything.min(axis=0), everything.max(axis=0), ground)
@@ -55,12 +55,12 @@ def trajectories(recording: Recording, fleet: Fleet, a: Analysis) -> Figure:
     moments = _moments(a)
     for shade, k in zip(np.linspace(0.25, 1.0, len(moments)), moments, strict=True):
         _draw_formation(axes, a, k, float(shade), few)
-    for index in range(len(recording.ids)):
+    for index in range(len(a.ids)):
         color = nth_color(index)
         width, alpha = (1.5, 1.0) if few else (0.7, 0.75)
         axes.plot(*a.desired[:, index].T, linestyle=DOTTED, color=GREY, linewidth=0.7 * width, zorder=2)
         axes.plot(*a.hands[:, index].T, color=color, linewidth=width, alpha=alpha, zorder=3)
-    _draw_starts(axes, recording.ids, a, few)
+    _draw_starts(axes, a.ids, a, few)
     path_color = PALETTE[0] if few else GREY
     axes.plot([], [], color=path_color, linewidth=1.5, label="hand path")
     axes.plot([], [], linestyle=DOTTED, color=GREY, linewidth=1.2, label="desired path")

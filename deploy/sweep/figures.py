@@ -25,7 +25,7 @@ from matplotlib.patches import Rectangle
 from deploy.recording.link_table import Floats
 from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
 from deploy.sweep.plan import Axis, Plan
-from deploy.sweep.summary import CLOSEST, Cell, Margin
+from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown
 
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""
@@ -37,12 +37,11 @@ _MARGIN: Final = RED
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
-    """What a picture shows of each cell: its number, the text in the cell, and what it says without one."""
+class HeatMap:
+    """What a heat map shows of each cell: its number, the text in the cell, and what it says without one."""
 
     name: str
     title: str
-    unit: str
     value: Callable[[Cell], float | None]
     text: Callable[[Cell, float], str]
     nothing: Callable[[Cell], str]
@@ -50,48 +49,34 @@ class Quantity:
     low_is_good: bool = True
 
 
-def _settling(cell: Cell) -> float | None:
-    return cell.quantiles["settling_time_s"]["median"]
+_SHARE_SAFE: Final = HeatMap(
+    "share_safe", "Share of runs that were safe (%)", lambda cell: 100.0 * cell.safe.share,
+    lambda cell, _: f"{100.0 * cell.safe.share:.0f} %\n{cell.safe.count}/{cell.safe.of}", lambda _: "",
+    limits=(0.0, 100.0), low_is_good=False,
+)  # fmt: skip
 
 
-def _settling_text(cell: Cell, value: float) -> str:
-    some = cell.settled.count < cell.settled.of
-    return f"{value:.1f}" + (f"\n{cell.settled.count}/{cell.settled.of}" if some else "")
+def _heat_map(one: Shown) -> HeatMap:
+    title = (
+        "Closest that robots came in any run" if one.name == CLOSEST else f"{one.title}, median of all runs"
+    )
+    return HeatMap(
+        one.picture.file, f"{title} ({one.picture.unit})", one.value,
+        lambda cell, value: one.text(value) + _remark(one.name, cell, value),
+        lambda cell: _nothing(one.name, cell), low_is_good=one.low_is_good,
+    )  # fmt: skip
 
 
-def _unsettled_text(cell: Cell) -> str:
-    if cell.unfinished == cell.runs:
+def _remark(name: str, cell: Cell, value: float) -> str:
+    if name == SETTLING and cell.settled.count < cell.settled.of:
+        return f"\n{cell.settled.count}/{cell.settled.of}"
+    return "\nunsafe" if name == CLOSEST and value < cell.safe_distance_m else ""
+
+
+def _nothing(name: str, cell: Cell) -> str:
+    if name != SETTLING or cell.unfinished == cell.runs:
         return "not\nfinished"
     return f"{cell.settled.count}/{cell.settled.of}\nsettled" if cell.settled.count else "not\nsettled"
-
-
-def _least_text(cell: Cell, value: float) -> str:
-    return f"{value:.3f}" + ("\nunsafe" if value < cell.safe_distance_m else "")
-
-
-def _rms(cell: Cell) -> float | None:
-    value = cell.quantiles["rms_distance_error_m"]["median"]
-    return None if value is None else 1e3 * value
-
-
-QUANTITIES: Final = (
-    Quantity("settling_time", "Settling time, median of all runs", "s",
-        _settling, _settling_text, _unsettled_text,
-    ),
-    Quantity(
-        "least_distance", "Closest that robots came in any run", "m",
-        lambda cell: cell.least_m, _least_text, lambda _: "not\nfinished", low_is_good=False,
-    ),
-    Quantity(
-        "rms_error", "RMS distance error, median of all runs", "mm",
-        _rms, lambda _, value: f"{value:.0f}", lambda _: "not\nfinished",
-    ),
-    Quantity(
-        "share_safe", "Share of runs that were safe", "%", lambda cell: 100.0 * cell.safe.share,
-        lambda cell, _: f"{100.0 * cell.safe.share:.0f} %\n{cell.safe.count}/{cell.safe.of}", lambda _: "",
-        limits=(0.0, 100.0), low_is_good=False,
-    ),
-)  # fmt: skip
 
 
 def write_sweep_figures(
@@ -112,9 +97,9 @@ def write_sweep_figures(
         return [path], ""
     grid = _Grid(plan, margin)
     paths = []
-    for quantity in QUANTITIES:
-        paths.append(folder / f"{quantity.name}.png")
-        write(paths[-1], partial(heat_maps, quantity, grid, cells, found))
+    for each in (*map(_heat_map, shown()), _SHARE_SAFE):
+        paths.append(folder / f"{each.name}.png")
+        write(paths[-1], partial(heat_maps, each, grid, cells, found))
     count = len(grid.all_panels)
     if count <= PANELS_MAX:
         return paths, ""
@@ -166,7 +151,7 @@ class _Grid:
         return number
 
 
-def heat_maps(quantity: Quantity, grid: _Grid, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure:
+def heat_maps(what: HeatMap, grid: _Grid, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure:
     """One quantity over two fields, a panel for each combination of the others."""
     columns_in, rows_in = len(grid.x.values), len(grid.y.values)
     panels = grid.panels
@@ -176,17 +161,17 @@ def heat_maps(quantity: Quantity, grid: _Grid, cells: Sequence[Cell], found: Seq
     height = max(0.52, 1.6 / rows_in) * rows_in
     figure = new_figure(across * (width + 0.45) + 1.7, down * (height + 0.5) + 1.1)
     axes_grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    shown = [quantity.value(cells[number]) for number in _shown(grid)]
-    known = [value for value in shown if value is not None]
-    low, high = quantity.limits or ((min(known), max(known)) if known else (0.0, 1.0))
+    values = [what.value(cells[number]) for number in _drawn(grid)]
+    known = [value for value in values if value is not None]
+    low, high = what.limits or ((min(known), max(known)) if known else (0.0, 1.0))
     norm = Normalize(low, high if high > low else low + max(abs(low), 1.0))
     # Bright is good in every picture.
-    colors = mpl.colormaps[_MAP + ("_r" if quantity.low_is_good else "")]
+    colors = mpl.colormaps[_MAP + ("_r" if what.low_is_good else "")]
     for index, axes in enumerate(axes_grid.flat):
         if index >= len(panels):
             axes.set_visible(False)
             continue
-        _draw_panel(axes, quantity, grid, panels[index], cells, norm, colors)
+        _draw_panel(axes, what, grid, panels[index], cells, norm, colors)
         if grid.margin is not None:
             _draw_margin(axes, grid, panels[index], found)
         if grid.rest:
@@ -196,7 +181,7 @@ def heat_maps(quantity: Quantity, grid: _Grid, cells: Sequence[Cell], found: Seq
         if index + across >= len(panels):
             axes.set_xlabel(_label(grid.x))
             axes.tick_params(labelbottom=True)
-    figure.suptitle(f"{quantity.title} ({quantity.unit})", x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    figure.suptitle(what.title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     if grid.margin is not None:
         note = "left of the red line every run was safe and settled"
         figure.supxlabel(note, x=0.01, ha="left", fontsize=8.0, color=RED)
@@ -207,7 +192,7 @@ def heat_maps(quantity: Quantity, grid: _Grid, cells: Sequence[Cell], found: Seq
     return figure
 
 
-def _shown(grid: _Grid) -> list[int]:
+def _drawn(grid: _Grid) -> list[int]:
     return [
         grid.cell(column, row, panel)
         for panel in grid.panels
@@ -218,7 +203,7 @@ def _shown(grid: _Grid) -> list[int]:
 
 def _draw_panel(
     axes: Axes,
-    quantity: Quantity,
+    what: HeatMap,
     grid: _Grid,
     panel: tuple[int, ...],
     cells: Sequence[Cell],
@@ -238,13 +223,13 @@ def _draw_panel(
         spine.set_visible(False)
     for column, row in product(range(columns), range(rows)):
         cell = cells[grid.cell(column, row, panel)]
-        value = quantity.value(cell)
+        value = what.value(cell)
         if value is None:
-            face, ink, text = _HATCHED, INK, quantity.nothing(cell)
+            face, ink, text = _HATCHED, INK, what.nothing(cell)
         else:
             face = colors(norm(value))
             ink = "white" if float(np.dot(face[:3], (0.299, 0.587, 0.114))) < 0.5 else INK
-            text = quantity.text(cell, value)
+            text = what.text(cell, value)
         axes.add_patch(
             Rectangle(
                 (column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, linewidth=1.0,
@@ -289,43 +274,18 @@ def _label(axis: Axis) -> str:
 
 
 def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure:
-    """The four quantities over the only field: medians with the quartiles as a band."""
+    """What is shown over the only field: medians with the quartiles as a band; last, shares of good runs."""
     (axis,) = plan.axes
     x = np.array(axis.numbers if axis.numbers is not None else range(len(axis.values)), dtype=np.float64)
-    figure = new_figure(8.6, 5.8)
-    panels = figure.subplots(2, 2, sharex=True)
-    settling, least, rms, safe = panels.flat
-    few = plan.repeat == 1
-    _band(settling, axis, x, cells, "settling_time_s", 1.0)
-    settling.set_title("Settling time" + ("" if few else ", median and quartiles"))
-    settling.set_ylabel("settling time (s)")
-    settling.set_ylim(bottom=0.0)
-    for place, cell in zip(x, cells, strict=True):
-        if cell.settled.count < cell.settled.of:
-            text = "none" if not cell.settled.count else f"{cell.settled.count}/{cell.settled.of}"
-            settling.annotate(
-                text, (place, 1.0), xycoords=("data", "axes fraction"), xytext=(0, -2),
-                textcoords="offset points", ha="center", va="top", fontsize=7.5, color=RED,
-            )  # fmt: skip
-    if any(cell.settled.count < cell.settled.of for cell in cells):
-        settling.plot([], [], " ", label="red: runs that settled")
-        settling.legend(loc="lower right", handlelength=0.0)
-    _band(least, axis, x, cells, CLOSEST, 1.0)
-    least.plot(
-        x, _floats([cell.least_m for cell in cells]), "v", color=INK, markersize=4, label="least of all"
-    )
-    least.plot(
-        x, [cell.safe_distance_m for cell in cells], color=RED, linewidth=1.2, linestyle=(0, (5, 3)),
-        label="safe distance",
-    )  # fmt: skip
-    least.set_title("Closest that robots came")
-    least.set_ylabel("distance (m)")
-    least.set_ylim(bottom=0.0)
-    least.legend(loc="best")
-    _band(rms, axis, x, cells, "rms_distance_error_m", 1e3)
-    rms.set_title("RMS distance error" + ("" if few else ", median and quartiles"))
-    rms.set_ylabel("error (mm)")
-    rms.set_ylim(bottom=0.0)
+    each = shown()
+    rows = len(each) // 2 + 1
+    figure = new_figure(8.6, 2.9 * rows)
+    panels = figure.subplots(rows, 2, sharex=True)
+    for axes, one in zip(panels.flat, each, strict=False):
+        _draw_curve(axes, axis, x, cells, one, few=plan.repeat == 1)
+    safe = panels.flat[len(each)]
+    for axes in panels.flat[len(each) + 1 :]:
+        axes.set_visible(False)
     aside = 0.06 if axis.numbers is None else 0.0  # bars must not lie on each other
     for name, shares, color, moved in (
         ("safe", [cell.safe for cell in cells], PALETTE[0], -aside),
@@ -338,10 +298,11 @@ def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure
     safe.set_ylabel("share (%)")
     safe.set_ylim(0.0, 104.0)
     safe.legend(loc="best")
-    for axes in panels[1]:
+    for axes in panels.flat[len(each) - 1 : len(each) + 1]:  # below them is none
         axes.set_xlabel(_unit_label(axis))
+        axes.tick_params(labelbottom=True)
     if axis.numbers is None:
-        settling.set_xlim(-0.5, len(x) - 0.5)
+        safe.set_xlim(-0.5, len(x) - 0.5)
         for axes in panels.flat:
             axes.set_xticks(x, [short(value) for value in axis.values], rotation=30 if len(x) > 5 else 0)
     for margin in found:
@@ -354,11 +315,43 @@ def curves(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> Figure
     return figure
 
 
-def _band(axes: Axes, axis: Axis, x: Floats, cells: Sequence[Cell], name: str, scale: float) -> None:
+def _draw_curve(axes: Axes, axis: Axis, x: Floats, cells: Sequence[Cell], one: Shown, *, few: bool) -> None:
+    """The quartiles of one number over the field; with `few` runs there are none."""
+    picture = one.picture
     low, middle, high = (
-        scale * _floats([cell.quantiles[name][label] for cell in cells]) for label in ("q25", "median", "q75")
+        picture.scale * _floats([cell.quantiles[one.name][label] for cell in cells]) for label in QUANTILES
     )
     _line(axes, axis, x, (low, middle, high), PALETTE[0])
+    axes.set_title(f"{one.title}, median and quartiles" if not few else one.title)
+    axes.set_ylabel(f"{picture.label} ({picture.unit})")
+    if one.name == SETTLING:
+        _note_unsettled(axes, x, cells)
+    elif one.name == CLOSEST:
+        axes.set_title("Closest that robots came")
+        least = _floats([cell.least_m for cell in cells])
+        axes.plot(x, least, "v", color=INK, markersize=4, label="least of all")
+        axes.plot(
+            x, [cell.safe_distance_m for cell in cells], color=RED, linewidth=1.2, linestyle=(0, (5, 3)),
+            label="safe distance",
+        )  # fmt: skip
+        axes.legend(loc="best")
+    axes.set_ylim(bottom=0.0)
+
+
+def _note_unsettled(axes: Axes, x: Floats, cells: Sequence[Cell]) -> None:
+    """How many runs settled, where not all did."""
+    lacking = [
+        (place, cell.settled) for place, cell in zip(x, cells, strict=True) if cell.settled.count < cell.runs
+    ]
+    for place, settled in lacking:
+        text = f"{settled.count}/{settled.of}" if settled.count else "none"
+        axes.annotate(
+            text, (place, 1.0), xycoords=("data", "axes fraction"), xytext=(0, -2),
+            textcoords="offset points", ha="center", va="top", fontsize=7.5, color=RED,
+        )  # fmt: skip
+    if lacking:
+        axes.plot([], [], " ", label="red: runs that settled")
+        axes.legend(loc="lower right", handlelength=0.0)
 
 
 def _line(

@@ -21,12 +21,13 @@ from typing import Any, Final
 import tomli_w
 
 from agent.runtime.version import handfast_version
+from deploy.recording.run_files import FLEET_FILE
 from deploy.sweep.plan import Plan, Question, SweepError, parse_axis
-from deploy.sweep.run import NUMBERS, Row
+from deploy.sweep.run import Row
+from deploy.verdict.metrics import columns
 
 FORMAT: Final = 1
 SWEEP_FILE: Final = "sweep.toml"
-FLEET_FILE: Final = "fleet.toml"
 RESULTS_FILE: Final = "results.csv"
 _WORDS: Final = {"true": True, "false": False, "": None}
 
@@ -117,7 +118,18 @@ class SweepFolder:
 
     def _header(self) -> list[str]:
         fields = [axis.field for axis in self.plan.axes]
-        return ["run", *fields, "repeat", "seed", "settled", "safe", *NUMBERS, "verdict", "reason", "wall_s"]
+        return [
+            "run",
+            *fields,
+            "repeat",
+            "seed",
+            "settled",
+            "safe",
+            *columns(),
+            "verdict",
+            "reason",
+            "wall_s",
+        ]
 
     def _cells(self, row: Row) -> list[str]:
         cell, repeat = divmod(row.run, self.plan.repeat)
@@ -128,7 +140,7 @@ class SweepFolder:
             str(row.seed),
             _word(row.settled),
             _word(row.safe),
-            *(repr(row.numbers[name]) if name in row.numbers else "" for name in NUMBERS),
+            *(repr(row.numbers[name]) if name in row.numbers else "" for name in columns()),
             row.verdict,
             row.reason,
             f"{row.wall_s:.3f}",
@@ -171,7 +183,7 @@ class SweepFolder:
             cells["reason"],
             _WORDS[cells["safe"]],
             _WORDS[cells["settled"]],
-            {name: float(cells[name]) for name in NUMBERS if cells[name]},
+            {name: float(cells[name]) for name in columns() if cells[name]},
             float(cells["wall_s"]),
         )
 

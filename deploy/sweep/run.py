@@ -6,31 +6,18 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
-from agent.fleet.model import Fleet
-from agent.formation.geometry import resolve
 from deploy.simulate import judged
 from deploy.simulate.worker_pool import Abandoned
 from deploy.sweep.plan import Plan
 from deploy.verdict import metrics
+from deploy.verdict.run_result import RunResult
 
 PASSED: Final = "passed"
 FAILED: Final = "failed"
 CRASHED: Final = "crashed"
 TIMED_OUT: Final = "timed out"
-NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "settling_time_s": ("settling_time_s",),
-    "min_distance_m.edge": ("min_distance_m", "edge"),
-    "min_distance_m.any": ("min_distance_m", "any"),
-    "rms_distance_error_m": ("rms_distance_error_m",),
-    "final_distance_error_m": ("final_distance_error_m",),
-    "final_tracking_error_m": ("final_tracking_error_m",),
-    "age_p50_ms": ("age_of_information_ms", "p50"),
-    "age_p99_ms": ("age_of_information_ms", "p99"),
-    "age_max_ms": ("age_of_information_ms", "max"),
-}
-"""Columns of a row -> where `deploy.verdict.metrics.compute` has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +33,7 @@ class Row:
         safe: the oracle `separation` found nothing: no two robots came below the safe distance, or, where
             avoidance is switched off, no two of an edge. None when not known.
         settled: every edge was within 5 % of its distance at the end; None when not known.
-        numbers: those of `NUMBERS` that are known.
+        numbers: by the names of `deploy.verdict.metrics.columns`, those that are known.
         wall_s: real time that it took.
     """
 
@@ -78,56 +65,32 @@ class Runs:
         return unfinished(self.plan, number, TIMED_OUT if timed_out else CRASHED, reason, wall_s)
 
 
-def measure(fleet: Fleet, go_on: Callable[[], bool]) -> dict[str, Any]:
-    """Drives `fleet` (resolved); its metrics (`deploy.verdict.metrics.compute`) but for what they say of
-    links. The verdict among them is that of `run` and `simulate`.
-
-    Raises:
-        Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
-    """
-    recording = judged.drive(fleet, go_on)
-    return metrics.compute(
-        recording,
-        fleet,
-        resolve(fleet),
-        mode="simulate",
-        seed=fleet.fleet.seed,
-        reasons=recording.reasons,
-    )
-
-
 def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> Row:
     """Drives one run; whatever goes wrong in it becomes its row.
 
     Raises:
-        Abandoned: as `measure`.
+        Abandoned: `go_on`, which is asked a few times for each second of fleet time, said no.
     """
     begun = time.perf_counter()
     try:
         fleet = plan.fleet(run)
-        found = measure(fleet, go_on)
+        result = RunResult(judged.drive(fleet, go_on))
+        numbers = {name: metric.value(result) for name, (metric, _) in metrics.columns().items()}
+        separation = result.violations["separation"]
+        return Row(
+            run,
+            plan.run_seed(run),
+            PASSED if result.passed else FAILED,
+            next(iter(result.reasons), ""),
+            None if separation is None else not separation,
+            result.analysis.settling_s is not None,
+            {name: float(value) for name, value in numbers.items() if value is not None},
+            time.perf_counter() - begun,
+        )
     except Abandoned:
         raise
     except Exception as error:
         return unfinished(plan, run, CRASHED, _error_text(error), time.perf_counter() - begun)
-    numbers = {}
-    for column, path in NUMBERS.items():
-        value: Any = found
-        for key in path:
-            value = value[key]
-        if value is not None:
-            numbers[column] = float(value)
-    separation = found["oracles"]["separation"]
-    return Row(
-        run,
-        plan.run_seed(run),
-        PASSED if found["verdict"]["passed"] else FAILED,
-        next(iter(found["verdict"]["reasons"]), ""),
-        separation["violations"] == 0 if separation["checked"] else None,
-        found["settling_time_s"] is not None,
-        numbers,
-        time.perf_counter() - begun,
-    )
 
 
 def unfinished(plan: Plan, run: int, verdict: str, reason: str, wall_s: float) -> Row:

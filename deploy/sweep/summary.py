@@ -9,20 +9,14 @@ from typing import Any, Final
 
 from deploy.sweep.plan import Axis, Plan, SweepError
 from deploy.sweep.run import CRASHED, TIMED_OUT, Row
+from deploy.verdict.metrics import Column, Metric, Picture, columns
 
 Z_95: Final = 1.959963984540054
 DEFAULT_MARGIN: Final = "faults.delay"
 QUANTILES: Final[Mapping[str, float]] = {"q25": 0.25, "median": 0.5, "q75": 0.75}
+SETTLING: Final = "settling_time_s"
 CLOSEST: Final = "min_distance_m"
 """Between the pairs that `Row.safe` is about."""
-SUMMARISED: Final = (
-    "settling_time_s",
-    CLOSEST,
-    "rms_distance_error_m",
-    "final_distance_error_m",
-    "final_tracking_error_m",
-    "age_p99_ms",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +43,7 @@ class Share:
 class Cell:
     """One cell of the grid.
 
-    `quantiles` has those of `SUMMARISED`, by name and then by `QUANTILES`; a quantile that falls among
+    `quantiles` has those of `summarised`, by name and then by `QUANTILES`; a quantile that falls among
     runs without that number (a settling time of a run that never settled) is None. `least_m` is the
     closest that any two robots came in any run (of an edge, where avoidance is switched off), None when not
     known.
@@ -110,6 +104,39 @@ class Margin:
         return f"{name}: safe and settled up to {self.largest} ({self.failed}: {self.trouble})"
 
 
+def summarised() -> dict[str, tuple[Metric, Column]]:
+    """What is told of every cell, by name; the least distances with an edge and of any two are one."""
+    told = {name: pair for name, pair in columns().items() if pair[1].summarised}
+    return {CLOSEST if name.startswith(CLOSEST) else name: pair for name, pair in told.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A number of each cell as pictures and print show it: of a metric the median, of `CLOSEST` the least."""
+
+    name: str
+    title: str
+    picture: Picture
+    low_is_good: bool
+
+    def value(self, cell: Cell) -> float | None:
+        """In the picture's unit; None where a cell has none."""
+        value = cell.least_m if self.name == CLOSEST else cell.quantiles[self.name]["median"]
+        return None if value is None else self.picture.scale * value
+
+    def text(self, value: float) -> str:
+        return f"{value:.{self.picture.digits}f}"
+
+
+def shown() -> list[Shown]:
+    """What is shown of every cell, in order."""
+    return [
+        Shown(name, metric.title, column.picture, column.low_is_good)
+        for name, (metric, column) in summarised().items()
+        if column.picture is not None
+    ]
+
+
 def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
     """Every cell, in the order of the grid. `rows` has all runs of the plan."""
     cells = []
@@ -129,16 +156,18 @@ def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
                 Share(sum(row.settled is True for row in own), len(own)),
                 sum(row.good for row in own),
                 min((value for value in nearest if value is not None), default=None),
-                {name: _quantiles(closest if name == CLOSEST else name, own) for name in SUMMARISED},
+                {
+                    name: _quantiles(closest if name == CLOSEST else name, own, column)
+                    for name, (_, column) in summarised().items()
+                },
             )
         )
     return cells
 
 
-def _quantiles(name: str, rows: Sequence[Row]) -> dict[str, float | None]:
+def _quantiles(name: str, rows: Sequence[Row], column: Column) -> dict[str, float | None]:
     # A run that never settled settles later than any other; one that was not finished is no better.
-    # The least distance is the only number of which less is worse.
-    missing = -inf if name.startswith(CLOSEST) else inf
+    missing = inf if column.low_is_good else -inf
     values = sorted(row.numbers.get(name, missing) for row in rows)
     return {label: _quantile(values, share) for label, share in QUANTILES.items()}
 
@@ -194,14 +223,14 @@ def summary_table(plan: Plan, cells: Sequence[Cell]) -> list[list[str]]:
     for name in ("safe", "settled"):
         heading += [name, f"{name}_share", f"{name}_low", f"{name}_high"]
     heading += [f"{CLOSEST}_least"]
-    heading += [f"{name}_{label}" for name in SUMMARISED for label in QUANTILES]
+    heading += [f"{name}_{label}" for name in summarised() for label in QUANTILES]
     table = [heading]
     for cell in cells:
         row = [*cell.values, str(cell.runs), str(cell.unfinished)]
         for share in (cell.safe, cell.settled):
             row += [str(share.count), *(_text(value) for value in (share.share, *share.interval))]
         row += [_text(cell.least_m)]
-        row += [_text(cell.quantiles[name][label]) for name in SUMMARISED for label in QUANTILES]
+        row += [_text(cell.quantiles[name][label]) for name in summarised() for label in QUANTILES]
         table.append(row)
     return table
 
@@ -232,7 +261,7 @@ def summary_json(plan: Plan, cells: Sequence[Cell], found: Sequence[Margin]) -> 
                 "least_distance_m": _rounded(cell.least_m),
                 **{
                     name: {label: _rounded(value) for label, value in cell.quantiles[name].items()}
-                    for name in SUMMARISED
+                    for name in summarised()
                 },
             }
             for cell in cells

@@ -1,4 +1,4 @@
-"""What a run is judged by: pure functions from a recording to numbers and a verdict.
+"""The metrics of a run, one entry each: `METRICS`. What tells of a metric anywhere takes it from there.
 
 Distances are between hand points, the points that the law controls. All values SI unless named.
 """
@@ -6,147 +6,114 @@ Distances are between hand points, the points that the law controls. All values 
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from agent.fleet.loading import law_name
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from agent.supervision.state_machine import DRIVING, State
-from deploy.analysis.analysis import Analysis, Approach, analyse, norm
+from deploy.analysis.analysis import Approach, norm
 from deploy.analysis.rounding import largest, number, percentile
-from deploy.analysis.stability import SETTLED
-from deploy.console.wording import robots
 from deploy.recording.link_table import Floats
 from deploy.recording.recorder import RecordingError
-from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics, oracles, oracles_distance
 
-GAP_S: Final = 0.5
-"""Poses missing for longer than this make a run's data incomplete."""
-MESSAGES: Final = ("sent", "received", "lost", "delayed", "duplicated", "corrupted", "rejected")
-_REJECTED: Final = "rejected."
-_GOOD_STATES: Final = frozenset(
-    state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
-)
-"""Of a robot at the end of its drive. Its operator may take it whenever he likes: that is a warning."""
+if TYPE_CHECKING:
+    from deploy.verdict.run_result import RunResult
 
 
-def compute(
-    recording: Recording,
-    fleet: Fleet,
-    geometry: Geometry,
-    *,
-    mode: str,
-    seed: int,
-    reasons: Sequence[str] = (),
-    analysis: Analysis | None = None,
-) -> dict[str, Any]:
-    """The content of ``metrics.json``, in the order of its description.
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """How a sweep shows a metric's median over the runs of a cell: as a heat map or a curve, and in print.
 
-    mode: ``run`` or ``simulate`` (virtual time has no tick times: null).
-    reasons: full sentences that fail the verdict and that the recording does not know, such as a
-        process that died; they come first.
-    analysis: that of `analyse`, when it is at hand.
+    Attributes:
+        file: name of the heat map, without suffix.
+        label: what the curve's axis says.
+        heading: what the printed column says.
+        unit: in which it is shown.
+        scale: so many of it are one of the metric's own.
+        digits: behind the point.
     """
-    a = analyse(recording, geometry) if analysis is None else analysis
-    errors = np.where(a.counts, a.distances - a.wanted, np.nan)
-    tracking = np.where(a.away[-1], np.nan, norm(a.hands[-1] - a.desired[-1]))
-    totals: Counter[str] = Counter()
-    for robot in recording.robots.values():
-        totals.update(robot.status.totals())
-    rejected = {
-        name.removeprefix(_REJECTED): count
-        for name, count in sorted(totals.items())
-        if name.startswith(_REJECTED) and count
-    }
-    # Before the start and after the end, neighbours come and go: such ages say nothing about the drive.
-    statuses = [robot.status for robot in recording.robots.values()]
-    ages_ms = np.concatenate([status.ages_between(0.0, recording.end_s) for status in statuses]) / 1e3
-    ticks_us = np.concatenate([status.tick_us for status in statuses])
-    if mode == "simulate":
-        ticks_us = ticks_us[:0]
-    judged = oracles.examine(recording, a, fleet)
-    states, unsettled = _states(recording), _unsettled(a)
-    found = [*reasons, *_incomplete(recording), *states]
-    for name, violations in judged.items():
-        if name == "recovery" and (states or unsettled):
-            continue  # the same, in words about the end
-        found += [violation.message for violation in violations or ()]
-    found += unsettled
-    warnings = [f"{warning}." for warning in recording.warnings] + _releases(recording)
-    if not fleet.avoidance.enabled:
-        # The bare law keeps neighbours apart and says nothing of others: not its failure, nor to be hidden.
-        for violation in oracles_distance.too_close(a.without_edge, a.safe_m, "share no edge"):
-            warnings.append(f"{violation.message} The law keeps apart only robots that share an edge.")
-    for gap in _gaps(recording):
-        if gap.rule:
-            warnings.append(
-                f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant: from {gap.start_s:.2f} s to "
-                f"{gap.end_s:.2f} s its place is not known, and taken from what came before and after."
-            )
-    about_links = link_metrics.describe_links(recording, a)
-    warnings += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
-    if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
-        warnings += link_metrics.idle_rules(recording, a)
-    warnings += link_metrics.audit_warnings(about_links["links_audit"])
-    metrics: dict[str, Any] = {
-        "fleet": fleet.fleet.name,
-        "law": law_name(fleet.control),
-        "seed": seed,
-        "mode": mode,
-        "robots": len(fleet.robots),
-        "edges": len(a.edges),
-        "rate_hz": number(fleet.fleet.rate_hz),
-        "duration_s": number(recording.end_s),
-        "min_distance_m": {
-            "edge": _least(a.with_edge.closest),
-            "any": _least(a.with_edge.closest, a.without_edge.closest),
-        },
-        "settling_time_s": number(a.settling_s),
-        "changes": [
-            {
-                "t_s": number(change.t_s),
-                "version": change.version,
-                "note": change.note,
-                "settled_after_s": number(after_s),
-            }
-            for change, after_s in a.changes
-        ],
-        "final_distance_error_m": largest(np.abs(errors[-1])),
-        "final_tracking_error_m": largest(tracking),
-        "rms_distance_error_m": _rms(errors),
-        "messages": {name: totals[name] for name in MESSAGES},
-        "age_of_information_ms": {
-            "p50": percentile(ages_ms, 50),
-            "p99": percentile(ages_ms, 99),
-            "max": largest(ages_ms),
-        },
-        "tick": {
-            "p50_us": percentile(ticks_us, 50),
-            "p99_us": percentile(ticks_us, 99),
-            "overruns": totals["overruns"],
-        },
-        **about_links,
-        "oracles": {
-            name: {
-                "checked": violations is not None,
-                "violations": len(violations or ()),
-                "first": violations[0].message if violations else None,
-            }
-            for name, violations in judged.items()
-        },
-        "verdict": {"passed": not found, "reasons": found, "warnings": warnings},
-    }
-    if rejected:
-        metrics["messages_rejected_by_reason"] = rejected
-    return metrics
+
+    file: str
+    label: str
+    heading: str
+    unit: str
+    scale: float = 1.0
+    digits: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A metric in a sweep: a number for each run, in a column of ``results.csv``.
+
+    Attributes:
+        place: columns are in this order.
+        name: of the column; empty: the metric's.
+        summarised: whether a sweep's summary has quantiles of it.
+        low_is_good: whether less is better; a run without the number counts as the worst.
+        picture: None: it is not shown.
+    """
+
+    place: int
+    name: str = ""
+    summarised: bool = True
+    low_is_good: bool = True
+    picture: Picture | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One metric.
+
+    Attributes:
+        name: where it is in ``metrics.json``: `a.b` is `b` within `a`.
+        meaning: one sentence.
+        value: what ``metrics.json`` holds: null for None.
+        title: in the report's table; empty: it is not there.
+        unit: empty without one.
+        optional: whether it is left out when it holds nothing.
+        column: in a sweep; None: it is not there.
+    """
+
+    name: str
+    meaning: str
+    value: Callable[[RunResult], Any]
+    title: str = ""
+    unit: str = ""
+    optional: bool = False
+    column: Column | None = None
+
+
+def compute(result: RunResult) -> dict[str, Any]:
+    """The content of ``metrics.json``, in the order of `METRICS`."""
+    found: dict[str, Any] = {}
+    for metric in METRICS:
+        value = metric.value(result)
+        if metric.optional and not value:
+            continue
+        *groups, name = metric.name.split(".")
+        inner = found
+        for group in groups:
+            inner = inner.setdefault(group, {})
+        inner[name] = value
+    return found
+
+
+def look_up(found: dict[str, Any], name: str) -> Any:
+    """The value of a metric in the content of ``metrics.json``."""
+    for key in name.split("."):
+        found = found[key]
+    return found
+
+
+def columns() -> dict[str, tuple[Metric, Column]]:
+    """The metrics that sweeps have a column of, by the column's name, in order."""
+    placed = [(metric, metric.column) for metric in METRICS if metric.column is not None]
+    placed.sort(key=lambda pair: pair[1].place)
+    return {column.name or metric.name: (metric, column) for metric, column in placed}
 
 
 def write(path: str | PathLike[str], metrics: dict[str, Any]) -> None:
@@ -162,6 +129,9 @@ def write(path: str | PathLike[str], metrics: dict[str, Any]) -> None:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
 
 
+# --- how they are computed ------------------------------------------------------------------------
+
+
 def _rms(errors: Floats) -> float | None:
     finite = errors[np.isfinite(errors)]
     return number(float(np.sqrt(np.mean(finite**2)))) if finite.size else None
@@ -172,127 +142,140 @@ def _least(*found: Approach | None) -> float | None:
     return number(min(distances)) if distances else None
 
 
-def _incomplete(recording: Recording) -> list[str]:
-    """Sentences for what the data do not hold."""
-    out = []
-    if recording.epoch_ns is None:
-        out.append("No mission was recorded: the fleet was never told to start, so it did not drive.")
-    silent = [robot for robot, data in recording.robots.items() if not len(data.body)]
-    if silent:
-        out.append(f"The data are incomplete: no pose of {robots(silent)} was recorded.")
-    mute = [robot for robot, data in recording.robots.items() if not len(data.status)]
-    if mute:
-        verb = "agent of" if len(mute) == 1 else "agents of"
-        out.append(f"The data are incomplete: the {verb} {robots(mute)} never said a word.")
-    if recording.epoch_ns is None:
-        return out
-    end_s, planned_s = recording.end_s, recording.planned_s
-    longest: dict[int, Gap] = {}
-    for gap in _gaps(recording):
-        known = longest.get(gap.robot)
-        if not gap.rule and (known is None or gap.end_s - gap.start_s > known.end_s - known.start_s):
-            longest[gap.robot] = gap
-    out += [
-        f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s."
-        for robot, gap in longest.items()
-    ]
-    if end_s < planned_s - GAP_S and not _stopped_by_order(recording):
-        why = ""
-        if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
-            why = ": it was stopped"
-        elif recording.interrupted:
-            why = ": it was interrupted"
-        out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
-    return out
+def _final_tracking_error(result: RunResult) -> float | None:
+    a = result.analysis
+    return largest(np.where(a.away[-1], np.nan, norm(a.hands[-1] - a.desired[-1])))
 
 
-def _stopped_by_order(recording: Recording) -> bool:
-    """Whether it ended with a stop of its fleet file."""
-    stopped_s = recording.stopped_s
-    return stopped_s is not None and any(
-        order.kind == "stop" and abs(order.at - stopped_s) < GAP_S for order in recording.fleet.orders
-    )
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A time without a pose of one robot; `rule` names the rule that stopped its plant, if one did."""
-
-    robot: int
-    start_s: float
-    end_s: float
-    rule: str
-
-
-def _gaps(recording: Recording) -> list[Gap]:
-    """Gaps longer than `GAP_S`."""
-    out = []
-    end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
-    for robot, data in recording.robots.items():
-        if not len(data.body):
-            continue
-        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
-        for k in np.flatnonzero(np.diff(times) > GAP_S).tolist():
-            start_s, stop_s = float(times[k]), float(times[k + 1])
-            asked = [
-                event.rule
-                for event in recording.events
-                if event.robot == robot
-                and event.role == "plant"
-                and event.what in ("kill", "stop")
-                and start_s - GAP_S <= (event.time_ns - epoch_ns) / 1e9 <= stop_s
-            ]
-            # A plant that never came back leaves a formation of which nothing is known.
-            out.append(Gap(robot, start_s, stop_s, asked[0] if asked and stop_s < end_s else ""))
-    return out
-
-
-def _states(recording: Recording) -> list[str]:
-    """Sentences for robots that did not drive at the end of the drive."""
-    out = []
-    for robot, data in recording.robots.items():
-        last = data.status.at(recording.end_s)
-        if last is None or last[0] in _GOOD_STATES:
-            continue
-        state, reason = last
-        why = f" ({reason})" if reason else ""
-        meaning = {
-            State.FAULT.value: "it braked because something of its own was wrong",
-            State.HOLDING.value: "it braked, and waited until it might drive again",
-        }.get(state, "it did not drive")
-        out.append(f"Robot {robot} ended the drive in state {state}: {meaning}{why}.")
-    return out
-
-
-def _releases(recording: Recording) -> list[str]:
-    """Sentences for the times in which robots were their operators'."""
-    out = []
-    for robot, data in recording.robots.items():
-        for start_s, end_s, reason in data.status.periods(State.RELEASED.value):
-            if start_s >= recording.end_s:
-                continue
-            until = "the end" if end_s is None or end_s >= recording.end_s else f"{end_s:.1f} s"
-            why = f" ({reason})" if reason else ""
-            out.append(
-                f"Robot {robot} was released to its operator from {start_s:.1f} s to {until}{why}: it did "
-                "not follow the law then."
-            )
-    return out
-
-
-def _unsettled(a: Analysis) -> list[str]:
-    off = np.flatnonzero(a.off[-1])
-    if not len(off):
-        return []
-    distances, wanted = a.distances[-1], a.wanted[-1]
-    error = np.abs(distances - wanted)
-    worst = int(off[np.argmax((error / wanted)[off])])
-    i, j = (a.ids[index] for index in a.edges[worst])
-    others = {1: "", 2: " One other edge was off as well."}.get(
-        len(off), f" {len(off) - 1} other edges were off as well."
-    )
+def _changes(result: RunResult) -> list[dict[str, Any]]:
     return [
-        f"The formation had not settled at the end ({a.grid[-1]:.1f} s): robots {i} and {j} were "
-        f"{distances[worst]:.3f} m apart instead of {wanted[worst]:.3f} m, "
-        f"{100 * error[worst] / wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}"
+        {
+            "t_s": number(change.t_s),
+            "version": change.version,
+            "note": change.note,
+            "settled_after_s": number(after_s),
+        }
+        for change, after_s in result.analysis.changes
     ]
+
+
+def _oracles(result: RunResult) -> dict[str, dict[str, Any]]:
+    return {
+        name: {
+            "checked": violations is not None,
+            "violations": len(violations or ()),
+            "first": violations[0].message if violations else None,
+        }
+        for name, violations in result.violations.items()
+    }
+
+
+def _rejected(result: RunResult) -> dict[str, int]:
+    start = "rejected."
+    totals = sorted(result.totals.items())
+    return {name.removeprefix(start): count for name, count in totals if name.startswith(start) and count}
+
+
+def _total(name: str) -> Callable[[RunResult], int]:
+    return lambda result: result.totals[name]
+
+
+def _link(name: str) -> Callable[[RunResult], Any]:
+    return lambda result: result.about_links[name]
+
+
+_MESSAGES: Final = {
+    "sent": "Hand states, counted once for every neighbour.",
+    "received": "Hand states that agents accepted.",
+    "lost": "Hand states that did not arrive, or after a newer one.",
+    "delayed": "Came more than two rounds after they were sent.",
+    "duplicated": "Arrived more than once.",
+    "corrupted": "Damaged on the way.",
+    "rejected": "Malformed, out of order or from the future: dropped, without effect.",
+}
+MESSAGES: Final = tuple(_MESSAGES)
+
+METRICS: tuple[Metric, ...] = (
+    Metric("fleet", "Name of the fleet.", lambda r: r.fleet.fleet.name),
+    Metric("law", "Law that it was driven by.", lambda r: law_name(r.fleet.control)),
+    Metric("seed", "Seed of its draws.", lambda r: r.recording.seed),
+    Metric("mode", "`run` (processes) or `simulate` (virtual time).", lambda r: r.recording.mode),
+    Metric("robots", "Number of robots.", lambda r: len(r.fleet.robots)),
+    Metric("edges", "Number of edges that were ever in force.", lambda r: len(r.analysis.edges)),
+    Metric("rate_hz", "Rounds that an agent makes in a second.", lambda r: number(r.fleet.fleet.rate_hz)),
+    Metric("duration_s", "How long the fleet drove.", lambda r: number(r.recording.end_s)),
+    Metric(
+        "min_distance_m.edge", "Least distance ever between two robots that share an edge.",
+        lambda r: _least(r.analysis.with_edge.closest), "Closest, robots with an edge", "m",
+        column=Column(2, low_is_good=False),
+    ),
+    Metric(
+        "min_distance_m.any", "Least distance ever between any two robots.",
+        lambda r: _least(r.analysis.with_edge.closest, r.analysis.without_edge.closest),
+        "Closest, any two robots", "m",
+        column=Column(
+            3, low_is_good=False, picture=Picture("least_distance", "distance", "closest", "m", digits=3)
+        ),
+    ),
+    Metric(
+        "settling_time_s", "Last time that any edge was more than 5 % off its distance.",
+        lambda r: number(r.analysis.settling_s), "Settling time", "s",
+        column=Column(1, picture=Picture("settling_time", "settling time", "settling", "s")),
+    ),
+    Metric("changes", "Changes of mission, each with its own settling time.", _changes),
+    Metric(
+        "final_distance_error_m", "At the end: the worst edge's distance against the wanted one.",
+        lambda r: largest(np.abs(r.distance_errors[-1])), "Final distance error", "m", column=Column(5),
+    ),
+    Metric(
+        "final_tracking_error_m",
+        "At the end: how far the worst robot is from its place on the desired path.",
+        _final_tracking_error, "Final tracking error", "m", column=Column(6),
+    ),
+    Metric(
+        "rms_distance_error_m", "Root mean square over all edges and all times.",
+        lambda r: _rms(r.distance_errors), "RMS distance error", "m",
+        column=Column(4, picture=Picture("rms_error", "error", "RMS", "mm", 1e3, 0)),
+    ),
+    *(
+        Metric(f"messages.{name}", meaning, _total(name), f"Messages {name}")
+        for name, meaning in _MESSAGES.items()
+    ),
+    Metric(
+        "age_of_information_ms.p50", "How old a neighbour's state was when the law used it.",
+        lambda r: percentile(r.ages_ms, 50), "Age of information, median", "ms",
+        column=Column(7, "age_p50_ms", summarised=False),
+    ),
+    Metric(
+        "age_of_information_ms.p99", "Of 100 ages, 99 are below this.",
+        lambda r: percentile(r.ages_ms, 99), "Age of information, 99 %", "ms", column=Column(8, "age_p99_ms"),
+    ),
+    Metric(
+        "age_of_information_ms.max", "The oldest state ever used.",
+        lambda r: largest(r.ages_ms), "Age of information, greatest", "ms",
+        column=Column(9, "age_max_ms", summarised=False),
+    ),
+    Metric(
+        "tick.p50_us", "Time an agent needs for one round of its loop.",
+        lambda r: percentile(r.ticks_us, 50), "Tick, median", "µs",
+    ),
+    Metric(
+        "tick.p99_us", "Of 100 rounds, 99 take less than this.",
+        lambda r: percentile(r.ticks_us, 99), "Tick, 99 %", "µs",
+    ),
+    Metric("tick.overruns", "Rounds that started too late and were skipped.", _total("overruns"), "Overruns"),
+    Metric("links", "Of each link: what was asked, what was done, what was measured.", _link("links")),
+    Metric("injected", "What was done to messages on purpose, over all links.", _link("injected")),
+    Metric("links_audit", "Every recorded decision on a message, made again.", _link("links_audit")),
+    Metric("clock_offsets", "Neighbours' clocks as each robot estimates them.", _link("clock_offsets")),
+    Metric("oracles", "What each oracle found.", _oracles),
+    Metric(
+        "verdict", "Whether the run passed, why not, and warnings.",
+        lambda r: {"passed": r.passed, "reasons": list(r.reasons), "warnings": list(r.warnings)},
+    ),
+    Metric(
+        "messages_rejected_by_reason", "Rejected messages, by reason, where there were any.", _rejected,
+        optional=True,
+    ),
+)  # fmt: skip
+"""In the order of ``metrics.json``."""

@@ -17,7 +17,9 @@ from agent.supervision.state_machine import DOES, TRANSITIONS, State
 from deploy import cli
 from deploy.check.check import check
 from deploy.console.data_files import FLEETS
+from deploy.verdict.metrics import columns
 from deploy.verdict.oracles import ORACLES
+from tests.docs import metrics_page
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -65,6 +67,15 @@ def test_oracles() -> None:
         re.findall(r"^`(\w+)`: (.*) Not judged: ", item)[0] for item in items("supervision.md", "Oracles")
     ]
     assert shown == [(oracle.name, oracle.says) for oracle in ORACLES]
+
+
+def test_metrics() -> None:
+    assert text("metrics.md") == metrics_page.render(), "make docs"
+
+
+def test_a_sweeps_columns_are_told() -> None:
+    told = text("sweep.md").replace("`.any`", "`min_distance_m.any`")
+    assert {name for name in columns() if f"`{name}`" not in told} == set()
 
 
 def test_parameters_of_avoidance() -> None:

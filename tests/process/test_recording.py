@@ -20,8 +20,7 @@ from agent.messages.validation import Malformed
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Received, Segment
 from deploy.hosts.merge import merge
-from deploy.report.report import rebuild
-from deploy.report.run_folder import RunFolder
+from deploy.report.run_folder import RunFolder, rebuild
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed
 from tests.process.harness import PATIENCE_S, measured, no_trouble_in_logs, wait_for
 
@@ -112,19 +111,20 @@ def test_a_drive_is_recorded_and_a_killed_recorder_loses_a_second(tmp_path: Path
         no_trouble_in_logs(robots.folder)
         assert "ending (SIGTERM)" in robots.log(1, RECORDER).read_text()
 
-        own = robots.run_folder.finish(report=False)
+        own = robots.run_folder.finish(report=False).metrics
         found = merge({robot: robots.recording(robot) for robot in robots.fleet.ids}, tmp_path / "merged")
     assert found.robots == robots.fleet.ids
     assert all(warning.startswith("nothing was recorded of robot 2 from") for warning in found.warnings)
     assert len(found.warnings) <= 1
-    reasons = found.metrics["verdict"]["reasons"]
+    metrics = found.result.metrics
+    reasons = metrics["verdict"]["reasons"]
     assert [
         reason for reason in reasons if not reason.startswith("The data are incomplete: robot 2 sent no pose")
     ] == own["verdict"]["reasons"]
-    assert found.metrics["final_distance_error_m"] == pytest.approx(own["final_distance_error_m"], abs=1e-9)
-    assert found.metrics["final_tracking_error_m"] == pytest.approx(own["final_tracking_error_m"], abs=1e-9)
-    assert found.metrics["duration_s"] == own["duration_s"]
-    assert rebuild(tmp_path / "merged") == found.metrics
+    assert metrics["final_distance_error_m"] == pytest.approx(own["final_distance_error_m"], abs=1e-9)
+    assert metrics["final_tracking_error_m"] == pytest.approx(own["final_tracking_error_m"], abs=1e-9)
+    assert metrics["duration_s"] == own["duration_s"]
+    assert rebuild(tmp_path / "merged").metrics == metrics
 
 
 def test_two_recorders_do_not_share_a_folder(tmp_path: Path) -> None:

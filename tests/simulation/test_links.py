@@ -10,8 +10,9 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import SCENARIOS
+from deploy.simulate import judged
 from deploy.simulate.random_starts import random_fleet
-from deploy.sweep.run import measure
+from deploy.verdict.run_result import RunResult
 from tests.hand_trace import Floats, drive
 
 SAFE_M = 0.22
@@ -86,7 +87,7 @@ def test_random_starts_on_bad_links(seed: int, links: tuple[str, ...], final_mm:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_starts_on_bad_links_with_jitter_and_noise(seed: int):
     fleet = random_fleet(delta("fleet.duration_s=25", *BAD, *NOISE, scenario="jitter"), seed)
-    found = measure(fleet, lambda: True)  # between poses: with jitter each robot has its own times
+    found = RunResult(judged.drive(fleet)).metrics  # between poses: with jitter each robot has its own times
     assert found["min_distance_m"]["any"] > SAFE_M
     assert found["settling_time_s"] < 15.0
 

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _fetch(options: argparse.Namespace) -> int:
-    from deploy.drive.outcome import say_verdict
+    from deploy.drive.outcome import conclude
     from deploy.hosts.fetch import Fetching
     from deploy.hosts.jobs import HostJobs
     from deploy.hosts.merge import Choice, merge
@@ -79,7 +79,7 @@ def _fetch(options: argparse.Namespace) -> int:
             print(f"warning: {warning}", file=sys.stderr)
         raise InputError(str(error)) from None
     print(f"{merged.messages} messages of {len(merged.robots)} robots in {merged.folder}")
-    say_verdict(merged.metrics, merged.folder)
+    conclude(merged.result, merged.folder)
     return FAILED if any(row.state == HOST_FAILED for row in rows) else PASSED
 
 

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from deploy.console.arguments import InputError
-from deploy.console.exit import FAILED, PASSED
-from deploy.drive.outcome import say_verdict
+from deploy.drive.outcome import conclude
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,11 +17,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _report(options: argparse.Namespace) -> int:
     from deploy.recording.recorder import RecordingError
-    from deploy.report.report import rebuild
+    from deploy.report.run_folder import rebuild
 
     try:
-        metrics = rebuild(Path(options.folder))
+        result = rebuild(Path(options.folder))
     except RecordingError as error:
         raise InputError(str(error)) from None
-    say_verdict(metrics, Path(options.folder))
-    return PASSED if metrics["verdict"]["passed"] else FAILED
+    return conclude(result, Path(options.folder))

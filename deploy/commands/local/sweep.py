@@ -250,7 +250,7 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
     from deploy.sweep.figures import write_sweep_figures
     from deploy.sweep.folder import csv_bytes, replace_file
     from deploy.sweep.plan import SweepError
-    from deploy.sweep.summary import margins, summarise, summary_json, summary_table
+    from deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
 
     plan = folder.plan
     cells = summarise(plan, folder.rows)
@@ -263,29 +263,21 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
         raise SweepError(f"cannot write the summary into {folder.path}: {error.strerror or error}") from None
     _, left_out = write_sweep_figures(folder.path, plan, cells, margin, found)
     if len(cells) <= ROWS_MAX:
-        heading = [axis.field for axis in plan.axes]
-        rows = [[*heading, "safe", "settled", "settling s", "closest m", "RMS mm"]]
+        each = shown()
+        heads = [f"{one.picture.heading} {one.picture.unit}" for one in each]
+        rows = [[*(axis.field for axis in plan.axes), "safe", "settled", *heads]]
         for cell in cells:
-            middle, rms = (
-                cell.quantiles[name]["median"] for name in ("settling_time_s", "rms_distance_error_m")
-            )
-            rows.append(
-                [
-                    *cell.values,
-                    f"{cell.safe.count}/{cell.safe.of}",
-                    f"{cell.settled.count}/{cell.settled.of}",
-                    "-" if middle is None else f"{middle:.1f}",
-                    "-" if cell.least_m is None else f"{cell.least_m:.3f}",
-                    "-" if rms is None else f"{1e3 * rms:.0f}",
-                ]
-            )
+            values = [(one, one.value(cell)) for one in each]
+            shares = [f"{share.count}/{share.of}" for share in (cell.safe, cell.settled)]
+            numbers = ["-" if value is None else one.text(value) for one, value in values]
+            rows.append([*cell.values, *shares, *numbers])
         print(_aligned(rows))
     unfinished = sum(cell.unfinished for cell in cells)
     if unfinished:
         first = next(row for row in map(folder.rows.__getitem__, range(plan.runs)) if row.settled is None)
         print(f"{unfinished} of {plan.runs} runs were not finished; run {first.run}: {first.reason}")
-    for each in found[:ROWS_MAX]:
-        print(f"margin of {each}")
+    for margin_found in found[:ROWS_MAX]:
+        print(f"margin of {margin_found}")
     if len(found) > ROWS_MAX:
         print(f"... and {len(found) - ROWS_MAX} more margins in summary.json")
     if left_out:

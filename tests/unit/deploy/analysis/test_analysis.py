@@ -19,7 +19,7 @@ from deploy.analysis.analysis import Analysis, analyse
 from deploy.analysis.presence import downs
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
-from deploy.verdict.metrics import compute
+from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 
 ROBOTS = ((1, 0.0, 0.0), (2, 1.0, 0.0), (3, 0.5, 1.0))
@@ -122,7 +122,7 @@ def test_what_is_wanted_follows_the_missions() -> None:
 def test_a_change_is_settled_after_its_last_edge_was_off() -> None:
     def changes(late_s: float) -> list[dict[str, Any]]:
         recording = run(FLEET, [FIRST, JOIN, LEAVE], late_s)
-        found = compute(recording, FLEET, resolve(FLEET), mode="run", seed=0)
+        found = RunResult(recording).metrics
         assert found["final_distance_error_m"] == found["final_tracking_error_m"] == 0.0
         return list(found["changes"])
 

@@ -23,8 +23,7 @@ from agent.recorder.segments import About, Received
 from deploy.hosts.merge import MARGIN_NS, Choice, Merged, merge
 from deploy.hosts.robot_recording import Damage, MergeError, SegmentFile, by_time, recordings
 from deploy.recording.mcap_reader import read_run
-from deploy.report.report import rebuild
-from deploy.report.run_folder import FolderError, RunFolder
+from deploy.report.run_folder import FolderError, RunFolder, rebuild
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages, triangle
 
 FLEET = make_fleet(*triangle(2), duration_s=2.0)
@@ -100,7 +99,7 @@ def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
     found = merge(by_robot(record_all(tmp_path / "hosts")), tmp_path / "run")
     assert found.warnings == ()
     assert found.robots == IDS
-    assert found.metrics["verdict"] == {"passed": True, "reasons": [], "warnings": []}
+    assert found.result.metrics["verdict"] == {"passed": True, "reasons": [], "warnings": []}
     assert (tmp_path / "run" / "report.html").is_file()
     assert (tmp_path / "run" / "fleet.toml").read_text() == toml(resolved(FLEET))
     recording = read_run(tmp_path / "run")
@@ -110,7 +109,7 @@ def test_the_merged_run_is_the_run(tmp_path: Path) -> None:
         sent = [m for _, _, m in messages(FLEET, in_formation(FLEET, 0.3, calm_s=0.4))]
         assert len(data.plant) == sum(isinstance(m, PlantState) and m.robot == robot for m in sent)
     assert found.messages == sum(len(list(said(robot))) for robot in IDS)
-    assert rebuild(tmp_path / "run") == found.metrics
+    assert rebuild(tmp_path / "run").metrics == found.result.metrics
 
 
 def test_messages_are_in_order_of_their_reception(tmp_path: Path) -> None:
@@ -176,8 +175,8 @@ def test_orders_from_before_that_still_hold(
     assert recording.epoch_ns == EPOCH_NS
     assert [stop.version for stop in recording.stops] == stops
     assert [resume.version for resume in recording.resumes] == ([8] if stops and resumed else [])
-    assert len(found.metrics["verdict"]["reasons"]) >= reasons
-    assert found.metrics["verdict"]["passed"] is not bool(reasons)
+    assert len(found.result.metrics["verdict"]["reasons"]) >= reasons
+    assert found.result.metrics["verdict"]["passed"] is not bool(reasons)
 
 
 def test_a_mission_of_another_fleet_file_is_not_the_last(tmp_path: Path) -> None:
@@ -197,9 +196,9 @@ def test_a_robot_that_is_missing_is_named(tmp_path: Path) -> None:
     folders = record_all(tmp_path / "hosts")
     found = merged(folders[:2], tmp_path / "run")
     assert found.warnings == ("nothing that robot 3 recorded is here",)
-    assert found.metrics["verdict"]["warnings"][0] == "nothing that robot 3 recorded is here."
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == found.metrics
-    assert rebuild(tmp_path / "run") == found.metrics, "the recording itself says so"
+    assert found.result.metrics["verdict"]["warnings"][0] == "nothing that robot 3 recorded is here."
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == found.result.metrics
+    assert rebuild(tmp_path / "run").metrics == found.result.metrics, "the recording itself says so"
 
 
 def test_gaps_are_named(tmp_path: Path) -> None:
@@ -250,7 +249,7 @@ def test_a_segment_without_its_first_block_is_its_neighbours(tmp_path: Path) -> 
         path.write_bytes(data)
     found = merged(folders, tmp_path / "run")
     assert found.messages == sum(len(list(said(robot))) for robot in IDS)
-    assert found.metrics["verdict"]["reasons"] == []
+    assert found.result.metrics["verdict"]["reasons"] == []
 
 
 def test_a_cut_tail_is_no_more_than_what_is_missing(tmp_path: Path) -> None:

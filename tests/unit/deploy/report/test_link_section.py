@@ -22,7 +22,8 @@ from deploy.recording.tables import StatusRows
 from deploy.report import fault_strip, link_figure
 from deploy.report.link_section import ROWS_MAX, advice, section
 from deploy.report.plotting import write
-from deploy.report.report import finish, rebuild
+from deploy.report.run_folder import rebuild, write_result
+from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, recorded, trio
 
 FAULTS = """
@@ -83,7 +84,7 @@ def test_rebuilt_it_is_the_same_bytes(folder: Path) -> None:
 def test_without_faults_there_is_no_section(tmp_path: Path) -> None:
     fleet = trio(duration=1.0)
     sent = driven(fleet)
-    finish(leave_run(tmp_path, fleet, sent), recorded(fleet, sent))
+    write_result(leave_run(tmp_path, fleet, sent), RunResult(recorded(fleet, sent)))
     assert not (tmp_path / "links.png").exists()
     page = (tmp_path / "report.html").read_text()
     assert "<h2>Links</h2>" not in page
@@ -200,11 +201,11 @@ def test_a_rule_that_flickers_is_drawn_as_one_bar() -> None:
 
 
 def test_links_are_drawn_where_messages_were_old(quiet: Recording) -> None:
-    assert not link_figure.worth_drawing(quiet)
+    assert not link_figure.worth_drawing(RunResult(quiet))
     late = trio('[faults]\ndelay = "60ms"\n', duration=0.5)
     recording = recorded(late, driven(late))
-    assert link_figure.worth_drawing(recording)
-    assert link_figure.worth_drawing(replace(recording, links=quiet.links))
+    assert link_figure.worth_drawing(RunResult(recording))
+    assert link_figure.worth_drawing(RunResult(replace(recording, links=quiet.links)))
 
 
 def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
@@ -212,13 +213,13 @@ def test_runs_with_holes_are_drawn(folder: Path, quiet: Recording) -> None:
     mute = StatusRows(1, Store()).table(0, EXACT)
     empty = replace(quiet, robots={robot: replace(d, status=mute) for robot, d in quiet.robots.items()})
     for recording in (whole, quiet, empty, replace(whole, epoch_ns=None, missions=())):
-        link_figure.links(recording)
+        link_figure.links(RunResult(recording))
 
 
 def test_what_was_done_to_processes_is_marked(folder: Path) -> None:
     recording = read_run(folder)
     assert [event.what for event in recording.events] == ["kill", "start"]
-    axes = link_figure.links(recording).axes
+    axes = link_figure.links(RunResult(recording)).axes
     texts = {text.get_text() for one in axes for text in one.texts}
     assert {"plant 3 killed", "plant 3 started"} <= texts
     assert any(text.startswith("<b>cut</b>: loss 100% on 1->2") for text in texts)
@@ -227,12 +228,13 @@ def test_what_was_done_to_processes_is_marked(folder: Path) -> None:
 def test_a_dollar_in_the_name_of_a_rule_is_a_dollar(tmp_path: Path) -> None:
     fleet = trio('[[faults.rule]]\nname = "$\\\\nosuch$"\nlink = "1->2"\nloss = "9%"\n', duration=0.1)
     recording = recorded(fleet, driven(fleet))
-    write(tmp_path / "links.png", lambda: link_figure.links(recording))  # TeX would not know it, and raise
+    # TeX would not know it, and raise.
+    write(tmp_path / "links.png", lambda: link_figure.links(RunResult(recording)))
 
 
 def test_many_events_are_marked_without_words(quiet: Recording) -> None:
     epoch_ns = quiet.epoch_ns or 0
     events = [Event(1, k, epoch_ns + 10_000_000 * k, "agent", "stop", "x") for k in range(20)]
-    (strip_free, *_) = link_figure.links(replace(quiet, events=events)).axes
+    (strip_free, *_) = link_figure.links(RunResult(replace(quiet, events=events))).axes
     assert not any("paused" in text.get_text() for text in strip_free.texts)
     assert len([line for line in strip_free.lines if line.get_color() == "#C1121F"]) == 20

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -29,8 +30,9 @@ from deploy.recording.collector import RunData
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording
 from deploy.report import figures, trajectory_figure
-from deploy.report.report import finish, rebuild, write_report
-from deploy.verdict.metrics import compute
+from deploy.report.report import write_report
+from deploy.report.run_folder import rebuild, write_result
+from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
 
 FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)
@@ -84,6 +86,10 @@ def leave_run(
     return data.recording(reasons=list(reasons))
 
 
+def finish(folder: Path, recording: Recording) -> dict[str, Any]:
+    return write_result(folder, RunResult(recording)).metrics
+
+
 def good_run() -> Iterator[Sent]:
     return messages(FLEET, in_formation(FLEET, 0.3, calm_s=0.4))
 
@@ -111,7 +117,7 @@ def test_live_and_rebuilt_reports_are_the_same_bytes(tmp_path: Path) -> None:
     live = {name: (tmp_path / name).read_bytes() for name in FILES}
     for name in FILES:
         (tmp_path / name).unlink()
-    assert rebuild(tmp_path) == found
+    assert rebuild(tmp_path).metrics == found
     assert {name: (tmp_path / name).read_bytes() for name in FILES} == live
     assert json.loads(live["metrics.json"]) == found
 
@@ -148,7 +154,9 @@ def test_a_good_run_is_said_to_be_one(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("drawn_before")
 def test_a_failed_run_says_why_and_what_to_try(tmp_path: Path) -> None:
     sent = messages(FLEET, in_formation(FLEET, 1.5, calm_s=1e9))
-    found = finish(tmp_path, leave_run(tmp_path, FLEET, sent, reasons=["Robot 2's agent died: <boom>."]))
+    found = write_result(
+        tmp_path, RunResult(leave_run(tmp_path, FLEET, sent, reasons=["Robot 2's agent died: <boom>."]))
+    ).metrics
     page = Page((tmp_path / "report.html").read_text())
     assert "Failed" in page.text
     assert found["verdict"]["reasons"][0] == "Robot 2's agent died: <boom>."
@@ -245,17 +253,16 @@ def test_a_truncated_recording_is_reported_with_a_note(tmp_path: Path) -> None:
     leave_run(tmp_path, FLEET, good_run())
     content = (tmp_path / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(content[: len(content) // 2])
-    found = rebuild(tmp_path)
+    found = rebuild(tmp_path).metrics
     assert any(reason.startswith("The run ended after") for reason in found["verdict"]["reasons"])
     assert "is cut short or damaged" in Page((tmp_path / "report.html").read_text()).text
 
 
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     recording = leave_run(tmp_path, FLEET, good_run())
-    found = compute(recording, FLEET, resolve(FLEET), mode="run", seed=0)
     (tmp_path / "distances.png").mkdir()
     with pytest.raises(RecordingError, match=r"^cannot write .*distances\.png: Is a directory$"):
-        write_report(tmp_path, recording, FLEET, found)
+        write_report(tmp_path, RunResult(recording))
 
 
 # --- figures ---------------------------------------------------------------------------------
@@ -270,7 +277,7 @@ def size_of(path: Path) -> tuple[int, int]:
 
 def draw(folder: Path, fleet: Fleet, sent: Iterable[Sent]) -> dict[str, Path]:
     recording = recorded(fleet, sent)
-    return figures.write_figures(folder, recording, fleet, analyse(recording, resolve(fleet)))
+    return figures.write_figures(folder, RunResult(recording))
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5])

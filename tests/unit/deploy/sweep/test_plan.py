@@ -6,8 +6,6 @@ import csv
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import reduce
-from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ from scipy.stats import binomtest
 
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet, FleetError
-from agent.formation.geometry import resolve, start_hands
+from agent.formation.geometry import start_hands
 from agent.messages.codec import decode
 from deploy.console.arguments import fleet_text
 from deploy.console.data_files import FLEETS
@@ -30,9 +28,10 @@ from deploy.simulate.worker_pool import Abandoned, GoOn
 from deploy.sweep.figures import PANELS_MAX, write_sweep_figures
 from deploy.sweep.folder import SweepFolder, read_question
 from deploy.sweep.plan import Axis, Plan, Question, SweepError, make_plan, parse_axis
-from deploy.sweep.run import CRASHED, FAILED, NUMBERS, PASSED, Row, execute, measure, unfinished
+from deploy.sweep.run import CRASHED, FAILED, PASSED, Row, execute, unfinished
 from deploy.sweep.summary import Share, margin_axis, margins, summarise, summary_json, summary_table
-from deploy.verdict import metrics
+from deploy.verdict.metrics import columns
+from deploy.verdict.run_result import RunResult
 
 DELTA = FLEETS / "delta.toml"
 SHORT = "fleet.duration_s=0.5"
@@ -216,11 +215,11 @@ def test_order_gives_every_cell_its_first_repeat_first() -> None:
 # ---------------------------------------------------------------------- one run
 
 
-def everything(fleet: Any) -> dict[str, Any]:
-    """A run's metrics made of all its messages, as `handfast simulate` makes them."""
+def everything(fleet: Any) -> RunResult:
+    """Of all messages, as `handfast simulate` has it."""
     data = RunData(fleet, mode="simulate")
     Simulation(fleet, lambda at, key, payload: data.feed(at, key, decode(payload))).run()
-    return metrics.compute(data.recording(), fleet, resolve(fleet), mode="simulate", seed=fleet.fleet.seed)
+    return RunResult(data.recording())
 
 
 @pytest.mark.parametrize(
@@ -229,10 +228,11 @@ def everything(fleet: Any) -> dict[str, Any]:
 def test_a_run_is_measured_as_simulate_measures_it(more: tuple[str, ...]) -> None:
     plan = make_plan(ask(fleet="pair", overrides=("fleet.duration_s=3", *more), repeat=2))
     fleet = plan.fleet(1)
-    expected, found = everything(fleet), measure(fleet, lambda: True)
-    for path in NUMBERS.values():
-        assert reduce(getitem, path, found) == reduce(getitem, path, expected), path
-    assert found["verdict"]["reasons"] == expected["verdict"]["reasons"]
+    wanted, found = everything(fleet), RunResult(judged.drive(fleet))
+    for name, (metric, _) in columns().items():
+        assert metric.value(found) == metric.value(wanted), name
+    assert found.reasons == wanted.reasons
+    expected = wanted.metrics
     row = execute(plan, 1)
     assert (row.run, row.seed, row.verdict) == (
         1, fleet.fleet.seed, PASSED if expected["verdict"]["passed"] else FAILED,

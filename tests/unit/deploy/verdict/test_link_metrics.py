@@ -14,7 +14,7 @@ from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics
 from deploy.verdict.link_metrics import ages, clock_offsets, clock_warnings
-from deploy.verdict.metrics import compute
+from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, recorded, trio
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, in_formation, make_fleet, messages, triangle
 
@@ -185,7 +185,7 @@ def test_a_clock_that_is_off_is_named_once() -> None:
         "Robot 3's clock is 0.119 s ahead of those of robots 1 and 2, within 0.010 s, as their messages "
         "tell; 0.05 s is allowed (control.clock_skew_max_s)."
     )
-    found = compute(recording, TRIANGLE, resolve(TRIANGLE), mode="run", seed=0)
+    found = RunResult(recording).metrics
     assert warning in found["verdict"]["warnings"]
     assert len(found["clock_offsets"]) == 6
     assert {"robot": 1, "neighbour": 3, "offset_ms": 120.0, "error_ms": 10.0} in found["clock_offsets"]
@@ -222,7 +222,7 @@ def test_a_rule_that_did_nothing_is_named(faults: str, says: str) -> None:
     fleet = trio(faults, duration=1.0)
     recording = recorded(fleet, driven(fleet))
     assert idle_rules(recording) == [says]
-    found = compute(recording, fleet, resolve(fleet), mode="simulate", seed=0)
+    found = RunResult(recording).metrics
     assert says in found["verdict"]["warnings"]
 
 

@@ -1,0 +1,190 @@
+"""What a run's verdict says in words: why it failed, and what else is to be known (pure functions)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from agent.supervision.state_machine import DRIVING, State
+from deploy.analysis.analysis import Analysis
+from deploy.analysis.stability import SETTLED
+from deploy.console.wording import robots
+from deploy.recording.recording import Recording
+from deploy.verdict import link_metrics, oracles_distance
+from deploy.verdict.violations import Violation
+
+GAP_S: Final = 0.5
+"""Poses missing for longer than this make a run's data incomplete."""
+_GOOD_STATES: Final = frozenset(
+    state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
+)
+"""Of a robot at the end of its drive. Its operator may take it whenever he likes: that is a warning."""
+
+
+def reasons(
+    recording: Recording, a: Analysis, violations: Mapping[str, Sequence[Violation] | None]
+) -> list[str]:
+    """Sentences that fail the verdict; first those that the operator's side gave. None: it passed.
+
+    Args:
+        violations: what each oracle found.
+    """
+    states, unsettled = _states(recording), _unsettled(a)
+    found = [*recording.reasons, *_incomplete(recording), *states]
+    for name, each in violations.items():
+        if name == "recovery" and (states or unsettled):
+            continue  # the same, in words about the end
+        found += [violation.message for violation in each or ()]
+    return found + unsettled
+
+
+def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) -> list[str]:
+    """Sentences that fail nothing.
+
+    Args:
+        about_links: as `deploy.verdict.link_metrics.describe_links` gives it.
+    """
+    found = [f"{warning}." for warning in recording.warnings] + _releases(recording)
+    if not recording.fleet.avoidance.enabled:
+        # The bare law keeps neighbours apart and says nothing of others: not its failure, nor to be hidden.
+        for violation in oracles_distance.too_close(a.without_edge, a.safe_m, "share no edge"):
+            found.append(f"{violation.message} The law keeps apart only robots that share an edge.")
+    for gap in _gaps(recording):
+        if gap.rule:
+            found.append(
+                f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant: from {gap.start_s:.2f} s to "
+                f"{gap.end_s:.2f} s its place is not known, and taken from what came before and after."
+            )
+    found += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
+    if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
+        found += link_metrics.idle_rules(recording, a)
+    return found + link_metrics.audit_warnings(about_links["links_audit"])
+
+
+def _incomplete(recording: Recording) -> list[str]:
+    """Sentences for what the data do not hold."""
+    out = []
+    if recording.epoch_ns is None:
+        out.append("No mission was recorded: the fleet was never told to start, so it did not drive.")
+    silent = [robot for robot, data in recording.robots.items() if not len(data.body)]
+    if silent:
+        out.append(f"The data are incomplete: no pose of {robots(silent)} was recorded.")
+    mute = [robot for robot, data in recording.robots.items() if not len(data.status)]
+    if mute:
+        verb = "agent of" if len(mute) == 1 else "agents of"
+        out.append(f"The data are incomplete: the {verb} {robots(mute)} never said a word.")
+    if recording.epoch_ns is None:
+        return out
+    end_s, planned_s = recording.end_s, recording.planned_s
+    longest: dict[int, Gap] = {}
+    for gap in _gaps(recording):
+        known = longest.get(gap.robot)
+        if not gap.rule and (known is None or gap.end_s - gap.start_s > known.end_s - known.start_s):
+            longest[gap.robot] = gap
+    out += [
+        f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s."
+        for robot, gap in longest.items()
+    ]
+    if end_s < planned_s - GAP_S and not _stopped_by_order(recording):
+        why = ""
+        if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
+            why = ": it was stopped"
+        elif recording.interrupted:
+            why = ": it was interrupted"
+        out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
+    return out
+
+
+def _stopped_by_order(recording: Recording) -> bool:
+    """Whether it ended with a stop of its fleet file."""
+    stopped_s = recording.stopped_s
+    return stopped_s is not None and any(
+        order.kind == "stop" and abs(order.at - stopped_s) < GAP_S for order in recording.fleet.orders
+    )
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time without a pose of one robot; `rule` names the rule that stopped its plant, if one did."""
+
+    robot: int
+    start_s: float
+    end_s: float
+    rule: str
+
+
+def _gaps(recording: Recording) -> list[Gap]:
+    """Gaps longer than `GAP_S`."""
+    out = []
+    end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
+    for robot, data in recording.robots.items():
+        if not len(data.body):
+            continue
+        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
+        for k in np.flatnonzero(np.diff(times) > GAP_S).tolist():
+            start_s, stop_s = float(times[k]), float(times[k + 1])
+            asked = [
+                event.rule
+                for event in recording.events
+                if event.robot == robot
+                and event.role == "plant"
+                and event.what in ("kill", "stop")
+                and start_s - GAP_S <= (event.time_ns - epoch_ns) / 1e9 <= stop_s
+            ]
+            # A plant that never came back leaves a formation of which nothing is known.
+            out.append(Gap(robot, start_s, stop_s, asked[0] if asked and stop_s < end_s else ""))
+    return out
+
+
+def _states(recording: Recording) -> list[str]:
+    """Sentences for robots that did not drive at the end of the drive."""
+    out = []
+    for robot, data in recording.robots.items():
+        last = data.status.at(recording.end_s)
+        if last is None or last[0] in _GOOD_STATES:
+            continue
+        state, reason = last
+        why = f" ({reason})" if reason else ""
+        meaning = {
+            State.FAULT.value: "it braked because something of its own was wrong",
+            State.HOLDING.value: "it braked, and waited until it might drive again",
+        }.get(state, "it did not drive")
+        out.append(f"Robot {robot} ended the drive in state {state}: {meaning}{why}.")
+    return out
+
+
+def _releases(recording: Recording) -> list[str]:
+    """Sentences for the times in which robots were their operators'."""
+    out = []
+    for robot, data in recording.robots.items():
+        for start_s, end_s, reason in data.status.periods(State.RELEASED.value):
+            if start_s >= recording.end_s:
+                continue
+            until = "the end" if end_s is None or end_s >= recording.end_s else f"{end_s:.1f} s"
+            why = f" ({reason})" if reason else ""
+            out.append(
+                f"Robot {robot} was released to its operator from {start_s:.1f} s to {until}{why}: it did "
+                "not follow the law then."
+            )
+    return out
+
+
+def _unsettled(a: Analysis) -> list[str]:
+    off = np.flatnonzero(a.off[-1])
+    if not len(off):
+        return []
+    distances, wanted = a.distances[-1], a.wanted[-1]
+    error = np.abs(distances - wanted)
+    worst = int(off[np.argmax((error / wanted)[off])])
+    i, j = (a.ids[index] for index in a.edges[worst])
+    others = {1: "", 2: " One other edge was off as well."}.get(
+        len(off), f" {len(off) - 1} other edges were off as well."
+    )
+    return [
+        f"The formation had not settled at the end ({a.grid[-1]:.1f} s): robots {i} and {j} were "
+        f"{distances[worst]:.3f} m apart instead of {wanted[worst]:.3f} m, "
+        f"{100 * error[worst] / wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}"
+    ]

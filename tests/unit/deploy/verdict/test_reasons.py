@@ -1,0 +1,227 @@
+"""What verdicts say, against runs of which it is known by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from agent.fleet.fault_rules import FaultsSection, Rule
+from agent.fleet.orders import OrderSection
+from agent.fleet.safety import AvoidanceSection
+from agent.messages import key_expressions
+from agent.messages.types import Message, Mission, PlantState, Status, Stop
+from deploy.console.wording import robots
+from deploy.verdict.run_result import RunResult
+from tests.unit.deploy.judged_run import NAME, PAIR, body, driven, judged, recorded, status, with_statuses
+from tests.unit.deploy.synthetic_run import (
+    EPOCH_NS,
+    Sent,
+    in_formation,
+    make_fleet,
+    messages,
+    standing,
+    triangle,
+)
+
+
+def test_a_run_that_does_not_settle_says_how_far_off_it_is() -> None:
+    found = driven(PAIR, standing(0, 0), lambda t: (1.0 if t < 1 else 1.25, 0.0, 0.0))
+    assert found["settling_time_s"] is None
+    assert found["verdict"]["reasons"] == [
+        "The formation had not settled at the end (2.0 s): robots 1 and 2 were 1.250 m apart instead of "
+        "1.000 m, 25 % off where 5 % is allowed."
+    ]
+
+
+def test_an_edge_below_the_safe_distance() -> None:
+    found = driven(PAIR, standing(0, 0), lambda t: (0.2 if abs(t - 0.5) < 0.001 else 1.0, 0.0, 0.0))
+    assert found["min_distance_m"] == {"edge": 0.2, "any": 0.2}
+    assert found["verdict"]["reasons"] == [
+        "Robots 1 and 2, which share an edge, came within 0.200 m of each other at 0.50 s; "
+        "the safe distance is 0.220 m."
+    ]
+
+
+def test_a_pair_without_an_edge_below_the_safe_distance() -> None:
+    """Robot 3 passes robot 1; only 1-2 and 2-3 are edges."""
+    line = make_fleet([(0, 0), (1, 0), (2, 0)], [(1, 2), (2, 3)])
+    found = driven(line, standing(0, 0), standing(1, 0), lambda t: (0 if abs(t - 1) < 0.001 else 2, 0.1, 0.0))
+    assert found["min_distance_m"] == {"edge": pytest.approx(1.0), "any": 0.1}
+    sentence = (
+        "Robots 1 and 3, which share no edge, came within 0.100 m of each other at 1.00 s; "
+        "the safe distance is 0.220 m."
+    )
+    assert found["verdict"] == {"passed": False, "reasons": [sentence], "warnings": []}
+    bare = replace(line, avoidance=AvoidanceSection(enabled=False))
+    paths = standing(0, 0), standing(1, 0), lambda t: (0 if abs(t - 1) < 0.001 else 2, 0.1, 0.0)
+    found = driven(bare, *paths)
+    assert found["verdict"]["passed"]  # the bare law promises nothing for them
+    assert found["verdict"]["warnings"] == [f"{sentence} The law keeps apart only robots that share an edge."]
+
+
+def test_every_unsafe_pair_is_counted() -> None:
+    three = make_fleet(*triangle(2))
+    found = driven(three, *(standing(x, 0) for x in (0.0, 0.1, 0.3)))
+    (first, second) = found["verdict"]["reasons"]
+    assert first.startswith(
+        "Robots 1 and 2, which share an edge, came within 0.100 m of each other at 0.00 s;"
+    )
+    assert first.endswith(" One other such pair came too close as well.")
+    assert second.endswith(
+        "were 0.100 m apart instead of 1.000 m, 90 % off where 5 % is allowed. "
+        "2 other edges were off as well."
+    )
+
+
+def test_what_oracles_say_of_the_end_is_said_once() -> None:
+    """Robot 2 is off its distance from the fault on: not recovered, and not settled at the end."""
+    base = make_fleet([(0, 0), (1, 0)], [(1, 2)], duration_s=30.0, rate_hz=10.0)
+    rule = Rule(robot=1, speed_noise_mps=0.1, at=2.0, duration=1.0)
+    fleet = replace(base, faults=FaultsSection(rules=(rule,)))
+    found = driven(fleet, standing(0, 0), lambda t: (1.2 if t > 2 else 1.0, 0.0, 0.0))
+    assert found["oracles"]["recovery"]["violations"] == 1
+    (reason,) = found["verdict"]["reasons"]
+    assert reason.startswith("The formation had not settled at the end")
+    found = driven(fleet, standing(0, 0), lambda t: (1.2 if 2 < t < 25 else 1.0, 0.0, 0.0))
+    assert found["verdict"]["reasons"] == [found["oracles"]["recovery"]["first"]]
+
+
+@pytest.mark.parametrize(
+    ("state", "reason", "sentence"),
+    [
+        ("fault", "why", "in state fault: it braked because something of its own was wrong (why)."),
+        ("holding", "", "in state holding: it braked, and waited until it might drive again."),
+        ("waiting", "no mission", "in state waiting: it did not drive (no mission)."),
+        ("running", "", None),
+        ("stopping", "", None),
+    ],
+)  # fmt: skip
+def test_the_state_at_the_end_of_the_drive_counts(state: str, reason: str, sentence: str | None) -> None:
+    sent = with_statuses(
+        status(1, 1.9), status(2, 1.9, state=state, reason=reason), status(2, 2.5, state="stopped")
+    )
+    assert judged(PAIR, sent)["verdict"]["reasons"] == (
+        [f"Robot 2 ended the drive {sentence}"] if sentence else []
+    )
+
+
+def test_what_the_operator_knows_comes_first() -> None:
+    found = judged(PAIR, with_statuses(status(1, 1.9)), reasons=["Robot 2's agent died."])
+    assert found["verdict"] == {
+        "passed": False,
+        "reasons": [
+            "Robot 2's agent died.",
+            "The data are incomplete: the agent of robot 2 never said a word.",
+        ],
+        "warnings": [],
+    }
+
+
+def test_a_silent_robot_makes_the_data_incomplete() -> None:
+    three = make_fleet(*triangle(2))
+    sent = [each for each in messages(three, in_formation(three)) if "robot/2/" not in each[1]]
+    found = judged(three, sent)
+    assert found["verdict"]["reasons"] == [
+        "The data are incomplete: no pose of robot 2 was recorded.",
+        "The data are incomplete: the agent of robot 2 never said a word.",
+    ]
+    assert found["min_distance_m"]["edge"] == pytest.approx(1.0)  # that of robots 1 and 3
+
+
+def test_a_gap_in_the_poses_is_named() -> None:
+    def within(each: Sent) -> bool:
+        return (
+            each[1] == key_expressions.plant_state(NAME, 1)
+            and 0.4 < (each[2].time_ns - EPOCH_NS) / 1e9 < 1.19
+        )
+
+    found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if not within(each)))
+    assert found["verdict"]["reasons"] == [
+        "The data are incomplete: robot 1 sent no pose from 0.40 s to 1.20 s."
+    ]
+
+
+def test_poses_that_begin_late_or_end_early_are_named() -> None:
+    def kept(each: Sent) -> bool:
+        t = (each[2].time_ns - EPOCH_NS) / 1e9
+        return not (each[1] == key_expressions.plant_state(NAME, 1) and t < 0.99) and not (
+            each[1] == key_expressions.plant_state(NAME, 2) and t > 1.01
+        )
+
+    found = judged(PAIR, (each for each in messages(PAIR, in_formation(PAIR)) if kept(each)))
+    assert found["verdict"]["reasons"] == [
+        "The data are incomplete: robot 1 sent no pose from 0.00 s to 1.00 s.",
+        "The data are incomplete: robot 2 sent no pose from 1.00 s to 2.00 s.",
+    ]
+
+
+def test_a_run_that_was_cut_short_says_so() -> None:
+    sent = list(messages(PAIR, in_formation(PAIR)))
+    at_ns = EPOCH_NS + 1_200_000_000
+    stop: Sent = (at_ns, key_expressions.stop(NAME), Stop(1, at_ns, "enough"))
+    braked = [
+        (t, key, m._replace(driving=False, speed=0.0) if type(m) is PlantState and t > at_ns else m)
+        for t, key, m in sent
+    ]
+    assert judged(PAIR, [*braked, stop])["verdict"]["reasons"] == [
+        "The run ended after 1.2 s of the 2.0 s that were planned: it was stopped."
+    ]
+    ordered = replace(PAIR, orders=(OrderSection(at=1.2, kind="stop"),))
+    assert judged(ordered, [*braked, stop])["verdict"]["reasons"] == []  # as its file says
+    early = recorded(PAIR, (each for each in sent if each[0] < at_ns), interrupted=True)
+    found = RunResult(early).metrics
+    assert found["duration_s"] == 1.18
+    assert found["verdict"]["reasons"] == [
+        "The run ended after 1.2 s of the 2.0 s that were planned: it was interrupted."
+    ]
+
+
+def test_a_fleet_that_never_started() -> None:
+    sent = [
+        each for each in messages(PAIR, in_formation(PAIR), state="waiting") if type(each[2]) is not Mission
+    ]
+    reasons = judged(PAIR, sent)["verdict"]["reasons"]
+    assert reasons[0] == "No mission was recorded: the fleet was never told to start, so it did not drive."
+
+
+def test_names_of_robots_read_as_text() -> None:
+    assert robots([3]) == "robot 3"
+    assert robots([1, 2, 5]) == "robots 1, 2 and 5"
+    assert robots(range(1, 13)) == "robots 1, 2, 3, 4, 5, 6, 7, 8 and 4 more"
+
+
+def taken(*periods: tuple[float, float]) -> dict[str, Any]:
+    """A perfect run in which the statuses of robot 2 say `released` in these periods, s."""
+
+    def told(message: Message) -> Message:
+        if type(message) is Status and message.robot == 2:
+            t = (message.time_ns - EPOCH_NS) / 1e9
+            if any(begin <= t < end for begin, end in periods):
+                return message._replace(state="released", reason="mode MANUAL")
+        return message
+
+    ways = [body(standing(x, 0), 0.1) for x in (0, 1)]
+    return judged(PAIR, [(received, key, told(each)) for received, key, each in messages(PAIR, ways)])
+
+
+def test_a_release_is_a_warning_with_its_time() -> None:
+    verdict = taken((0.5, 1.1), (1.5, 1.7))["verdict"]
+    assert verdict["passed"]
+    assert verdict["warnings"] == [
+        "Robot 2 was released to its operator from 0.6 s to 1.2 s (mode MANUAL): it did not follow the law "
+        "then.",
+        "Robot 2 was released to its operator from 1.6 s to 1.8 s (mode MANUAL): it did not follow the law "
+        "then.",
+    ]
+
+
+def test_a_robot_that_is_still_its_operators_at_the_end_is_a_warning_too() -> None:
+    verdict = taken((1.0, 99.0))["verdict"]
+    assert (verdict["passed"], verdict["reasons"]) == (True, [])
+    assert "from 1.0 s to the end" in verdict["warnings"][0]
+
+
+def test_a_release_after_the_drive_is_none_of_it() -> None:
+    assert taken((2.0, 99.0))["verdict"]["warnings"] == []
