@@ -15,7 +15,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.errors import Error, packages_named
+from agent.common.errors import Error as Error
+from agent.common.errors import packages_named
 
 if TYPE_CHECKING:
     from agent.common.settings import about as about
@@ -25,6 +26,20 @@ if TYPE_CHECKING:
     from agent.control.law_plugin import Moment as Moment
     from agent.control.law_plugin import Neighbour as Neighbour
     from agent.fleet.model import FleetError as FleetError
+    from deploy.api.drive import run as run
+    from deploy.api.drive import simulate as simulate
+    from deploy.api.fleet import Changes as Changes
+    from deploy.api.fleet import Findings as Findings
+    from deploy.api.fleet import Fleet as Fleet
+    from deploy.api.fleet import check as check
+    from deploy.api.fleet import fleets as fleets
+    from deploy.api.fleet import load as load
+    from deploy.api.fleet import scenarios as scenarios
+    from deploy.api.recording import Recording as Recording
+    from deploy.api.recording import load_recording as load_recording
+    from deploy.api.sweep import Sweep as Sweep
+    from deploy.api.sweep import sweep as sweep
+    from deploy.check.finding import Finding as Finding
     from plant.backend import Command as Command
     from plant.backend import Reading as Reading
 
@@ -40,21 +55,24 @@ _MODULES: Final = {
     "about": "agent.common.settings",
     "setting": "agent.common.settings",
     # for whoever drives a fleet
+    "Changes": "deploy.api.fleet",
+    "Finding": "deploy.check.finding",
+    "Findings": "deploy.api.fleet",
+    "Fleet": "deploy.api.fleet",
+    "Recording": "deploy.api.recording",
+    "Sweep": "deploy.api.sweep",
+    "check": "deploy.api.fleet",
+    "fleets": "deploy.api.fleet",
+    "load": "deploy.api.fleet",
+    "load_recording": "deploy.api.recording",
+    "run": "deploy.api.drive",
+    "scenarios": "deploy.api.fleet",
+    "simulate": "deploy.api.drive",
+    "sweep": "deploy.api.sweep",
 }
 """Names -> modules that have them."""
 
-__all__ = [
-    "Command",
-    "Error",
-    "FleetError",
-    "Law",
-    "Moment",
-    "Neighbour",
-    "Pose",
-    "Reading",
-    "about",
-    "setting",
-]
+__all__ = sorted(["Error", *_MODULES])
 
 
 def __getattr__(name: str) -> Any:

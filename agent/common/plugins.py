@@ -13,6 +13,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any, Final
 
+from agent.common.errors import Error
 from agent.common.settings import Entry, entries, section_entry
 from agent.common.wording import nearest, printable, show
 
@@ -22,7 +23,7 @@ _SECTION: Final = re.compile(r"[a-z][a-z0-9_]{0,40}")
 _registered: Final[dict[str, type[Any]]] = {}
 
 
-class PluginError(ValueError):
+class PluginError(Error, ValueError):
     """A class that cannot be used: one line that names it, what is wrong and what would be right."""
 
 

@@ -106,7 +106,7 @@ def parse_fleet(
     if scenario is not None:
         add_scenario(raw, scenario, scenario_source)
     if orders is not None:
-        _add_orders(raw, orders, orders_source)
+        add_orders(raw, orders, orders_source)
 
     reader = Reader(Fleet)
     law_problems = _apply_law(raw, law)
@@ -164,7 +164,7 @@ def add_scenario(raw: dict[str, Any], text: str, source: str) -> None:
             own[key] = [*value, *before] if isinstance(value, list) and isinstance(before, list) else value
 
 
-def _add_orders(raw: dict[str, Any], text: str, source: str) -> None:
+def add_orders(raw: dict[str, Any], text: str, source: str) -> None:
     """Adds the orders of a file of orders to the tables of a fleet file; raises as `add_scenario`."""
     added = fleet_tables(text, source)
     try:

@@ -50,12 +50,13 @@ class Interrupt:
 
     @contextmanager
     def caught(self) -> Iterator[Interrupt]:
-        """Counts from here on.
+        """Counts from here on. In another thread than the main one it hears of nothing.
 
         Raises:
             KeyboardInterrupt: there was one before, which was swallowed (`remembered`).
         """
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        is_main = threading.current_thread() is threading.main_thread()
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if is_main else ()
         before = {number: signal.signal(number, self._on_signal) for number in numbers}
         try:
             if _unanswered:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from agent.common.errors import Error
@@ -89,9 +90,13 @@ class _Worker:
         # start first, undoes it: so it has to run already.
         resource_tracker.ensure_running()
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
+        # The new process would run the program's main module once more, which a script may have no guard
+        # against, and which no run needs: it sees an empty one.
+        main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
         try:
             self.process.start()
         finally:
+            sys.modules["__main__"] = main
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         self.run: int | None = None

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from math import ceil
+from math import ceil, prod
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +30,7 @@ from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Sho
 PANELS_MAX: Final = 12
 """Combinations of the third and further fields that are drawn."""
 LABEL_MAX: Final = 18
-CURVES_FILE: Final = "curves.png"
+CURVES: Final = "curves"
 _MAP: Final = "cividis"
 _HATCHED: Final = "#EDEDED"
 _MARGIN: Final = RED
@@ -89,24 +89,33 @@ def write_sweep_figures(
     Raises:
         RecordingError: one cannot be written.
     """
-    if not plan.axes:
-        return [], ""
-    if len(plan.axes) == 1:
-        path = folder / CURVES_FILE
-        write(path, partial(curves, plan, cells, found))
-        return [path], ""
-    grid = _Grid(plan, margin)
     paths = []
-    for each in (*map(_heat_map, shown()), _SHARE_SAFE):
-        paths.append(folder / f"{each.name}.png")
-        write(paths[-1], partial(heat_maps, each, grid, cells, found))
-    count = len(grid.all_panels)
+    for name, draw in drawings(plan, cells, margin, found).items():
+        paths.append(folder / f"{name}.png")
+        write(paths[-1], draw)
+    rest = _Grid(plan, margin).rest if len(plan.axes) > 2 else []
+    count = prod(len(plan.axes[k].values) for k in rest)
     if count <= PANELS_MAX:
         return paths, ""
-    names = ", ".join(plan.axes[k].field for k in grid.rest)
+    names = ", ".join(plan.axes[k].field for k in rest)
     return paths, (
         f"the pictures show {PANELS_MAX} of {count} combinations of {names}; all are in summary.csv"
     )
+
+
+def drawings(
+    plan: Plan, cells: Sequence[Cell], margin: int | None, found: Sequence[Margin]
+) -> dict[str, Callable[[], Figure]]:
+    """What makes each picture of a sweep, by its name; arguments as `write_sweep_figures`'s."""
+    if not plan.axes:
+        return {}
+    if len(plan.axes) == 1:
+        return {CURVES: partial(curves, plan, cells, found)}
+    grid = _Grid(plan, margin)
+    return {
+        each.name: partial(heat_maps, each, grid, cells, found)
+        for each in (*map(_heat_map, shown()), _SHARE_SAFE)
+    }
 
 
 # --- two fields and more: heat maps -----------------------------------------------------------

@@ -1,0 +1,96 @@
+"""Changes of a fleet file, from Python values: what ``--set`` and its like are on the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from agent.common import plugins
+from agent.common.errors import Error
+from agent.common.reader import Problem
+from agent.fleet.model import FleetError
+
+_OPTION: Final = re.compile(r"--(?:set|over) (?=[\w\"])|--(?=law\b)| with --out\b")
+
+
+class Classes:
+    """Laws and plants of one's own, by the names that stand for them in a fleet file."""
+
+    def __init__(self, known: Mapping[str, type] | None = None) -> None:
+        self.known = dict(known or {})
+
+    def reference(self, plugin: type) -> str:
+        """What the fleet file says for a class: where it can be imported, else a name for this process.
+
+        Raises:
+            agent.common.plugins.PluginError: its name is none.
+        """
+        module = sys.modules.get(plugin.__module__)
+        if plugin.__module__ != "__main__" and getattr(module, plugin.__qualname__, None) is plugin:
+            return f"{plugin.__module__}:{plugin.__qualname__}"
+        plugins.register(plugin.__name__, plugin)
+        self.known[plugin.__name__] = plugin
+        return plugin.__name__
+
+    def register(self) -> None:
+        """Makes the names known in this process, in the place of what had them."""
+        for name, plugin in self.known.items():
+            plugins.register(name, plugin)
+
+
+def override(path: str, value: object, classes: Classes) -> str:
+    """One change as ``table.field=value``.
+
+    Raises:
+        Error: the value is none that a fleet file can hold.
+    """
+    if not isinstance(path, str):
+        raise Error(f"a field is named by a text such as 'control.kp', got {path!r}")
+    return f"{path}={toml(path, value, classes)}"
+
+
+def toml(path: str, value: object, classes: Classes) -> str:
+    """A value as TOML text; raises as `override`."""
+    if isinstance(value, type):
+        value = classes.reference(value)
+    if isinstance(value, Path):
+        value = str(value)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, (int, float)):
+        return repr(value) if type(value) in (int, float) else repr(float(value))
+    if isinstance(value, Mapping):
+        inside = (f"{json.dumps(str(key))} = {toml(path, each, classes)}" for key, each in value.items())
+        return f"{{{', '.join(inside)}}}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(toml(path, each, classes) for each in value)}]"
+    if hasattr(value, "tolist"):  # numpy's
+        return toml(path, value.tolist(), classes)
+    raise Error(
+        f"{path}: a number, text, True, False, a list, a dictionary or a class was expected, got {value!r}"
+    )
+
+
+@contextmanager
+def in_words_of_python() -> Iterator[None]:
+    """A context whose errors name fields as Python does, not the command line's options."""
+    try:
+        yield
+    except FleetError as error:
+        problems = [Problem(_plain(each.place), _plain(each.message)) for each in error.problems]
+        raise type(error)(error.source, problems) from None
+    except Error as error:
+        if error.args == (str(error),) and _plain(str(error)) != str(error):
+            raise type(error)(_plain(str(error))) from None
+        raise
+
+
+def _plain(text: str) -> str:
+    return _OPTION.sub("", text)

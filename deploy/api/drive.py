@@ -1,0 +1,184 @@
+"""Drives a fleet, in virtual time or with processes on this machine, to a `Recording`."""
+
+from __future__ import annotations
+
+import sys
+import time
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from tempfile import SpooledTemporaryFile, gettempdir
+from typing import IO, Final, Unpack
+
+import msgpack
+
+from agent.common.errors import Error, packages_named
+from agent.fleet import model
+from agent.messages.codec import decode
+from deploy.api.changes import in_words_of_python
+from deploy.api.fleet import Changes, Fleet, Source, load, refuse_errors
+from deploy.api.recording import Recording
+from deploy.recording.collector import RunData
+from deploy.verdict.run_result import RunResult
+
+Progress = bool | Callable[[float], object] | None
+"""How far it has come: a function that is told the share that is done, 0 to 1; or True: a line on stderr."""
+_SPOOL_BYTES: Final = 1 << 26
+
+
+class _Spool:
+    """Messages in the order in which they came: in memory, or in a file without a name when they are many."""
+
+    def __init__(self) -> None:
+        self._file: IO[bytes] = SpooledTemporaryFile(_SPOOL_BYTES)  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+        self._pack = msgpack.Packer().pack
+
+    def append(self, received_ns: int, key: str, payload: bytes) -> None:
+        self._file.write(self._pack((received_ns, key, payload)))
+
+    def __iter__(self) -> Iterator[tuple[int, str, bytes]]:
+        self._file.seek(0)
+        yield from msgpack.Unpacker(self._file, use_list=False)
+
+
+@packages_named("handfast.simulate")
+def simulate(
+    fleet: Source,
+    changes: Mapping[str, object] | None = None,
+    *,
+    out: str | Path | None = None,
+    report: bool = True,
+    check: bool = True,
+    progress: Progress = None,
+    **named: Unpack[Changes],
+) -> Recording:
+    """Drives a fleet in virtual time: the same agents as with processes, and the same every time.
+
+    Args:
+        fleet, changes, named: as `load` takes them; `law` and `plant` may be classes of one's own.
+        out: writes the run's folder too, as `Recording.save` does, with a report unless `report` is False.
+        check: refuses a fleet that `check` finds errors in.
+        progress: see `Progress`.
+
+    Raises:
+        Error: the fleet cannot be loaded or driven, or the folder cannot be written.
+    """
+    from deploy.simulate.simulation import Simulation
+
+    loaded = load(fleet, changes, **named)
+    if check:
+        refuse_errors(loaded)
+    loaded.register()
+    settings, spool, tell = loaded.resolved, _Spool(), _told(progress)
+    data = RunData(settings, mode="simulate", aside=Path(gettempdir()))
+
+    def sink(received_ns: int, key: str, payload: bytes) -> None:
+        spool.append(received_ns, key, payload)
+        data.feed(received_ns, key, decode(payload))
+
+    def so_far(time_s: float) -> bool:
+        tell(min(max(time_s / settings.fleet.duration_s, 0.0), 1.0))
+        return True
+
+    simulation = Simulation(settings, sink)
+    simulation.run(so_far)
+    reasons = tuple(simulation.reasons)
+
+    def write(folder: Path, with_report: bool) -> None:
+        from deploy.report.run_folder import RunFolder
+
+        with in_words_of_python():
+            target = RunFolder(folder, settings, "simulate")
+        for message in spool:
+            target.record(*message)
+        target.finish(reasons, report=with_report)
+
+    recording = Recording(RunResult(data.recording(reasons=reasons)), None, write)
+    if out is not None:
+        recording.save(out, report=report)
+    return recording
+
+
+@packages_named("handfast.run")
+def run(
+    fleet: Source,
+    changes: Mapping[str, object] | None = None,
+    *,
+    out: str | Path | None = None,
+    report: bool = True,
+    check: bool = True,
+    progress: bool = False,
+    **named: Unpack[Changes],
+) -> Recording:
+    """Drives a fleet with processes on this machine, in real time, as ``handfast run`` does.
+
+    Ctrl-C stops the robots and ends the processes, and completes the folder, before it is raised.
+
+    Args:
+        fleet, changes, named: as `load` takes them. Laws and plants have to be in a module that a robot's
+            process can import.
+        out: the run's folder (default: ``runs/FLEET-TIME``); must be empty or new.
+        report: whether figures and ``report.html`` are made.
+        check: refuses a fleet that `check` finds errors in.
+        progress: shows on stderr what happens.
+
+    Raises:
+        Error: the fleet cannot be loaded or driven, or the folder cannot be written.
+    """
+    from deploy.console.interrupt import Interrupt
+    from deploy.drive.live_view import make_view
+    from deploy.drive.local import LocalRun
+    from deploy.processes.placement import place
+    from deploy.report.run_folder import RunFolder
+
+    loaded = load(fleet, changes, **named)
+    _refuse_local_classes(loaded)
+    if check:
+        refuse_errors(loaded)
+    interrupt = Interrupt()
+    with interrupt.caught():
+        settings, ports, vehicles = place(loaded.resolved)
+        try:
+            with in_words_of_python():
+                folder = RunFolder(_new_folder(out, settings), settings, "run")
+            drive = LocalRun(settings, folder, make_view(quiet=not progress), interrupt, vehicles)
+            try:
+                drive.run()
+            except (Error, OSError) as error:
+                with suppress(Error):
+                    folder.close([str(error)])
+                raise Error(str(error)) from None
+        finally:
+            ports.close()
+        result = folder.finish(drive.reasons, interrupted=interrupt.count > 0, report=report)
+    if interrupt.count:
+        raise KeyboardInterrupt(f"stopped; what was recorded is in {folder.path}")
+    return Recording(result, folder.path)
+
+
+def _refuse_local_classes(fleet: Fleet) -> None:
+    if fleet.classes:
+        names = ", ".join(fleet.classes)
+        raise Error(
+            f"{names}: robots' processes cannot import a class that is defined here: put it into a module of "
+            "an installed package, and give that (simulate and sweep take it as it is)"
+        )
+
+
+def _new_folder(out: str | Path | None, settings: model.Fleet) -> Path:
+    """The folder that is named, or one of the fleet's name and the time."""
+    if out is not None:
+        return Path(out)
+    return Path("runs") / f"{settings.fleet.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _told(progress: Progress) -> Callable[[float], object]:
+    if not progress:
+        return lambda _: None
+    return _line if progress is True else progress
+
+
+def _line(share: float) -> None:
+    print(f"\r{100.0 * share:3.0f} %", end="\n" if share >= 1.0 else "", file=sys.stderr, flush=True)

@@ -1,0 +1,270 @@
+"""Many runs of a fleet over a grid of its fields, in virtual time, on all cores."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.common.errors import Error, packages_named
+from deploy.api.changes import Classes, in_words_of_python, toml
+from deploy.api.fleet import Changes, Fleet, Source, load
+from deploy.api.recording import data_frame
+from deploy.console.interrupt import Interrupt
+from deploy.console.progress import make_progress
+from deploy.recording.link_table import Floats
+from deploy.simulate.worker_pool import Pool, Work, cores
+from deploy.sweep.plan import Axis, Plan, Question, make_plan, parse_axis
+from deploy.sweep.run import PASSED, Row, Runs
+from deploy.sweep.summary import Cell, margin_axis, margins, summarise
+from deploy.verdict.metrics import columns
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+RUN_S_MAX: Final = 600.0
+"""Real time that a run may take."""
+
+
+class Sweep:
+    """What came of a sweep.
+
+    Attributes:
+        fields: those that were varied.
+        values: of each, in the order of the grid; numbers ascend.
+        seeds: how many runs there are of each combination.
+    """
+
+    def __init__(self, plan: Plan, rows: Mapping[int, Row], values: Mapping[str, Sequence[object]]) -> None:
+        self._plan, self._rows = plan, rows
+        self.fields = tuple(values)
+        self.values = {field: tuple(each) for field, each in values.items()}
+        self.seeds = plan.repeat
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each field has."""
+        return tuple(len(values) for values in self.values.values())
+
+    @cached_property
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """One row for each run: the fields, ``seed``, ``passed``, ``safe``, ``settled``, the metrics (NaN
+        where a run has none), ``reason`` (why it did not pass)."""
+        rows = [self._rows[run] for run in range(self._plan.runs)]
+        found: dict[str, NDArray[Any]] = {}
+        places = np.indices(self.shape).reshape(len(self.shape), -1)
+        for (field, values), place in zip(self.values.items(), places, strict=True):
+            chosen = [values[k] for k in np.repeat(place, self.seeds).tolist()]
+            shown = [each.__name__ if isinstance(each, type) else each for each in chosen]
+            plain = all(isinstance(each, (bool, int, float, str)) for each in shown)
+            found[field] = np.array(shown if plain else [str(each) for each in shown])
+        found["seed"] = np.array([row.seed for row in rows])
+        found["passed"] = np.array([row.verdict == PASSED for row in rows])
+        found["safe"] = np.array([row.safe is True for row in rows])
+        found["settled"] = np.array([row.settled is True for row in rows])
+        for name in self.metrics:
+            found[name] = np.array([row.numbers.get(name, np.nan) for row in rows])
+        found["reason"] = np.array([row.reason for row in rows])
+        return found
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the metrics that each run has."""
+        return tuple(columns())
+
+    def metric(self, name: str) -> Floats:
+        """One of `columns` with numbers on the grid: an axis for each field, the last one for the seeds.
+
+        Raises:
+            Error: there is no such column, or it holds no numbers.
+        """
+        numbers = [key for key, column in self.columns.items() if column.dtype.kind in "bif"]
+        if name not in numbers:
+            raise Error(f"there is no metric {name!r}; there are {', '.join(numbers)}")
+        values: Floats = self.columns[name].astype(np.float64).reshape(*self.shape, self.seeds)
+        return values
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run did."""
+        return bool(self.columns["passed"].all())
+
+    def fleet(self, run: int) -> Fleet:
+        """The fleet of one run, a row of `columns`: to `simulate` it by itself.
+
+        Raises:
+            Error: there is no such run.
+        """
+        if not 0 <= run < self._plan.runs:
+            raise Error(f"there is no run {run}: they are 0 to {self._plan.runs - 1}")
+        import tomli_w
+
+        from agent.fleet.loading import to_dict
+
+        return load(tomli_w.dumps(to_dict(self._plan.fleet(run))))
+
+    def frame(self) -> pandas.DataFrame:
+        """`columns` as a pandas DataFrame.
+
+        Raises:
+            Error: pandas is not installed.
+        """
+        return data_frame(self.columns, "Sweep.frame")
+
+    @packages_named("Sweep.plot")
+    def plot(self, name: str | None = None) -> Figure:
+        """A picture, as a matplotlib Figure: curves over one field; over two and more a heat map of one
+        quantity, ``settling_time`` unless named.
+
+        Raises:
+            Error: nothing is varied, there is no such quantity, or matplotlib is not installed.
+        """
+        from deploy.report.plotting import styled
+        from deploy.sweep.figures import drawings
+
+        if not self.fields:
+            raise Error("nothing is varied: there is nothing to plot")
+        axis, cells = margin_axis(self._plan, None), self._cells
+        found = margins(self._plan, cells, axis) if axis is not None else []
+        known = drawings(self._plan, cells, axis, found)
+        name = next(iter(known)) if name is None else name
+        if name not in known:
+            raise Error(f"there is no picture {name!r}; there are {', '.join(known)}")
+        with styled():
+            return known[name]()
+
+    @cached_property
+    def _cells(self) -> Sequence[Cell]:
+        return summarise(self._plan, self._rows)
+
+    def __repr__(self) -> str:
+        failed = int((~self.columns["passed"]).sum())
+        over = ", ".join(f"{field} ({len(values)})" for field, values in self.values.items()) or "nothing"
+        return f"<Sweep over {over}: {self._plan.runs} runs, {failed or 'none'} failed>"
+
+
+@packages_named("handfast.sweep")
+def sweep(
+    fleet: Source,
+    over: Mapping[str, Iterable[object]] | None = None,
+    changes: Mapping[str, object] | None = None,
+    *,
+    seeds: int = 1,
+    workers: int | None = None,
+    random_starts: bool | float = False,
+    check: bool = True,
+    progress: bool = False,
+    **named: Unpack[Changes],
+) -> Sweep:
+    """Drives a fleet many times over a grid of its fields, in virtual time, in processes side by side.
+
+    Args:
+        fleet, changes, named: as `load` takes them.
+        over: values by field, such as ``{"control.kp": [0.5, 1, 2], "faults.loss": [0, 0.2]}``: all
+            combinations are driven. Values may be classes: ``{"control.law": [MyLaw, OtherLaw]}``.
+        seeds: how many runs of each combination, each with other noise; the same ones in each.
+        workers: processes (default: the number of cores).
+        random_starts: every seed starts somewhere else, in a square with this side (m), or one that suits.
+        check: refuses a grid in which `check` finds errors.
+        progress: shows on stderr how far it is.
+
+    Raises:
+        Error: the grid is not sound.
+    """
+    loaded = load(fleet, changes, **named)
+    if over is not None and not isinstance(over, Mapping):
+        raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
+    jobs = cores() if workers is None else workers
+    for name, count in (("workers", jobs), ("seeds", seeds)):
+        if type(count) is not int or count < 1:
+            raise Error(f"{name} must be a whole number of at least 1, got {count!r}")
+    classes = Classes(loaded.classes)
+    with in_words_of_python():
+        axes, values = _axes(over or {}, classes)
+        question = Question(
+            loaded.source,
+            loaded.text,
+            loaded.law,
+            tuple(each for field, each in loaded.overrides.items() if field not in values),
+            axes,
+            seeds,
+            None if random_starts is False else 0.0 if random_starts is True else float(random_starts),
+        )
+        plan = make_plan(question)
+    if check:
+        _refuse_errors(plan)
+    rows: dict[int, Row] = {}
+    work: Work[Row] = _Carried(Runs(plan), classes.known) if classes.known else Runs(plan)
+    interrupt = Interrupt()
+    show = make_progress(sys.stderr, plan.runs, quiet=not progress, trouble="unsafe or not settled")
+    with interrupt.caught(), show, Pool(work, jobs, RUN_S_MAX) as pool:
+        for row in pool.results(plan.order(), lambda: interrupt.count == 0):
+            rows[row.run] = row
+            show.add(trouble=not row.good)
+    if interrupt.count:
+        raise KeyboardInterrupt(f"{len(rows)} of {plan.runs} runs were done")
+    return Sweep(plan, rows, values)
+
+
+def _axes(
+    over: Mapping[str, Iterable[object]], classes: Classes
+) -> tuple[tuple[Axis, ...], dict[str, Sequence[object]]]:
+    axes: list[Axis] = []
+    values: dict[str, Sequence[object]] = {}
+    for field, given in over.items():
+        if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
+            raise Error(f"{field}: a list of values was expected, got {given!r}")
+        if field == "fleet.seed":
+            raise Error("fleet.seed: each run has a seed of its own: write for example seeds=20")
+        pairs = [(toml(field, value, classes), value) for value in given]
+        if not pairs:
+            raise Error(f"{field}: no values are given")
+        axes.append(parse_axis(f"{field}={','.join(text for text, _ in pairs)}"))
+        values[field] = [dict(pairs)[text] for text in axes[-1].values]
+    return tuple(axes), values
+
+
+def _refuse_errors(plan: Plan) -> None:
+    from deploy.check.check import check
+
+    for cell in range(len(plan.cells)):
+        try:
+            errors = [each for each in check(plan.fleet(cell * plan.repeat)) if each.level == "error"]
+        except ValueError as error:
+            raise Error(f"random_starts: {error}") from None
+        if errors:
+            raise Error(
+                f"not started (check=False drives all the same): with {plan.name(cell)}, "
+                f"{errors[0].place}: {errors[0].message}"
+            )
+
+
+# --- classes on their way to other processes ------------------------------------------------------
+
+
+class _Carried:
+    """Runs that take the classes along which their fleets name, wherever these are defined."""
+
+    def __init__(self, runs: Runs, classes: Mapping[str, type]) -> None:
+        self._runs, self._classes = runs, classes
+        self.execute, self.unfinished = runs.execute, runs.unfinished
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Runs], tuple[bytes]]:
+        import cloudpickle  # by value, what no other process could import
+
+        return _arrived, (cloudpickle.dumps((self._runs, self._classes)),)
+
+
+def _arrived(data: bytes) -> Runs:
+    """In a worker: the runs, whose classes it knows from now on."""
+    import cloudpickle
+
+    runs, classes = cloudpickle.loads(data)
+    Classes(classes).register()
+    assert isinstance(runs, Runs)
+    return runs

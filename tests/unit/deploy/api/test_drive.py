@@ -1,0 +1,78 @@
+"""Drives in virtual time from Python: the same as the command's, in memory."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+
+from agent.common.errors import Error
+from deploy import cli
+from deploy.api.drive import run, simulate
+from deploy.api.fleet import load
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_it_is_the_run_that_the_command_drives(tmp_path: Path) -> None:
+    theirs, ours = tmp_path / "theirs", tmp_path / "ours"
+    cli.main(
+        [
+            "simulate",
+            "delta",
+            "--duration",
+            "3",
+            "--seed",
+            "5",
+            "--no-report",
+            "--quiet",
+            "--out",
+            str(theirs),
+        ]
+    )
+    recording = simulate("delta", duration=3, seed=5, out=ours, report=False)
+    assert recording.folder == ours
+    assert recording.metrics == json.loads((theirs / "metrics.json").read_text(encoding="utf-8"))
+    for name in ("run.mcap", "fleet.toml", "metrics.json"):
+        assert digest(ours / name) == digest(theirs / name), name
+
+
+def test_nothing_is_written_unless_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert simulate("pair", duration=1).folder is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_progress_is_told_as_a_share(capsys: pytest.CaptureFixture[str]) -> None:
+    shares: list[float] = []
+    simulate("pair", duration=2, progress=shares.append)
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    simulate("pair", duration=2, progress=True)
+    assert capsys.readouterr().err.endswith("100 %\n")
+
+
+def test_errors_of_check_are_refused_unless_said_otherwise() -> None:
+    with pytest.raises(Error, match="not started"):
+        simulate("pair", {"control.kp": 5000.0}, duration=1)
+    simulate("pair", {"control.kp": 5000.0}, duration=1, check=False)
+
+
+def test_a_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x").touch()
+    with pytest.raises(Error, match="is not empty: name another folder, or remove it"):
+        simulate("pair", duration=1, out=tmp_path)
+
+
+def test_a_class_of_this_process_cannot_go_to_others() -> None:
+    class Mine:
+        pass
+
+    fleet = load("pair")
+    fleet._classes.known["Mine"] = Mine
+    with pytest.raises(Error, match=r"^Mine: robots' processes cannot import a class that is defined here"):
+        run(fleet)

@@ -1,0 +1,102 @@
+"""Sweeps from Python: a grid of values, columns and pictures of what came of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import matplotlib.figure
+import numpy as np
+import pytest
+
+from agent.common.errors import Error
+from deploy.api.drive import simulate
+from deploy.api.sweep import Sweep, sweep
+
+
+@pytest.fixture(scope="module")
+def found() -> Sweep:
+    return sweep(
+        "pair", {"control.kp": [1, 0.5], "faults.delay": ["20ms", 0]}, duration=4, seeds=2, workers=2
+    )
+
+
+def test_it_has_a_row_for_each_run_and_a_grid_for_each_metric(found: Sweep) -> None:
+    assert (found.fields, found.shape, found.seeds) == (("control.kp", "faults.delay"), (2, 2), 2)
+    assert found.values == {"control.kp": (0.5, 1), "faults.delay": (0, "20ms")}
+    assert {len(column) for column in found.columns.values()} == {8}
+    assert found.columns["control.kp"].tolist() == [0.5] * 4 + [1.0] * 4
+    assert found.metric("rms_distance_error_m").shape == (2, 2, 2)
+    assert np.isfinite(found.metric("min_distance_m.any")).all()
+    assert (found.metric("passed") == 1.0).all() == found.passed
+    assert repr(found).startswith("<Sweep over control.kp (2), faults.delay (2): 8 runs, ")
+
+
+def test_a_run_of_it_can_be_driven_alone(found: Sweep) -> None:
+    alone = simulate(found.fleet(5))
+    row = found.columns["rms_distance_error_m"][5]
+    assert alone.metrics["rms_distance_error_m"] == row
+    with pytest.raises(Error, match="there is no run 8: they are 0 to 7"):
+        found.fleet(8)
+
+
+def test_pictures_are_figures(found: Sweep) -> None:
+    assert isinstance(found.plot(), matplotlib.figure.Figure)
+    assert isinstance(found.plot("share_safe"), matplotlib.figure.Figure)
+    with pytest.raises(Error, match="there is no picture 'nope'; there are settling_time, "):
+        found.plot("nope")
+    with pytest.raises(Error, match="there is no metric 'nope'; there are "):
+        found.metric("nope")
+
+
+def test_frames_are_pandas(found: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    frame: Any = found.frame()
+    assert set(frame) == set(found.columns)
+
+
+def test_what_is_varied_wins_over_a_change() -> None:
+    one = sweep("pair", {"control.kp": [1.0]}, {"control.kp": 2.0}, duration=1, workers=1)
+    assert one.fleet(0)["control.kp"] == 1.0
+    assert isinstance(one.plot(), matplotlib.figure.Figure)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"over": {"control.kp": 1}}, r"^control\.kp: a list of values was expected, got 1$"),
+        ({"over": {"control.kp": []}}, r"^control\.kp: no values are given$"),
+        ({"over": {"control.kp": [1, 1.0]}}, r"^control\.kp: gives 1 and 1\.0, which are the same$"),
+        ({"over": ["control.kp"]}, "^what is varied is given by field"),
+        ({"over": {"control.kq": [1]}}, r"  control\.kq: unknown field"),
+        ({"over": {"kp": [1]}}, "^kp=1: must be written as table.field"),
+        ({"over": {"fleet.seed": [1]}}, r"^fleet\.seed: each run has a seed of its own"),
+        ({"seeds": 0}, "^seeds must be a whole number of at least 1, got 0$"),
+        ({"workers": "many"}, "^workers must be a whole number of at least 1, got 'many'$"),
+        (
+            {"over": {"control.kp": [1.0, 5000.0]}},
+            r"^not started .* with control\.kp=5000\.0, fleet\.rate_hz: ",
+        ),
+        ({"random_starts": 0.01}, "^random_starts: no room for 2 robots"),
+    ],
+)
+def test_nonsense_is_said_in_one_error(arguments: dict[str, Any], says: str) -> None:
+    with pytest.raises(Error, match=says):
+        sweep("pair", **arguments)
+
+
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+    """Workers do not run the script that started them once more."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import handfast\n"
+        "print('once')\n"
+        "found = handfast.sweep('pair', {'control.kp': [0.5, 1]}, duration=1, workers=2)\n"
+        "print(found.metric('safe').ravel())\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120)
+    assert (done.stdout, done.stderr, done.returncode) == ("once\n[1. 1.]\n", "", 0)
