@@ -19,12 +19,14 @@ from agent.common.errors import Error as Error
 from agent.common.errors import packages_named
 
 if TYPE_CHECKING:
+    from agent.common.plugins import register as register
     from agent.common.settings import about as about
     from agent.common.settings import setting as setting
     from agent.control.hand import Pose as Pose
     from agent.control.law_plugin import Law as Law
     from agent.control.law_plugin import Moment as Moment
     from agent.control.law_plugin import Neighbour as Neighbour
+    from agent.control.law_plugin import Reference as Reference
     from agent.fleet.model import FleetError as FleetError
     from deploy.api.drive import run as run
     from deploy.api.drive import simulate as simulate
@@ -52,7 +54,9 @@ _MODULES: Final = {
     "Neighbour": "agent.control.law_plugin",
     "Pose": "agent.control.hand",
     "Reading": "plant.backend",
+    "Reference": "agent.control.law_plugin",
     "about": "agent.common.settings",
+    "register": "agent.common.plugins",
     "setting": "agent.common.settings",
     # for whoever drives a fleet
     "Changes": "deploy.api.fleet",

@@ -13,11 +13,13 @@ from typing import IO, Final, Unpack
 
 import msgpack
 
+from agent.common import plugins
 from agent.common.errors import Error, packages_named
-from agent.fleet import model
+from agent.fleet import model, plants
+from agent.fleet.sections import LAWS_GROUP
 from agent.messages.codec import decode
 from deploy.api.changes import in_words_of_python
-from deploy.api.fleet import Changes, Fleet, Source, load, refuse_errors
+from deploy.api.fleet import Changes, Source, load, refuse_errors
 from deploy.api.recording import Recording
 from deploy.recording.collector import RunData
 from deploy.verdict.run_result import RunResult
@@ -134,7 +136,7 @@ def run(
     from deploy.report.run_folder import RunFolder
 
     loaded = load(fleet, changes, **named)
-    _refuse_local_classes(loaded)
+    _refuse_local_classes(loaded.settings)
     if check:
         refuse_errors(loaded)
     interrupt = Interrupt()
@@ -158,13 +160,16 @@ def run(
     return Recording(result, folder.path)
 
 
-def _refuse_local_classes(fleet: Fleet) -> None:
-    if fleet.classes:
-        names = ", ".join(fleet.classes)
-        raise Error(
-            f"{names}: robots' processes cannot import a class that is defined here: put it into a module of "
-            "an installed package, and give that (simulate and sweep take it as it is)"
-        )
+def _refuse_local_classes(settings: model.Fleet) -> None:
+    named = {(robot.plant, plants.GROUP) for robot in settings.robots if robot.plant not in plants.KINDS}
+    if settings.control.law is not None:
+        named.add((settings.control.law, LAWS_GROUP))
+    for name, group in sorted(named):
+        if ":" not in plugins.resolve(name, group):
+            raise Error(
+                f"{name}: robots' processes cannot import a class that is defined here: put it into a module "
+                "of an installed package, and give that (simulate and sweep take it as it is)"
+            )
 
 
 def _new_folder(out: str | Path | None, settings: model.Fleet) -> Path:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copyreg
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Unpack
+from typing import TYPE_CHECKING, Any, Final, Unpack, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,13 +253,18 @@ class _Carried:
     """Runs that take the classes along which their fleets name, wherever these are defined."""
 
     def __init__(self, runs: Runs, classes: Mapping[str, type]) -> None:
-        self._runs, self._classes = runs, classes
-        self.execute, self.unfinished = runs.execute, runs.unfinished
-
-    def __reduce__(self) -> tuple[Callable[[bytes], Runs], tuple[bytes]]:
         import cloudpickle  # by value, what no other process could import
 
-        return _arrived, (cloudpickle.dumps((self._runs, self._classes)),)
+        copyreg.pickle(type(MISSING), lambda _: "MISSING")  # a dataclass looks for this very object
+        for plugin in classes.values():
+            model = getattr(plugin, "Settings", None)
+            if isinstance(model, type):  # their names mean something here, and nothing there
+                model.__annotations__ = get_type_hints(model)
+        self.execute, self.unfinished = runs.execute, runs.unfinished
+        self._data: bytes = cloudpickle.dumps((runs, classes))
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Runs], tuple[bytes]]:
+        return _arrived, (self._data,)
 
 
 def _arrived(data: bytes) -> Runs:

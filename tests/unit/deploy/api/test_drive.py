@@ -6,9 +6,11 @@ import hashlib
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.common.errors import Error
+from agent.control.law_plugin import Law, Moment
 from deploy import cli
 from deploy.api.drive import run, simulate
 from deploy.api.fleet import load
@@ -68,11 +70,42 @@ def test_a_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
         simulate("pair", duration=1, out=tmp_path)
 
 
-def test_a_class_of_this_process_cannot_go_to_others() -> None:
-    class Mine:
-        pass
+class Drift(Law):
+    """Goes where navigation wants, whatever the neighbours do."""
 
-    fleet = load("pair")
-    fleet._classes.known["Mine"] = Mine
-    with pytest.raises(Error, match=r"^Mine: robots' processes cannot import a class that is defined here"):
-        run(fleet)
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+
+def local(law: type[Law]) -> type[Law]:
+    """The class as a script or a notebook has it, which no other process can import."""
+    return type(law.__name__, (law,), {"__module__": "__main__"})
+
+
+def test_a_law_is_a_class_wherever_it_is_defined() -> None:
+    alone, importable = (
+        simulate("pair", law=local(Drift), duration=2),
+        simulate("pair", law=Drift, duration=2),
+    )
+    assert alone.metrics["law"] == "Drift"
+    assert importable.metrics["law"].endswith(":Drift")
+    assert np.array_equal(alone.hands[1], importable.hands[1])
+    assert not np.array_equal(alone.hands[1], simulate("pair", duration=2).hands[1])
+
+
+def test_a_class_of_the_same_name_takes_the_place_of_the_one_before() -> None:
+    class Push(Drift):
+        def acceleration(self, now: Moment) -> tuple[float, float]:
+            return 0.1, 0.0
+
+    first = load("pair", law=local(Drift), duration=1)
+    Push.__name__ = "Drift"
+    second = load("pair", law=local(Push), duration=1)
+    one, other, again = simulate(first), simulate(second), simulate(first)
+    assert np.array_equal(one.hands[1], again.hands[1])
+    assert not np.array_equal(one.hands[1], other.hands[1])
+
+
+def test_a_class_of_this_process_cannot_go_to_others() -> None:
+    with pytest.raises(Error, match=r"^Drift: robots' processes cannot import a class that is defined here"):
+        run("pair", law=local(Drift))

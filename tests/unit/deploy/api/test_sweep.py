@@ -100,3 +100,33 @@ def test_a_script_needs_no_guard(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120)
     assert (done.stdout, done.stderr, done.returncode) == ("once\n[1. 1.]\n", "", 0)
+
+
+NOTEBOOK = """
+from __future__ import annotations
+from dataclasses import dataclass
+from typing import Literal
+import handfast
+
+@dataclass(frozen=True)
+class Push:
+    way: Literal["x", "y"] = handfast.setting("x", "Where to.")
+    force: float = handfast.setting(0.1, "How strong.", unit="m/s2", ge=-1, le=1)
+
+class PushLaw(handfast.Law):
+    section = "push"
+    Settings = Push
+
+    def acceleration(self, now):
+        return (self.settings.force, 0.0) if self.settings.way == "x" else (0.0, self.settings.force)
+
+found = handfast.sweep("pair", {"control.push.force": [-0.1, 0.1]}, law=PushLaw, duration=1, workers=2)
+here = handfast.simulate(found.fleet(1))
+print(found.columns["rms_distance_error_m"][1] == here.metrics["rms_distance_error_m"], here.metrics["law"])
+"""
+
+
+def test_a_law_of_a_script_reaches_the_workers(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", NOTEBOOK]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.stdout, done.stderr) == ("True PushLaw\n", "")
