@@ -30,6 +30,7 @@ from agent.messages.types import (
     Ask,
     Beacon,
     Faults,
+    Forces,
     HandState,
     Heartbeat,
     Mission,
@@ -394,16 +395,22 @@ class Agent:
         now_ns: int,
         here: hand.Hand,
         following: bool,
-        forces: tuple[float, ...],
+        forces: Forces,
         multipliers: tuple[tuple[int, float], ...],
     ) -> Outgoing:
         sequence = self._hand_numbers.next(now_ns)
         heard = self._peers.heard() if (sequence + self.robot) % HEARD_ROUNDS == 0 else ()
-        message = HandState._make(
-            (
-                *(self.robot, sequence, now_ns, following, self._degree),
-                *(*here, *forces, self._doubt, multipliers, heard),
-            )
+        message = HandState(
+            self.robot,
+            sequence,
+            now_ns,
+            following,
+            self._degree,
+            *here,
+            *forces,
+            self._doubt,
+            multipliers,
+            heard,
         )
         self._report.sent_hands += len(self._controller.edges)
         return self._key_hand, encode(message)

@@ -25,6 +25,7 @@ from agent.messages.types import (
     LEVELS,
     TEXT_MAX,
     TOPICS,
+    CheckLine,
     Checks,
     Faults,
     Mission,
@@ -257,7 +258,7 @@ class PlantNode:
         payload = b""
         for most in (TEXT_MAX, CHECK_TEXT_MIN):
             lines = tuple(
-                (clipped(name, most), level, clipped(found, most), clipped(advice, most))
+                CheckLine(clipped(name, most), level, clipped(found, most), clipped(advice, most))
                 for name, level, found, advice in checks
             )
             payload = encode(Checks(self.robot, self._checks_sequence - 1, now_ns, lines))

@@ -25,7 +25,7 @@ from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
 from agent.links.ticks import next_tick_ns
-from agent.messages.types import PlantState
+from agent.messages.types import Forces, PlantState
 
 if TYPE_CHECKING:
     from agent.control.own_law import OwnLaw
@@ -55,9 +55,13 @@ class Drive(NamedTuple):
     own: tuple[float, ...]
 
     @property
-    def forces(self) -> tuple[float, ...]:
+    def forces(self) -> Forces:
         """Forces and correction as a `HandState` has them."""
-        return self[2:8]
+        return (
+            *(self.navigation_x, self.navigation_y),
+            *(self.constraint_x, self.constraint_y),
+            *(self.correction_x, self.correction_y),
+        )
 
 
 class _Scene(NamedTuple):

@@ -16,7 +16,7 @@ from agent.common.time import NS_PER_S
 from agent.control.clock_offset import ClockOffset
 from agent.control.prediction import Prediction, as_it_came, coasting, following
 from agent.formation.trajectory import Sample
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, NO_FORCES, SILENT_MAX, Beacon, HandState
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Silent
 
 DOUBT_RATE: Final = 0.15
 """How fast the position uncertainty of a robot grows that is not heard, m/s: about what another acceleration
@@ -39,8 +39,6 @@ TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
 _NEVER: Final = -1
 
-Silent = tuple[int, int, bool, float, float, float, float]
-"""A row of `Beacon.silent`."""
 Motion = Callable[[int, int], Sample | None]
 """(robot, wall time ns) -> its desired motion, None for one without a place:
 `agent.formation.reference.Reference.motion`."""
@@ -229,15 +227,16 @@ class Peers:
 
     def accept_silent(self, beacon: Beacon, now_ns: int) -> None:
         """Takes a beacon's rows about robots that its sender does not hear, where they are news here."""
-        for robot, time_ns, follows, x, y, vx, vy in beacon.silent:
-            if robot == self._owner or not now_ns - HEARSAY_NS < time_ns <= now_ns:
+        for said in beacon.silent:
+            if said.robot == self._owner or not now_ns - HEARSAY_NS < said.time_ns <= now_ns:
                 continue
-            peer = self.get(robot)
-            if time_ns > peer.time_ns:
-                peer.message = HandState(
-                    robot, 0, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, 0.0, (), ()
+            peer = self.get(said.robot)
+            if said.time_ns > peer.time_ns:
+                place = said.x, said.y, said.vx, said.vy
+                peer.message = HandState.placed(
+                    said.robot, 0, said.time_ns, said.following, peer.degree, place
                 )
-                peer.time_ns = time_ns
+                peer.time_ns = said.time_ns
 
     def silent(self, now_ns: int, x: float, y: float) -> tuple[Silent, ...]:
         """Robots that have not been heard for a while: those nearest to (x, y), m, as rows of a beacon."""
@@ -246,15 +245,20 @@ class Peers:
             message = peer.message
             if message is not None and SILENT_NS < now_ns + peer.clock.used_ns - peer.time_ns < HEARSAY_NS:
                 square = _square((message.x, message.y), x, y)
-                found.append((square, peer.robot, peer.time_ns, message.following, *message[5:9]))
-        return tuple(row[1:] for row in sorted(found)[:SILENT_MAX])
+                found.append((square, Silent(peer.robot, peer.time_ns, message.following, *message.place)))
+        return tuple(silent for _, silent in sorted(found)[:SILENT_MAX])
 
     def _take_beacon(self, peer: Peer, beacon: Beacon) -> None:
-        robot, sequence, time_ns, follows, x, y, vx, vy, doubt, *_ = beacon
-        peer.message = HandState(
-            robot, sequence, time_ns, follows, peer.degree, x, y, vx, vy, *NO_FORCES, doubt, (), ()
+        peer.message = HandState.placed(
+            beacon.robot,
+            beacon.sequence,
+            beacon.time_ns,
+            beacon.following,
+            peer.degree,
+            beacon.place,
+            beacon.doubt,
         )
-        peer.time_ns = time_ns
+        peer.time_ns = beacon.time_ns
         peer.here = peer.token
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:

@@ -115,11 +115,11 @@ def following(
         decay: of its constraint force, 1/s.
         most: speed limit (m/s) by which it makes for its place (N1), None without one.
     """
-    _, _, _, _, _, x, y, vx, vy, _, _, fx, fy, gx, gy, _, _, _ = message
+    fx, fy, gx, gy = message.constraint_x, message.constraint_y, message.correction_x, message.correction_y
     a11, a12, a21, a22, b1, b2, remains = transition(c1, c2, decay, age)
     x0, y0, vx0, vy0, _, _ = since
     x1, y1, vx1, vy1, ax1, ay1 = then
-    ex, ey, edot_x, edot_y = x - x0, y - y0, vx - vx0, vy - vy0
+    ex, ey, edot_x, edot_y = message.x - x0, message.y - y0, message.vx - vx0, message.vy - vy0
     if most is not None:
         share = saturation(ex, ey, c1, c2, approach(vx1, vy1, ex, ey, most))
         if share < 1.0:
@@ -200,5 +200,9 @@ def as_it_came(message: HandState) -> Prediction:
     """A robot where its message says, as if that had come at once."""
     if not message.following:
         return coasting(message, 0.0)
-    _, _, _, _, _, x, y, vx, vy, nx, ny, fx, fy, gx, gy, _, _, _ = message
-    return Prediction((x, y), (vx, vy), (nx + gx, ny + gy), (fx, fy))
+    return Prediction(
+        (message.x, message.y),
+        (message.vx, message.vy),
+        (message.navigation_x + message.correction_x, message.navigation_y + message.correction_y),
+        (message.constraint_x, message.constraint_y),
+    )

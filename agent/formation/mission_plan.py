@@ -23,7 +23,7 @@ from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
 from agent.formation.geometry import Geometry
 from agent.formation.trajectory import Sample, Trajectory, make_trajectory
-from agent.messages.types import NEIGHBOURS_MAX, Mission
+from agent.messages.types import NEIGHBOURS_MAX, Mission, Setting
 
 Edges = dict[tuple[int, int], float]
 """Wanted distance (m) of each edge (i, j), i < j."""
@@ -112,10 +112,10 @@ def mission_parts(plan: Plan) -> Parts:
     return robots, edges, trajectory_parts(plan.section)
 
 
-def trajectory_parts(section: TrajectorySection) -> tuple[tuple[str, Any], ...]:
+def trajectory_parts(section: TrajectorySection) -> tuple[Setting, ...]:
     """A trajectory as a mission writes it: the fields of its kind."""
     needed, taken = TRAJECTORY_FIELDS[section.kind]
-    return tuple((key, getattr(section, key)) for key in ("kind", *needed, *taken))
+    return tuple(Setting(key, getattr(section, key)) for key in ("kind", *needed, *taken))
 
 
 def _plan(

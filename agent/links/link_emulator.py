@@ -34,6 +34,7 @@ from agent.messages.types import (
     TOPICS,
     TRACE_MAX,
     Beacon,
+    Decision,
     HandState,
     LinkTrace,
     PlantState,
@@ -46,9 +47,7 @@ _LOST_US: Final = -1
 _PURPOSES: Final = ("delay", "loss", "duplicate", "reorder", "corrupt", "slot", "range", "second delay")
 
 Sample = HandState | PlantState | Wrench | Beacon
-"""What links carry; all begin with robot, sequence and time_ns."""
-Decision = tuple[int, int, int, int, int, int]
-"""(source, topic, sequence, time_ns, what, delay_us): an entry of `LinkTrace`."""
+"""What links carry; all have a robot, a sequence number and a stamp."""
 
 
 class Arrival(NamedTuple):
@@ -208,10 +207,10 @@ class LinkEmulator:
             topic: index into `TOPICS`.
             own_position: (x, y), m, W, for a range channel; None while not known: it then does nothing.
         """
-        link = self._links[topic, message[0]]
+        link = self._links[topic, message.robot]
         if link.rules.idle:
             return True
-        _, sequence, stamp_ns, *_ = message
+        sequence, stamp_ns = message.sequence, message.time_ns
         recorded = link.rules.replayed(sequence)
         if recorded is not None:
             return self._replay(link, recorded, Arrival(key, payload, message))
@@ -224,7 +223,7 @@ class LinkEmulator:
         sent_ns = link.sent_ns(stamp_ns)
         for what, delay_ns, bit in link.decide(effects, sequence, sent_ns, len(payload), distance):
             delay_us = delay_ns // 1000 if not what & LOST else _LOST_US
-            entry: Decision = (message[0], topic, sequence, stamp_ns, what, delay_us)
+            entry = Decision(message.robot, topic, sequence, stamp_ns, what, delay_us)
             if what & LOST:
                 self._trace.append(entry)
                 continue
@@ -244,15 +243,16 @@ class LinkEmulator:
         if delays_us[0] == recorded_fates.UNTOUCHED:
             return True
         assert arrival.message is not None
-        source, sequence, stamp_ns, *_ = arrival.message
+        message = arrival.message
+        sent = message.robot, link.topic, message.sequence, message.time_ns
         for delay_us, what in zip(delays_us, (0, DUPLICATED), strict=True):
             if delay_us == recorded_fates.LOST:
                 what |= LOST
             elif delay_us == recorded_fates.UNTOUCHED:
                 continue
-            self._trace.append((source, link.topic, sequence, stamp_ns, what, delay_us))
+            self._trace.append(Decision(*sent, what, delay_us))
             if not what & LOST:
-                self._wait(link, link.sent_ns(stamp_ns) + delay_us * 1000, arrival)
+                self._wait(link, link.sent_ns(message.time_ns) + delay_us * 1000, arrival)
         return False
 
     def _wait(self, link: _Link, due_ns: int, arrival: Arrival) -> None:
@@ -277,7 +277,7 @@ class LinkEmulator:
             if link.held and not link.rules.effects(now_ns).hold:
                 for sent_ns, delay_ns, arrival, entry in link.held:
                     delay_ns = max(now_ns - sent_ns, delay_ns)
-                    self._trace.append((*entry[:4], entry[4] | HELD, delay_ns // 1000))
+                    self._trace.append(entry._replace(what=entry.what | HELD, delay_us=delay_ns // 1000))
                     self._wait(link, sent_ns + delay_ns, arrival)
                 self._holding -= len(link.held)
                 link.held.clear()

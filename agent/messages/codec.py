@@ -21,51 +21,32 @@ import msgpack
 
 from agent.messages.types import (
     BYTES_MAX,
-    DEGREE_MAX,
-    FLOAT_MAX,
+    CLASSES,
     MISSION_BYTES_MAX,
-    ROBOT_MAX,
     RULES_MAX,
     TEXT_MAX,
-    TIME_NS_MAX,
-    Beacon,
+    VERSION,
     Faults,
-    HandState,
     Message,
     Mission,
-    PlantState,
-    Wrench,
 )
-from agent.messages.validation import (
-    CLASSES,
-    FIELD_TYPES,
-    FLOATS,
-    TYPE_OF,
-    Malformed,
-    are_pairs,
-    are_versions,
-    checked,
-    shown,
-)
+from agent.messages.validation import HEAD, Malformed, Taker, omitted, shown, taker
 
-VERSION: Final = 6
-"""Version of the protocol, the first field of every message."""
-_HEAD: Final = 2  # version and type come before the fields
-# The messages of every tick, by the types on the wire: number of the class, its floats, the class.
-_FREQUENT: Final = {
-    (int, int, *FIELD_TYPES[number]): (
-        number,
-        slice(FLOATS[number].start + _HEAD, FLOATS[number].stop + _HEAD),
-        CLASSES[number],
-    )
-    for number in map(CLASSES.index, (HandState, PlantState, Wrench, Beacon))
-}
-_HAND_STATE: Final = TYPE_OF[HandState]
-_BEACON: Final = TYPE_OF[Beacon]
+TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
+_OMITTING: Final = frozenset(cls for cls in CLASSES if omitted(cls))
+_takers: dict[int, Taker] = {}
+"""By the number of the class; each is made when the first of its messages comes."""
 _STATUS_VALUES_MAX: Final = 2048
-# A valid message of these kinds begins with these three bytes; only such a one may be long, in all or a text.
-_FAULTS_HEAD: Final = bytes([0x90 | _HEAD + len(Faults._fields), VERSION, TYPE_OF[Faults]])
-_MISSION_HEAD: Final = bytes([0x90 | _HEAD + len(Mission._fields), VERSION, TYPE_OF[Mission]])
+
+
+def head(cls: type[Message]) -> bytes:
+    """How every message of a class without `About.omitted` fields begins."""
+    return bytes([0x90 | HEAD + len(cls._fields), VERSION, TYPE_OF[cls]])
+
+
+# Only what begins like these may be long, in all or a text.
+_FAULTS_HEAD: Final = head(Faults)
+_MISSION_HEAD: Final = head(Mission)
 
 _pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
 _checksum = Struct(">BI").pack
@@ -94,7 +75,9 @@ def _content(mission: Mission) -> bytes:
 
 def encode(message: Message) -> bytes:
     """The message's bytes. Does not check: what is sent was made here (see `Agent.tick`)."""
-    packed: bytes = _pack((VERSION, TYPE_OF[type(message)], *message))
+    cls = type(message)
+    fields = message[:-1] if cls in _OMITTING and not message[-1] else message
+    packed: bytes = _pack((VERSION, TYPE_OF[cls], *fields))
     return packed + _checksum(_UINT32, crc32(packed))
 
 
@@ -115,28 +98,20 @@ def decode(payload: bytes) -> Message:
         array = _unpacked(packed)
     except Exception as error:  # msgpack raises a dozen unrelated types; each means the same here
         raise Malformed("malformed", f"not one MessagePack array ({type(error).__name__})") from None
-    # A valid message of the frequent kinds is through here; `_examine` takes all others and says why.
-    if type(array) is tuple:
-        frequent = _FREQUENT.get(tuple(map(type, array)))
-        if frequent is not None:
-            number, floats, cls = frequent
-            if (
-                array[0] == VERSION
-                and array[1] == number
-                and 0 < array[2] <= ROBOT_MAX
-                and 0 <= array[3] < TIME_NS_MAX
-                and 0 <= array[4] < TIME_NS_MAX
-                and sum(map(abs, array[floats])) <= FLOAT_MAX  # false for NaN and infinities, too
-                and (number != _HAND_STATE or _plain_hand(array))
-                and (number != _BEACON or (not array[-1] and array[10] >= 0.0 and are_versions(array[-5:-1])))
-            ):
-                message: Message = tuple.__new__(cls, array[_HEAD:])
-                return message
-    return _examine(array)
+    if type(array) is not tuple or len(array) < HEAD + 1:
+        raise Malformed("malformed", "not a MessagePack array [version, type, *fields]")
+    version, number = array[0], array[1]
+    if type(version) is not int or version != VERSION:
+        raise _other_version(version)
+    take = _takers.get(number) if type(number) is int else None
+    return take(array) if take is not None else _taker(number)(array)
 
 
-def _plain_hand(array: tuple[Any, ...]) -> bool:
-    return 0 <= array[6] <= DEGREE_MAX and array[-3] >= 0.0 and are_pairs(array[-2], array[-1])
+def _taker(number: Any) -> Taker:
+    if type(number) is not int or not 0 <= number < len(CLASSES):
+        raise Malformed("type", f"message type {shown(number)} is not known")
+    take = _takers[number] = taker(CLASSES[number])
+    return take
 
 
 def _unpacked(packed: bytes) -> Any:
@@ -157,15 +132,3 @@ def _unchecked(payload: bytes) -> Malformed:
 
 def _other_version(version: Any) -> Malformed:
     return Malformed("version", f"version {shown(version)}, this program speaks {VERSION}")
-
-
-def _examine(array: Any) -> Message:
-    """The message in what was unpacked, or `Malformed` with the first thing that is wrong with it."""
-    if type(array) is not tuple or len(array) < 3:
-        raise Malformed("malformed", "not a MessagePack array [version, type, *fields]")
-    version, number, fields = array[0], array[1], array[_HEAD:]
-    if type(version) is not int or version != VERSION:
-        raise _other_version(version)
-    if type(number) is not int or not 0 <= number < len(CLASSES):
-        raise Malformed("type", f"message type {shown(number)} is not known")
-    return checked(number, fields)

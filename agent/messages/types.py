@@ -1,13 +1,22 @@
-"""Messages on the bus: their fields and limits. `agent.messages.codec` makes bytes of them.
+"""Messages on the bus, each declared once: its fields in the order of the wire, with types, bounds and units.
 
 Units are SI, positions and velocities in W (world ENU), times integer nanoseconds of the wall
-clock (Unix epoch).
+clock (Unix epoch). `agent.messages.codec` makes bytes of them.
+
+A new field goes at the end of its class, with `About.before` for recordings that lack it; the wire's
+`VERSION` goes up, unless it is `About.omitted` while empty.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, get_args
 
+from agent.messages.declaration import FLOAT_MAX as FLOAT_MAX
+from agent.messages.declaration import About
+from agent.messages.sequence_numbers import FIRST_ROUND
+
+VERSION: Final = 6
+"""Version of the protocol, the first field of every message."""
 BYTES_MAX: Final = 10_240
 """Of any message but a `Mission`."""
 MISSION_BYTES_MAX: Final = 49_152
@@ -25,10 +34,10 @@ EVERY_AUTHOR: Final = "*"
 """As `Faults.author`, without rules: clears the rules of every author."""
 SILENT_MAX: Final = 16
 """Silent robots in one `Beacon`."""
+OWN_MAX: Final = 16
+"""Numbers of a law's own in one `HandState`."""
 TRACE_MAX: Final = 128
 """Entries of one `LinkTrace`."""
-FLOAT_MAX: Final = 1e15
-"""No position, speed, force or multiplier of a robot is larger; below it the law's arithmetic is safe."""
 TIME_NS_MAX: Final = 2**62
 """All times (ns), versions and sequence numbers are below it."""
 FUTURE_NS_MAX: Final = 250_000_000
@@ -65,253 +74,471 @@ CHECK_TEXT_MIN: Final = 100
 Outgoing = tuple[str, bytes]
 """A message to publish: its key and its bytes."""
 
+_ROBOT: Final = About("Number of the robot", least=1, most=ROBOT_MAX)
+_COUNT: Final = About("Sequence number, counted by the sender for this topic", least=0, most=TIME_NS_MAX - 1)
+_ROUND: Final = _COUNT.of(
+    f"Sequence number: {FIRST_ROUND} + the periods from the mission's epoch to time_ns; before the "
+    "mission is known, counted from 0",
+)
+_TIME: Final = About(
+    "Wall clock at which the content holds, since the Unix epoch", "ns", least=0, most=TIME_NS_MAX - 1
+)
+_VERSION: Final = _COUNT.of("Grows with every change")
+_ACKNOWLEDGED: Final = About("", least=-1, most=TIME_NS_MAX - 1)
+_FOLLOWING: Final = About("False while the robot brakes instead of following the law")
+_HAND_X: Final = About("Hand point, east (world ENU)", "m")
+_HAND_Y: Final = About("Hand point, north (world ENU)", "m")
+_HAND_VX: Final = About("Velocity of the hand point, east", "m/s")
+_HAND_VY: Final = About("Velocity of the hand point, north", "m/s")
+_DOUBT: Final = About(
+    "Position uncertainty: how far it may be from there; 0 unless its plant is lost",
+    "m",
+    least=0.0,
+    before=0.0,
+)
+
+
+class Multiplier(NamedTuple):
+    """One of the sender's copies of lambda: of an edge, or of a robot that it is kept away from."""
+
+    neighbour: Annotated[int, About("Robot at the other end")]
+    value: Annotated[float, About("lambda")]
+
+
+class Echo(NamedTuple):
+    """The least apparent delay of a neighbour's hand states. From both directions both ends find the offset
+    of their clocks."""
+
+    neighbour: Annotated[int, About("Whose hand states")]
+    delay_us: Annotated[
+        int,
+        About(
+            "Clock at its reception minus its stamp; negative when clocks differ",
+            "us",
+            least=1 - TIME_NS_MAX,
+            most=TIME_NS_MAX - 1,
+        ),
+    ]
+
 
 class HandState(NamedTuple):
     """One robot's hand point, from its agent to its neighbours.
 
-    Position, velocity (m, m/s, W) are those at `time_ns`; forces are per unit mass (m/s^2, W).
-    `following` is True when the robot obeys the law, or stands ready to from the epoch on; when it
-    is False the robot brakes, comes to rest, and its forces say nothing about its motion.
-    The correction is what the safety filter and a detour make of the two forces: it accelerates by the sum
-    of all three. `doubt` is the position uncertainty (m), how far it may be from where it says: 0 unless its
-    plant is lost.
-    `degree` is how many constraints act on it: edges, and what it is kept away from.
-    `multipliers` are the sender's copies of lambda, one ``(robot, lambda)`` for each of its edges and each
-    robot that it is kept away from.
-    `heard`, empty in most messages, echoes, as ``(neighbour, delay_us)``, the least apparent delay of
-    each neighbour's hand states: the sender's clock when it took one minus the stamp on it. As the
-    clocks differ it may be negative; from both directions both ends find the offset of their clocks.
+    Position and velocity are those at `time_ns`. `following` is True when the robot obeys the law, or stands
+    ready to from the epoch on; when it is False the robot brakes, comes to rest, and its forces say nothing
+    about its motion. It accelerates by the sum of the two forces and the correction, which is what the safety
+    filter and a detour make of them.
     """
 
-    robot: int
-    sequence: int
-    time_ns: int
-    following: bool
-    degree: int
-    x: float
-    y: float
-    vx: float
-    vy: float
-    navigation_x: float
-    navigation_y: float
-    constraint_x: float
-    constraint_y: float
-    correction_x: float
-    correction_y: float
-    doubt: float
-    multipliers: tuple[tuple[int, float], ...]
-    heard: tuple[tuple[int, int], ...]
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _ROUND]
+    time_ns: Annotated[int, _TIME]
+    following: Annotated[bool, _FOLLOWING]
+    degree: Annotated[
+        int,
+        About(
+            "How many constraints act on it: edges, and what it is kept away from",
+            least=0,
+            most=DEGREE_MAX,
+            before=lambda content: len(content["multipliers"]),  # nothing but its edges acted on a robot
+        ),
+    ]
+    x: Annotated[float, _HAND_X]
+    y: Annotated[float, _HAND_Y]
+    vx: Annotated[float, _HAND_VX]
+    vy: Annotated[float, _HAND_VY]
+    navigation_x: Annotated[float, About("Navigation force per unit mass, east", "m/s2")]
+    navigation_y: Annotated[float, About("Navigation force per unit mass, north", "m/s2")]
+    constraint_x: Annotated[float, About("Constraint force per unit mass, east", "m/s2")]
+    constraint_y: Annotated[float, About("Constraint force per unit mass, north", "m/s2")]
+    correction_x: Annotated[
+        float, About("What safety filter and detour add to the two forces, east", "m/s2", before=0.0)
+    ]
+    correction_y: Annotated[
+        float, About("What safety filter and detour add to the two forces, north", "m/s2", before=0.0)
+    ]
+    doubt: Annotated[float, _DOUBT]
+    multipliers: Annotated[
+        tuple[tuple[int, float], ...],
+        About(
+            "The sender's multipliers: of each edge, and of each robot it is kept from",
+            rows=NEIGHBOURS_MAX,
+            row=Multiplier,
+        ),
+    ]
+    heard: Annotated[
+        tuple[tuple[int, int], ...],
+        About(
+            "Least apparent delay of each neighbour's hand states; empty in most messages",
+            rows=NEIGHBOURS_MAX,
+            row=Echo,
+            before=(),
+        ),
+    ]
+    own: Annotated[
+        tuple[Annotated[float, About("One number")], ...],
+        About("Numbers of its law's own, for its neighbours' laws", rows=OWN_MAX, before=(), omitted=True),
+    ] = ()
+
+    @classmethod
+    def placed(
+        cls,
+        robot: int,
+        sequence: int,
+        time_ns: int,
+        following: bool,
+        degree: int,
+        place: tuple[float, float, float, float],
+        doubt: float = 0.0,
+    ) -> HandState:
+        """One that says only where a robot is, as a beacon does; `place`: x, y, vx, vy."""
+        return cls(robot, sequence, time_ns, following, degree, *place, *NO_FORCES, doubt, (), ())
+
+    @property
+    def place(self) -> tuple[float, float, float, float]:
+        """x, y (m), vx, vy (m/s)."""
+        return self.x, self.y, self.vx, self.vy
 
 
-NO_FORCES: Final = (0.0,) * 6
+Forces = tuple[float, float, float, float, float, float]
+"""Navigation force, constraint force and correction of a `HandState`, x and y of each."""
+NO_FORCES: Final[Forces] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """The forces and the correction of a `HandState` where there are none, or none are known."""
 
 
 class PlantState(NamedTuple):
     """One body as its plant measures it, valid at `time_ns`.
 
-    x, y (m, W), heading (rad, counter-clockwise from x), speed along the heading (m/s), yaw rate (rad/s).
-    `force` (N) and `torque` (N m) are what acts on the body from now on, after limits. `driving` is False
-    while the plant brakes: for want of a fresh wrench, or as it was asked to. `healthy` is False when the
-    measurement must not be used; `obeying` is False when it may be, but the body does not do what it is
-    asked: its operator has it. `note` says why.
+    Force and torque act on the body from now on, after limits. `healthy` is False when the measurement must
+    not be used; `obeying` is False when it may be, but the body does not do what it is asked.
     """
 
-    robot: int
-    sequence: int
-    time_ns: int
-    x: float
-    y: float
-    heading: float
-    speed: float
-    yaw_rate: float
-    force: float
-    torque: float
-    driving: bool
-    healthy: bool
-    obeying: bool
-    note: str
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _ROUND]
+    time_ns: Annotated[int, _TIME]
+    x: Annotated[float, About("Position, east (world ENU)", "m")]
+    y: Annotated[float, About("Position, north (world ENU)", "m")]
+    heading: Annotated[float, About("Heading, counter-clockwise from east", "rad")]
+    speed: Annotated[float, About("Speed along the heading", "m/s")]
+    yaw_rate: Annotated[float, About("Yaw rate, counter-clockwise", "rad/s")]
+    force: Annotated[float, About("Force that acts along the heading, after limits", "N")]
+    torque: Annotated[float, About("Torque that acts, after limits", "N m")]
+    driving: Annotated[
+        bool, About("False while the plant brakes: for want of a fresh wrench, or as asked to")
+    ]
+    healthy: Annotated[bool, About("False when the measurement must not be used")]
+    obeying: Annotated[bool, About("False when the body's operator has it", before=True)]
+    note: Annotated[str, About("Why it is not healthy, or does not obey")]
 
 
 class Wrench(NamedTuple):
-    """What the agent asks of its plant: force (N, along the heading), torque (N m), or to brake."""
+    """What the agent asks of its plant: force and torque, or to brake."""
 
-    robot: int
-    sequence: int
-    time_ns: int
-    force: float
-    torque: float
-    brake: bool
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _ROUND]
+    time_ns: Annotated[int, _TIME]
+    force: Annotated[float, About("Force asked for, along the heading", "N")]
+    torque: Annotated[float, About("Torque asked for", "N m")]
+    brake: Annotated[bool, About("True when the plant is asked to brake")]
+
+
+class Setting(NamedTuple):
+    """One field of a `[trajectory]`."""
+
+    field: Annotated[str, About("Field of [trajectory] in a fleet file")]
+    value: Annotated[Any, About("Its value, as JSON")]
+
+
+class Place(NamedTuple):
+    """A member of the formation."""
+
+    robot: Annotated[int, _ROBOT]
+    x: Annotated[float, About("Offset from the trajectory, east", "m")]
+    y: Annotated[float, About("Offset from the trajectory, north", "m")]
+
+
+class Distance(NamedTuple):
+    """An edge of the formation."""
+
+    robot: Annotated[int, _ROBOT]
+    other: Annotated[int, _ROBOT]
+    distance: Annotated[float, About("Wanted distance of their hand points", "m")]
 
 
 class Mission(NamedTuple):
-    """When the fleet starts (`epoch_ns`) and for how long it drives (`duration_ns`).
+    """When the fleet starts and for how long it drives; all that the fleet is to do.
 
-    It is all that the fleet is to do, so the one with the greatest `version` holds wherever it is heard
-    (`newer`). `digest` names the fleet file that the operator means: an agent that runs another one refuses.
-
-    What is empty is as in the fleet file, but where `robots` are given `edges` are all there are. `robots`
-    are the members, ``(id, x, y)`` with their offsets (m, W); `edges` ``(id, id, distance m)``;
-    `trajectory` ``(field, value)`` of a `[trajectory]`, whose time 0 is `trajectory_ns`. All take it over
-    at `from_ns`, and come from what they drove before to it within `blend_ns`; 0 for these times is the
-    epoch. `note` says in words what has changed.
+    The one with the greatest `version` holds wherever it is heard (`agent.messages.codec.newer`). An agent
+    that runs another fleet file than `digest` names refuses it. What is empty is as in the fleet file, but
+    where `robots` are given `edges` are all there are.
     """
 
-    version: int
-    time_ns: int
-    epoch_ns: int
-    duration_ns: int
-    digest: str
-    from_ns: int = 0
-    blend_ns: int = 0
-    note: str = ""
-    trajectory_ns: int = 0
-    trajectory: tuple[tuple[str, Any], ...] = ()
-    robots: tuple[tuple[int, float, float], ...] = ()
-    edges: tuple[tuple[int, int, float], ...] = ()
+    version: Annotated[int, _VERSION]
+    time_ns: Annotated[int, _TIME]
+    epoch_ns: Annotated[int, _TIME.of("Wall clock at which fleet time is zero, since the Unix epoch")]
+    duration_ns: Annotated[int, _TIME.of("For how long the fleet drives", least=1)]
+    digest: Annotated[str, About("Names the fleet file that the operator means")]
+    from_ns: Annotated[
+        int,
+        _TIME.of(
+            "Wall clock at which all take it over, since the Unix epoch; 0: the epoch",
+            before=0,
+        ),
+    ] = 0
+    blend_ns: Annotated[
+        int, _TIME.of("Within so long they come to it from what they drove before", before=0)
+    ] = 0
+    note: Annotated[str, About("What has changed, in words", before="")] = ""
+    trajectory_ns: Annotated[
+        int,
+        _TIME.of("Wall clock of the trajectory's time 0, since the Unix epoch; 0: the epoch", before=0),
+    ] = 0
+    trajectory: Annotated[
+        tuple[Setting, ...], About("Where the formation goes; empty: as in the fleet file", before=())
+    ] = ()
+    robots: Annotated[
+        tuple[Place, ...], About("Who has a place, and its offset; empty: as in the fleet file", before=())
+    ] = ()
+    edges: Annotated[
+        tuple[Distance, ...],
+        About("Who keeps which distance from whom; empty: as in the fleet file", before=()),
+    ] = ()
 
 
 class Stop(NamedTuple):
     """Operator's stop: every robot brakes and stays stopped until a `Resume` of a greater version."""
 
-    version: int
-    time_ns: int
-    reason: str
+    version: Annotated[int, _VERSION]
+    time_ns: Annotated[int, _TIME]
+    reason: Annotated[str, About("Why the operator stops the fleet")]
 
 
 class Resume(NamedTuple):
     """Operator's resume: after a `Stop`, and for robots whose body an operator took away and
     gave back.
 
-    `robots` are their ids, none of them means all. An agent or plant obeys a `version` only once, and
-    only a greater one than before.
+    An agent or plant obeys a `version` only once, and only a greater one than before.
     """
 
-    version: int
-    time_ns: int
-    robots: tuple[int, ...]
+    version: Annotated[int, _VERSION.of("Grows with every stop and resume")]
+    time_ns: Annotated[int, _TIME]
+    robots: Annotated[
+        tuple[Annotated[int, _ROBOT], ...], About("Numbers of the robots that may drive again; none: all")
+    ]
+
+
+class CheckLine(NamedTuple):
+    """One thing that was looked at."""
+
+    name: Annotated[str, About("What was looked at")]
+    level: Annotated[str, About("ok, warning or blocking", choices=LEVELS)]
+    found: Annotated[str, About("What was found")]
+    advice: Annotated[str, About("What to do about it; empty when there is nothing to do")]
 
 
 class Checks(NamedTuple):
     """What a plant has to say of its body before a drive, for operators.
 
-    A line is ``(name, level, found, advice)``: what was looked at, one of `LEVELS`, what was found, and
-    what to do about it ("" when there is nothing to do). At most `CHECKS_MAX` lines, which fit if no text
-    is longer than `CHECK_TEXT_MIN`.
+    The lines fit if no text is longer than `CHECK_TEXT_MIN`.
     """
 
-    robot: int
-    sequence: int
-    time_ns: int
-    lines: tuple[tuple[str, str, str, str], ...]
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _COUNT]
+    time_ns: Annotated[int, _TIME]
+    lines: Annotated[
+        tuple[CheckLine, ...],
+        About(
+            "What was looked at, how it stands (ok, warning, blocking), what was found, what to do",
+            rows=CHECKS_MAX,
+        ),
+    ]
+
+
+class NeighbourStatus(NamedTuple):
+    """What came from one neighbour, and how its clock stands."""
+
+    robot: Annotated[int, About("Number of the neighbour")]
+    age_us: Annotated[int, About("Age of its hand state now; -1: never heard", "us")]
+    received: Annotated[int, About("Hand states that came", before=0)]
+    lost: Annotated[int, About("Hand states that did not come", before=0)]
+    offset_us: Annotated[int, About("Its clock minus the own", "us", before=0)]
+    error_us: Annotated[int, About("Half the offset's uncertainty; -1: not known", "us", before=-1)]
+
+
+class Total(NamedTuple):
+    """One thing that was counted."""
+
+    name: Annotated[str, About("What was counted")]
+    value: Annotated[int, About("How many since the agent started")]
 
 
 class Status(NamedTuple):
-    """What one agent is doing. `counters` are totals since it started.
+    """What one agent is doing.
 
-    `transition` names the row of `agent.supervision.state_machine.TRANSITIONS` that led to `state`;
-    `order_version` is that of the last stop or resume. `tick_us` holds the duration of every tick since the
-    last status (empty in virtual time), `ages_us` the age of every neighbour's hand state at every tick
-    since then. `neighbours` gives ``(id, age_us, received, lost, offset_us, error_us)`` for each neighbour:
-    the age of its hand state now, -1 when never heard; how many of them came and how many did not; its
-    clock minus the own, and half of that estimate's uncertainty, -1 while nothing is known.
+    Durations and ages are those of every tick since the last status; the durations are left out in virtual
+    time.
     """
 
-    robot: int
-    sequence: int
-    time_ns: int
-    state: str
-    transition: str
-    reason: str
-    mission_version: int
-    order_version: int
-    neighbours: tuple[tuple[int, int, int, int, int, int], ...]
-    tick_us: tuple[int, ...]
-    ages_us: tuple[int, ...]
-    counters: tuple[tuple[str, int], ...]
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _COUNT]
+    time_ns: Annotated[int, _TIME]
+    state: Annotated[str, About("State of the agent's supervision")]
+    transition: Annotated[
+        str,
+        About("Row of agent.supervision.state_machine.TRANSITIONS that led there", before=""),
+    ]
+    reason: Annotated[str, About("Why it is in that state")]
+    mission_version: Annotated[int, About("Version of the mission that the agent follows")]
+    order_version: Annotated[
+        int, About("Version of the last stop or resume that it has acknowledged", before=0)
+    ]
+    neighbours: Annotated[
+        tuple[NeighbourStatus, ...], About("What came from each neighbour, and how its clock stands")
+    ]
+    tick_us: Annotated[
+        tuple[Annotated[int, About("One tick", "us")], ...],
+        About("Duration of every tick since the last status; empty in virtual time", "us"),
+    ]
+    ages_us: Annotated[
+        tuple[Annotated[int, About("One age", "us")], ...],
+        About("Age of every neighbour's hand state at every tick since the last status", "us"),
+    ]
+    counters: Annotated[tuple[Total, ...], About("Totals since the agent started")]
 
 
 class Faults(NamedTuple):
     """One author's whole set of live fault rules, to every agent and plant.
 
-    `rules` is TOML text, ``[[faults.rule]]`` tables as in the fleet file; their times count from
-    `origin_ns`. A greater `version` of the same author replaces the set. It ends at `time_ns` + `lease_ns`
-    unless it comes again with a later `time_ns`; with a lease of 0 it stays until it is cleared.
-    Author `EVERY_AUTHOR`, without rules, clears the sets of all.
+    A greater `version` of the same author replaces the set. It ends at `time_ns` + `lease_ns` unless it comes
+    again with a later `time_ns`. Author `EVERY_AUTHOR`, without rules, clears the sets of all.
     """
 
-    version: int
-    time_ns: int
-    author: str
-    origin_ns: int
-    lease_ns: int
-    rules: str
+    version: Annotated[int, _COUNT.of("Replaces the lesser ones of the same author")]
+    time_ns: Annotated[int, _TIME]
+    author: Annotated[str, About("Whose rules these are; *: all are cleared", characters=AUTHOR_MAX)]
+    origin_ns: Annotated[int, _TIME.of("Wall clock from which the rules' times count, since the Unix epoch")]
+    lease_ns: Annotated[int, _TIME.of("How long the rules hold after time_ns; 0: until they are cleared")]
+    rules: Annotated[str, About("The rules, TOML as in a fleet file")]
+
+    def contradiction(self) -> str:
+        """What does not go together in it, "" when all does."""
+        if self.author == EVERY_AUTHOR and self.rules:
+            return f"author {EVERY_AUTHOR!r} clears the faults of all and has no rules"
+        return ""
+
+
+class Decision(NamedTuple):
+    """What was done to one message under a fault rule."""
+
+    source: Annotated[int, _ROBOT.of("Number of the robot that sent")]
+    topic: Annotated[
+        int,
+        About(
+            "hand: agent to agent, state: plant to agent, wrench: agent to plant, beacon: agent to all",
+            choices=TOPICS,
+        ),
+    ]
+    sequence: Annotated[int, _COUNT.of("Sequence number of the message")]
+    time_ns: Annotated[int, _TIME.of("Stamp of the message, since the Unix epoch")]
+    what: Annotated[
+        int,
+        About(
+            f"Sum of {LOST}: lost, {DUPLICATED}: the second copy, {CORRUPTED}: corrupted, {REORDERED}: "
+            f"reordered, {HELD}: held, {RANGE}: lost to the range channel, {OVERFLOW}: lost to a full queue; "
+            "0: untouched",
+            least=0,
+            most=WHAT_MAX,
+        ),
+    ]
+    delay_us: Annotated[
+        int, About("Injected delay after the stamp; -1: lost", "us", least=-1, most=TIME_NS_MAX - 1)
+    ]
 
 
 class LinkTrace(NamedTuple):
     """What a receiver did to messages under its fault rules, one entry for every decision.
 
-    An entry is ``(source, topic, sequence, time_ns, what, delay_us)``: robot that sent the message, index
-    into `TOPICS`, its sequence number and stamp; `what` the sum of `LOST`, `DUPLICATED` (this is the second
-    copy), `CORRUPTED`, `REORDERED`, `HELD`, `RANGE` (lost to the range channel), `OVERFLOW` (lost to a full
-    queue); the injected delay after the stamp, -1 where it was lost. A message that passed untouched
-    under a rule has an entry as well; one on a link without a rule has none.
+    A message that passed untouched under a rule has an entry as well; one on a link without a rule has none.
     """
 
-    robot: int
-    sequence: int
-    time_ns: int
-    entries: tuple[tuple[int, int, int, int, int, int], ...]
+    robot: Annotated[int, _ROBOT.of("Number of the robot that received")]
+    sequence: Annotated[int, _COUNT]
+    time_ns: Annotated[int, _TIME]
+    entries: Annotated[
+        tuple[Decision, ...], About("What was done to each message under a fault rule", rows=TRACE_MAX)
+    ]
 
 
 class Event(NamedTuple):
-    """What was done to a process on purpose: `what` is one of `EVENTS`, `rule` the name of the rule."""
+    """What was done to a process on purpose."""
 
-    robot: int
-    sequence: int
-    time_ns: int
-    role: str
-    what: str
-    rule: str
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _COUNT]
+    time_ns: Annotated[int, _TIME]
+    role: Annotated[str, About("agent or plant: which process of the robot", choices=("agent", "plant"))]
+    what: Annotated[str, About("kill, start, stop (SIGSTOP) or continue", choices=EVENTS)]
+    rule: Annotated[str, About("Name of the rule that asked for it")]
+
+
+class Silent(NamedTuple):
+    """A robot that the sender of a beacon has not heard for a while, as it was then."""
+
+    robot: Annotated[int, _ROBOT]
+    time_ns: Annotated[int, _TIME]
+    following: Annotated[bool, _FOLLOWING]
+    x: Annotated[float, _HAND_X]
+    y: Annotated[float, _HAND_Y]
+    vx: Annotated[float, _HAND_VX]
+    vy: Annotated[float, _HAND_VY]
 
 
 class Beacon(NamedTuple):
     """Where one robot is, a few times a second, from its agent to all others.
 
-    Hand point and its velocity (m, m/s, W) at `time_ns`, `following` and `doubt` as in `HandState`. Then the
-    orders that it has acknowledged: the mission (its version and `tag`), the last stop and the last resume
-    (-1: none). Who has later ones relays them. `silent` are robots that it has not heard for a while, as they
-    were then: ``(robot, time_ns, following, x, y, vx, vy)``. A robot that has just started hears of them so.
+    Then the orders that it has acknowledged: who has later ones relays them. A robot that has just started
+    hears so of the `silent`.
     """
 
-    robot: int
-    sequence: int
-    time_ns: int
-    following: bool
-    x: float
-    y: float
-    vx: float
-    vy: float
-    doubt: float
-    mission_version: int
-    mission_tag: int
-    stop_version: int
-    resume_version: int
-    silent: tuple[tuple[int, int, bool, float, float, float, float], ...] = ()
+    robot: Annotated[int, _ROBOT]
+    sequence: Annotated[int, _COUNT]
+    time_ns: Annotated[int, _TIME]
+    following: Annotated[bool, _FOLLOWING]
+    x: Annotated[float, _HAND_X]
+    y: Annotated[float, _HAND_Y]
+    vx: Annotated[float, _HAND_VX]
+    vy: Annotated[float, _HAND_VY]
+    doubt: Annotated[float, _DOUBT]
+    mission_version: Annotated[int, _ACKNOWLEDGED.of("Version of the mission that it has acknowledged")]
+    mission_tag: Annotated[int, _ACKNOWLEDGED.of("Tells missions of one version apart")]
+    stop_version: Annotated[
+        int, _ACKNOWLEDGED.of("Version of the last stop that it has acknowledged, -1 for none")
+    ]
+    resume_version: Annotated[
+        int, _ACKNOWLEDGED.of("Version of the last resume that it has acknowledged, -1 for none")
+    ]
+    silent: Annotated[
+        tuple[Silent, ...],
+        About("Robots that it has not heard for a while, as they were when it did", rows=SILENT_MAX),
+    ] = ()
+
+    @property
+    def place(self) -> tuple[float, float, float, float]:
+        """x, y (m), vx, vy (m/s)."""
+        return self.x, self.y, self.vx, self.vy
 
 
 class Heartbeat(NamedTuple):
     """An operator is there: where the fleet has a dead-man's switch, robots drive only while these come."""
 
-    time_ns: int
-    author: str
+    time_ns: Annotated[int, _TIME]
+    author: Annotated[str, About("Who is there")]
 
 
 class Ask(NamedTuple):
     """An operator asks for the mission and the last stop or resume: agents relay them."""
 
-    time_ns: int
-    author: str
+    time_ns: Annotated[int, _TIME]
+    author: Annotated[str, About("Who asks for the mission and the last stop or resume")]
 
 
 Message = (
@@ -330,6 +557,8 @@ Message = (
     | Heartbeat
     | Ask
 )
+CLASSES: Final[tuple[type[Message], ...]] = get_args(Message)
+"""In the order of their numbers on the wire."""
 
 
 def clipped(text: str, most: int = TEXT_MAX) -> str:

@@ -12,9 +12,8 @@ from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
-from agent.messages.codec import VERSION
+from agent.messages.codec import head
 from agent.messages.types import Mission, Resume, Stop
-from agent.messages.validation import TYPE_OF
 from agent.security.sealed_order import Forged, Opener, Sealer
 
 AGE_NS_MAX: Final = 2 * NS_PER_S
@@ -28,9 +27,7 @@ NEW_PERIOD_NS: Final = NS_PER_S // 10
 """Within such a period so many seals that one robot relays are verified, and then no more, genuine or not:
 to verify one costs ten times as much as to make one up, and old orders can be repeated for nothing. Those
 that were verified of late are remembered, and cost nothing. What operators send is always looked at."""
-_LASTING: Final = tuple(
-    bytes([0x90 | 2 + len(kind._fields), VERSION, TYPE_OF[kind]]) for kind in (Mission, Stop, Resume)
-)
+_LASTING: Final = tuple(map(head, (Mission, Stop, Resume)))
 """How the orders begin that robots relay (`agent.messages.codec`)."""
 
 

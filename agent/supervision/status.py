@@ -8,7 +8,7 @@ from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.control.peers import Peer
-from agent.messages.types import Status
+from agent.messages.types import NeighbourStatus, Status, Total
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 STATUS_VALUES_MAX: Final = 200
@@ -82,7 +82,7 @@ class StatusReport:
             mission_version,
             stop_version,
             tuple(
-                (
+                NeighbourStatus(
                     peer.robot,
                     -1 if (age := peer.age_ns(now_ns)) is None else max(age, 0) // 1000,
                     peer.received,
@@ -94,7 +94,7 @@ class StatusReport:
             ),
             tuple(self._tick_us[:STATUS_VALUES_MAX]),
             tuple(self.ages_us[: STATUS_VALUES_MAX + len(neighbours)]),
-            tuple(counters.items()),
+            tuple(map(Total._make, counters.items())),
         )
         self._sequence += 1
         self._due_ns = now_ns + STATUS_PERIOD_NS

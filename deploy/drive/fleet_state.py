@@ -129,7 +129,7 @@ class FleetState:
     def pose(self, robot: int) -> Pose | None:
         """Where a robot's body was seen last."""
         seen = self._truths.get(robot) or self.states.get(robot)
-        return None if seen is None else Pose._make(seen[3:8])
+        return None if seen is None else Pose(seen.x, seen.y, seen.heading, seen.speed, seen.yaw_rate)
 
     # ------------------------------------------------------------------ what is said
 

@@ -27,7 +27,7 @@ from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, 
 from agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
 from agent.links.ticks import next_tick_ns
 from agent.messages.codec import decode, encode
-from agent.messages.types import Mission, clipped
+from agent.messages.types import Distance, Mission, Place, clipped
 from agent.messages.validation import Malformed
 from deploy.orders.blend_time import blend_ns_for
 from deploy.orders.trilateration import place_apart
@@ -98,8 +98,8 @@ def ordered(
         clipped(change.note),
         trajectory_ns,
         trajectory_parts(section),
-        tuple((robot, *change.offsets[robot]) for robot in fleet.ids if robot in change.offsets),
-        tuple(change.edges),
+        tuple(Place(robot, *change.offsets[robot]) for robot in fleet.ids if robot in change.offsets),
+        tuple(Distance(*edge) for edge in change.edges),
     )
     try:
         after = written_plan(mission, fleet)

@@ -35,8 +35,6 @@ from deploy.recording.columns import Store
 from deploy.recording.link_table import LinkRows
 from deploy.recording.recording import LiveFaults, Recording, RobotData, last_mission
 from deploy.recording.tables import (
-    PLANT_COLUMNS,
-    WRENCH_COLUMNS,
     HandRows,
     Rows,
     StatusRows,
@@ -82,10 +80,10 @@ class RunData:
         plan = FaultPlan(fleet)
         self._clocks = {robot.id: plan.clock(robot.id) for robot in fleet.robots}
         self._texts: dict[str, str] = {}
-        self._plant = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS, store) for robot in fleet.robots}
-        self._truth = {robot.id: Rows(PlantState, robot.id, PLANT_COLUMNS, store) for robot in fleet.robots}
+        self._plant = {robot.id: Rows(PlantState, robot.id, store) for robot in fleet.robots}
+        self._truth = {robot.id: Rows(PlantState, robot.id, store) for robot in fleet.robots}
         self._hand = {robot.id: HandRows(robot.id, store) for robot in fleet.robots}
-        self._wrench = {robot.id: Rows(Wrench, robot.id, WRENCH_COLUMNS, store) for robot in fleet.robots}
+        self._wrench = {robot.id: Rows(Wrench, robot.id, store) for robot in fleet.robots}
         self._status = {robot.id: StatusRows(robot.id, store) for robot in fleet.robots}
         self._sinks: dict[str, _Sink] = {}
         prefix = fleet.fleet.name
@@ -133,7 +131,7 @@ class RunData:
             received_ns, key, message
         ):
             self.foreign += 1
-        elif sink is not None and type(message) is sink.kind and message[0] == sink.robot:
+        elif sink is not None and sink.is_of(message):
             sink.append(message)
         elif type(message) is Mission and key in self._missions_from:
             self._missions.setdefault(message._replace(time_ns=0), message)
@@ -142,7 +140,7 @@ class RunData:
         elif type(message) is Resume and key in self._resumes_from:
             self._resumes.setdefault(message._replace(time_ns=0), message)
         elif type(message) is LinkTrace and self._is_ours(key, message):
-            entries = tuple(entry for entry in message.entries if entry[1] != _BEACON)
+            entries = tuple(entry for entry in message.entries if entry.topic != _BEACON)
             self._links.append(message._replace(entries=entries))
         elif type(message) is Faults and key in self._faults_from:
             rules = self._texts.setdefault(message.rules, message.rules)  # said once a second: keep one
@@ -156,7 +154,7 @@ class RunData:
 
     def _is_ours(self, key: str, trace: LinkTrace) -> bool:
         return self._traced.get(key) == trace.robot and all(
-            source in self._plant for source, *_ in trace.entries
+            entry.source in self._plant for entry in trace.entries
         )
 
     def _is_meant(self, received_ns: int, key: str, message: Message) -> bool:

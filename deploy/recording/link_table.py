@@ -111,14 +111,14 @@ class LinkRows:
         self._sequence, self._stamp_ns, self._delay_us = (store.column("q") for _ in range(3))
 
     def append(self, trace: LinkTrace) -> None:
-        for source, topic, sequence, time_ns, what, delay_us in trace.entries:
+        for entry in trace.entries:
             self._destination.append(trace.robot)
-            self._source.append(source)
-            self._topic.append(topic)
-            self._sequence.append(sequence)
-            self._stamp_ns.append(time_ns)
-            self._what.append(what)
-            self._delay_us.append(delay_us)
+            self._source.append(entry.source)
+            self._topic.append(entry.topic)
+            self._sequence.append(entry.sequence)
+            self._stamp_ns.append(entry.time_ns)
+            self._what.append(entry.what)
+            self._delay_us.append(entry.delay_us)
 
     def table(self, clocks: Mapping[int, Clock], epoch_ns: int) -> LinkTable:
         """All decisions so far; `clocks` by robot."""

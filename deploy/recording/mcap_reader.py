@@ -22,10 +22,10 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
-from agent.messages.types import Message
+from agent.messages.types import CLASSES, Message
 from deploy.recording.collector import RunData
 from deploy.recording.foxglove import SCHEMA_PREFIX
-from deploy.recording.message_json import CLASSES, reader, schema_name
+from deploy.recording.message_json import reader, schema_name
 from deploy.recording.recorder import FLEET_ATTACHMENT, OUTCOME_METADATA, RUN_METADATA, RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE

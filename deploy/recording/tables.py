@@ -6,27 +6,29 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.messages.types import HandState, Message, Status
+from agent.messages.declaration import Field, declared
+from agent.messages.types import HandState, Message, Multiplier, NeighbourStatus, Status
 from deploy.recording.columns import Store
 from deploy.recording.link_table import Clock, Floats, Ints, true_ns
 
-PLANT_COLUMNS: Final = (
-    "x", "y", "heading", "speed", "yaw_rate", "force", "torque", "driving", "healthy", "obeying",
-)  # fmt: skip
-HAND_COLUMNS: Final = (
-    "following", "degree", "x", "y", "vx", "vy", "navigation_x", "navigation_y", "constraint_x",
-    "constraint_y", "correction_x", "correction_y",
-)  # fmt: skip
-WRENCH_COLUMNS: Final = ("force", "torque", "brake")
-MULTIPLIER_COLUMNS: Final = ("neighbour", "value")
-NEIGHBOUR_COLUMNS: Final = len(("robot", "age_us", "received", "lost", "offset_us", "error_us"))
+NEIGHBOUR: Final = np.dtype([(name, np.int64) for name in NeighbourStatus._fields])
+"""A row of `agent.messages.types.Status.neighbours`."""
 NO_INTS: Final[Ints] = np.zeros(0, dtype=np.int64)
 _INTEGER_MAX: Final = 2**62
+_HEAD: Final = ("robot", "sequence", "time_ns")
+
+
+def columns(kind: type[Message]) -> tuple[Field, ...]:
+    """What a table holds of a robot's messages: their numbers and truth values, but who sent it and when."""
+    return tuple(
+        each for each in declared(kind) if each.kind in (int, float, bool) and each.name not in _HEAD
+    )
 
 
 class Table:
@@ -94,9 +96,8 @@ class StatusTable:
     tick_counts: Ints
     ages_us: Ints
     age_counts: Ints
-    neighbours: Ints = field(default_factory=lambda: np.zeros((0, NEIGHBOUR_COLUMNS), dtype=np.int64))
-    """(rows, 6): the entries of `agent.messages.types.Status.neighbours`, of all statuses one after the
-    other."""
+    neighbours: NDArray[Any] = field(default_factory=lambda: np.zeros(0, dtype=NEIGHBOUR))
+    """(rows,) of `NEIGHBOUR`: those of all statuses one after the other."""
     neighbour_counts: Ints = field(default_factory=lambda: NO_INTS)
     """(n,): how many of these rows each status has."""
 
@@ -151,19 +152,25 @@ class StatusTable:
 
 
 class Rows:
-    """One growing table: times and a flat row of numbers for every message."""
+    """One growing table: times and a flat row of numbers (`columns`) for every message of one robot."""
 
-    def __init__(self, kind: type[Message], robot: int, names: tuple[str, ...], store: Store) -> None:
-        self.kind, self.robot, self.names = kind, robot, names
+    def __init__(self, kind: type[Message], robot: int, store: Store) -> None:
+        self.kind: type = kind
+        self.robot = robot
+        self.names = tuple(column.name for column in columns(kind))
         self.times, self._values = store.column("q"), store.column("d")
         self._sequences = store.column("q")
-        first = kind._fields.index(names[0])
-        self._columns = slice(first, first + len(names))
+        self._numbers = attrgetter(*self.names)
+
+    def is_of(self, message: Any) -> bool:
+        """Whether it is a message of this table."""
+        is_kind = type(message) is self.kind
+        return is_kind and bool(message.robot == self.robot)
 
     def append(self, message: Any) -> None:
-        self._sequences.append(message[1])
-        self.times.append(message[2])
-        self._values.extend(message[self._columns])
+        self._sequences.append(message.sequence)
+        self.times.append(message.time_ns)
+        self._values.extend(self._numbers(message))
 
     def table(self, epoch_ns: int, clock: Clock) -> Table:
         times, sequences = self.times.whole(), self._sequences.whole()
@@ -178,7 +185,7 @@ class HandRows(Rows):
     """The growing table of one robot's hand states, and a second one of their multipliers."""
 
     def __init__(self, robot: int, store: Store) -> None:
-        super().__init__(HandState, robot, HAND_COLUMNS, store)
+        super().__init__(HandState, robot, store)
         self._multiplier_times, self._multipliers = store.column("q"), store.column("d")
 
     def append(self, message: HandState) -> None:
@@ -191,7 +198,7 @@ class HandRows(Rows):
         times = true_ns(self._multiplier_times.whole(), clock, epoch_ns)
         values = self._multipliers.whole().reshape(len(times), 2)
         order = np.argsort(times, kind="stable")
-        return Table(MULTIPLIER_COLUMNS, (times[order] - epoch_ns) / 1e9, values[order])
+        return Table(Multiplier._fields, (times[order] - epoch_ns) / 1e9, values[order])
 
 
 def _bounded(value: int) -> int:
@@ -202,8 +209,6 @@ def _bounded(value: int) -> int:
 class StatusRows:
     """The growing table of one agent's statuses, which `table` makes a `StatusTable`."""
 
-    kind: type[Message] = Status
-
     def __init__(self, robot: int, store: Store) -> None:
         self.robot = robot
         self.times = store.column("q")
@@ -212,6 +217,10 @@ class StatusRows:
         self._ticks, self._tick_counts = store.column("q"), store.column("q")
         self._ages, self._age_counts = store.column("q"), store.column("q")
         self._neighbours, self._neighbour_counts = store.column("q"), store.column("q")
+
+    def is_of(self, message: Any) -> bool:
+        """Whether it is a message of this table."""
+        return type(message) is Status and message.robot == self.robot
 
     def append(self, message: Any) -> None:
         ticks = [value for value in message.tick_us if 0 <= value < _INTEGER_MAX]
@@ -248,6 +257,6 @@ class StatusRows:
             self._tick_counts.whole(),
             self._ages.whole(),
             self._age_counts.whole(),
-            self._neighbours.whole().reshape(-1, NEIGHBOUR_COLUMNS),
+            self._neighbours.whole().view(NEIGHBOUR),
             self._neighbour_counts.whole(),
         )

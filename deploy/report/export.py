@@ -18,13 +18,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.formation.geometry import resolve
-from agent.messages.types import CORRUPTED, DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, TOPICS
+from agent.messages.declaration import Field, declared
+from agent.messages.types import (
+    CORRUPTED,
+    DUPLICATED,
+    HELD,
+    LOST,
+    OVERFLOW,
+    RANGE,
+    REORDERED,
+    TOPICS,
+    HandState,
+    Multiplier,
+    PlantState,
+    Wrench,
+)
 from deploy.analysis.analysis import analyse
 from deploy.recording.link_table import LinkTable
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
-from deploy.recording.tables import StatusTable, Table
+from deploy.recording.tables import StatusTable, Table, columns
 from deploy.verdict.metrics import MESSAGES
 
 FORMATS: Final = ("csv", "parquet", "json")
@@ -33,20 +47,8 @@ FOLDER: Final = "export"
 Column = NDArray[Any] | list[str]
 Columns = dict[str, Column]
 
-_PLANT: Final = {
-    "x_m": "x", "y_m": "y", "heading_rad": "heading", "speed_mps": "speed", "yaw_rate_radps": "yaw_rate",
-    "force_n": "force", "torque_nm": "torque", "driving": "driving", "healthy": "healthy",
-    "obeying": "obeying",
-}  # fmt: skip
-_HAND: Final = {
-    "following": "following", "degree": "degree", "x_m": "x", "y_m": "y", "vx_mps": "vx", "vy_mps": "vy",
-    "navigation_x_mps2": "navigation_x", "navigation_y_mps2": "navigation_y",
-    "constraint_x_mps2": "constraint_x", "constraint_y_mps2": "constraint_y",
-    "correction_x_mps2": "correction_x", "correction_y_mps2": "correction_y",
-}  # fmt: skip
-_WRENCH: Final = {"force_n": "force", "torque_nm": "torque", "brake": "brake"}
-_MULTIPLIER: Final = {"neighbour": "neighbour", "multiplier": "value"}
-_FLAGS: Final = frozenset({"driving", "healthy", "obeying", "following", "brake"})
+_DTYPES: Final = {int: np.int64, float: np.float64, bool: np.bool_}
+_NAMES: Final = {"value": "multiplier", "doubt": "position_uncertainty"}
 _WHAT: Final = {
     "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED, "held": HELD,
     "range": RANGE, "overflow": OVERFLOW,
@@ -91,31 +93,35 @@ def tabulate(recording: Recording) -> dict[str, Columns]:
     """Every table by name, its columns by name, all columns of a table of one length."""
     robots = recording.robots.values()
     tables = {
-        "hands": _stack([(robot.id, robot.hand) for robot in robots], _HAND),
-        "plants": _stack([(robot.id, robot.plant) for robot in robots], _PLANT),
-        "wrenches": _stack([(robot.id, robot.wrench) for robot in robots], _WRENCH),
-        "multipliers": _stack([(robot.id, robot.multipliers) for robot in robots], _MULTIPLIER),
+        "hands": _stack([(robot.id, robot.hand) for robot in robots], columns(HandState)),
+        "plants": _stack([(robot.id, robot.plant) for robot in robots], columns(PlantState)),
+        "wrenches": _stack([(robot.id, robot.wrench) for robot in robots], columns(Wrench)),
+        "multipliers": _stack([(robot.id, robot.multipliers) for robot in robots], declared(Multiplier)),
         "distances": _distances(recording),
         "statuses": _statuses([(robot.id, robot.status) for robot in robots]),
     }
-    for table, column in (("multipliers", "neighbour"), ("hands", "degree")):
-        tables[table][column] = np.asarray(tables[table][column]).astype(np.int64)
     if len(recording.links):
         tables["links"] = _links(recording.links)
     if any(len(robot.truth) for robot in robots):
-        tables["truths"] = _stack([(robot.id, robot.truth) for robot in robots], _PLANT)
+        tables["truths"] = _stack([(robot.id, robot.truth) for robot in robots], columns(PlantState))
     return tables
 
 
-def _stack(parts: Sequence[tuple[int, Table]], names: dict[str, str]) -> Columns:
-    columns: Columns = {
+def _stack(parts: Sequence[tuple[int, Table]], fields: Sequence[Field]) -> Columns:
+    out: Columns = {
         "t_s": np.concatenate([table.t for _, table in parts]),
         "robot": np.concatenate([np.full(len(table), robot, dtype=np.int64) for robot, table in parts]),
     }
-    for name, source in names.items():
-        values = np.concatenate([table[source] for _, table in parts])
-        columns[name] = values.astype(bool) if name in _FLAGS else values
-    return columns
+    for field in fields:
+        values = np.concatenate([table[field.name] for _, table in parts])
+        out[named(field)] = values.astype(_DTYPES[field.kind])
+    return out
+
+
+def named(field: Field) -> str:
+    """Name of a field's column: with its unit, ``speed_mps``."""
+    unit = field.about.unit.replace("/", "p").replace(" ", "").lower()
+    return f"{_NAMES.get(field.name, field.name)}{'_' if unit else ''}{unit}"
 
 
 def _distances(recording: Recording) -> Columns:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from agent.links.fault_plan import FaultPlan
@@ -22,7 +23,6 @@ from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable
 from deploy.verdict.link_audit import audit
 
-_RECEIVED, _LOST, _OFFSET, _ERROR = 2, 3, 4, 5  # columns of StatusTable.neighbours
 Ages = Mapping[tuple[int, int], tuple[Floats, Floats]]
 """By (source, destination): fleet times of the receiver's ticks (s) and the age of what it had then (ms)."""
 
@@ -177,8 +177,8 @@ def _measured(recording: Recording, link: Link) -> dict[str, Any]:
             rows = rows[len(before) - 1 :] if len(before) else rows
             start = float(times[rows[0]]) if len(before) else 0.0
             end = float(times[rows[-1]])
-            received = _counted(entries[rows, _RECEIVED], bool(len(before)))
-            lost = _counted(entries[rows, _LOST], bool(len(before)))
+            received = _counted(entries["received"][rows], bool(len(before)))
+            lost = _counted(entries["lost"][rows], bool(len(before)))
     sent = int(np.count_nonzero((table.t > start) & (table.t <= end)))
     return {"sent": sent, "received": received, "lost": lost}
 
@@ -189,9 +189,9 @@ def _counted(totals: Ints, from_first: bool) -> int:
     return int(np.where(steps >= 0, steps, totals).sum())
 
 
-def _of_neighbour(status: StatusTable, neighbour: int) -> tuple[Floats, Ints]:
-    """Times (n,) of the statuses that speak of a neighbour, and what they say, (n, 6)."""
-    rows = status.neighbours[:, 0] == neighbour
+def _of_neighbour(status: StatusTable, neighbour: int) -> tuple[Floats, NDArray[Any]]:
+    """Times (n,) of the statuses that speak of a neighbour, and what they say, (n,)."""
+    rows = status.neighbours["robot"] == neighbour
     return np.repeat(status.t, status.neighbour_counts)[rows], status.neighbours[rows]
 
 
@@ -209,11 +209,11 @@ def ages(recording: Recording) -> Ages:
         heard = False
         for k in range(len(status)):
             entries = status.neighbours[rows[k] - status.neighbour_counts[k] : rows[k]]
-            was, heard = heard, bool(len(entries)) and bool((entries[:, 1] >= 0).all())
+            was, heard = heard, bool(len(entries)) and bool((entries["age_us"] >= 0).all())
             count = int(status.age_counts[k])
             if not (was and heard) or count % len(entries) or not 0.0 < status.t[k] <= recording.end_s:
                 continue
-            ids = entries[:, 0].tolist()
+            ids = entries["robot"].tolist()
             table = status.ages_us[ends[k] - count : ends[k]].reshape(-1, len(ids))
             back = np.arange(len(table) - 1, -1, -1) / recording.fleet.fleet.rate_hz
             for column, source in enumerate(ids):
@@ -232,15 +232,15 @@ def clock_offsets(recording: Recording) -> list[dict[str, Any]]:
     out = []
     for robot, data in recording.robots.items():
         times, entries = np.repeat(data.status.t, data.status.neighbour_counts), data.status.neighbours
-        entries = entries[(times <= recording.end_s) & (entries[:, _ERROR] >= 0)]
-        last = {int(entry[0]): entry for entry in entries}
+        entries = entries[(times <= recording.end_s) & (entries["error_us"] >= 0)]
+        last = {int(entry["robot"]): entry for entry in entries}
         for neighbour, entry in sorted(last.items()):
             out.append(
                 {
                     "robot": robot,
                     "neighbour": neighbour,
-                    "offset_ms": number(float(entry[_OFFSET]) / 1e3),
-                    "error_ms": number(float(entry[_ERROR]) / 1e3),
+                    "offset_ms": number(float(entry["offset_us"]) / 1e3),
+                    "error_ms": number(float(entry["error_us"]) / 1e3),
                 }
             )
     return out

@@ -143,7 +143,7 @@ def _well_again_s(recording: Recording, robot: int, at_ns: int) -> float | None:
     for t, state, count in zip(
         status.t.tolist(), status.states, status.neighbour_counts.tolist(), strict=True
     ):
-        ages_us = status.neighbours[row : row + count, 1]
+        ages_us = status.neighbours["age_us"][row : row + count]
         row += count
         heard = bool(count and ((ages_us >= 0) & (ages_us < UNSURE_NS // 1000)).all())
         if t > since and state == State.RUNNING.value and heard:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Callable
 from math import inf, isfinite, nan
 from typing import Any
 
@@ -14,96 +15,28 @@ from hypothesis import strategies as st
 
 from agent.messages.codec import VERSION, decode, encode, newer
 from agent.messages.types import (
-    AUTHOR_MAX,
     BYTES_MAX,
-    CHECK_TEXT_MIN,
-    CHECKS_MAX,
-    DEGREE_MAX,
-    EVENTS,
-    EVERY_AUTHOR,
+    CLASSES,
     FLOAT_MAX,
     LEVELS,
-    TIME_NS_MAX,
-    TOPICS,
-    WHAT_MAX,
-    Ask,
-    Beacon,
     Checks,
-    Event,
-    Faults,
     HandState,
-    Heartbeat,
     LinkTrace,
     Message,
     Mission,
-    PlantState,
     Resume,
     Status,
     Stop,
     Wrench,
 )
-from agent.messages.validation import REASONS, Malformed
+from agent.messages.validation import HEAD, REASONS, Malformed, examined, taker
+from tests.declared_messages import messages_of
 from tests.wire import opened, sealed
 
-ROBOT = st.integers(1, 9999)
-NS = st.integers(0, TIME_NS_MAX - 1)
-FLOAT = st.floats(-FLOAT_MAX, FLOAT_MAX)
-DOUBT = st.floats(0.0, FLOAT_MAX)
-TEXT = st.text(max_size=50).filter(lambda text: len(text.encode()) <= 200)
-MICROSECONDS = st.integers(-(2**31), 2**40)
-
-HANDS = st.builds(
-    HandState,
-    *(ROBOT, NS, NS, st.booleans(), st.integers(0, DEGREE_MAX), *[FLOAT] * 10, DOUBT),
-    st.lists(st.tuples(ROBOT, FLOAT), max_size=64).map(tuple),
-    st.lists(st.tuples(ROBOT, MICROSECONDS), max_size=64).map(tuple),
+HANDS, STATUSES, TRACES, RESUMES, CHECKS, MISSIONS, STOPS, WRENCHES = map(
+    messages_of, (HandState, Status, LinkTrace, Resume, Checks, Mission, Stop, Wrench)
 )
-PLANTS = st.builds(PlantState, *(ROBOT, NS, NS, *[FLOAT] * 7, *[st.booleans()] * 3, TEXT))
-WRENCHES = st.builds(Wrench, ROBOT, NS, NS, FLOAT, FLOAT, st.booleans())
-NUMBER = st.integers(-(2**53), 2**53) | FLOAT
-SETTING = TEXT | st.booleans() | NUMBER | st.lists(st.tuples(NUMBER, NUMBER), max_size=5).map(tuple)
-MISSIONS = st.builds(
-    Mission,
-    *(NS, NS, NS, st.integers(1, TIME_NS_MAX - 1), TEXT, NS, NS, TEXT, NS),
-    st.lists(st.tuples(TEXT, SETTING), max_size=5).map(tuple),
-    st.lists(st.tuples(ROBOT, FLOAT, FLOAT), max_size=20).map(tuple),
-    st.lists(st.tuples(ROBOT, ROBOT, FLOAT), max_size=20).map(tuple),
-)
-STOPS = st.builds(Stop, NS, NS, TEXT)
-STATUSES = st.builds(
-    Status,
-    *(ROBOT, NS, NS, TEXT, TEXT, TEXT, NS, NS),
-    st.lists(st.tuples(ROBOT, *[MICROSECONDS] * 5), max_size=20).map(tuple),
-    st.lists(MICROSECONDS, max_size=60).map(tuple),
-    st.lists(MICROSECONDS, max_size=60).map(tuple),
-    st.lists(st.tuples(TEXT, NS), max_size=10).map(tuple),
-)
-PRINTABLE = st.text(min_size=1, max_size=AUTHOR_MAX).filter(
-    lambda text: text.isprintable() and text != EVERY_AUTHOR
-)
-FAULTS = st.builds(Faults, NS, NS, PRINTABLE, NS, NS, st.text(max_size=2000))
-ENTRIES = st.tuples(
-    ROBOT, st.integers(0, len(TOPICS) - 1), NS, NS, st.integers(0, WHAT_MAX), st.integers(-1, 2**40)
-)
-TRACES = st.builds(LinkTrace, ROBOT, NS, NS, st.lists(ENTRIES, max_size=128).map(tuple))
-HAPPENINGS = st.builds(
-    Event, ROBOT, NS, NS, st.sampled_from(["agent", "plant"]), st.sampled_from(EVENTS), TEXT
-)
-RESUMES = st.builds(Resume, NS, NS, st.lists(ROBOT, max_size=64).map(tuple))
-SHORT = st.text(max_size=50).filter(lambda text: len(text.encode()) <= CHECK_TEXT_MIN)
-LINES = st.tuples(SHORT, st.sampled_from(LEVELS), SHORT, SHORT)
-CHECKS = st.builds(Checks, ROBOT, NS, NS, st.lists(LINES, max_size=CHECKS_MAX).map(tuple))
-SILENT = st.lists(st.tuples(ROBOT, NS, st.booleans(), *[FLOAT] * 4), max_size=3).map(tuple)
-BEACONS = st.builds(
-    Beacon,
-    *(ROBOT, NS, NS, st.booleans(), *[FLOAT] * 4, DOUBT, *[st.integers(-1, TIME_NS_MAX - 1)] * 4, SILENT),
-)
-HEARTBEATS = st.builds(Heartbeat, NS, TEXT)
-ASKS = st.builds(Ask, NS, TEXT)
-MESSAGES = st.one_of(
-    HANDS, PLANTS, WRENCHES, MISSIONS, STOPS, STATUSES, FAULTS, TRACES, HAPPENINGS, RESUMES, CHECKS, BEACONS,
-    HEARTBEATS, ASKS,
-)  # fmt: skip
+MESSAGES = st.one_of(*map(messages_of, CLASSES))
 
 
 def floats_of(value: Any) -> list[float]:
@@ -264,6 +197,9 @@ VALUES = st.recursive(
 )
 
 
+HASHABLE = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=5).map(tuple), max_leaves=20)
+
+
 @given(VALUES)
 @settings(max_examples=300)
 def test_any_messagepack(value: Any):
@@ -278,6 +214,30 @@ def test_a_field_replaced_by_anything(message: Message, data: st.DataObject):
     place = data.draw(st.integers(0, len(fields) - 1), label="place")
     fields[place] = data.draw(VALUES, label="value")
     survives(sealed(msgpack.packb(fields)))
+
+
+@given(MESSAGES, st.data())
+@settings(max_examples=500)
+def test_the_short_way_lets_through_what_the_long_way_does_and_nothing_else(
+    message: Message, data: st.DataObject
+):
+    cls = type(message)
+    array = list(msgpack.unpackb(opened(encode(message)), use_list=False, strict_map_key=False))
+    place = data.draw(st.integers(HEAD, len(array) - 1), label="place")
+    array[place] = data.draw(HASHABLE | st.just(array[place]), label="value")
+
+    def outcome(way: Callable[[], Message]) -> object:
+        try:
+            return way()
+        except Malformed as error:
+            return error.reason
+
+    short, long = (
+        outcome(lambda: taker(cls)(tuple(array))),
+        outcome(lambda: examined(cls, tuple(array[HEAD:]))),
+    )
+    assert short == long
+    assert type(short) is type(long)
 
 
 @given(STATUSES | HANDS | TRACES | RESUMES | CHECKS, st.data())

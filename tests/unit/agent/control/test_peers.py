@@ -22,7 +22,7 @@ from agent.control.peers import (
 from agent.control.prediction import Prediction, approach, as_it_came, coasting, following, transition
 from agent.formation.trajectory import Sample
 from agent.messages.codec import decode, encode
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Silent
 
 PERIOD = 20_000_000
 S = 1_000_000_000
@@ -666,7 +666,7 @@ def test_who_has_not_been_heard_for_a_while_is_told_of_and_taken_for_what_it_was
     assert knows.silent(T0 + S, 0.0, 0.0) == ()
     rows = knows.silent(T0 + S + 1, 0.0, 0.0)
     assert rows == ((2, T0, True, 1.0, 2.0, 0.5, 0.0),)
-    new.accept_silent(beacon(3)._replace(silent=rows), T0 + 2 * S)
+    new.accept_silent(beacon(3)._replace(silent=tuple(map(Silent._make, rows))), T0 + 2 * S)
     assert predicted(new, 2, T0).position == (1.0, 2.0)
     assert predicted(new, 2, T0).velocity == (0.5, 0.0)
     assert new.get(2).age_ns(T0 + S) is None  # an edge needs hand states
@@ -677,7 +677,7 @@ def test_hearsay_is_no_news_of_who_was_heard_since_of_oneself_or_of_long_ago():
     rows = ((2, T0, True, 9.0, 9.0, 0.0, 0.0), (1, T0, True, 9.0, 9.0, 0.0, 0.0))
     old, future = T0 - HEARSAY_NS, T0 + 3 * S
     rows += ((4, old, True, 9.0, 9.0, 0.0, 0.0), (5, future, True, 9.0, 9.0, 0.0, 0.0))
-    known.accept_silent(beacon(3)._replace(silent=rows), T0 + 2 * S)
+    known.accept_silent(beacon(3)._replace(silent=tuple(map(Silent._make, rows))), T0 + 2 * S)
     assert predicted(known, 2, T0 + S).position == (1.0, 2.0)
     assert {peer.robot for peer in known.known if peer.message is not None} == {2}
 

@@ -8,7 +8,7 @@ from io import BytesIO
 from itertools import pairwise
 from math import isclose
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,6 +19,7 @@ from agent.fleet.loading import parse_fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (
+    CLASSES,
     CORRUPTED,
     HELD,
     TOPICS,
@@ -41,7 +42,7 @@ from agent.messages.types import (
 )
 from deploy.recording.foxglove import Scene
 from deploy.recording.mcap_reader import MAGIC
-from deploy.recording.message_json import CLASSES, DESCRIPTIONS, reader, schema, to_json
+from deploy.recording.message_json import reader, schema, to_json
 from deploy.recording.recorder import (
     CHANNELS_MAX,
     FLEET_ATTACHMENT,
@@ -162,10 +163,6 @@ def test_checks_and_leave_to_resume_read_like_text() -> None:
     assert to_json(Resume(2, 9, ())) == b'{"version":2,"time_ns":9,"robots":[]}'
 
 
-def test_every_message_of_the_bus_can_be_recorded() -> None:
-    assert set(CLASSES) == set(get_args(Message))
-
-
 OF_EARLIER_VERSIONS = {
     HandState: (
         {"robot": 1, "sequence": 5, "time_ns": 9, "following": True, "x": 1.0, "y": 2.0, "vx": 0.0, "vy": 0.0,
@@ -215,8 +212,11 @@ def test_a_row_of_a_message_lacks_only_what_was_added_later() -> None:
 
 @pytest.mark.parametrize("cls", CLASSES)
 def test_every_field_is_described(cls: type[Message]) -> None:
-    assert list(DESCRIPTIONS[cls]) == list(cls._fields)
-    assert list(schema(cls)["properties"]) == list(cls._fields)
+    described = schema(cls)
+    assert list(described["properties"]) == list(cls._fields)
+    for field in described["properties"].values():
+        for said in (field, *field.get("items", {}).get("properties", {}).values()):
+            assert said["description"]
     assert schema(cls)["title"] == f"handfast.{cls.__name__}"
 
 

@@ -25,6 +25,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import (
     Checks,
+    Decision,
     Event,
     Faults,
     HandState,
@@ -166,7 +167,7 @@ def test_every_column_holds_what_was_sent() -> None:
     assert row(robot.hand) == {
         "t": 2.0, "following": 1.0, "degree": 3.0, "x": 6.0, "y": 7.0, "vx": 8.0, "vy": 9.0,
         "navigation_x": 0.1, "navigation_y": 0.2, "constraint_x": 0.3, "constraint_y": 0.4,
-        "correction_x": 0.5, "correction_y": 0.6,
+        "correction_x": 0.5, "correction_y": 0.6, "doubt": 0.7,
     }  # fmt: skip
     assert row(robot.wrench) == {"t": 3.0, "force": 10.0, "torque": 11.0, "brake": 1.0}
     assert robot.multipliers.t.tolist() == [2.0, 2.0]
@@ -178,7 +179,7 @@ def test_every_column_holds_what_was_sent() -> None:
     assert robot.status.totals() == {"sent": 3}
     assert (robot.status.states, robot.status.transitions) == (("running",), ("epoch",))
     assert (robot.status.mission_versions.tolist(), robot.status.order_versions.tolist()) == ([8], [9])
-    assert robot.status.neighbours.tolist() == [[2, -1, 0, 0, 0, -1]]
+    assert robot.status.neighbours.tolist() == [(2, -1, 0, 0, 0, -1)]
     assert robot.status.neighbour_counts.tolist() == [1]
     assert (robot.plant.sequences.tolist(), robot.hand.sequences.tolist()) == ([4], [5])
     assert robot.wrench.stamps_ns.tolist() == [EPOCH_NS + 3 * 10**9]
@@ -191,10 +192,9 @@ MISSION: Sent = (EPOCH_NS, key_expressions.mission(NAME), Mission(1, EPOCH_NS, E
 
 def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
     t = EPOCH_NS + 10**9
-    agent = LinkTrace(
-        2, 0, t, ((3, 0, 8, t, 0, 40), (1, 0, 7, t, 2, 90), (1, 0, 7, t, 0, 80), (1, 0, 6, t - 9, 1, -1))
-    )
-    plant = LinkTrace(2, 0, t, ((2, 2, 5, t, 1, -1),))
+    done = ((3, 0, 8, t, 0, 40), (1, 0, 7, t, 2, 90), (1, 0, 7, t, 0, 80), (1, 0, 6, t - 9, 1, -1))
+    agent = LinkTrace(2, 0, t, tuple(map(Decision._make, done)))
+    plant = LinkTrace(2, 0, t, (Decision(2, 2, 5, t, 1, -1),))
     sent: list[Sent] = [
         MISSION,
         (t, key_expressions.links(NAME, 2), agent),
@@ -203,7 +203,7 @@ def test_what_was_done_to_messages_is_kept_link_by_link(tmp_path: Path) -> None:
         (
             t,
             key_expressions.links(NAME, 2),
-            agent._replace(entries=((9, 0, 8, t, 0, 40),)),
+            agent._replace(entries=(Decision(9, 0, 8, t, 0, 40),)),
         ),  # from no robot of the fleet
     ]
     for recording in (fed(FLEET, sent), read_run(write_run(tmp_path, FLEET, sent))):
