@@ -10,7 +10,7 @@ import pytest
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
-from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Faults, HandState, LinkTrace, Message
+from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Decision, Faults, HandState, LinkTrace, Message
 from deploy.analysis.analysis import analyse
 from deploy.faults.windows import live_sets, spans
 from deploy.recording.recording import Recording
@@ -70,7 +70,7 @@ def is_told(key: str, message: Message) -> bool:
 
 def _of_hands(message: Message) -> LinkTrace:
     assert isinstance(message, LinkTrace)
-    return message._replace(entries=tuple(entry for entry in message.entries if entry[1] == HAND))
+    return message._replace(entries=tuple(entry for entry in message.entries if entry.topic == HAND))
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_another_seed_is_found_out(lossy: list[Sent]) -> None:
 def test_a_forged_decision_is_found_out(lossy: list[Sent]) -> None:
     def forged(trace: LinkTrace) -> LinkTrace:
         (source, topic, sequence, time_ns, _, _), *rest = trace.entries
-        return trace._replace(entries=((source, topic, sequence, time_ns, 0, 1234), *rest))
+        return trace._replace(entries=(Decision(source, topic, sequence, time_ns, 0, 1234), *rest))
 
     recording = recorded(trio(LOSSY), changed(lossy, forged))
     traces = sum(is_told(key, message) for _, key, message in lossy)

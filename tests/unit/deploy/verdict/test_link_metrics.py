@@ -8,7 +8,18 @@ import pytest
 
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import DUPLICATED, HELD, LOST, OVERFLOW, RANGE, REORDERED, Faults, LinkTrace, Status
+from agent.messages.types import (
+    DUPLICATED,
+    HELD,
+    LOST,
+    OVERFLOW,
+    RANGE,
+    REORDERED,
+    Decision,
+    Faults,
+    LinkTrace,
+    Status,
+)
 from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
@@ -46,7 +57,11 @@ def idle_rules(recording: Recording) -> list[str]:
 
 
 def trace(robot: int, *entries: tuple[int, int, int, int, int, int]) -> Sent:
-    return at(1.9), key_expressions.links(NAME, robot), LinkTrace(robot, 0, at(1.9), entries)
+    return (
+        at(1.9),
+        key_expressions.links(NAME, robot),
+        LinkTrace(robot, 0, at(1.9), tuple(map(Decision._make, entries))),
+    )
 
 
 def status(robot: int, t: float, *neighbours: tuple[int, ...], ages_us: tuple[int, ...] = ()) -> Sent:
@@ -126,7 +141,11 @@ def test_messages_of_the_drive_are_counted_between_two_statuses() -> None:
 
 def test_of_own_plants_only_what_was_sent_is_known() -> None:
     recording = fed(
-        (at(1.9), key_expressions.plant_links(NAME, 1), LinkTrace(1, 0, at(1.9), ((1, 2, 1, at(0.5), 0, 0),)))
+        (
+            at(1.9),
+            key_expressions.plant_links(NAME, 1),
+            LinkTrace(1, 0, at(1.9), (Decision(1, 2, 1, at(0.5), 0, 0),)),
+        )
     )
     (link,) = describe_links(recording)["links"]
     assert (link["link"], link["topic"]) == ("1->1", "wrench")

@@ -16,7 +16,18 @@ from agent.formation.geometry import resolve
 from agent.impairments.impairments import Delay
 from agent.impairments.loss_models import Loss
 from agent.messages import key_expressions
-from agent.messages.types import Event, LinkTrace, Message, Mission, PlantState, Resume, Status, Stop, Wrench
+from agent.messages.types import (
+    Decision,
+    Event,
+    LinkTrace,
+    Message,
+    Mission,
+    PlantState,
+    Resume,
+    Status,
+    Stop,
+    Wrench,
+)
 from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
@@ -311,7 +322,7 @@ def test_stopped() -> None:
 
 
 def test_stopped_waits_for_what_is_delayed_on_purpose() -> None:
-    trace = LinkTrace(2, 0, ns(1.0), ((2, 2, 8, ns(1.0), 0, 500_000),))
+    trace = LinkTrace(2, 0, ns(1.0), (Decision(2, 2, 8, ns(1.0), 0, 500_000),))
     delayed = (ns(1.0), key_expressions.plant_links(NAME, 2), trace)
     late = both(braking(1, 1.1), braking(2, 1.6))
     assert found("stopped", PAIR, extra=[stop(1.0)], change=late)
