@@ -116,7 +116,7 @@ def blame(error: BaseException, plugin: type[Any] | None = None) -> str:
     """An exception in one line: type, text, and the file and line of the innermost code of others.
 
     Args:
-        plugin: the innermost line of its module, by the file's name, where there is one.
+        plugin: only the innermost line of its module counts, by the file's name.
     """
     place, own, trace = "", "", error.__traceback__
     while trace is not None:
@@ -129,7 +129,7 @@ def blame(error: BaseException, plugin: type[Any] | None = None) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         place = f" ({error.filename}:{error.lineno})"
     text = str(error.msg if isinstance(error, SyntaxError) else error).strip().split("\n")[0]
-    return printable(f"{type(error).__name__}: {text[:200]}{own or place}")
+    return printable(f"{type(error).__name__}: {text[:200]}{place if plugin is None else own}")
 
 
 def _imported(reference: str) -> Any:

@@ -18,6 +18,8 @@ from deploy.verdict.violations import Violation
 
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
+SKIPPED_SHARE: Final = 0.05
+"""Of a robot's ticks, that are skipped, from which on its law is named."""
 _GOOD_STATES: Final = frozenset(
     state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
 )
@@ -58,10 +60,28 @@ def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) 
                 f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant: from {gap.start_s:.2f} s to "
                 f"{gap.end_s:.2f} s its place is not known, and taken from what came before and after."
             )
+    found += _late_laws(recording)
     found += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
     if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
         found += link_metrics.idle_rules(recording, a)
     return found + link_metrics.audit_warnings(about_links["links_audit"])
+
+
+def _late_laws(recording: Recording) -> list[str]:
+    """A sentence if a law of others may be why robots skipped ticks."""
+    fleet = recording.fleet
+    if fleet.control.law is None:
+        return []
+    skipped = {robot: data.status.totals().get("overruns", 0) for robot, data in recording.robots.items()}
+    late = [k for k, n in skipped.items() if n > SKIPPED_SHARE * len(recording.robots[k].status.tick_us)]
+    if not late:
+        return []
+    ticks_us = np.concatenate([recording.robots[robot].status.tick_us for robot in late])
+    return [
+        f"{robots(late).capitalize()} skipped {sum(skipped[robot] for robot in late)} ticks: they took "
+        f"{np.median(ticks_us) / 1e3:.1f} ms, of {1e3 / fleet.fleet.rate_hz:.3g} ms; the law "
+        f"{fleet.control.law} may be too slow."
+    ]
 
 
 def _incomplete(recording: Recording) -> list[str]:

@@ -61,7 +61,8 @@ def measured(what: str, value: float) -> float:
 
 def environment() -> dict[str, str]:
     """For a process of this source tree, whichever is installed."""
-    return os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1", "OPENBLAS_NUM_THREADS": "1"}
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return os.environ | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def running(pid: int) -> bool:

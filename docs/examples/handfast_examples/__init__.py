@@ -1,0 +1,1 @@
+"""A plant and two laws of one's own (docs/plugins.md)."""
