@@ -43,7 +43,9 @@ if TYPE_CHECKING:
     from deploy.api.sweep import sweep as sweep
     from deploy.check.finding import Finding as Finding
     from plant.backend import Command as Command
+    from plant.backend import Plant as Plant
     from plant.backend import Reading as Reading
+    from plant.backend import Setup as Setup
 
 _MODULES: Final = {
     # for laws and plants of one's own
@@ -52,9 +54,11 @@ _MODULES: Final = {
     "Law": "agent.control.law_plugin",
     "Moment": "agent.control.law_plugin",
     "Neighbour": "agent.control.law_plugin",
+    "Plant": "plant.backend",
     "Pose": "agent.control.hand",
     "Reading": "plant.backend",
     "Reference": "agent.control.law_plugin",
+    "Setup": "plant.backend",
     "about": "agent.common.settings",
     "register": "agent.common.plugins",
     "setting": "agent.common.settings",

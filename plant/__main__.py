@@ -1,8 +1,8 @@
-"""``python -m plant --fleet FILE --robot ID``: a simulated body as a process.
+"""``python -m plant --fleet FILE --robot ID``: a simulated body, or one that is a plugin, as a process.
 
 It starts where the fleet file has it start; with ``--pose=X,Y,HEADING`` (m, m, W; rad, counter-clockwise from
 x) there; with ``--pose-file FILE`` where that file has it last, so that a process that starts again finds its
-body where it was.
+body where it was. With ``--look`` a vehicle is only looked at.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 
+from agent.common.plugins import PluginError
 from agent.common.time import Clock
+from agent.fleet import plants
 from agent.fleet.model import Fleet
 from agent.messages.types import FLOAT_MAX
 from agent.runtime.process import FAILED, Log, StartError
-from plant.backend import PlantBackend
-from plant.pose_file import PersistentBody, Place, PoseFile, PoseFileError
+from plant.backend import Begin, Place, PlantBackend
+from plant.pose_file import PersistentBody, PoseFile, PoseFileError
 from plant.server import main as serve
-from plant.unicycle import from_fleet
 
 
 def place(text: str) -> Place:
@@ -49,18 +50,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m plant", add_help=False, allow_abbrev=False)
     parser.add_argument("--pose", type=place, metavar="X,Y,HEADING")
     parser.add_argument("--pose-file", type=Path, metavar="FILE")
+    parser.add_argument("--look", action="store_true")
     options, rest = parser.parse_known_args(argv)
 
-    def make(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> PlantBackend:
-        if options.pose_file is None:
-            return from_fleet(fleet, robot, options.pose)
+    def make(fleet: Fleet, robot: int, clock: Clock, log: Log) -> PlantBackend:
+        kind = fleet.robot(robot).kind
+        if not kind.body:
+            raise StartError(f"its plant is {kind.name}: its process is python -m {kind.program}")
+
+        def body(at: Place | None) -> PlantBackend:
+            made: PlantBackend = plants.attribute(kind.body)(
+                fleet, robot, Begin(log, clock.now_ns(), at, look=options.look)
+            )
+            return made
+
         try:
+            if options.pose_file is None:
+                return body(options.pose)
             pose_file = PoseFile(options.pose_file)
+            return PersistentBody(body(options.pose or pose_file.place), pose_file)
+        except PluginError as error:
+            raise StartError(str(error)) from None
         except PoseFileError as error:
             if error.transient:
                 raise
             raise StartError(str(error)) from None
-        return PersistentBody(from_fleet(fleet, robot, options.pose or pose_file.place), pose_file)
 
     try:
         return serve(rest, "python -m plant", make)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
 from agent.control.hand import Pose
+from agent.fleet.sections import Robot
+
+Place = tuple[float, float, float]
+"""x, y (m, W), heading (rad, counter-clockwise from x)."""
 
 
 class Command(NamedTuple):
@@ -90,3 +94,76 @@ class PlantBackend(Protocol):
             now_ns: the present, ns of the wall clock.
         """
         return ()
+
+
+class VirtualBody(PlantBackend, Protocol):
+    """A body in virtual time, which says where it is."""
+
+    @property
+    def pose(self) -> Pose:
+        """Where it was (W) at the last step."""
+        ...
+
+
+class Begin(NamedTuple):
+    """How a body begins.
+
+    Attributes:
+        say: takes what is to be said of it, in sentences.
+        now_ns: the present, ns of the wall clock.
+        at: where it stands, at rest; None: where the fleet file has it.
+        before: in virtual time the body that the robot had, None for the first.
+        look: it is looked at only: a vehicle is not made able to move.
+    """
+
+    say: Callable[[str], None]
+    now_ns: int
+    at: Place | None = None
+    before: VirtualBody | None = None
+    look: bool = False
+
+
+class Setup(NamedTuple):
+    """What a plant of others is made with. More may be added at the end.
+
+    Attributes:
+        robot: its entry in the fleet file: id, mass_kg, inertia_kgm2, limits.
+        settings: its own table, an instance of its `Settings`; None where it has none.
+        start: where its centre stands at the start.
+        period_s: time between two steps, s.
+        timeout_s: a command acts for so long at most when no step follows, s.
+        seed: of its random draws; another one for each robot.
+        look: it is looked at only, before a drive: a vehicle must not be made able to move.
+    """
+
+    robot: Robot
+    settings: Any
+    start: Place
+    period_s: float
+    timeout_s: float
+    seed: int
+    look: bool = False
+
+
+class Plant(PlantBackend):
+    """Base of a plant of others: a class that a fleet file names, as ``plant = "package.module:Class"``.
+
+    It is made with one `Setup`, and asked for one `step` after another.
+
+    Attributes:
+        section: name of its table in the fleet file, ``[robot.NAME]``; None: it has none.
+        Settings: model of that table: a frozen dataclass whose fields are made with `setting`.
+        vehicle: whether it is a real body, which stands where the world has it.
+        simulated: what stands for it in virtual time; None: it itself.
+    """
+
+    section: ClassVar[str | None] = None
+    Settings: ClassVar[type[Any] | None] = None
+    vehicle: ClassVar[bool] = False
+    simulated: ClassVar[type[Plant] | None] = None
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+
+    def close(self) -> None:
+        """See `PlantBackend.close`."""

@@ -18,14 +18,11 @@ from typing import Final
 
 from agent.control.hand import Pose
 from agent.recorder.segment_folder import PASSING
-from plant.backend import Check, Command, PlantBackend, Reading
+from plant.backend import Check, Command, Place, PlantBackend, Reading
 
 _PLACE: Final = Struct("<Qddd")  # number of the record; x, y (m, W), heading (rad)
 _CHECKSUM: Final = Struct("<I")
 _SLOT: Final = _PLACE.size + _CHECKSUM.size
-
-Place = tuple[float, float, float]
-"""x, y (m, W), heading (rad, counter-clockwise from x)."""
 
 
 class PoseFileError(RuntimeError):

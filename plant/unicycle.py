@@ -15,7 +15,7 @@ from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
-from plant.backend import Command, PlantBackend, Reading
+from plant.backend import Begin, Command, PlantBackend, Reading
 
 TURN_MAX: Final = 0.5
 """Largest turn (rad) of one quadrature step; with five points its error is below 1e-12 of the path,
@@ -206,3 +206,8 @@ def from_fleet(fleet: Fleet, robot: int, at: tuple[float, float, float] | None =
         x, y, heading = at
         body = replace(body, x_m=x, y_m=y, heading_rad=heading)
     return Unicycle(body, fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s)
+
+
+def begin(fleet: Fleet, robot: int, how: Begin) -> Unicycle:
+    """The simulated body of a robot; see `agent.fleet.plants.Kind.body`."""
+    return from_fleet(fleet, robot, how.at)

@@ -20,6 +20,7 @@ from agent.common.wording import nearest, printable, show
 _REFERENCE: Final = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)", re.ASCII)
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}", re.ASCII)
 _SECTION: Final = re.compile(r"[a-z][a-z0-9_]{0,40}")
+_OURS: Final = ("agent", "plant", "bridges", "deploy", "handfast", "importlib", "dataclasses", "typing")
 _registered: Final[dict[str, type[Any]]] = {}
 
 
@@ -106,28 +107,28 @@ def section(plugin: type[Any], reference: str, taken: Iterable[str]) -> Entry | 
         entries(model)
     except Exception as error:
         raise PluginError(
-            f"{reference}: its Settings cannot be read: {blame(error)}; write each field as "
-            'name: float = setting(1.0, "What it is", unit="m", ge=0)'
+            f"{reference}: its Settings cannot be read: {blame(error, plugin)}; write each field "
+            'as name: float = setting(1.0, "What it is", unit="m", ge=0)'
         ) from None
     return section_entry(name, model, printable((model.__doc__ or "").strip().split("\n")[0]))
 
 
 def blame(error: BaseException, plugin: type[Any] | None = None) -> str:
-    """An exception in one line: type, text, and the file and line of the innermost code of others.
+    """An exception in one line: type, text, and file and line of the innermost code of others.
 
     Args:
-        plugin: only the innermost line of its module counts, by the file's name.
+        plugin: only the innermost line of its package counts, by the file's name.
     """
+    package = "" if plugin is None else plugin.__module__.partition(".")[0]
     place, own, trace = "", "", error.__traceback__
     while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if not file.startswith("<frozen") and file != __file__ and "/importlib/" not in file:
-            place = f" ({file}:{trace.tb_lineno})"
-        if plugin is not None and trace.tb_frame.f_globals.get("__name__") == plugin.__module__:
-            own = f" ({file.rpartition('/')[2]}:{trace.tb_lineno})"
+        running = str(trace.tb_frame.f_globals.get("__name__", "")).partition(".")[0]
+        file, line = trace.tb_frame.f_code.co_filename, trace.tb_lineno
+        place = place if running in _OURS else f" ({file}:{line})"
+        own = f" ({file.rpartition('/')[2]}:{line})" if running == package else own
         trace = trace.tb_next
     if isinstance(error, SyntaxError) and error.filename:
-        place = f" ({error.filename}:{error.lineno})"
+        place = own = f" ({error.filename}:{error.lineno})"
     text = str(error.msg if isinstance(error, SyntaxError) else error).strip().split("\n")[0]
     return printable(f"{type(error).__name__}: {text[:200]}{place if plugin is None else own}")
 

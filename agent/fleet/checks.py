@@ -15,8 +15,8 @@ from agent.common.reader import Reader
 from agent.common.wording import show
 from agent.fleet.fault_checks import check_faults
 from agent.fleet.hosts import PORT_MAX, check_hosts
-from agent.fleet.mavlink_section import SHARED_LINKS, SIMULATOR
 from agent.fleet.orders import check_orders
+from agent.fleet.plants import KINDS
 from agent.fleet.safety import check_safety
 from agent.fleet.trajectory_checks import check_trajectory
 from agent.messages.types import NEIGHBOURS_MAX
@@ -40,47 +40,24 @@ def check_fleet(values: Mapping[str, Any], raw: Mapping[str, Any], reader: Reade
     given = raw.get("trajectory")
     check_trajectory(values.get("trajectory", {}), given if isinstance(given, dict) else {}, reader)
     _check_timeouts(values, reader)
-    _check_vehicles(robots or [], values, reader)
+    _check_plants(robots or [], values, reader)
     check_hosts(values, reader)
     check_safety(values, reader)
     check_orders(values.get("orders", ()), raw, ids, reader)
 
 
-def _check_vehicles(robots: Sequence[Mapping[str, Any]], values: Mapping[str, Any], reader: Reader) -> None:
-    """Robots that are real vehicles: each is reached in a way of its own, and all have one datum."""
-    vehicles = [(number, row) for number, row in enumerate(robots, 1) if row.get("plant") == "mavlink"]
-    if vehicles and values.get("datum", {}) is None:
-        reader.add(
-            "datum",
-            'table [datum] is missing: robots with plant = "mavlink" need it, for example '
-            "latitude_deg = -35.363261 and longitude_deg = 149.165230",
-        )
-    known: dict[str, list[tuple[int, Any]]] = {}
-    for number, row in vehicles:
-        if "mavlink" not in row:
-            continue  # it has a problem of its own
-        link = row["mavlink"] if row["mavlink"] is not None else {"connection": None}
-        place = f"robot[{number}].mavlink.connection"
-        connection = link.get("connection", SIMULATOR)  # one with a problem is not blamed for another
-        if connection is None:
+def _check_plants(robots: Sequence[Mapping[str, Any]], values: Mapping[str, Any], reader: Reader) -> None:
+    """What each kind of plant needs of its robots, and of the fleet."""
+    for kind in KINDS.values():
+        rows = [(number, row) for number, row in enumerate(robots, 1) if row.get("plant") == kind.name]
+        if rows and kind.needs_datum and values.get("datum", {}) is None:
             reader.add(
-                place,
-                'is missing: plant = "mavlink" needs it, for example connection = "udpin:0.0.0.0:14550"',
+                "datum",
+                f"table [datum] is missing: robots with plant = {show(kind.name)} need it, for example "
+                "latitude_deg = -35.363261 and longitude_deg = 149.165230",
             )
-        elif connection != SIMULATOR:
-            # A router's port takes several bridges; a serial port, or one that is listened on, a single one.
-            shared = connection.startswith(SHARED_LINKS)
-            system = link.get("system", -number)
-            others = known.setdefault(connection, [])
-            for other, its_system in others:
-                if not shared or None in (system, its_system) or system == its_system:
-                    way = "a link, or a system on it," if shared else "a link"
-                    reader.add(
-                        place,
-                        f"robot[{other}] has {show(connection)} already: each robot needs {way} of its own",
-                    )
-                    break
-            others.append((number, system))
+        if kind.check is not None:
+            kind.check(kind.name, rows, reader)
 
 
 def _check_ids(robots: Sequence[Mapping[str, Any]], reader: Reader) -> None:

@@ -1,11 +1,14 @@
-"""The table of a robot that is a vehicle reached by MAVLink (PURE)."""
+"""The table of a robot that is a vehicle reached by MAVLink, and what can be wrong in it (PURE)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
+from agent.common.reader import Reader
 from agent.common.settings import setting
+from agent.common.wording import show
 
 SIMULATOR: Final = "simulator"
 """As a connection: a simulated rover, which whoever starts the bridge starts as well."""
@@ -84,3 +87,33 @@ class MavlinkSection:
         le=20,
     )
     max_yaw_rate_radps: float = setting(1.0, "Never asks for a faster turn.", unit="rad/s", gt=0, le=10)
+
+
+def check_links(kind: str, rows: Sequence[tuple[int, Mapping[str, Any]]], reader: Reader) -> None:
+    """Each of these robots is reached in a way of its own."""
+    known: dict[str, list[tuple[int, Any]]] = {}
+    for number, row in rows:
+        if kind not in row:
+            continue  # it has a problem of its own
+        link = row[kind] if row[kind] is not None else {"connection": None}
+        place = f"robot[{number}].{kind}.connection"
+        connection = link.get("connection", SIMULATOR)  # one with a problem is not blamed for another
+        if connection is None:
+            reader.add(
+                place,
+                f'is missing: plant = {show(kind)} needs it, for example connection = "udpin:0.0.0.0:14550"',
+            )
+        elif connection != SIMULATOR:
+            # A router's port takes several bridges; a serial port, or one that is listened on, a single one.
+            shared = connection.startswith(SHARED_LINKS)
+            system = link.get("system", -number)
+            others = known.setdefault(connection, [])
+            for other, its_system in others:
+                if not shared or None in (system, its_system) or system == its_system:
+                    way = "a link, or a system on it," if shared else "a link"
+                    reader.add(
+                        place,
+                        f"robot[{other}] has {show(connection)} already: each robot needs {way} of its own",
+                    )
+                    break
+            others.append((number, system))

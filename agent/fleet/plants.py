@@ -5,39 +5,72 @@ A kind of ours is an entry of `KINDS`, any other one the class of a plugin. Modu
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import import_module
 from typing import Any, Final, NamedTuple
 
 from agent.common import plugins
+from agent.common.reader import Reader
 from agent.common.settings import Entry, section_entry
 from agent.common.wording import nearest, show
-from agent.fleet.mavlink_section import MavlinkSection
+from agent.fleet.mavlink_section import LINK_FIELDS, MavlinkSection, check_links
 
 GROUP: Final = "handfast.plants"
 """Group of entry points that are plants of others."""
+BASE: Final = "plant.backend:Plant"
+"""What the class of a plant of others is derived from."""
 
 
 class Kind(NamedTuple):
     """One kind of plant.
 
     Attributes:
-        name: as `plant` has it.
+        name: as `plant` has it; of a plugin its reference.
+        says: what drives, for people.
+        body: ``module:function`` that makes its body in its process, (fleet, robot, `plant.backend.Begin`) ->
+            body; "" where its program has a way of its own.
+        virtual: as `body`, of what stands for it in virtual time.
+        program: module of its process.
+        simulator: module of the process that can stand in for the body; "" where there is none.
+        vehicle: whether the body is a real one: it is looked at before a drive, and stands where the world
+            has it. Any other starts where the fleet file says, and its place is kept for it.
+        needs_datum: whether its place is one on the earth.
         section: its table in the fleet file; None: it has none.
         local: fields of that table which only its own computer needs: not part of the digest.
+        check: adds what does not go together in rows of such robots, with their numbers.
     """
 
     name: str
+    says: str = ""
+    body: str = ""
+    virtual: str = ""
+    program: str = "plant"
+    simulator: str = ""
+    vehicle: bool = False
+    needs_datum: bool = False
     section: Entry | None = None
     local: tuple[str, ...] = ()
+    check: Callable[[str, Sequence[tuple[int, Mapping[str, Any]]], Reader], None] | None = None
+
+    @property
+    def is_plugin(self) -> bool:
+        """Whether it is a class of others."""
+        return self.name not in KINDS
 
 
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("unicycle"),
+        Kind("unicycle", "is simulated", body="plant.unicycle:begin", virtual="plant.unicycle:begin"),
         Kind(
             "mavlink",
-            section_entry(
+            "is an ArduPilot Rover, which `[robot.mavlink]` and `[datum]` tell of",
+            virtual="bridges.mavlink.simulator.in_memory:begin",
+            program="bridges.mavlink",
+            simulator="bridges.mavlink.simulator",
+            vehicle=True,
+            needs_datum=True,
+            section=section_entry(
                 "mavlink",
                 MavlinkSection,
                 'How a robot with `plant = "mavlink"` is reached, and what it may do (docs/rovers.md). In '
@@ -45,10 +78,12 @@ KINDS: Final = {
                 "then takes what it leaves out from the former. `connection`, `baud` and `signing_key` are "
                 "not part of the digest.",
             ),
-            local=("connection", "baud", "signing_key"),
+            local=LINK_FIELDS,
+            check=check_links,
         ),
     )
 }
+DEFAULT: Final = next(iter(KINDS))
 
 
 def built_in_sections() -> Iterable[Entry]:
@@ -62,8 +97,23 @@ def kind(reference: str) -> Kind:
     Raises:
         agent.common.plugins.PluginError: there is none.
     """
-    known = KINDS.get(reference)
-    return known or Kind(reference, plugins.section(load(reference), reference, ()))
+    return KINDS.get(reference) or _kind_of_class(load(reference), reference)
+
+
+def _kind_of_class(plugin: type[Any], reference: str) -> Kind:
+    return Kind(
+        reference,
+        body="plant.plugin:begin",
+        virtual="plant.plugin:begin_virtual",
+        vehicle=bool(plugin.vehicle),
+        section=plugins.section(plugin, reference, ()),
+    )
+
+
+def attribute(reference: str) -> Any:
+    """What a ``module:name`` of ours is, imported now."""
+    module, _, name = reference.partition(":")
+    return getattr(import_module(module), name)
 
 
 def load(reference: str) -> type[Any]:
@@ -73,7 +123,7 @@ def load(reference: str) -> type[Any]:
         agent.common.plugins.PluginError: there is none.
     """
     try:
-        return plugins.load(reference, GROUP)
+        return plugins.load(reference, GROUP, BASE)
     except plugins.PluginError as error:
         if ":" in reference:
             raise

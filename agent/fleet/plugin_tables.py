@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from agent.common import plugins
 from agent.common.reader import Problem, Reader
 from agent.common.settings import Entry, entries
 from agent.fleet import plants
-from agent.fleet.sections import Body, ControlSection, Robot, load_law
+from agent.fleet.sections import LAWS_GROUP, Body, ControlSection, Robot, load_law
 
 NAMES_A_PLUGIN: Final = re.compile(
     r"\s*((robot_defaults|robot\s*\.[^.=]*)\s*\.\s*plant|control\s*\.\s*law)\s*="
@@ -46,22 +46,21 @@ def read_plugins(raw: Mapping[str, Any], reader: Reader) -> list[Problem]:
     return problems
 
 
-def complete(values: MutableMapping[str, Any], reader: Reader) -> None:
-    """Gives every robot, and `control`, the table of the plugin that it uses, where the file has none."""
-    rows = [(f"robot[{k}]", row, row["plant"]) for k, row in enumerate(values["robots"], 1)]
-    control = values["control"]
-    for holder, uses in ((Body, rows), (ControlSection, [("control", control, control["law"])])):
-        for entry in reader.sections.get(holder, ()):
-            for place, row, reference in uses:
-                if reference is not None and _section_name(holder, reference) == entry.key:
-                    reader.complete(entry, row, place)
+def complete(values: Mapping[str, Any], reader: Reader) -> None:
+    """Writes plugins as ``package.module:Class``, and adds the tables of those that are used.
 
-
-def _section_name(holder: type, reference: str) -> str | None:
-    if holder is Body and reference in plants.KINDS:
-        return None
-    plugin = (plants.load if holder is Body else load_law)(reference)
-    return getattr(plugin, "section", None)
+    `values` are valid.
+    """
+    robots = [(f"robot[{k}]", row, "plant", plants.GROUP) for k, row in enumerate(values["robots"], 1)]
+    for place, row, field, group in [*robots, ("control", values["control"], "law", LAWS_GROUP)]:
+        if row[field] is None or row[field] in plants.KINDS:
+            continue
+        row[field] = reference = plugins.resolve(row[field], group)
+        load = load_law if group == LAWS_GROUP else plants.load
+        name = getattr(load(reference), "section", None)
+        for entry in (entry for held in reader.sections.values() for entry in held if entry.key == name):
+            if entry.attribute in row:
+                reader.complete(entry, row, place)
 
 
 def _references(raw: Mapping[str, Any]) -> Iterator[tuple[str, str, type, Callable[[str], type[Any]]]]:

@@ -262,9 +262,10 @@ class Body(Sectioned):
         le=100,
     )
     plant: str = setting(
-        "unicycle",
-        "What drives: `unicycle` is simulated, `mavlink` is an ArduPilot Rover, which `[robot.mavlink]` and "
-        "`[datum]` tell of. Or a plugin: its class, `package.module:Class`, or its name (docs/plugins.md).",
+        plants.DEFAULT,
+        "What drives: "
+        + ", ".join(f"`{kind.name}` {kind.says}" for kind in plants.KINDS.values())
+        + ". Or a plugin: its class, `package.module:Class`, or its name (docs/plugins.md).",
     )
     max_force_n: float | None = setting(
         None, "Largest driving force; left out: no limit.", unit="N", gt=0, le=1e6, example="50.0"
@@ -295,9 +296,14 @@ class Body(Sectioned):
     )
     sections: Sections = setting((), "Tables of kinds of plant.", sections=plants.built_in_sections)
 
+    @property
+    def kind(self) -> plants.Kind:
+        """What its `plant` is."""
+        return plants.kind(self.plant)
+
     def section(self, model: type[T]) -> T | None:
         """The table of this model, None where the robot's plant has no such table or it is not given."""
-        own = plants.kind(self.plant).section
+        own = self.kind.section
         return Sectioned.section(self, model) if own is not None and own.hint is model else None
 
 

@@ -150,7 +150,7 @@ def _fill_downs(recording: Recording, grid: Floats, hands: Floats) -> None:
     They come to a stand within the wrench timeout and their braking time, and stand where they are found.
     """
     for index, (robot, data) in enumerate(recording.robots.items()):
-        if recording.mode != "simulate" and recording.fleet.robot(robot).plant != "unicycle":
+        if recording.mode != "simulate" and recording.fleet.robot(robot).kind.vehicle:
             continue
         t = data.body.t
         for down in downs(recording, robot, "plant"):

@@ -40,7 +40,7 @@ class LocalRun:
         self._interrupt = interrupt
         self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles)
         self.reasons: list[str] = []
-        self._has_vehicles = any(robot.plant == "mavlink" for robot in fleet.robots)
+        self._has_vehicles = any(robot.kind.vehicle for robot in fleet.robots)
 
     def run(self) -> None:
         """From start to end; whatever happens, no process is left.

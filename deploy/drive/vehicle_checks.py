@@ -48,7 +48,7 @@ class VehicleChecks:
     """
 
     def __init__(self, fleet: Fleet) -> None:
-        self.robots: Final = tuple(robot.id for robot in fleet.robots if robot.plant == "mavlink")
+        self.robots: Final = tuple(robot.id for robot in fleet.robots if robot.kind.vehicle)
         self._name = fleet.fleet.name
         self._newest: dict[int, Checks] = {}
         self._since_ns: dict[tuple[int, str], int] = {}

@@ -17,7 +17,6 @@ from agent.fleet.model import Fleet
 from agent.security.identity import of_robot
 from deploy.console.exit import BAD_INPUT
 from deploy.processes.child import ONE_THREAD
-from deploy.processes.local import MODULES
 
 RECORDER: Final = "recorder"
 RECORDER_MODULE: Final = "agent.recorder"
@@ -92,13 +91,13 @@ def identifier(fleet: str, robot: int, role: str) -> str:
 
 def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
     """The command line of a process."""
-    kind = fleet.robot(robot).plant
-    module = {"agent": "agent", "plant": MODULES[kind], RECORDER: RECORDER_MODULE}[role]
+    kind = fleet.robot(robot).kind
+    module = {"agent": "agent", "plant": kind.program, RECORDER: RECORDER_MODULE}[role]
     words = [f"{places.version}/bin/python", "-P", "-m", module]
     words += ["--fleet", places.fleet_file, "--robot", str(robot)]
     if places.keys is not None:
         words += ["--keys", places.keys]
-    if role == "plant" and kind == "unicycle":
+    if role == "plant" and not kind.vehicle:
         words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
     if role == RECORDER:
         words += ["--folder", f"{places.recordings}/robot-{robot}"]

@@ -14,11 +14,8 @@ from deploy.faults.process_actions import Action, Process
 from deploy.processes.child import Child, end_all
 from deploy.processes.placement import Vehicle
 
-MODULES: Final = {"unicycle": "plant", "mavlink": "bridges.mavlink"}
-"""Kind of plant -> module that hosts it."""
 VEHICLE: Final = "vehicle"
 """Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""
-VEHICLE_MODULE: Final = "bridges.mavlink.simulator"
 
 
 class Processes:
@@ -54,18 +51,19 @@ class Processes:
 
     def start(self) -> None:
         for vehicle in self._vehicles:
-            self._run(vehicle.robot, VEHICLE, VEHICLE_MODULE, vehicle.arguments)
+            simulator = self._fleet.robot(vehicle.robot).kind.simulator
+            self._run(vehicle.robot, VEHICLE, simulator, vehicle.arguments)
         for robot, role in self._wanted:
             self._start(robot, role, None)
 
     def _start(self, robot: int, role: str, pose: Pose | None) -> None:
-        kind = self._fleet.robot(robot).plant
-        module = "agent" if role == "agent" else MODULES[kind]
+        kind = self._fleet.robot(robot).kind
+        module = "agent" if role == "agent" else kind.program
         arguments = ["--fleet", str(self._fleet_file), "--robot", str(robot)]
-        if role == "plant" and kind == "unicycle" and pose is not None:
+        if role == "plant" and not kind.vehicle and pose is not None:
             # A simulated body starts at rest where it was. A vehicle goes on by itself.
             arguments.append(f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}")
-        if role == "plant" and kind == "mavlink" and self._look:
+        if role == "plant" and kind.vehicle and self._look:
             arguments.append("--look")
         self._run(robot, role, module, arguments)
 

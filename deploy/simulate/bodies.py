@@ -1,39 +1,34 @@
-"""The bodies of a fleet in virtual time: simulated unicycles, and simulated rovers with their bridges."""
+"""The bodies of a fleet in virtual time: simulated ones, and what stands for vehicles."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
+from agent.fleet import plants
 from agent.fleet.model import Fleet
-from plant.unicycle import Unicycle, from_fleet
-
-if TYPE_CHECKING:
-    from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
+from plant.backend import Begin, VirtualBody
 
 
 class Bodies:
-    """Makes the bodies of `fleet`, and makes them again for plants that start again."""
+    """Makes the bodies of `fleet`, and makes them again for plants that start again.
 
-    def __init__(self, fleet: Fleet) -> None:
-        self._fleet = fleet
-        self._unicycles: dict[int, Unicycle] = {}
-        self._rovers: dict[int, SimulatedRoverPlant] = {}
+    Args:
+        say: takes what is to be said of a body, in sentences.
+    """
 
-    def make(self, robot: int, now_ns: int) -> Unicycle | SimulatedRoverPlant:
+    def __init__(self, fleet: Fleet, say: Callable[[str], None] = print) -> None:
+        self._fleet, self._say = fleet, say
+        self._bodies: dict[int, VirtualBody] = {}
+
+    def make(self, robot: int, now_ns: int) -> VirtualBody:
         """The body for a new plant of a robot, at `now_ns` by the robot's clock.
 
-        The first is where the fleet file has it. After that a unicycle stands where it was, at rest; a rover
-        is the same one, which went on by itself, with a new bridge.
+        The first is where the fleet file has it. After that a simulated body stands where it was, at rest; a
+        simulated vehicle is the same one, which went on by itself, with a new bridge.
         """
-        if self._fleet.robot(robot).plant == "mavlink":
-            # Here: other fleets need none of it.
-            from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
-
-            before = self._rovers.get(robot)
-            rover = SimulatedRoverPlant(self._fleet, robot, now_ns, None if before is None else before.rover)
-            self._rovers[robot] = rover
-            return rover
-        known = self._unicycles.get(robot)
-        unicycle = from_fleet(self._fleet, robot, None if known is None else known.pose[:3])
-        self._unicycles[robot] = unicycle
-        return unicycle
+        before = self._bodies.get(robot)
+        at = None if before is None else (before.pose.x, before.pose.y, before.pose.heading)
+        make = plants.attribute(self._fleet.robot(robot).kind.virtual)
+        body: VirtualBody = make(self._fleet, robot, Begin(self._say, now_ns, at, before))
+        self._bodies[robot] = body
+        return body

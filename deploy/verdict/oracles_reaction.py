@@ -114,7 +114,7 @@ def _moves(
     t, speed = data.body.t, np.abs(data.body["speed"])
     is_own = data.body["obeying"] > 0.0
     braking_s = VEHICLE_STAND_S
-    if body.plant == "unicycle" or recording.mode == "simulate":
+    if not body.kind.is_plugin and (not body.kind.vehicle or recording.mode == "simulate"):
         at = int(np.searchsorted(t, start_s))
         most = float(speed[at : at + 20].max(initial=0.0))
         hardest = BRAKE_DECELERATION_MAX if body.max_force_n is None else body.max_force_n / body.mass_kg

@@ -38,7 +38,7 @@ from bridges.mavlink.bridge.authority import Holder
 from bridges.mavlink.session.streams import wanted_messages
 from bridges.mavlink.simulator.in_memory import SimulatedRoverPlant
 from deploy.console.arguments import fleet_path
-from deploy.processes.local import MODULES, VEHICLE, VEHICLE_MODULE
+from deploy.processes.local import VEHICLE
 from deploy.processes.placement import ADDRESS, Vehicle, place
 from deploy.processes.ports import Reservation
 from plant.backend import Command
@@ -98,16 +98,16 @@ def _start(
         group.start(with_readers, how, [sys.executable, "-P", str(BARE), json.dumps(order)], {})
     for vehicle in vehicles:
         arguments = list(vehicle.arguments)
-        role = VEHICLE
+        role, simulator = VEHICLE, fleet.robot(vehicle.robot).kind.simulator
         if vehicle.robot == with_readers:
             arguments += [f"--connect=udp:{ADDRESS}:{port}" for port in reader_ports]
             role = "busy vehicle"
-        group.start(vehicle.robot, role, [sys.executable, "-P", "-m", VEHICLE_MODULE, *arguments], {})
+        group.start(vehicle.robot, role, [sys.executable, "-P", "-m", simulator, *arguments], {})
     for robot in fleet.robots:
         start = ["--fleet", str(fleet_file), "--robot", str(robot.id), "--exit-with-parent"]
         group.start(robot.id, "agent", [sys.executable, "-P", "-m", "agent", *start], {})
-        role = "bridge" if robot.plant == "mavlink" else "plant"
-        group.start(robot.id, role, [sys.executable, "-P", "-m", MODULES[robot.plant], *start], {})
+        role = "bridge" if robot.kind.vehicle else "plant"
+        group.start(robot.id, role, [sys.executable, "-P", "-m", robot.kind.program, *start], {})
 
 
 ROLES: Final = ("agent", "bridge", "plant", VEHICLE, "busy vehicle", *READERS)

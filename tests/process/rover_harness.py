@@ -21,7 +21,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Checks, Resume
 from bridges.mavlink.transport.transport import open_transport
 from deploy.console.data_files import FLEETS
-from deploy.processes.local import MODULES, VEHICLE, VEHICLE_MODULE
+from deploy.processes.local import VEHICLE
 from deploy.processes.placement import Vehicle, place, vehicle
 from deploy.processes.ports import Reservation
 from tests.ground_station import Operator
@@ -100,9 +100,9 @@ class Rovers(Robots):
 
     def start(self, robot: int, role: str, *more: str) -> None:
         if role == VEHICLE:
-            self.run(robot, role, VEHICLE_MODULE, *self.vehicles[robot].arguments)
+            self.run(robot, role, self.fleet.robot(robot).kind.simulator, *self.vehicles[robot].arguments)
         else:
-            module = MODULES[self.fleet.robot(robot).plant] if role == "plant" else role
+            module = self.fleet.robot(robot).kind.program if role == "plant" else role
             self.run(robot, role, module, "--fleet", str(self.fleet_file), "--robot", str(robot), *more)
 
     def start_all(self) -> None:

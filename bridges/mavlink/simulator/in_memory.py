@@ -12,7 +12,7 @@ from bridges.mavlink.ardupilot import frames
 from bridges.mavlink.bridge.backend import MavlinkPlant, session
 from bridges.mavlink.simulator.rover import Rover
 from bridges.mavlink.simulator.settings import settings_of
-from plant.backend import Check, Command, PlantBackend, Reading
+from plant.backend import Begin, Check, Command, PlantBackend, Reading
 
 LATENCY_NS: Final = 2_000_000
 """One way, between bridge and vehicle: as over a network on one machine."""
@@ -105,3 +105,9 @@ class SimulatedRoverPlant(PlantBackend):
     def close(self) -> None:
         """See `PlantBackend.close`."""
         self.plant.close()
+
+
+def begin(fleet: Fleet, robot: int, how: Begin) -> SimulatedRoverPlant:
+    """The rover that a robot had with a new bridge, or the first; see `agent.fleet.plants.Kind.virtual`."""
+    rover = how.before.rover if isinstance(how.before, SimulatedRoverPlant) else None
+    return SimulatedRoverPlant(fleet, robot, how.now_ns, rover)

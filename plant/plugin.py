@@ -1,0 +1,156 @@
+"""Drives a body that is a plugin, and says in one line what its class does wrong.
+
+A body that has failed is unhealthy from then on, so its robot is in fault, and is only ever asked to brake.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar
+
+from agent.common import random_streams
+from agent.common.plugins import PluginError, blame
+from agent.common.time import NS_PER_S
+from agent.common.wording import show
+from agent.control.hand import Pose
+from agent.fleet import plants
+from agent.fleet.model import Fleet
+from agent.messages.types import FLOAT_MAX, LEVELS
+from plant.backend import Begin, Check, Command, Plant, PlantBackend, Reading, Setup
+
+T = TypeVar("T")
+
+BLOCKING: Final = LEVELS[2]
+SLOW_STEPS: Final = 20
+"""Steps that are slow one after another make a body slow: a single one may be the machine's doing."""
+
+
+class PluginBody(PlantBackend):
+    """The body `plant`, an instance of the class `name`.
+
+    Args:
+        begin: where it is until its first step, at rest.
+        period_ns: time between two steps.
+        say: takes what goes wrong, once each.
+        clock: ns of any clock: what the time of a step is measured with.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        plant: Plant,
+        begin: Pose,
+        period_ns: int,
+        say: Callable[[str], None],
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self._name, self._plant, self._period_ns, self._say, self._clock = name, plant, period_ns, say, clock
+        self._pose = begin
+        self._failed = ""
+        self._slow, self._told_slow = 0, False
+        self._ready = (Check("plant", "ok", f"{name} is there"),) if plant.vehicle else ()
+
+    @property
+    def pose(self) -> Pose:
+        """Where it was (W) at the last step."""
+        return self._pose
+
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        """See `PlantBackend.step`."""
+        begun_ns = self._clock()
+        reading = self._asked("step", self._plant.step, now_ns, None if self._failed else command)
+        if reading is not None and (wrong := _wrong(reading)):
+            self._fail(f"step {wrong}")
+            reading = None
+        if reading is None:  # it is where it was seen last
+            pose = self._pose._replace(speed=0.0, yaw_rate=0.0)
+            return Reading(now_ns, pose, 0.0, 0.0, False, self._failed)
+        self._pose = reading.pose
+        self._time(self._clock() - begun_ns)
+        return reading._replace(healthy=False, note=self._failed) if self._failed else reading
+
+    def _asked(self, what: str, method: Callable[..., T], *arguments: object) -> T | None:
+        """What a method returns, None where it fails."""
+        try:
+            return method(*arguments)
+        except Exception as error:
+            self._fail(f"{what} failed with {blame(error, type(self._plant))}")
+            return None
+
+    def _fail(self, wrong: str) -> None:
+        if not self._failed:
+            self._failed = f"{self._name}: {wrong}"
+            self._say(self._failed)
+
+    def _time(self, took_ns: int) -> None:
+        """Says once that steps take longer than there is time for."""
+        self._slow = self._slow + 1 if took_ns > self._period_ns else 0
+        if self._slow == SLOW_STEPS and not self._told_slow:
+            self._told_slow = True
+            self._say(
+                f"{self._name}: step is too slow: {SLOW_STEPS} times more than the period of "
+                f"{self._period_ns / 1e6:g} ms, {took_ns / 1e6:.0f} ms the last time; its ticks are overrun"
+            )
+
+    def clear_to_drive(self) -> None:
+        """See `PlantBackend.clear_to_drive`."""
+        self._asked("clear_to_drive", self._plant.clear_to_drive)
+
+    def checks(self, now_ns: int) -> Sequence[Check]:
+        """See `PlantBackend.checks`."""
+        found = self._asked("checks", self._plant.checks, now_ns)
+        if self._failed:
+            return (Check("plant", BLOCKING, self._failed),)
+        return found or self._ready
+
+    def close(self) -> None:
+        """See `PlantBackend.close`."""
+        self._asked("close", self._plant.close)
+
+
+def _wrong(reading: Any) -> str:
+    """What is wrong with what a step returned, "" for nothing."""
+    if not isinstance(reading, Reading):
+        return f"returned {type(reading).__name__}, not a Reading: Reading(now_ns, Pose(...), force, torque)"
+    if not isinstance(reading.pose, Pose):
+        return f"returned a Reading whose pose is {type(reading.pose).__name__}, not a Pose"
+    numbers = {**reading.pose._asdict(), "force": reading.force, "torque": reading.torque}
+    for name, value in numbers.items():
+        if not isinstance(value, (int, float)) or not abs(value) <= FLOAT_MAX:
+            return f"returned a Reading whose {name} is {show(value)}"
+    if type(reading.time_ns) is not int or type(reading.note) is not str:
+        return "returned a Reading whose time_ns is no whole number, or whose note is no text"
+    return ""
+
+
+def begin(fleet: Fleet, robot: int, how: Begin) -> PluginBody:
+    """The body of a robot whose plant is a plugin; see `agent.fleet.plants.Kind.body`.
+
+    Raises:
+        agent.common.plugins.PluginError: its class cannot be used, or fails while it is made.
+    """
+    reference = fleet.robot(robot).plant
+    return _made(reference, plants.load(reference), fleet, robot, how)
+
+
+def begin_virtual(fleet: Fleet, robot: int, how: Begin) -> PluginBody:
+    """As `begin`, of what stands for it in virtual time; see `agent.fleet.plants.Kind.virtual`."""
+    reference = fleet.robot(robot).plant
+    plugin = plants.load(reference)
+    return _made(reference, plugin.simulated or plugin, fleet, robot, how)
+
+
+def _made(reference: str, plugin: type[Plant], fleet: Fleet, robot: int, how: Begin) -> PluginBody:
+    row = fleet.robot(robot)
+    start = how.at or (row.x_m, row.y_m, row.heading_rad)
+    settings = None if row.kind.section is None else row.section(row.kind.section.hint)
+    seed = random_streams.stream(fleet.fleet.seed, "plugin", robot)
+    period_s, timeout_s = fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s
+    try:
+        plant = plugin(Setup(row, settings, start, period_s, timeout_s, seed, how.look))
+    except Exception as error:
+        why = f"cannot be made: {blame(error, plugin)}"
+        raise PluginError(f"{reference}: {why}; __init__ takes self and one Setup") from None
+    name = reference.rpartition(":")[2]
+    return PluginBody(name, plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.say)
