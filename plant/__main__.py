@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         def body(at: Place | None) -> PlantBackend:
             made: PlantBackend = plants.attribute(kind.body)(
-                fleet, robot, Begin(log, clock.now_ns(), at, look=options.look)
+                fleet, robot, Begin(clock.now_ns(), at, None, options.look, log)
             )
             return made
 

@@ -109,18 +109,18 @@ class Begin(NamedTuple):
     """How a body begins.
 
     Attributes:
-        say: takes what is to be said of it, in sentences.
         now_ns: the present, ns of the wall clock.
         at: where it stands, at rest; None: where the fleet file has it.
         before: in virtual time the body that the robot had, None for the first.
         look: it is looked at only: a vehicle is not made able to move.
+        log: takes a line of its process's log.
     """
 
-    say: Callable[[str], None]
     now_ns: int
     at: Place | None = None
     before: VirtualBody | None = None
     look: bool = False
+    log: Callable[[str], None] = lambda _: None
 
 
 class Setup(NamedTuple):

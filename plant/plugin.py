@@ -22,8 +22,8 @@ from plant.backend import Begin, Check, Command, Plant, PlantBackend, Reading, S
 T = TypeVar("T")
 
 BLOCKING: Final = LEVELS[2]
-SLOW_STEPS: Final = 20
-"""Steps that are slow one after another make a body slow: a single one may be the machine's doing."""
+LATE_STEPS: Final = 20
+"""So many steps one after another make a body slow: a single one may be the machine's doing."""
 
 
 class PluginBody(PlantBackend):
@@ -48,7 +48,7 @@ class PluginBody(PlantBackend):
         self._name, self._plant, self._period_ns, self._say, self._clock = name, plant, period_ns, say, clock
         self._pose = begin
         self._failed = ""
-        self._slow, self._told_slow = 0, False
+        self._late, self._slow = 0, ""
         self._ready = (Check("plant", "ok", f"{name} is there"),) if plant.vehicle else ()
 
     @property
@@ -59,16 +59,20 @@ class PluginBody(PlantBackend):
     def step(self, now_ns: int, command: Command | None) -> Reading:
         """See `PlantBackend.step`."""
         begun_ns = self._clock()
-        reading = self._asked("step", self._plant.step, now_ns, None if self._failed else command)
-        if reading is not None and (wrong := _wrong(reading)):
+        try:
+            reading = self._plant.step(now_ns, None if self._failed else command)
+            wrong = _wrong(reading)
+        except Exception as error:
+            wrong = f"failed with {blame(error, type(self._plant))}"
+        if wrong:  # it is where it was seen last
             self._fail(f"step {wrong}")
-            reading = None
-        if reading is None:  # it is where it was seen last
             pose = self._pose._replace(speed=0.0, yaw_rate=0.0)
             return Reading(now_ns, pose, 0.0, 0.0, False, self._failed)
         self._pose = reading.pose
+        if self._failed:
+            return reading._replace(healthy=False, note=self._failed)
         self._time(self._clock() - begun_ns)
-        return reading._replace(healthy=False, note=self._failed) if self._failed else reading
+        return reading._replace(note=self._slow) if self._slow and not reading.note else reading
 
     def _asked(self, what: str, method: Callable[..., T], *arguments: object) -> T | None:
         """What a method returns, None where it fails."""
@@ -84,14 +88,14 @@ class PluginBody(PlantBackend):
             self._say(self._failed)
 
     def _time(self, took_ns: int) -> None:
-        """Says once that steps take longer than there is time for."""
-        self._slow = self._slow + 1 if took_ns > self._period_ns else 0
-        if self._slow == SLOW_STEPS and not self._told_slow:
-            self._told_slow = True
-            self._say(
-                f"{self._name}: step is too slow: {SLOW_STEPS} times more than the period of "
+        """Notes that steps take longer than there is time for."""
+        self._late = self._late + 1 if took_ns > self._period_ns else 0
+        if self._late == LATE_STEPS and not self._slow:
+            self._slow = (
+                f"{self._name}: step is too slow: {LATE_STEPS} times more than the period of "
                 f"{self._period_ns / 1e6:g} ms, {took_ns / 1e6:.0f} ms the last time; its ticks are overrun"
             )
+            self._say(self._slow)
 
     def clear_to_drive(self) -> None:
         """See `PlantBackend.clear_to_drive`."""
@@ -113,9 +117,10 @@ def _wrong(reading: Any) -> str:
     """What is wrong with what a step returned, "" for nothing."""
     if not isinstance(reading, Reading):
         return f"returned {type(reading).__name__}, not a Reading: Reading(now_ns, Pose(...), force, torque)"
-    if not isinstance(reading.pose, Pose):
-        return f"returned a Reading whose pose is {type(reading.pose).__name__}, not a Pose"
-    numbers = {**reading.pose._asdict(), "force": reading.force, "torque": reading.torque}
+    pose: object = reading.pose
+    if not isinstance(pose, Pose):
+        return f"returned a Reading whose pose is {type(pose).__name__}, not a Pose"
+    numbers = {**pose._asdict(), "force": reading.force, "torque": reading.torque}
     for name, value in numbers.items():
         if not isinstance(value, (int, float)) or not abs(value) <= FLOAT_MAX:
             return f"returned a Reading whose {name} is {show(value)}"
@@ -153,4 +158,4 @@ def _made(reference: str, plugin: type[Plant], fleet: Fleet, robot: int, how: Be
         why = f"cannot be made: {blame(error, plugin)}"
         raise PluginError(f"{reference}: {why}; __init__ takes self and one Setup") from None
     name = reference.rpartition(":")[2]
-    return PluginBody(name, plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.say)
+    return PluginBody(name, plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.log)

@@ -28,7 +28,7 @@ class MavlinkSection:
         None,
         "Where the vehicle is, as pymavlink writes it: `udpin:HOST:PORT` (it sends to this port), "
         "`udpout:HOST:PORT`, `tcp:HOST:PORT`, or a serial port, best by its id. `simulator`: `run` and "
-        '`preflight` start a simulated rover. Each robot with `plant = "mavlink"` needs one.',
+        "`preflight` start a simulated rover. Each such robot needs one.",
         pattern=rf"simulator|(udpin|udpout|udp|tcp):{_HOST}:{_PORT}|/dev/[^\s,]{{1,200}}",
         pattern_says='"simulator", "udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT" or a serial port '
         'such as "/dev/serial/by-id/usb-ArduPilot..."',

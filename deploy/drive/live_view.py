@@ -18,7 +18,7 @@ from agent.formation.geometry import Geometry
 from agent.formation.reference import Reference
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
-from agent.messages.types import Faults, HandState, Message, Mission, Resume, Status, Stop
+from agent.messages.types import Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
 from agent.supervision.state_machine import State
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
 from deploy.drive.news import News
@@ -107,6 +107,9 @@ class Watch:
         elif type(message) is Status and key == key_expressions.status(name, message.robot):
             if _keep_newest(self.statuses, message):
                 self._news.state(message.robot, message.state, message.reason)
+        elif type(message) is PlantState:
+            if message.note and message.healthy and message.obeying:
+                self._news.remark(message.robot, message.note)
         elif type(message) is Faults:
             self._held.feed(key, message)
         elif type(message) is Mission or type(message) is Stop or type(message) is Resume:

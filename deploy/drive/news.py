@@ -33,6 +33,7 @@ class News:
         """Robots that do not drive although others do, and how it is said that they do again."""
         self._orders: list[str] = []
         self._changes: list[tuple[int, str, str, str]] = []
+        self._remarks: set[str] = set()
 
     def order(self, message: Mission | Stop | Resume) -> None:
         """Takes a mission, stop or resume that is newer than those before."""
@@ -53,6 +54,13 @@ class News:
         if state != before:
             self._states[robot] = state
             self._changes.append((robot, before, state, reason))
+
+    def remark(self, robot: int, text: str) -> None:
+        """Takes what is worth knowing of a robot; it is said once."""
+        text = f"{robots([robot])}: {text}"
+        if text not in self._remarks:
+            self._remarks.add(text)
+            self._orders.append(text)
 
     def sentences(self, time_s: float | None) -> list[str]:
         """What happened since the last call; `time_s` is the fleet time, None before the epoch is set."""

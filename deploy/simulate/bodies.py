@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from agent.fleet import plants
 from agent.fleet.model import Fleet
 from plant.backend import Begin, VirtualBody
 
 
 class Bodies:
-    """Makes the bodies of `fleet`, and makes them again for plants that start again.
+    """Makes the bodies of `fleet`, and makes them again for plants that start again."""
 
-    Args:
-        say: takes what is to be said of a body, in sentences.
-    """
-
-    def __init__(self, fleet: Fleet, say: Callable[[str], None] = print) -> None:
-        self._fleet, self._say = fleet, say
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
         self._bodies: dict[int, VirtualBody] = {}
 
     def make(self, robot: int, now_ns: int) -> VirtualBody:
@@ -29,6 +23,6 @@ class Bodies:
         before = self._bodies.get(robot)
         at = None if before is None else (before.pose.x, before.pose.y, before.pose.heading)
         make = plants.attribute(self._fleet.robot(robot).kind.virtual)
-        body: VirtualBody = make(self._fleet, robot, Begin(self._say, now_ns, at, before))
+        body: VirtualBody = make(self._fleet, robot, Begin(now_ns, at, before))
         self._bodies[robot] = body
         return body

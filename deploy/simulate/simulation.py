@@ -213,7 +213,6 @@ class Simulation:
         now_ns: true time.
         epoch_ns: the mission's epoch; before the mission is sent, the earliest that it can have.
         reasons: what went wrong in the operator's eyes, as sentences for the verdict.
-        notes: what bodies have to say, in sentences.
         attended: whether the operator is there: its heartbeats come, where the fleet needs them.
 
     Raises:
@@ -223,7 +222,6 @@ class Simulation:
     def __init__(self, fleet: Fleet, sink: Sink | None = None) -> None:
         self.fleet = fleet
         self.reasons: list[str] = []
-        self.notes: list[str] = []
         self.attended = True
         self._sink = sink
         plan = FaultPlan(fleet)
@@ -238,7 +236,7 @@ class Simulation:
         self._order_keys = {
             self._operator.keys[kind] for kind in (Mission, Stop, Resume)
         } | self._operator.relay_keys
-        self._bodies = Bodies(fleet, self.notes.append)
+        self._bodies = Bodies(fleet)
         self.agents = [Agent(fleet, robot) for robot in fleet.ids]
         self.plants = [self._plant(robot) for robot in fleet.ids]
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]

@@ -39,14 +39,13 @@ def _simulate(options: argparse.Namespace) -> int:
             if message is not None:
                 watch.feed(key, message)
 
-        shown = noted = 0
+        shown = 0
 
         def progress(time_s: float) -> bool:
-            nonlocal shown, noted
-            news = [*watch.news(time_s), *simulation.reasons[shown:], *simulation.notes[noted:]]
-            shown, noted = len(simulation.reasons), len(simulation.notes)
-            for sentence in news:
+            nonlocal shown
+            for sentence in [*watch.news(time_s), *simulation.reasons[shown:]]:
                 view.say(sentence)
+            shown = len(simulation.reasons)
             view.show(watch.picture(time_s))
             return interrupt.count == 0
 

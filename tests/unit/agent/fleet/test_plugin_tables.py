@@ -13,7 +13,7 @@ from agent.common import plugins
 from agent.common.settings import about, setting
 from agent.control.law_plugin import Law
 from agent.fleet.loading import digest, law_name, parse_fleet, to_dict
-from plant.backend import PlantBackend
+from plant.backend import Plant
 from tests.unit.agent.fleet.fleet_texts import SMALL, problems, small
 
 
@@ -30,7 +30,7 @@ class SpringSettings:
     stiffness: float = field(metadata=about("Stiffness.", unit="1/s2", ge=0, le=100))
 
 
-class Drag(PlantBackend):
+class Drag(Plant):
     section = "drag"
     Settings = DragSettings
 
