@@ -36,9 +36,7 @@ def make(fleet: Fleet, robot: int, clock: Clock, log: Log, *, look: bool = False
     """
     section = fleet.robot(robot).section(MavlinkSection)
     if section is None or section.connection is None or fleet.datum is None:
-        raise StartError(
-            f'its plant in the fleet file is "{fleet.robot(robot).plant}", no vehicle of this kind'
-        )
+        raise StartError(f'its plant in the fleet file, "{fleet.robot(robot).plant}", is no such vehicle')
     if section.connection == SIMULATOR:
         raise StartError(
             "its connection is a simulator, which only `handfast run` starts; start one with `handfast "
