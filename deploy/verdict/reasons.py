@@ -19,7 +19,9 @@ from deploy.verdict.violations import Violation
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 SKIPPED_SHARE: Final = 0.05
-"""Of a robot's ticks, that are skipped, from which on its law is named."""
+LONG_SHARE: Final = 0.25
+"""So large a share of the ticks is skipped, and a tick takes so large a share of a period, where the law of
+others is named."""
 _GOOD_STATES: Final = frozenset(
     state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
 )
@@ -69,18 +71,21 @@ def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) 
 
 def _late_laws(recording: Recording) -> list[str]:
     """A sentence if a law of others may be why robots skipped ticks."""
-    fleet = recording.fleet
-    if fleet.control.law is None:
+    law, period_us = recording.fleet.control.law, 1e6 / recording.fleet.fleet.rate_hz
+    if law is None:
         return []
-    skipped = {robot: data.status.totals().get("overruns", 0) for robot, data in recording.robots.items()}
-    late = [k for k, n in skipped.items() if n > SKIPPED_SHARE * len(recording.robots[k].status.tick_us)]
-    if not late:
+    late, skipped, durations_us = [], 0, [0.0]
+    for robot, data in recording.robots.items():
+        ticks_us, count = data.status.tick_us, data.status.totals().get("overruns", 0)
+        if len(ticks_us) and count > SKIPPED_SHARE * len(ticks_us):
+            late.append(robot)
+            skipped += count
+            durations_us.append(float(np.median(ticks_us)))
+    if max(durations_us) < LONG_SHARE * period_us:
         return []
-    ticks_us = np.concatenate([recording.robots[robot].status.tick_us for robot in late])
     return [
-        f"{robots(late).capitalize()} skipped {sum(skipped[robot] for robot in late)} ticks: they took "
-        f"{np.median(ticks_us) / 1e3:.1f} ms, of {1e3 / fleet.fleet.rate_hz:.3g} ms; the law "
-        f"{fleet.control.law} may be too slow."
+        f"{robots(late).capitalize()} skipped {skipped} ticks: one takes up to {max(durations_us) / 1e3:.1f} "
+        f"ms, of {period_us / 1e3:.3g} ms; the law {law} may be too slow."
     ]
 
 

@@ -225,3 +225,18 @@ def test_a_robot_that_is_still_its_operators_at_the_end_is_a_warning_too() -> No
 
 def test_a_release_after_the_drive_is_none_of_it() -> None:
     assert taken((2.0, 99.0))["verdict"]["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("tick_us", "skipped", "named"), [(19_000, 9, True), (300, 9, False), (19_000, 0, False)]
+)
+def test_a_law_of_others_is_named_where_ticks_are_skipped(tick_us: int, skipped: int, named: bool) -> None:
+    counters = (("overruns", skipped),)
+    slow = with_statuses(status(1, 1.0, tick_us=(tick_us,) * 20, counters=counters), status(2, 1.0))
+    own = replace(PAIR, control=replace(PAIR.control, law="my:Law"))
+    expected = "Robot 1 skipped 9 ticks: one takes up to 19.0 ms, of 20 ms; the law my:Law may be too slow."
+    assert (expected in judged(own, slow)["verdict"]["warnings"]) == named
+    assert expected not in judged(PAIR, slow)["verdict"]["warnings"]
+    assert (
+        expected not in judged(own, with_statuses(status(1, 1.0, counters=counters)))["verdict"]["warnings"]
+    )
