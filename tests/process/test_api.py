@@ -1,0 +1,59 @@
+"""Drives with processes from Python: a recording at the end, and after Ctrl-C no process."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import handfast
+
+PAGE = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
+RUNS = [block for block in re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S) if "handfast.run(" in block]
+
+
+def test_the_page_runs_a_fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = {"handfast": handfast}
+    exec("\n".join(RUNS), names)
+    measured = names["measured"]
+    assert isinstance(measured, handfast.Recording)
+    assert (measured.mode, measured.folder) == ("run", Path("runs/pair"))
+    assert (tmp_path / "runs" / "pair" / "report.html").exists()
+    virtual = handfast.simulate("pair", duration=5)
+    assert np.abs(measured.hands[1][:200] - virtual.hands[1][:200]).max() < 0.05
+    assert handfast.load_recording("runs/pair").metrics == measured.metrics
+
+
+@pytest.mark.parametrize(
+    ("code", "begun"),
+    [
+        ("handfast.run('pair', out='run', report=False)", "run/run.mcap"),
+        ("handfast.sweep('lattice45', seeds=4, workers=2)", ""),
+        ("handfast.simulate('lattice45')", ""),
+    ],
+    ids=["run", "sweep", "simulate"],
+)
+def test_after_ctrl_c_no_process_is_left(tmp_path: Path, code: str, begun: str) -> None:
+    """That none is: the fixture for all tests sees to it."""
+    script = f"import handfast\nprint('here', flush=True)\ntry:\n    {code}\nexcept KeyboardInterrupt:\n    print('ended')"
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "here\n"
+    deadline = time.monotonic() + 20.0
+    while begun and not (tmp_path / begun).exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(2.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30.0)
+    assert (out, process.returncode) == ("ended\n", 0), err
+    if begun:
+        assert (tmp_path / "run" / "metrics.json").exists()
