@@ -15,7 +15,9 @@ import pytest
 import handfast
 
 PAGE = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
-RUNS = [block for block in re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S) if "handfast.run(" in block]
+RUNS = [
+    block for block in re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S) if "handfast.run(" in block
+]
 
 
 def test_the_page_runs_a_fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,9 +44,9 @@ def test_the_page_runs_a_fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 )
 def test_after_ctrl_c_no_process_is_left(tmp_path: Path, code: str, begun: str) -> None:
     """That none is: the fixture for all tests sees to it."""
-    script = f"import handfast\nprint('here', flush=True)\ntry:\n    {code}\nexcept KeyboardInterrupt:\n    print('ended')"
+    command = [sys.executable, "-c", SCRIPT.format(code)]
     process = subprocess.Popen(
-        [sys.executable, "-c", script], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "here\n"
