@@ -15,9 +15,16 @@ import pytest
 import handfast
 
 PAGE = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
-RUNS = [
-    block for block in re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S) if "handfast.run(" in block
-]
+BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+RUNS = [block for block in BLOCKS if "handfast.run(" in block]
+SCRIPT = """
+import handfast
+print("here", flush=True)
+try:
+    {}
+except KeyboardInterrupt:
+    print("ended")
+"""
 
 
 def test_the_page_runs_a_fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
