@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from io import StringIO
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
 from typing import IO, Final, Unpack
@@ -145,7 +146,8 @@ def run(
         try:
             with in_words_of_python():
                 folder = RunFolder(_new_folder(out, settings), settings, "run")
-            drive = LocalRun(settings, folder, make_view(quiet=not progress), interrupt, vehicles)
+            view = make_view(None if progress else StringIO())
+            drive = LocalRun(settings, folder, view, interrupt, vehicles)
             try:
                 drive.run()
             except (Error, OSError) as error:

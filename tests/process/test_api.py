@@ -27,10 +27,13 @@ except KeyboardInterrupt:
 """
 
 
-def test_the_page_runs_a_fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_runs_a_fleet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     names = {"handfast": handfast}
     exec("\n".join(RUNS), names)
+    assert not capsys.readouterr().err
     measured = names["measured"]
     assert isinstance(measured, handfast.Recording)
     assert (measured.mode, measured.folder) == ("run", Path("runs/pair"))

@@ -48,6 +48,11 @@ def test_type_checkers_know_the_same_names() -> None:
     assert {*imported, "Error"} == set(handfast.__all__)
 
 
+def test_its_stubs_are_itself() -> None:
+    """So that it is typed for whoever installs it: a single module cannot say that it is."""
+    assert (ROOT / "handfast-stubs" / "__init__.pyi").samefile(ROOT / "handfast.py")
+
+
 def test_importing_it_imports_next_to_nothing() -> None:
     loaded = python(
         "import sys; before = set(sys.modules); import handfast; print(*set(sys.modules) - before)"
