@@ -5,7 +5,6 @@ The body obeys a fresh wrench and brakes in any other case.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
@@ -15,7 +14,7 @@ from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
-from agent.messages.codec import decode, encode
+from agent.messages.codec import encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     BYTES_MAX,
@@ -24,10 +23,8 @@ from agent.messages.types import (
     FUTURE_NS_MAX,
     LEVELS,
     TEXT_MAX,
-    TOPICS,
     CheckLine,
     Checks,
-    Faults,
     Mission,
     Outgoing,
     PlantState,
@@ -36,14 +33,12 @@ from agent.messages.types import (
     Wrench,
     clipped,
 )
-from agent.messages.validation import Malformed
 from agent.supervision.state_machine import at_rest
 from agent.supervision.stop_latch import StopLatch
 from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 
 CHECKS_PERIOD_NS: Final = NS_PER_S
-_WRENCH: Final = TOPICS.index("wrench")
 
 
 class PlantNode:
@@ -68,11 +63,6 @@ class PlantNode:
         self._key_truth = key_expressions.plant_truth(name, robot)
         self._key_wrench = key_expressions.wrench(name, robot)
         self.alive_key: Final = key_expressions.alive(name, robot, "plant")
-        # Its agent passes on what operators order; that of another robot has no say here.
-        self._key_relayed = key_expressions.relayed(name, robot)
-        self._missions_from = key_expressions.mission(name), self._key_relayed
-        self._stops_from = key_expressions.stop(name), self._key_relayed
-        self._resumes_from = key_expressions.resume(name), self._key_relayed
         self._key_checks = key_expressions.checks(name, robot)
         self._digest = digest(fleet)
         self._mission_version = self._epoch_ns = -1
@@ -82,11 +72,21 @@ class PlantNode:
         self._checks_due_ns = self._checks_sequence = 0
         self._ingress = Ingress(fleet, robot, "plant", {"wrench": (robot,)})
         self.plan: Final = self._ingress.plan
+        self.rejected: Final = self._ingress.rejected
+        self._ingress.on(self._key_wrench, Wrench, self._accept, robot=robot, topic="wrench")
+        # Its agent passes on what operators order; that of another robot has no say here.
+        relayed = key_expressions.relayed(name, robot)
+        for key in (key_expressions.mission(name), relayed):
+            self._ingress.on(key, Mission, self._accept_mission)
+        for key in (key_expressions.stop(name), relayed):
+            self._ingress.on(key, Stop, self._accept_stop)
+        for key in (key_expressions.resume(name), relayed):
+            self._ingress.on(key, Resume, self._accept_resume)
         self._measurement = Measurement(fleet.fleet.seed, fleet.robot(robot), self.plan)
         self.subscriptions: Final = (
             key_expressions.stop(name),
             key_expressions.resume(name),
-            self._key_relayed,
+            relayed,
             self._key_wrench,
             key_expressions.mission(name),
             *self._ingress.subscriptions,
@@ -98,7 +98,6 @@ class PlantNode:
             self._key_checks,
             *self._ingress.publications,
         )
-        self.rejected: Counter[str] = Counter()
         self.overruns = 0
         self._wrench: Wrench | None = None
         self._ending = False
@@ -134,31 +133,13 @@ class PlantNode:
         from the agent. A mission of another drive, and a resume, also let a body obey again that its operator
         has given back. A message that is malformed, not for it or older than the last is counted and ignored.
         """
-        try:
-            message = decode(payload)
-        except Malformed as error:
-            self.rejected[error.reason] += 1
-            return
-        reason: str | None = "wrong_key"
-        if type(message) is Wrench:
-            if key == self._key_wrench and message.robot == self.robot:
-                if self._ingress.idle or self._ingress.take(now_ns, key, payload, _WRENCH, message):
-                    reason = self._accept(message, now_ns)
-                else:
-                    reason = None
-        elif type(message) is Mission:
-            if key in self._missions_from:
-                reason = self._accept_mission(message)
-        elif type(message) is Resume:
-            if key in self._resumes_from:
-                reason = self._latch.accept_resume(message)
-        elif type(message) is Stop:
-            if key in self._stops_from:
-                reason = self._latch.accept_stop(message)
-        elif type(message) is Faults and key == self._ingress.key_faults:
-            reason = self._ingress.accept(message, now_ns)
-        if reason is not None:
-            self.rejected[reason] += 1
+        self._ingress.receive(now_ns, key, payload)
+
+    def _accept_stop(self, stop: Stop, now_ns: int) -> str | None:
+        return self._latch.accept_stop(stop)
+
+    def _accept_resume(self, resume: Resume, now_ns: int) -> str | None:
+        return self._latch.accept_resume(resume)
 
     def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
         """Takes a wrench; returns why it is refused, None when it is not."""
@@ -169,7 +150,7 @@ class PlantNode:
         self._wrench = wrench
         return None
 
-    def _accept_mission(self, mission: Mission) -> str | None:
+    def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         """Takes a mission; returns why it is refused, None when it is not."""
         if mission.digest != self._digest:
             return "digest"
@@ -182,19 +163,6 @@ class PlantNode:
                 self._ingress.begin(mission.epoch_ns)
                 self._backend.clear_to_drive()
         return None
-
-    def _arrive(self, now_ns: int) -> None:
-        """Takes the wrenches that a failing link lets through at this tick."""
-        for _, payload, whole in self._ingress.arrivals(now_ns):
-            try:
-                message = whole or decode(payload)  # damaged bytes are what the codec must find
-            except Malformed as error:
-                self.rejected[error.reason] += 1
-                continue
-            if type(message) is Wrench:
-                reason = self._accept(message, now_ns)
-                if reason is not None:
-                    self.rejected[reason] += 1
 
     def _command(self, now_ns: int) -> Command | None:
         """What the body is to do now, None to brake; sets `condition`."""
@@ -220,8 +188,7 @@ class PlantNode:
 
         Returns what to publish: its state as measured, the true one where that may differ, its checks.
         """
-        if not self._ingress.idle:
-            self._arrive(now_ns)
+        self._ingress.arrive(now_ns)
         command = self._command(now_ns)
         reading = self._backend.step(now_ns, command)
         pose, self._obeying = reading.pose, reading.obeying

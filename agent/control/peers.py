@@ -210,9 +210,12 @@ class Peers:
         return None
 
     def accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
-        """Takes a beacon; returns why it is refused, as `accept`. One of this tick waits for the next one as
-        well: to a robot whose clock is behind, all are.
+        """Takes a beacon and what it says of the silent; returns why it is refused, as `accept`.
+
+        One of this tick waits for the next one as well: to a robot whose clock is behind, all are.
         """
+        if beacon.silent:
+            self.accept_silent(beacon, now_ns)
         self.begin(now_ns)
         peer = self.get(beacon.robot)
         if self._from_future(peer, beacon.time_ns, now_ns):

@@ -1,24 +1,40 @@
-"""What a node hears over links that may fail: the part that agents and plants have in common (PURE).
+"""What a node takes off the bus: the part that agents and plants have in common (PURE).
 
-It keeps the node's fault plan up to date, passes messages through `agent.links.link_emulator`, and publishes
-what was done: every decision (`LinkTrace`), and the live rules that are held.
+A message is decoded, must have come on a key and from a robot that may send it, passes a link that may fail
+(`agent.links.link_emulator`), and is given to whoever takes it. What was done to messages is published: every
+decision (`LinkTrace`), and the live fault rules that are held.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Final, Literal
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
-from agent.links.link_emulator import Arrival, LinkEmulator, Sample
+from agent.links.link_emulator import LinkEmulator
 from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import FUTURE_NS_MAX, Faults, Outgoing
+from agent.messages.codec import decode, encode
+from agent.messages.types import FUTURE_NS_MAX, TOPICS, Faults, Message, Outgoing
+from agent.messages.validation import Malformed
 
 HELD_PERIOD_NS: Final = NS_PER_S
 """Live rules that are held are published again so often."""
+
+
+Accept = Callable[[Any, int], str | None]
+"""(message, wall time ns) -> why it is refused, None when it is taken."""
+
+
+class _Route(NamedTuple):
+    """Messages of one class on one key: who takes them; the robot that must have sent them and the topic of
+    the link that they pass, if any."""
+
+    accept: Accept
+    robot: int | None
+    topic: int | None
 
 
 class Ingress:
@@ -26,33 +42,100 @@ class Ingress:
 
     Args:
         sources: by topic (`agent.messages.types.TOPICS`), the robots whose messages come here.
+        damaged: called with the key of what is no valid message, and why.
 
     Attributes:
         subscriptions, publications: keys that the node needs for it.
-        idle: True while nothing happens to any message: then `take` and `arrivals` need not be called.
+        rejected: messages that were refused, by reason.
+        position: (x, y) of the own robot, m, W, for range channels; None while not known: they do nothing.
     """
 
     def __init__(
-        self, fleet: Fleet, robot: int, role: Literal["agent", "plant"], sources: Mapping[str, Sequence[int]]
+        self,
+        fleet: Fleet,
+        robot: int,
+        role: Literal["agent", "plant"],
+        sources: Mapping[str, Sequence[int]],
+        damaged: Callable[[str, Malformed], None] | None = None,
     ) -> None:
         name = fleet.fleet.name
         self.plan: Final = FaultPlan(fleet)
         self._links = LinkEmulator(self.plan, robot, sources)
-        self.key_faults: Final = key_expressions.faults(name)
+        self._damaged = damaged
+        self._routes: dict[tuple[str, type[Message]], _Route] = {}
+        self.rejected: Final[Counter[str]] = Counter()
+        self.position: tuple[float, float] | None = None
+        key_faults = key_expressions.faults(name)
         self._key_trace = (
             key_expressions.links(name, robot)
             if role == "agent"
             else key_expressions.plant_links(name, robot)
         )
         self._key_held = key_expressions.faults_held(name, robot, role)
-        self.subscriptions: Final = (self.key_faults,)
+        self.subscriptions: Final = (key_faults,)
         self.publications: Final = (self._key_trace, self._key_held)
         self._said: dict[str, Faults] = {}
         self._held_due_ns: int | None = None
+        self.on(key_faults, Faults, self.accept)
 
-    @property
-    def idle(self) -> bool:
-        return self._links.idle
+    def on(
+        self,
+        key: str,
+        kind: type[Message],
+        accept: Accept,
+        *,
+        robot: int | None = None,
+        topic: str | None = None,
+    ) -> None:
+        """Messages of this class that come on `key` go to `accept`.
+
+        Args:
+            robot: must have sent them; None: anybody may, or they do not say.
+            topic: of `TOPICS`: over a link that may fail.
+        """
+        self._routes[key, kind] = _Route(accept, robot, None if topic is None else TOPICS.index(topic))
+
+    def receive(self, now_ns: int, key: str, payload: bytes) -> None:
+        """Takes one message off the bus. What is not valid is counted by its reason and changes nothing."""
+        try:
+            message = decode(payload)
+        except Malformed as error:
+            self._refuse(key, error)
+            return
+        route = self._routes.get((key, type(message)))
+        reason: str | None
+        if route is None:
+            reason = "wrong_key"
+        else:
+            accept, robot, topic = route
+            if robot is not None and message.robot != robot:  # type: ignore[union-attr]
+                reason = "wrong_key"
+            elif topic is None or self._links.idle or self._passes(now_ns, key, payload, topic, message):
+                reason = accept(message, now_ns)
+            else:
+                return
+        if reason is not None:
+            self.rejected[reason] += 1
+
+    def arrive(self, now_ns: int) -> None:
+        """Takes the messages that failing links let through at the tick `now_ns`."""
+        if self._links.idle:
+            return
+        for key, payload, whole in self._links.due(now_ns):
+            try:
+                message = whole or decode(payload)  # damaged bytes are what the codec must find
+            except Malformed as error:
+                self._refuse(key, error)
+                continue
+            route = self._routes.get((key, type(message)))
+            reason = "wrong_key" if route is None else route.accept(message, now_ns)
+            if reason is not None:
+                self.rejected[reason] += 1
+
+    def _refuse(self, key: str, error: Malformed) -> None:
+        self.rejected[error.reason] += 1
+        if self._damaged is not None:
+            self._damaged(key, error)
 
     def begin(self, epoch_ns: int) -> None:
         """Begins a mission: the times of the file's rules count from `epoch_ns`, wall time."""
@@ -71,31 +154,15 @@ class Ingress:
     def _versions(self) -> set[tuple[str, int]]:
         return {(held.message.author, held.message.version) for held in self.plan.live}
 
-    def take(
-        self,
-        now_ns: int,
-        key: str,
-        payload: bytes,
-        topic: int,
-        message: Sample,
-        own_position: tuple[float, float] | None = None,
-    ) -> bool:
+    def _passes(self, now_ns: int, key: str, payload: bytes, topic: int, message: Any) -> bool:
         """True when a message that has come is to be delivered at once; else it is lost, or comes later.
-
-        Args:
-            topic: index into `agent.messages.types.TOPICS`.
-            own_position: (x, y), m, W, for a range channel.
 
         A message from the future is delivered, to be refused: waiting for its time, it would keep the
         link's queue from all others.
         """
         if message.time_ns > now_ns + FUTURE_NS_MAX:
             return True
-        return self._links.take(key, payload, topic, message, own_position)
-
-    def arrivals(self, now_ns: int) -> list[Arrival]:
-        """Messages whose time has come at the tick `now_ns`."""
-        return self._links.due(now_ns)
+        return self._links.take(key, payload, topic, message, self.position)
 
     def outgoing(self, now_ns: int, *, flush: bool = False) -> list[Outgoing]:
         """What to publish at the tick `now_ns` of what was done to messages, and of live rules.

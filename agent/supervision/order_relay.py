@@ -12,7 +12,7 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode, tag
 from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import Beacon, Mission, Outgoing, PlantState, Resume, Stop
+from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
 from agent.supervision.gossip import AGAIN_NS, Gossip, Mark
 from agent.supervision.stop_latch import StopLatch
 
@@ -33,12 +33,6 @@ class OrderRelay:
         name = fleet.fleet.name
         self.key: Final = key_expressions.relayed(name, robot)
         self.subscription: Final = key_expressions.relayed(name, "*")
-        told = {key_expressions.relayed(name, other) for other in fleet.ids if other != robot}
-        self._sources: Final[dict[type[Mission | Stop | Resume], set[str]]] = {
-            Mission: {key_expressions.mission(name), *told},
-            Stop: {key_expressions.stop(name), *told},
-            Resume: {key_expressions.resume(name), *told},
-        }
         self._latch = latch
         self._mission: Mission | None = None
         self.mission_mark: Mark = (0, 0)
@@ -49,13 +43,9 @@ class OrderRelay:
         self._plant_told_ns = -AGAIN_NS
         self._unmoved_since_ns: int | None = None
 
-    def is_source(self, key: str, order: Mission | Stop | Resume) -> bool:
-        """Whether such an order may come on `key`: an operator's, or where another robot tells it."""
-        return key in self._sources[type(order)]
-
     # ------------------------------------------------------------------ what it hears
 
-    def accept(self, now_ns: int, order: Stop | Resume) -> str | None:
+    def accept(self, order: Stop | Resume, now_ns: int) -> str | None:
         """Hands a stop or a resume to the latch; returns why it is refused, None when it is not."""
         latch = self._latch
         before = latch.mark
@@ -81,7 +71,7 @@ class OrderRelay:
         self._missions.lacks(now_ns, (beacon.mission_version, beacon.mission_tag))
         self._orders.lacks(now_ns, (beacon.stop_version, beacon.resume_version))
 
-    def asked(self, now_ns: int) -> None:
+    def accept_question(self, ask: Ask, now_ns: int) -> None:
         """An operator asks."""
         self._missions.asked(now_ns)
         self._orders.asked(now_ns)

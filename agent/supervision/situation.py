@@ -11,7 +11,7 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.fleet.model import Fleet
-from agent.messages.types import FUTURE_NS_MAX, Mission, PlantState
+from agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest
 from agent.supervision.stop_latch import AWAITED, StopLatch
@@ -66,6 +66,10 @@ class Situation:
             return "duplicate" if state.time_ns == self.plant.time_ns else "out_of_order"
         self.plant = state
         return None
+
+    def accept_heartbeat(self, heartbeat: Heartbeat, now_ns: int) -> None:
+        """Takes an operator's heartbeat."""
+        self.heartbeat_ns = now_ns
 
     def check_plant(self, now_ns: int) -> None:
         """Finds `plant_trouble` at a tick; the first of them begins the time in which a robot listens."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -18,17 +18,18 @@ STATUS_VALUES_MAX: Final = 200
 class StatusReport:
     """Collects what happens between two status messages, counts what happened since the start.
 
-    Attributes:
+    Args:
         rejected: messages that were not valid, by reason.
-        interventions: ticks in which the safety filter changed what the law asked for, by cause, and "any".
+
+    Attributes:
         ages_us: ages of neighbours' states that the law worked with since the last status, us.
         sent_hands: hand states sent, one for each neighbour.
         corrupted: hand states whose bytes were damaged.
     """
 
-    def __init__(self) -> None:
-        self.rejected: Final[Counter[str]] = Counter()
-        self.interventions: Final[Counter[str]] = Counter()
+    def __init__(self, rejected: Counter[str]) -> None:
+        self._rejected = rejected
+        self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
         self.sent_hands = self.corrupted = 0
         self._tick_us: list[int] = []
@@ -39,6 +40,11 @@ class StatusReport:
         """Takes how long a tick took, and how many were skipped before it."""
         self._tick_us.append(duration_ns // 1000)
         self._overruns += missed
+
+    def intervened(self, causes: Collection[str]) -> None:
+        """Counts a tick in which the safety filter changed what the law asked for, if it did, by cause."""
+        self._interventions.update(causes)
+        self._interventions["any"] += bool(causes)
 
     def is_due(self, now_ns: int) -> bool:
         """Whether it is time for the next status, or more has come than one can hold."""
@@ -69,10 +75,10 @@ class StatusReport:
             "delayed": sum(peer.delayed for peer in known),
             "duplicated": sum(peer.duplicated for peer in known),
             "corrupted": self.corrupted,
-            "rejected": sum(self.rejected.values()),
+            "rejected": sum(self._rejected.values()),
             "overruns": self._overruns,
-            **{f"rejected.{reason}": count for reason, count in sorted(self.rejected.items())},
-            **{f"filtered.{cause}": count for cause, count in sorted(self.interventions.items())},
+            **{f"rejected.{reason}": count for reason, count in sorted(self._rejected.items())},
+            **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
         }
         status = Status(
             robot,

@@ -85,7 +85,6 @@ BY_OTHERS: Final = {
         agent/impairments/markov_chains
         agent/impairments/range_model
         agent/impairments/recorded_fates
-        agent/links/ingress
         agent/links/timed_rules
         agent/messages/codec
         agent/messages/validation

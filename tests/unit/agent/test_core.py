@@ -12,7 +12,8 @@ import pytest
 
 from agent.common.time import NS_PER_S
 from agent.control.hand import Pose, hand
-from agent.core import LAST_PLACE_NS, Agent
+from agent.control.own_hand import LAST_PLACE_NS
+from agent.core import Agent
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.formation.trajectory import make_trajectory

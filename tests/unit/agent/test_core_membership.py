@@ -189,7 +189,7 @@ def test_who_left_is_still_kept_away_from(bench: FleetBench):
     """It stands where it left: beside the others' way, within the sensing region."""
     change(bench, 2, PLACES[:2], EDGES[:1])
     bench.run(1.2)
-    assert [peer.robot for peer in bench.agents[1]._proximity.close] == [3]
+    assert [peer.robot for peer in bench.agents[1]._controller.proximity.close] == [3]
     assert "few/robot/3/hand" in bench.agents[1].subscriptions
 
 

@@ -6,9 +6,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import AUTHORS_MAX, FaultPlan
-from agent.links.ingress import Ingress
-from agent.messages.codec import decode, encode
-from agent.messages.types import EVERY_AUTHOR, Faults, HandState, LinkTrace
+from agent.messages.types import EVERY_AUTHOR, Faults
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 1.5, y_m = 0 }]
@@ -164,69 +162,6 @@ def test_sensors_clocks_and_ticks() -> None:
     assert FaultPlan(fleet()).sensor(1, NOW) is None
 
 
-# --- a node's reception -----------------------------------------------------------------------
-
-
-def held(ingress: Ingress, now_ns: int) -> list[Faults]:
-    messages = [(key, decode(payload)) for key, payload in ingress.outgoing(now_ns)]
-    return [message for key, message in messages if type(message) is Faults and key == "two/robot/2/faults"]
-
-
-def test_live_rules_are_echoed_while_they_hold_and_their_end_is_said() -> None:
-    ingress = Ingress(fleet(), 2, "agent", {"hand": (1,)})
-    assert ingress.idle
-    assert held(ingress, NOW) == []
-    message = live()
-    assert ingress.accept(message, NOW) is None
-    assert not ingress.idle
-    assert held(ingress, NOW) == [message]
-    assert held(ingress, NOW + PERIOD) == []
-    assert held(ingress, NOW + NS_PER_S) == [message]
-    (end,) = held(ingress, NOW + 2 * NS_PER_S)
-    assert (end.author, end.version, end.rules, end.time_ns) == ("ana", 1, "", NOW + 2 * NS_PER_S)
-    assert ingress.idle
-    assert held(ingress, NOW + 9 * NS_PER_S) == []
-
-
-def test_refused_rules_are_not_echoed() -> None:
-    ingress = Ingress(fleet(), 2, "agent", {"hand": (1,)})
-    assert ingress.accept(live("nonsense"), NOW) == "scenario"
-    assert held(ingress, NOW) == []
-
-
-def test_a_live_rule_takes_hold_of_messages_and_lets_go() -> None:
-    ingress = Ingress(fleet(), 2, "plant", {"hand": (1,)})
-    ingress.accept(live(CUT.replace('loss = "100%"', 'delay = "50ms"')), NOW)
-
-    def take(time_ns: int) -> bool:
-        message = HandState(1, 0, time_ns, True, 0, *(0.0,) * 11, (), ())
-        return ingress.take(time_ns, "key", encode(message), 0, message)
-
-    assert not take(NOW)
-    assert ingress.arrivals(NOW + 49_000_000) == []
-    assert len(ingress.arrivals(NOW + 50_000_000)) == 1
-    after = NOW + 2 * NS_PER_S
-    out = [decode(payload) for _, payload in ingress.outgoing(NOW)]
-    out += [decode(payload) for _, payload in ingress.outgoing(after)]
-    assert sum(type(message) is LinkTrace for message in out) == 1
-    assert ingress.idle or take(after)
-
-
-def test_a_change_is_echoed_at_once_and_a_renewal_is_not() -> None:
-    ingress = Ingress(fleet(), 2, "agent", {"hand": (1,)})
-    ingress.accept(live(), NOW)
-    assert len(held(ingress, NOW)) == 1
-    ingress.accept(live(time_ns=NOW + PERIOD), NOW + PERIOD)
-    assert held(ingress, NOW + PERIOD) == []
-    weaker = live(CUT.replace("100%", "20%"), version=2)
-    ingress.accept(weaker, NOW + 2 * PERIOD)
-    assert held(ingress, NOW + 2 * PERIOD) == [weaker]
-    ingress.accept(live("", version=3), NOW + 3 * PERIOD)
-    (end,) = held(ingress, NOW + 3 * PERIOD)
-    assert (end.author, end.rules) == ("ana", "")
-    assert ingress.idle
-
-
 def test_an_ended_set_does_not_come_back_and_takes_no_place() -> None:
     plan = FaultPlan(fleet())
     for number in range(AUTHORS_MAX):
@@ -248,15 +183,3 @@ def test_live_faults_are_rules_and_nothing_else() -> None:
     assert plan.take(live("[faults]\nseed = 5\n"), NOW) == "scenario"
     for done_elsewhere in ('kill = "agent"\nat = 1\n', 'clock_skew = "1s"\n'):
         assert plan.take(live(f"[[faults.rule]]\nrobot = 1\n{done_elsewhere}"), NOW) == "scenario"
-
-
-def test_a_message_from_the_future_does_not_keep_the_queue_from_others() -> None:
-    ingress = Ingress(fleet('[faults]\nrate = "20kbit"\n'), 2, "agent", {"hand": (1,)})
-
-    def take(number: int, time_ns: int) -> bool:
-        message = HandState(1, number, time_ns, True, 0, *(0.0,) * 11, (), ())
-        return ingress.take(NOW, "key", encode(message), 0, message)
-
-    assert take(0, NOW + 3600 * NS_PER_S)  # at once: who takes it refuses it
-    assert not take(1, NOW)
-    assert len(ingress.arrivals(NOW + NS_PER_S)) == 1

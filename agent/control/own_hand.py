@@ -1,0 +1,60 @@
+"""Where the own hand is: as the plant measures it, for a while after that by dead reckoning (PURE)."""
+
+from __future__ import annotations
+
+from math import exp, hypot
+from typing import Final
+
+from agent.common.time import NS_PER_S
+from agent.control.controller import Controller
+from agent.control.hand import Hand
+from agent.control.prediction import BRAKING_TIME_S
+from agent.messages.types import FLOAT_MAX, PlantState
+
+LAST_PLACE_NS: Final = NS_PER_S
+"""A robot whose plant is lost says for so long where it must have come to rest. Then its silence says that
+this grows uncertain."""
+
+
+class OwnHand:
+    """The own hand point, found anew at every tick.
+
+    Attributes:
+        here: where it is (m, m/s, W), None when the plant does not say.
+        shown: `here`, or where it must be since; None when the plant was lost long ago.
+        doubt: how far it may be from `shown`, m.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.here: Hand | None = None
+        self.shown: Hand | None = None
+        self.doubt = 0.0
+        self._seen: tuple[int, Hand, PlantState] | None = None
+
+    def measured(self, now_ns: int, plant: PlantState) -> bool:
+        """Finds it by a plant's state that may be used; False when that is an impossible place."""
+        here = self._controller.hand_at(plant, now_ns)
+        if not max(map(abs, here)) <= FLOAT_MAX:
+            return False
+        self._seen = now_ns, here, plant
+        self.here = self.shown = here
+        self.doubt = 0.0
+        return True
+
+    def lost(self, now_ns: int) -> None:
+        """The plant does not say where the body is.
+
+        The others must not go on taking it for a robot that drives. It may have stopped where it was measured
+        last, or have driven on until it was missed and braked since: it is somewhere on this way.
+        """
+        self.here = self.shown = None
+        if self._seen is None or now_ns - self._seen[0] > LAST_PLACE_NS:
+            return
+        since_ns, here, plant = self._seen
+        near = self._controller.hand_at(plant, plant.time_ns)
+        remains = exp(-(now_ns - since_ns) / NS_PER_S / BRAKING_TIME_S)
+        way = BRAKING_TIME_S * (1.0 - remains)
+        x, y = here.x + way * here.vx, here.y + way * here.vy
+        self.doubt = 0.5 * hypot(x - near.x, y - near.y)
+        self.shown = Hand(0.5 * (x + near.x), 0.5 * (y + near.y), remains * here.vx, remains * here.vy)

@@ -1,0 +1,109 @@
+"""What an agent says of itself: its wrench, hand state and beacon, with their numbers and keys (PURE)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from agent.control.hand import Hand
+from agent.control.peers import Peers
+from agent.fleet.model import Fleet
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.sequence_numbers import SequenceNumbers
+from agent.messages.types import (
+    HEARD_ROUNDS,
+    NO_FORCES,
+    Beacon,
+    Forces,
+    HandState,
+    Outgoing,
+    Wrench,
+)
+from agent.supervision.order_relay import OrderRelay
+from agent.supervision.stop_latch import StopLatch
+
+
+class Outbox:
+    """Makes the messages of robot `robot` of `fleet`.
+
+    Args:
+        phase_ns: of its ticks.
+        peers: whose hand states it echoes, and of whose silence its beacons tell.
+        relay, latch: which orders it has acknowledged.
+
+    Attributes:
+        keys: on which it publishes.
+    """
+
+    def __init__(
+        self, fleet: Fleet, robot: int, phase_ns: int, peers: Peers, relay: OrderRelay, latch: StopLatch
+    ) -> None:
+        name, period_ns = fleet.fleet.name, fleet.period_ns
+        self._robot, self._period_ns, self._phase_ns = robot, period_ns, phase_ns
+        self._peers, self._relay, self._latch = peers, relay, latch
+        self._wrenches = SequenceNumbers(period_ns, phase_ns)
+        self._hands = SequenceNumbers(period_ns, phase_ns)
+        self._beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
+        self._key_wrench = key_expressions.wrench(name, robot)
+        self._key_hand = key_expressions.hand(name, robot)
+        self._key_beacon = key_expressions.beacon(name, robot)
+        self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
+
+    def begin(self, epoch_ns: int) -> None:
+        """Counts rounds from the epoch of a mission."""
+        self._hands.begin(epoch_ns)
+        self._wrenches.begin(epoch_ns)
+
+    def wrench(
+        self, now_ns: int, force: float = 0.0, torque: float = 0.0, *, brake: bool = False
+    ) -> Outgoing:
+        """What the plant is asked for: force (N) and torque (N m), or to brake."""
+        sequence = self._wrenches.next(now_ns)
+        return self._key_wrench, encode(Wrench(self._robot, sequence, now_ns, force, torque, brake))
+
+    def hand(
+        self,
+        now_ns: int,
+        here: Hand,
+        doubt: float,
+        *,
+        following: bool,
+        degree: int = 0,
+        forces: Forces = NO_FORCES,
+        multipliers: tuple[tuple[int, float], ...] = (),
+        own: tuple[float, ...] = (),
+    ) -> Outgoing:
+        """The hand state; arguments as its fields."""
+        sequence = self._hands.next(now_ns)
+        heard = self._peers.heard() if (sequence + self._robot) % HEARD_ROUNDS == 0 else ()
+        message = HandState(
+            self._robot,
+            sequence,
+            now_ns,
+            following,
+            degree,
+            *here,
+            *forces,
+            doubt,
+            multipliers,
+            heard,
+            own,
+        )
+        return self._key_hand, encode(message)
+
+    def beacon(self, now_ns: int, here: Hand, doubt: float, *, following: bool) -> list[Outgoing]:
+        """The beacon if it is this robot's turn: so they do not come all at once."""
+        if ((now_ns - self._phase_ns) // self._period_ns + self._robot) % self._beacon_rounds:
+            return []
+        message = Beacon(
+            self._robot,
+            self._hands.at(now_ns),
+            now_ns,
+            following,
+            *here,
+            doubt,
+            *self._relay.mission_mark,
+            *self._latch.mark,
+            self._peers.silent(now_ns, here.x, here.y),
+        )
+        return [(self._key_beacon, encode(message))]

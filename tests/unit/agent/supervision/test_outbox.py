@@ -1,0 +1,70 @@
+"""What an agent says of itself: on which keys, with which numbers, and when it is its turn."""
+
+from __future__ import annotations
+
+from agent.control.controller import Controller
+from agent.control.hand import Hand
+from agent.formation.geometry import resolve
+from agent.messages.codec import decode
+from agent.messages.sequence_numbers import FIRST_ROUND
+from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Wrench
+from agent.supervision.order_relay import OrderRelay
+from agent.supervision.outbox import Outbox
+from agent.supervision.stop_latch import StopLatch
+from tests.unit.agent.agent_bench import BEACON, HAND, PERIOD, START, WRENCH, fleet
+
+HERE = Hand(1.0, 2.0, 0.5, -0.5)
+TICK = START + PERIOD // 2
+
+
+def outbox() -> Outbox:
+    made = fleet()
+    latch = StopLatch(1, lambda: None)
+    peers = Controller(made, resolve(made), 1).peers
+    return Outbox(made, 1, PERIOD // 2, peers, OrderRelay(made, 1, latch), latch)
+
+
+def test_numbers_count_rounds_from_the_epoch_for_wrench_hand_and_beacon_alike():
+    box = outbox()
+    box.begin(START)
+    for rounds in range(3):
+        now_ns = TICK + rounds * PERIOD
+        (key, payload), (wrench_key, wrench) = box.hand(now_ns, HERE, 0.0, following=True), box.wrench(now_ns)
+        assert (key, wrench_key) == (HAND, WRENCH)
+        hand, asked = decode(payload), decode(wrench)
+        assert isinstance(hand, HandState)
+        assert isinstance(asked, Wrench)
+        assert (hand.sequence, asked.sequence) == (FIRST_ROUND + rounds,) * 2
+        for _, said in box.beacon(now_ns, HERE, 0.0, following=True):
+            beacon = decode(said)
+            assert isinstance(beacon, Beacon)
+            assert beacon.sequence == hand.sequence
+
+
+def test_a_hand_state_holds_what_it_is_given():
+    forces = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    _, payload = outbox().hand(
+        TICK, HERE, 0.25, following=True, degree=3, forces=forces, multipliers=((2, 0.5),), own=(7.0,)
+    )
+    hand = decode(payload)
+    assert isinstance(hand, HandState)
+    assert (hand.place, hand.doubt, hand.degree) == (tuple(HERE), 0.25, 3)
+    assert (hand.navigation_x, hand.constraint_y, hand.correction_y) == (1.0, 4.0, 6.0)
+    assert (hand.multipliers, hand.own) == (((2, 0.5),), (7.0,))
+
+
+def test_a_wrench_brakes_or_asks():
+    box = outbox()
+    asked, brake = decode(box.wrench(TICK, 3.0, -1.0)[1]), decode(box.wrench(TICK + PERIOD, brake=True)[1])
+    assert isinstance(asked, Wrench)
+    assert isinstance(brake, Wrench)
+    assert (asked.force, asked.torque, asked.brake) == (3.0, -1.0, False)
+    assert (brake.force, brake.torque, brake.brake) == (0.0, 0.0, True)
+
+
+def test_beacons_come_five_times_a_second_and_echoes_once_in_seven_rounds():
+    box = outbox()
+    ticks = [TICK + k * PERIOD for k in range(50 * HEARD_ROUNDS)]
+    beacons = [each for now_ns in ticks for each in box.beacon(now_ns, HERE, 0.0, following=False)]
+    assert {key for key, _ in beacons} == {BEACON}
+    assert len(beacons) == len(ticks) // 10
