@@ -6,7 +6,7 @@ Whatever is wrong with it is one `LawError` that names it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 from agent.common.errors import Error
 from agent.common.plugins import blame
@@ -20,9 +20,8 @@ from agent.fleet.model import Fleet
 from agent.fleet.sections import load_law
 from agent.formation.reference import Edge
 from agent.formation.trajectory import Sample
-from agent.messages.types import FLOAT_MAX
+from agent.messages.types import FLOAT_MAX, OWN_MAX
 
-OWN_MAX: Final = 16
 T = TypeVar("T")
 
 
@@ -89,9 +88,8 @@ class OwnLaw:
             message, weight = peer.message, edge.weight * peer.trust
             if message is None or weight <= 0.0:
                 continue
-            own = getattr(message, "own", ())
-            if own:
-                self._heard[peer.robot] = own
+            if message.own:
+                self._heard[peer.robot] = message.own
             other = self._peers.predict(peer, acting_ns)
             age_ns = max(0, now_ns + peer.clock.used_ns - peer.time_ns)
             found.append(
