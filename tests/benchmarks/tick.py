@@ -12,8 +12,10 @@ import json
 import subprocess
 import tempfile
 import time
+import timeit
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -25,9 +27,14 @@ from agent.control import law, safety_filter
 from agent.control.peers import Peers
 from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolved
-from agent.messages.types import Outgoing
+from agent.links import ingress
+from agent.messages.codec import decode, encode
+from agent.messages.sequence_numbers import FIRST_ROUND
+from agent.messages.types import HandState, Outgoing, PlantState
 from agent.node import Node
+from agent.supervision import outbox
 from agent.supervision.neighbour_trust import NeighbourTrust
+from agent.supervision.situation import Situation
 from agent.supervision.state_machine import State
 from deploy.console.arguments import fleet_path
 from deploy.recording.mcap_reader import read_run
@@ -43,10 +50,10 @@ OVERRUNS: Final = 0.1
 COLD_SLEEP_S: Final = 0.01
 COMMAND_TIMEOUT_S: Final = 60.0
 
-# Stage -> functions whose time it is; names that are not there any more are passed over.
+# Stage -> functions whose time it is.
 STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
-    "decode": ((core, "decode"),),
-    "accept": ((Peers, "accept"), (Peers, "accept_beacon"), (core.Agent, "_accept_plant")),
+    "decode": ((ingress, "decode"),),
+    "accept": ((Peers, "accept"), (core.Agent, "_accept_beacon"), (Situation, "accept_plant")),
     "trust": ((NeighbourTrust, "update"),),
     "predict": ((Peers, "predict"),),
     "law": tuple(
@@ -58,16 +65,22 @@ STAGES: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
         (safety_filter, name)
         for name in ("keep_apart", "keep_clear", "limit_speed", "limit_actuators", "project")
     ),
-    "encode": ((core, "encode"),),
+    "encode": ((outbox, "encode"),),
     "status": ((core.Agent, "_status"),),
 }
 
 
 class Probe:
-    """A node that is timed in a simulation; with `sleep_s` the process sleeps before each of its ticks."""
+    """A node that is timed in a simulation; with `sleep_s` the process sleeps before each of its ticks.
 
-    def __init__(self, node: Node, sleep_s: float) -> None:
-        self._node, self._sleep_s = node, sleep_s
+    Attributes:
+        node: the one; to be set before the simulation runs.
+    """
+
+    node: Node
+
+    def __init__(self, sleep_s: float) -> None:
+        self._sleep_s = sleep_s
         self.ticks_us: list[float] = []
         self.stages_us: list[dict[str, float]] = []
         self._now: dict[str, float] = defaultdict(float)
@@ -76,7 +89,9 @@ class Probe:
         self.active = False
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._node, name)
+        if name == "node":
+            raise AttributeError(name)
+        return getattr(self.node, name)
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         if not self.active:
@@ -86,21 +101,21 @@ class Probe:
             if self._sleep_s:
                 time.sleep(self._sleep_s)
         begun = time.perf_counter_ns()
-        self._node.receive(now_ns, key, payload)
+        self.node.receive(now_ns, key, payload)
         self._spent_ns += time.perf_counter_ns() - begun
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         begun = time.perf_counter_ns()
-        out = self._node.tick(now_ns)
+        out = self.node.tick(now_ns)
         self._spent_ns += time.perf_counter_ns() - begun
-        if self.active and self._node.condition[0] == State.RUNNING.value:
+        if self.active and self.node.condition[0] == State.RUNNING.value:
             self.ticks_us.append(self._spent_ns / 1e3)
             self.stages_us.append(dict(self._now))
         self.active = False
         return out
 
     def timed(self, duration_ns: int, missed: int) -> None:
-        self._node.timed(duration_ns, missed)
+        self.node.timed(duration_ns, missed)
 
     def wrapped(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """`function` with its time added to `stage`, unless another stage called it."""
@@ -122,21 +137,21 @@ class Probe:
 def probe(duration_s: float, *, sleep_s: float = 0.0, stages: bool = False) -> Probe:
     """Drives the delta for a while and times the agent of `ROBOT`."""
     fleet = resolved(load_fleet(fleet_path("delta"), [f"fleet.duration_s={duration_s}"]))
-    driven = simulation.Simulation(fleet)
-    (agent,) = (agent for agent in driven.agents if agent.robot == ROBOT)
-    probe = Probe(agent, sleep_s)
-    for host in driven._hosts:
-        if host.node is agent:
-            host.node = probe
+    probe = Probe(sleep_s)
     replaced: list[tuple[Any, str, Any]] = []
     try:
         if stages:
             for stage, functions in STAGES.items():
                 for owner, name in functions:
-                    function = getattr(owner, name, None)
-                    if function is not None:
-                        replaced.append((owner, name, function))
-                        setattr(owner, name, probe.wrapped(stage, function))
+                    function = getattr(owner, name)
+                    replaced.append((owner, name, function))
+                    setattr(owner, name, probe.wrapped(stage, function))
+        # Only now: its agents keep some of these functions.
+        driven = simulation.Simulation(fleet)
+        (probe.node,) = (agent for agent in driven.agents if agent.robot == ROBOT)
+        for host in driven._hosts:
+            if host.node is probe.node:
+                host.node = probe
         gc.collect()
         gc.freeze()  # as agents do
         driven.run()
@@ -172,6 +187,21 @@ def in_process(options: Options) -> Result:
     rows.append(["the rest", *(f"{us:.1f}" for us in rest), ""])
     rows.append(["tick (timers included)", *(f"{us:.1f}" for us in totals), ""])
     result.details += table(["stage", "hot us", "cold us", ""], rows)
+    return result
+
+
+def codec() -> Result:
+    """Bytes of the messages of every tick to checked messages, and back, tick after tick."""
+    multipliers = tuple((robot, 0.5 / robot) for robot in range(1, 5))
+    place = (1.25, -0.5, 0.3, 0.01)
+    hand = HandState.placed(2, FIRST_ROUND + 500, 10**18, True, 4, place)._replace(multipliers=multipliers)
+    plant = PlantState(2, FIRST_ROUND + 500, 10**18, *place, 0.2, 1.5, 0.1, True, True, True, "")
+    result = Result([])
+    for name, message in (("hand state of 4 multipliers", hand), ("plant state", plant)):
+        payload = encode(message)
+        for what, call in (("decode", partial(decode, payload)), ("encode", partial(encode, message))):
+            times = timeit.repeat(call, number=20_000, repeat=7)
+            result.figures.append(Figure(f"{what} a {name}", 1e6 * min(times) / 20_000, "us"))
     return result
 
 
@@ -236,5 +266,5 @@ def in_a_run(options: Options) -> Result:
 
 
 def run(options: Options) -> Result:
-    first, second = in_process(options), in_a_run(options)
-    return Result(first.figures + second.figures, first.details)
+    first, second, third = in_process(options), codec(), in_a_run(options)
+    return Result(first.figures + second.figures + third.figures, first.details)
