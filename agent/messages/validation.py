@@ -60,14 +60,15 @@ def taker(cls: type[Message]) -> Taker:
     body = ""
     if cls not in (Faults, Mission):  # rare, and with bounds that are no comparison of one number
         rest = omitted(cls)
-        fields = declared(cls)[: len(cls._fields) - len(rest)]
-        whole = ", ".join(field.name for field in fields)
-        body = (
-            f"    if len(array) == {HEAD + len(fields)}:\n"
-            f"        _, _, {whole} = array\n"
-            f"        if {_conditions(fields, names)}:\n"
-            f"            return new(cls, ({', '.join([whole, *map(repr, rest)])}))\n"
-        )
+        for left_out in (rest, ()) if rest else (rest,):
+            fields = declared(cls)[: len(cls._fields) - len(left_out)]
+            whole = ", ".join(field.name for field in fields)
+            body += (
+                f"    if len(array) == {HEAD + len(fields)}:\n"
+                f"        _, _, {whole} = array\n"
+                f"        if {_conditions(fields, names)}:\n"
+                f"            return new(cls, ({', '.join([whole, *map(repr, left_out)])}))\n"
+            )
     exec(f"def take(array):\n{body}    return examined(cls, array[{HEAD}:])\n", names)
     take: Taker = names["take"]
     return take

@@ -15,7 +15,7 @@ import pytest
 from tests.process.examples import installed
 from tests.process.harness import BUSY, environment, no_trouble_in_logs
 
-LAWS = ("spring",)
+LAWS = ("spring", "consensus")
 NETWORK = ("--set", "network.base_port=21720")
 MISTAKES = """
 import time

@@ -12,6 +12,7 @@ import pytest
 from agent.control import own_law
 from agent.control.own_law import LawError
 from agent.core import Agent
+from agent.messages.types import HandState
 from agent.supervision.state_machine import State
 from tests.unit.agent.agent_bench import PERIOD, Bench, brakes, fleet
 from tests.unit.agent.control.laws import LAWS, Good, known
@@ -79,6 +80,21 @@ def test_it_is_restarted_whenever_the_robot_begins_to_drive():
     driven.run(60)
     assert driven.state is State.RUNNING
     assert Good.restarts == 2
+
+
+def test_its_numbers_reach_its_neighbours_and_the_last_ones_hold():
+    driven = bench("Good")
+    driven.drive()
+    out = driven.tick().hand
+    assert out is not None
+    assert out.own == (1.0, pytest.approx(Good.last.time))
+    assert Good.last.neighbours[0].numbers == ()
+    state = HandState(2, 5000, driven.now - PERIOD // 2, True, 1, 1.5, 0.2, *[0.0] * 9, (), (), (7.0, 8.0))
+    driven.give("two/robot/2/hand", state)
+    driven.tick()
+    assert Good.last.neighbours[0].numbers == (7.0, 8.0)
+    driven.run(3)  # of hand states without numbers
+    assert Good.last.neighbours[0].numbers == (7.0, 8.0)
 
 
 @pytest.mark.parametrize(
