@@ -15,7 +15,10 @@ import pytest
 from tests.process.examples import installed
 from tests.process.harness import BUSY, environment, no_trouble_in_logs
 
-LAWS = ("spring", "consensus")
+LAWS = {
+    "spring": "handfast_examples.spring_law:SpringLaw",
+    "consensus": "handfast_examples.consensus_law:ConsensusLaw",
+}
 NETWORK = ("--set", "network.base_port=21720")
 MISTAKES = """
 import time
@@ -110,7 +113,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 def test_in_simulate_they_form_up_and_keep_their_distances(law: str, loss: str, tmp_path: Path) -> None:
     handfast(tmp_path, f"simulate delta --law {law} --no-report --set faults.loss={loss} --out out")
     found = metrics(tmp_path / "out")
-    assert found["law"] == law
+    assert found["law"] == LAWS[law]
     assert (found["messages"]["lost"] > 1000) == (loss == "30%")
     assert found["settling_time_s"] < 20.0
     assert found["min_distance_m"]["any"] > 0.22
@@ -121,7 +124,7 @@ def test_in_simulate_they_form_up_and_keep_their_distances(law: str, loss: str, 
 def test_in_run_each_robot_has_its_own(law: str, tmp_path: Path) -> None:
     handfast(tmp_path, f"run delta --law {law} --duration 25s --no-report --out out", *BUSY, *NETWORK)
     found = metrics(tmp_path / "out")
-    assert (found["law"], found["mode"]) == (law, "run")
+    assert (found["law"], found["mode"]) == (LAWS[law], "run")
     assert found["final_distance_error_m"] < 0.02
     no_trouble_in_logs(tmp_path / "out")
 

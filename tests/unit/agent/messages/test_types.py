@@ -11,6 +11,7 @@ from math import inf, nan
 import msgpack
 import pytest
 
+from agent.messages import validation
 from agent.messages.codec import VERSION, decode, encode, newer
 from agent.messages.types import (
     AUTHOR_MAX,
@@ -141,6 +142,16 @@ def test_numbers_of_a_law_s_own_are_sent_where_there_are_some():
     assert reason(changed(HAND, own=[0.5] * (OWN_MAX + 1))) == "range"
     assert reason(changed(HAND, own=[nan])) == "not_finite"
     assert reason(changed(HAND, own=["x"])) == "malformed"
+
+
+def test_with_numbers_and_without_it_goes_the_short_way(monkeypatch: pytest.MonkeyPatch):
+    def long_way(*_: object) -> None:
+        raise AssertionError("the long way")
+
+    monkeypatch.setattr(validation, "examined", long_way)
+    take = validation.taker(HandState)
+    for message in (HAND, HAND._replace(own=(0.5, -2.0))):
+        assert take(msgpack.unpackb(opened(encode(message)), use_list=False)) == message
 
 
 def test_floats_keep_every_bit():
