@@ -257,7 +257,7 @@ class Recording:
         ``multipliers``, ``statuses``, ``distances``; ``links`` and ``truths`` where there are."""
         from deploy.report.export import tabulate
 
-        return tabulate(self._data)
+        return tabulate(self._result)
 
     def frame(self, name: str) -> pandas.DataFrame:
         """One of `tables` as a pandas DataFrame.

@@ -17,7 +17,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.formation.geometry import resolve
 from agent.messages.declaration import Field, declared
 from agent.messages.types import (
     CORRUPTED,
@@ -33,13 +32,13 @@ from agent.messages.types import (
     PlantState,
     Wrench,
 )
-from deploy.analysis.analysis import analyse
+from deploy.analysis.analysis import Analysis
 from deploy.recording.link_table import LinkTable
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
-from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable, Table, columns
 from deploy.verdict.metrics import MESSAGES
+from deploy.verdict.run_result import RunResult
 
 FORMATS: Final = ("csv", "parquet", "json")
 FOLDER: Final = "export"
@@ -75,29 +74,30 @@ def export(folder: str | PathLike[str], format: str, out: str | PathLike[str] | 
     if format not in FORMATS:
         raise ExportError(f"unknown format {format!r}; there are {', '.join(FORMATS)}")
     write = _writer(format)
-    tables = tabulate(read_run(folder))
+    tables = tabulate(RunResult(read_run(folder)))
     target = Path(folder) / FOLDER if out is None else Path(out)
     written = []
     try:
         target.mkdir(parents=True, exist_ok=True)
-        for name, columns in tables.items():
+        for name, table in tables.items():
             path = target / f"{name}.{format}"
-            write(path, columns)
+            write(path, table)
             written.append(path)
     except OSError as error:
         raise ExportError(f"cannot write the export to {target}: {error.strerror or error}") from error
     return written
 
 
-def tabulate(recording: Recording) -> dict[str, Columns]:
+def tabulate(result: RunResult) -> dict[str, Columns]:
     """Every table by name, its columns by name, all columns of a table of one length."""
+    recording = result.recording
     robots = recording.robots.values()
     tables = {
         "hands": _stack([(robot.id, robot.hand) for robot in robots], columns(HandState)),
         "plants": _stack([(robot.id, robot.plant) for robot in robots], columns(PlantState)),
         "wrenches": _stack([(robot.id, robot.wrench) for robot in robots], columns(Wrench)),
         "multipliers": _stack([(robot.id, robot.multipliers) for robot in robots], declared(Multiplier)),
-        "distances": _distances(recording),
+        "distances": _distances(result.analysis),
         "statuses": _statuses([(robot.id, robot.status) for robot in robots]),
     }
     if len(recording.links):
@@ -124,9 +124,8 @@ def named(field: Field) -> str:
     return f"{_NAMES.get(field.name, field.name)}{'_' if unit else ''}{unit}"
 
 
-def _distances(recording: Recording) -> Columns:
-    a = analyse(recording, resolve(recording.fleet))
-    ids = np.array(recording.ids, dtype=np.int64)
+def _distances(a: Analysis) -> Columns:
+    ids = np.array(a.ids, dtype=np.int64)
     times, edges = a.distances.shape
     return {
         "t_s": np.repeat(a.grid, edges),

@@ -56,7 +56,7 @@ def test_what_each_robot_sent_has_its_own_times(recording: Recording) -> None:
 
 
 def test_tables_are_those_of_the_export(recording: Recording) -> None:
-    expected = tabulate(recording._data)
+    expected = tabulate(recording._result)
     assert recording.tables.keys() == expected.keys() >= {"hands", "plants", "distances", "statuses"}
     assert all(
         np.array_equal(recording.tables["hands"][name], expected["hands"][name]) for name in expected["hands"]

@@ -23,21 +23,14 @@ from agent.messages.types import (
     CORRUPTED,
     HELD,
     TOPICS,
-    WHAT_MAX,
-    Ask,
-    Beacon,
     Checks,
-    Event,
-    Faults,
     HandState,
-    Heartbeat,
     LinkTrace,
     Message,
     Mission,
     PlantState,
     Resume,
     Status,
-    Stop,
     Wrench,
 )
 from deploy.recording.foxglove import Scene
@@ -51,6 +44,7 @@ from deploy.recording.recorder import (
     Recorder,
     RecordingError,
 )
+from tests.declared_messages import messages_of
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
     in_formation,
@@ -63,50 +57,7 @@ from tests.unit.deploy.synthetic_run import (
 
 FLEET = make_fleet(*triangle(2), duration_s=1.0)
 
-floats = st.floats(allow_nan=False, allow_infinity=False)
-counts = st.integers(0, 2**62 - 1)
-texts = st.text(max_size=20)
-robots = st.integers(1, 9999)
-pairs = st.lists(st.tuples(robots, floats), max_size=5).map(tuple)
-microseconds = st.integers(-(2**40), 2**40)
-delays = st.lists(st.tuples(robots, microseconds), max_size=5).map(tuple)
-neighbours = st.lists(
-    st.tuples(robots, microseconds, counts, counts, microseconds, microseconds), max_size=5
-).map(tuple)
-entries = st.tuples(
-    robots, st.integers(0, len(TOPICS) - 1), counts, counts, st.integers(0, WHAT_MAX), microseconds
-)
-rows = st.lists(counts, max_size=5).map(tuple)
-pairs_of_numbers = st.lists(st.tuples(floats, floats), max_size=3).map(tuple)
-settings = st.one_of(floats, counts, texts, st.booleans(), pairs_of_numbers)
-"""Values of a trajectory's fields."""
-any_message = st.one_of(
-    st.builds(HandState, counts, counts, counts, st.booleans(), counts, *(floats,) * 11, pairs, delays),
-    st.builds(PlantState, counts, counts, counts, *(floats,) * 7, *(st.booleans(),) * 3, texts),
-    st.builds(Wrench, counts, counts, counts, floats, floats, st.booleans()),
-    st.builds(
-        Mission, counts, counts, counts, counts, texts, counts, counts, texts, counts,
-        st.lists(st.tuples(texts, settings), max_size=5).map(tuple),
-        st.lists(st.tuples(robots, floats, floats), max_size=5).map(tuple),
-        st.lists(st.tuples(robots, robots, floats), max_size=5).map(tuple),
-    ),
-    st.builds(Stop, counts, counts, texts),
-    st.builds(
-        Status, counts, counts, counts, texts, texts, texts, counts, counts, neighbours, rows, rows,
-        st.lists(st.tuples(texts, counts), max_size=5).map(tuple),
-    ),
-    st.builds(Faults, counts, counts, texts, counts, counts, texts),
-    st.builds(LinkTrace, counts, counts, counts, st.lists(entries, max_size=5).map(tuple)),
-    st.builds(Event, counts, counts, counts, texts, texts, texts),
-    st.builds(Resume, counts, counts, rows),
-    st.builds(Checks, counts, counts, counts, st.lists(st.tuples(*(texts,) * 4), max_size=5).map(tuple)),
-    st.builds(
-        Beacon, counts, counts, counts, st.booleans(), *(floats,) * 5, *(counts,) * 4,
-        st.lists(st.tuples(robots, counts, st.booleans(), *(floats,) * 4), max_size=3).map(tuple),
-    ),
-    st.builds(Heartbeat, counts, texts),
-    st.builds(Ask, counts, texts),
-)  # fmt: skip
+any_message = st.one_of(*map(messages_of, CLASSES))
 
 
 def record(path: Path, sent: Any, **options: Any) -> Recorder:

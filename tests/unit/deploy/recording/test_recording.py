@@ -45,6 +45,7 @@ from deploy.recording.recorder import Recorder, RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.tables import Table
 from deploy.report.export import tabulate
+from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
     Sent,
@@ -119,7 +120,7 @@ def test_counters_that_nobody_can_count_to_are_kept_in_bounds() -> None:
         1, 7, EPOCH_NS, "running", "epoch", "", 1, 0, (), (), (), (("sent", 2**64 - 1), ("lost", -(2**63)))
     )
     sent: list[Sent] = [MISSION, (EPOCH_NS, key_expressions.status(NAME, 1), status)]
-    statuses = tabulate(fed(FLEET, sent))["statuses"]
+    statuses = tabulate(RunResult(fed(FLEET, sent)))["statuses"]
     assert (int(statuses["sent"][0]), int(statuses["lost"][0])) == (2**62, -(2**62))
 
 

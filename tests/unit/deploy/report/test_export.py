@@ -15,6 +15,7 @@ from agent.messages.codec import encode
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import Recorder, RecordingError
 from deploy.report.export import ExportError, export, tabulate
+from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.simulated_run import driven, leave_run, trio
 from tests.unit.deploy.synthetic_run import in_formation, make_fleet, messages, standing, triangle
 
@@ -79,7 +80,7 @@ def test_json_holds_the_same(run: Path) -> None:
 
 
 def test_parquet_holds_the_same(run: Path) -> None:
-    tables = tabulate(read_run(run))
+    tables = tabulate(RunResult(read_run(run)))
     for path in export(run, "parquet"):
         stored = pq.read_table(path)
         expected = tables[path.stem]
@@ -103,14 +104,14 @@ def test_the_truth_has_a_table_of_its_own_where_there_is_one(tmp_path: Path) -> 
     with Recorder(tmp_path / "run.mcap", FLEET) as recorder:
         for received_ns, key, message in messages(FLEET, in_formation(FLEET), truth=True):
             recorder.record(received_ns, key, encode(message))
-    tables = tabulate(read_run(tmp_path))
+    tables = tabulate(RunResult(read_run(tmp_path)))
     assert set(tables) == {*TABLES, "truths"}
     measured, true = (np.asarray(tables[name]["x_m"]) for name in ("plants", "truths"))
     assert measured == pytest.approx(true + 0.5)
 
 
 def test_columns_of_a_table_have_one_length(run: Path) -> None:
-    for name, columns in tabulate(read_run(run)).items():
+    for name, columns in tabulate(RunResult(read_run(run))).items():
         assert len({len(column) for column in columns.values()}) == 1, name
 
 
