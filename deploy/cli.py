@@ -10,8 +10,8 @@ from importlib import import_module
 from typing import Any, Final, NamedTuple
 
 from agent.common.errors import Error, packages_named
+from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED
 from deploy.console.data_files import bundled
-from deploy.console.exit import BAD_INPUT, FAILED, INTERRUPTED
 from deploy.console.interrupt import remembered
 
 ROVER_SIMULATOR: Final = "rover-simulator"

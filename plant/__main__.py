@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 
+from agent.common.exit import FAILED
 from agent.common.plugins import PluginError
 from agent.common.time import Clock
 from agent.fleet import plants
 from agent.fleet.model import Fleet
 from agent.messages.types import FLOAT_MAX
-from agent.runtime.process import FAILED, Log, StartError
+from agent.runtime.process import Log, StartError
 from plant.backend import Begin, Place, PlantBackend
 from plant.pose_file import PersistentBody, PoseFile, PoseFileError
 from plant.server import main as serve

@@ -16,6 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, load_fleet, read_text
 from agent.fleet.model import Fleet, FleetError
@@ -27,8 +28,6 @@ from agent.recorder.writer_thread import RecorderThread
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.clock import RealClock
 from agent.runtime.process import (
-    BAD_INPUT,
-    FAILED,
     Log,
     Shutdown,
     StartError,
@@ -185,7 +184,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             systemd.ready()  # it does its work: a disk that is full must not look like a start that fails
             folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, systemd, log)
             if folder is None:
-                return 0
+                return PASSED
             with (
                 folder,
                 _bus(fleet, robot, options.keys, log) as bus,
@@ -207,7 +206,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         log(f"cannot record into {path}: {error.strerror or type(error).__name__}")
         return BAD_INPUT if error.errno in FOR_GOOD else FAILED
-    return 0
+    return PASSED
 
 
 if __name__ == "__main__":

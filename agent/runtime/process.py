@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from agent.common.errors import Error
+from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S, Clock
 from agent.common.wording import printable
 from agent.fleet.loading import load_fleet
@@ -32,7 +33,6 @@ END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
 """How often the parent process is looked for, ns."""
-FAILED, BAD_INPUT = 1, 2
 
 Log = Callable[[str], None]
 
@@ -252,4 +252,4 @@ def main(
     except (Error, StartError) as error:
         log(str(error))
         return BAD_INPUT
-    return 0
+    return PASSED

@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from agent.common.exit import BAD_INPUT, PASSED
 from agent.security.certificates import PEM_BYTES_MAX
 from agent.security.credentials import CredentialsError, make_request, store, wanting
 from agent.security.identity import Identity, IdentityError, addresses, of_robot
 from agent.security.private_files import reason
 
-DONE, FAILED = 0, 2
 _INPUT_MAX: Final = 2 * PEM_BYTES_MAX
 
 
@@ -50,10 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         answers = options.command(options, Path(options.folder).expanduser())
     except (CredentialsError, IdentityError) as error:
         print(error, file=sys.stderr)
-        return FAILED
+        return BAD_INPUT
     for each in answers:
         print(json.dumps(each))
-    return DONE
+    return PASSED
 
 
 def _request(options: argparse.Namespace, folder: Path) -> list[dict[str, object]]:

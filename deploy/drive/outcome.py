@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from agent.common.exit import BAD_INPUT
 from agent.fleet.model import Fleet
 from agent.security.identity import of_robot
-from deploy.console.exit import BAD_INPUT
 from deploy.processes.child import ONE_THREAD
 
 RECORDER: Final = "recorder"

@@ -6,10 +6,10 @@ import argparse
 import sys
 from collections.abc import Callable
 
+from agent.common.exit import BAD_INPUT, FAILED
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
-from deploy.console.exit import BAD_INPUT, FAILED
 
 MEANING = (
     "FLEET is the name of a fleet that runs on this machine, the folder of its run, or a fleet file; the "

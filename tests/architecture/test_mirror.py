@@ -47,7 +47,7 @@ BY_OTHERS: Final = {
         bridges/mavlink/transport/channels
         bridges/mavlink/transport/lock
         deploy/chaos/run_real
-        deploy/console/exit
+        agent/common/exit
         deploy/drive/fleet_state
         deploy/drive/local
         deploy/drive/outcome

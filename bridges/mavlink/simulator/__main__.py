@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S, Clock
 from agent.runtime.clock import RealClock
 from agent.runtime.process import PARENT_PERIOD_NS, Shutdown
@@ -68,7 +69,7 @@ def serve(rover: Rover, lines: Sequence[Line], clock: Clock, shutdown: Shutdown,
         for text in rover.take_log():
             log(text)
         if rover.crashed:
-            return 1
+            return FAILED
         if rover.boots != boots:
             boots = rover.boots
             for number, line in enumerate(lines):
@@ -78,7 +79,7 @@ def serve(rover: Rover, lines: Sequence[Line], clock: Clock, shutdown: Shutdown,
             parent_due_ns = now_ns + PARENT_PERIOD_NS
             shutdown.look_for_parent()
     log(f"ending ({shutdown.why})")
-    return 0
+    return PASSED
 
 
 class _Append(argparse.Action):
@@ -187,7 +188,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         lines = open_lines(endpoints)
     except SettingsError as error:
         log(str(error))
-        return 2
+        return BAD_INPUT
     try:
         clock = RealClock()
         rover = Rover(settings, clock.now_ns())

@@ -10,8 +10,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from agent.common.exit import PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
-from deploy.console.exit import PASSED
 from deploy.inventory.running import handled
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ import sys
 import time
 from pathlib import Path
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
 from deploy.inventory.running import handled

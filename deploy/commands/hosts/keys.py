@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from agent.common.exit import PASSED
 from agent.fleet.model import Fleet
 from agent.security import private_files
 from agent.security.certificates import DAY_S
@@ -25,7 +26,6 @@ from agent.security.identity import (
 )
 from agent.security.private_files import KeyFileError
 from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved
-from deploy.console.exit import PASSED
 from deploy.hosts.certificates import answer, read_requests
 from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
 

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Final, NamedTuple
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
@@ -28,7 +29,6 @@ from deploy.console.arguments import (
     robots_argument,
     robots_named,
 )
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
 from deploy.hosts import systemd_units

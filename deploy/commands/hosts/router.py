@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from agent.common.exit import INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
-from deploy.console.exit import INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import handled
 

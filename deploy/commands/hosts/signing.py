@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
@@ -20,7 +21,6 @@ from deploy.console.arguments import (
     robots_argument,
     robots_named,
 )
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 
 IN_CLEAR: Final = (

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import handled
 

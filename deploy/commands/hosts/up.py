@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 from deploy.inventory.running import handled
 

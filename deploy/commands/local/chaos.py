@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 
 if TYPE_CHECKING:
     from deploy.chaos.report import Driven

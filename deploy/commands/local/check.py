@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from agent.common.exit import BAD_INPUT, PASSED
 from deploy.console.arguments import fleet_arguments, load_unresolved
-from deploy.console.exit import BAD_INPUT, PASSED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from agent.common.exit import PASSED
 from deploy.console.arguments import InputError
-from deploy.console.exit import PASSED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from agent.common.exit import PASSED
 from deploy.console.arguments import InputError
 from deploy.console.data_files import TEMPLATE
-from deploy.console.exit import PASSED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

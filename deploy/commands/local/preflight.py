@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe, fleet_arguments, load
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.interrupt import Interrupt
 
 

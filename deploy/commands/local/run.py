@@ -6,8 +6,8 @@ import argparse
 import sys
 from contextlib import suppress
 
+from agent.common.exit import FAILED
 from deploy.console.arguments import InputError, drive_arguments, fleet_arguments, load
-from deploy.console.exit import FAILED
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 

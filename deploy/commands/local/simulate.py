@@ -6,9 +6,9 @@ import argparse
 import sys
 import time
 
+from agent.common.exit import FAILED
 from agent.common.time import NS_PER_S
 from deploy.console.arguments import drive_arguments, fleet_arguments, load
-from deploy.console.exit import FAILED
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 

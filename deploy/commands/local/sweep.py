@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from agent.common.exit import BAD_INPUT, INTERRUPTED, PASSED
 from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     InputError,
@@ -20,7 +21,6 @@ from deploy.console.arguments import (
     overrides,
     scenario_path,
 )
-from deploy.console.exit import BAD_INPUT, INTERRUPTED, PASSED
 
 if TYPE_CHECKING:
     from deploy.sweep.folder import SweepFolder

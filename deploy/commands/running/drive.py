@@ -9,10 +9,10 @@ from contextlib import suppress
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, describe, fleet_path
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 from deploy.inventory.running import handled
 

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from math import isinf
 from typing import TYPE_CHECKING, Literal, get_args, get_origin
 
+from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import read_text
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, describe, scenario_path
-from deploy.console.exit import FAILED, INTERRUPTED, PASSED
 from deploy.inventory.running import MEANING, handled, running_fleet
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
+from agent.common.exit import PASSED
 from deploy.console.arguments import InputError, describe
-from deploy.console.exit import PASSED
 from deploy.inventory.running import MEANING, handled, running_fleet
 
 

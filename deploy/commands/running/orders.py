@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
+from agent.common.exit import FAILED, PASSED
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, describe
-from deploy.console.exit import FAILED, PASSED
 from deploy.inventory.running import MEANING, handled, running_fleet
 from deploy.orders.options import OPTIONS, order_of_options
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from agent.common.exit import FAILED, PASSED
 from deploy.console.arguments import describe, robots_argument, robots_named
-from deploy.console.exit import FAILED, PASSED
 from deploy.inventory.running import MEANING, handled, running_fleet
 
 

@@ -1,11 +1,11 @@
-"""Exit statuses of every command."""
+"""Exit statuses of commands and processes (PURE)."""
 
 from __future__ import annotations
 
 from typing import Final
 
 PASSED: Final = 0
-"""Done as asked; where there is a verdict, it passed."""
+"""Done as asked, or asked to end; where there is a verdict, it passed."""
 FAILED: Final = 1
 """The verdict failed, or something was not done; what and why was printed."""
 BAD_INPUT: Final = 2
