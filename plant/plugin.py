@@ -34,6 +34,9 @@ class PluginBody(PlantBackend):
         period_ns: time between two steps.
         say: takes what goes wrong, once each.
         clock: ns of any clock: what the time of a step is measured with.
+
+    Attributes:
+        failed: what its class did wrong, "" for nothing.
     """
 
     def __init__(
@@ -47,9 +50,9 @@ class PluginBody(PlantBackend):
     ) -> None:
         self._name, self._plant, self._period_ns, self._say, self._clock = name, plant, period_ns, say, clock
         self._pose = begin
-        self._failed = ""
+        self.failed = ""
         self._late, self._slow = 0, ""
-        self._ready = (Check("plant", "ok", f"{name} is there"),) if plant.vehicle else ()
+        self._ready = (Check("plant", "ok", "it is there"),) if plant.vehicle else ()
 
     @property
     def pose(self) -> Pose:
@@ -60,17 +63,17 @@ class PluginBody(PlantBackend):
         """See `PlantBackend.step`."""
         begun_ns = self._clock()
         try:
-            reading = self._plant.step(now_ns, None if self._failed else command)
+            reading = self._plant.step(now_ns, None if self.failed else command)
             wrong = _wrong(reading)
         except Exception as error:
             wrong = f"failed with {blame(error, type(self._plant))}"
         if wrong:  # it is where it was seen last
             self._fail(f"step {wrong}")
             pose = self._pose._replace(speed=0.0, yaw_rate=0.0)
-            return Reading(now_ns, pose, 0.0, 0.0, False, self._failed)
+            return Reading(now_ns, pose, 0.0, 0.0, False, self.failed)
         self._pose = reading.pose
-        if self._failed:
-            return reading._replace(healthy=False, note=self._failed)
+        if self.failed:
+            return reading._replace(healthy=False, note=self.failed)
         self._time(self._clock() - begun_ns)
         return reading._replace(note=self._slow) if self._slow and not reading.note else reading
 
@@ -83,9 +86,9 @@ class PluginBody(PlantBackend):
             return None
 
     def _fail(self, wrong: str) -> None:
-        if not self._failed:
-            self._failed = f"{self._name}: {wrong}"
-            self._say(self._failed)
+        if not self.failed:
+            self.failed = f"{self._name}: {wrong}"
+            self._say(self.failed)
 
     def _time(self, took_ns: int) -> None:
         """Notes that steps take longer than there is time for."""
@@ -104,8 +107,8 @@ class PluginBody(PlantBackend):
     def checks(self, now_ns: int) -> Sequence[Check]:
         """See `PlantBackend.checks`."""
         found = self._asked("checks", self._plant.checks, now_ns)
-        if self._failed:
-            return (Check("plant", BLOCKING, self._failed),)
+        if self.failed:
+            return (Check("plant", BLOCKING, self.failed),)
         return found or self._ready
 
     def close(self) -> None:
@@ -156,6 +159,5 @@ def _made(reference: str, plugin: type[Plant], fleet: Fleet, robot: int, how: Be
         plant = plugin(Setup(row, settings, start, period_s, timeout_s, seed, how.look))
     except Exception as error:
         why = f"cannot be made: {blame(error, plugin)}"
-        raise PluginError(f"{reference}: {why}; __init__ takes self and one Setup") from None
-    name = reference.rpartition(":")[2]
-    return PluginBody(name, plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.log)
+        raise PluginError(f"plant {reference}: {why}; __init__ takes self and one Setup") from None
+    return PluginBody(f"plant {reference}", plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.log)

@@ -19,6 +19,7 @@ from deploy.check.finding import Finding
 from deploy.check.loop import check_gains, check_loop, check_saturation
 from deploy.check.orders import check_orders
 from deploy.check.own_law import check_own_law
+from deploy.check.own_plant import check_own_plants
 from deploy.check.safety import check_safety
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
 from deploy.check.vehicles import check_vehicles
@@ -50,5 +51,6 @@ def check(fleet: Fleet) -> list[Finding]:
     findings += check_noise(fleet)
     findings += check_safety(fleet, geometry)
     findings += check_vehicles(fleet)
+    findings += check_own_plants(fleet)
     findings += check_faults(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])

@@ -26,12 +26,15 @@ from typing import Any, Final
 
 from agent.runtime.version import handfast_version
 from deploy.console.data_files import ROBOT_REQUIREMENTS, ROOT
+from deploy.hosts.plugin_files import plugin_files
 from deploy.inventory.folders import cache_folder
 
 PACKAGES: Final = ("agent", "plant", "bridges")
 """What a robot runs; `deploy` is the operator's."""
 MODULE: Final = "handfast.py"
 """What laws and plants of one's own import."""
+PLUGINS: Final = "handfast_plugins.txt"
+"""Modules of plugins that are sent along, a line each; the installation imports them once."""
 DOWNLOAD_TIMEOUT_S: Final = 600.0
 GLIBC_OLDEST: Final = 17
 _INDEX: Final = "bundle.json"
@@ -212,23 +215,34 @@ def _download(platform: Platform, folder: Path) -> None:
         raise BundleError(f"no wheels for {platform}: {said.removeprefix('ERROR: ')}")
 
 
-def program_archive() -> bytes:
-    """Our packages as a zip archive; the same bytes for the same files, whichever zlib is here."""
+def program_archive(modules: tuple[str, ...] = ()) -> bytes:
+    """Our packages as a zip archive; the same bytes for the same files, whichever zlib is here.
+
+    Args:
+        modules: of plugins, whose files go with them.
+
+    Raises:
+        deploy.hosts.plugin_files.PluginFilesError: a plugin cannot be sent.
+    """
     memory = BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
-        for name, data in _contents():
+        for name, data in _contents(modules):
             entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, data)
     return memory.getvalue()
 
 
-def _contents() -> Iterator[tuple[str, bytes]]:
+def _contents(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*")):
             if path.is_file() and path.suffix != ".pyc":
                 yield path.relative_to(ROOT).as_posix(), path.read_bytes()
     yield MODULE, (ROOT / MODULE).read_bytes()
+    strangers = tuple(name for name in modules if name.partition(".")[0] not in PACKAGES)
+    if strangers:
+        yield PLUGINS, "\n".join(strangers).encode()
+        yield from plugin_files(strangers)
     version = handfast_version()
     metadata = f"Metadata-Version: 2.1\nName: handfast\nVersion: {version}\n"
     yield f"handfast-{version}.dist-info/METADATA", metadata.encode()

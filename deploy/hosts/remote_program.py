@@ -37,6 +37,7 @@ LOOK_S: Final = 0.5
 RESERVE_BYTES: Final = 50_000_000
 """No file is put when less than this would be left of the disk."""
 COMPLETE: Final = ".complete"
+PLUGINS: Final = "handfast_plugins.txt"
 LOCK: Final = ".lock"
 LINGER: Final = Path("/var/lib/systemd/linger")
 
@@ -301,11 +302,13 @@ def make_version(folder: Path, wheels: list[str], pip: str, program: str) -> Non
         waited_for=True,
     )
     found = command([python, "-P", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], 30.0)
+    modules = ["agent.__main__", "plant.__main__", "bridges.mavlink.__main__"]
     with zipfile.ZipFile(inside(program)) as archive:
         archive.extractall(found.stdout.strip())
+        if PLUGINS in archive.namelist():
+            modules += archive.read(PLUGINS).decode().split()
     # What agents and plants load is compiled here and now, and shown to load.
-    words = [python, "-P", "-c", "import agent.__main__, plant.__main__, bridges.mavlink.__main__"]
-    command(words, 120.0, waited_for=True)
+    command([python, "-P", "-c", f"import {', '.join(modules)}"], 120.0, waited_for=True)
     os.sync()  # a power loss must not leave the mark without what it stands for
     (folder / COMPLETE).touch()
 

@@ -24,6 +24,7 @@ from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.jobs import HostJobs
+from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.setup import Keys, Prepared, prepare
 from deploy.hosts.view import DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
@@ -85,7 +86,7 @@ class BringUp:
         self.left: set[int] = set()
         self.warnings: list[str] = []
         self._text = robots_text(fleet)
-        self._program = program_archive()
+        self._program = program_archive(plugin_modules(fleet))
         self._turn = threading.Lock()
         """Held by the one robot that may be down while the fleet drives."""
         self._halted = ""

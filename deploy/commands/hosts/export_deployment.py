@@ -15,6 +15,7 @@ from deploy.console.arguments import InputError, describe, fleet_path, load, no_
 from deploy.inventory.running import handled
 
 if TYPE_CHECKING:
+    from agent.fleet.model import Fleet
     from deploy.hosts.ansible import Pack
     from deploy.hosts.bundle import Platform
 
@@ -65,7 +66,7 @@ def _export(options: argparse.Namespace) -> int:
     refuse_errors(options, fleet)
     fleet = located(fleet)
     try:
-        packs = _packs(options.platforms)
+        packs = _packs(fleet, options.platforms)
         written = texts(fleet, source, robots_text(fleet), tomli_w.dumps(to_dict(fleet)), packs)
     except (BundleError, DeploymentError) as error:
         raise InputError(str(error)) from None
@@ -77,12 +78,13 @@ def _export(options: argparse.Namespace) -> int:
     return PASSED
 
 
-def _packs(asked: list[str]) -> list[Pack]:
+def _packs(fleet: Fleet, asked: list[str]) -> list[Pack]:
     """What hosts of each platform get; raises `BundleError` and `DeploymentError`."""
     from deploy.hosts.ansible import Pack, parse_platform
     from deploy.hosts.bundle import bundle_for, program_archive
+    from deploy.hosts.plugin_files import plugin_modules
 
-    program = program_archive()
+    program = program_archive(plugin_modules(fleet))
     platforms = list(dict.fromkeys(map(parse_platform, asked))) or [_this_machine()]
     return [Pack(platform, bundle_for(platform, program)) for platform in platforms]
 

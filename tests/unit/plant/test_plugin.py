@@ -119,11 +119,11 @@ def test_a_vehicle_has_checks_and_a_stand_in() -> None:
     [
         (
             "Radio",
-            r"^Radio: cannot be made: OSError: no radio \(test_plugin.py:\d+\); __init__ takes self and",
+            r"^plant Radio: cannot be made: OSError: no radio \(test_plugin.py:\d+\); __init__ takes",
         ),
         (
             "Old",
-            r"^Old: cannot be made: TypeError: .*missing 1 required positional argument: 'start'; __init__",
+            r"^plant Old: cannot be made: TypeError: .*missing 1 required positional argument: 'start'",
         ),
     ],
 )

@@ -200,7 +200,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr("deploy.session.session.operator_bus", lambda _: there)
     monkeypatch.setattr("deploy.hosts.jobs.HostConnection", there.host)
     monkeypatch.setattr("deploy.hosts.setup.bundle_for", lambda _, program: Bundle(Path(), WHEELS, program))
-    monkeypatch.setattr("deploy.hosts.up.program_archive", lambda: b"program")
+    monkeypatch.setattr("deploy.hosts.up.program_archive", lambda modules: b"program")
     return there
 
 

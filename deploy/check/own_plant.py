@@ -1,0 +1,62 @@
+"""Does a plant of others work where its robot starts, how long does it take, what cannot be said of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from statistics import median
+from typing import Final
+
+from agent.common.plugins import PluginError
+from agent.fleet import plants
+from agent.fleet.model import Fleet
+from deploy.check.finding import Finding, Level
+from plant.backend import Begin, Command
+from plant.plugin import begin_virtual
+
+STEPS: Final = 5
+SHARE_MAX: Final = 0.25
+"""Of a period, that a step may take: the rest is for messages and other processes."""
+
+
+def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
+    """Makes what stands for each plant of others in virtual time, and asks it at the start."""
+    said: set[str] = set()
+    for number, robot in enumerate(fleet.robots, 1):
+        if not robot.kind.is_plugin:
+            continue
+        plugin = plants.load(robot.plant)
+        if plugin.vehicle and plugin.simulated is None:
+            continue  # it is not for us to touch
+        for level, text in _looked_at(fleet, robot.id):
+            if text not in said:
+                said.add(text)
+                yield Finding(level, f"robot[{number}].plant", text)
+
+
+def _looked_at(fleet: Fleet, robot: int) -> Iterator[tuple[Level, str]]:
+    try:
+        body = begin_virtual(fleet, robot, Begin(0))
+    except PluginError as error:
+        yield "error", str(error)
+        return
+    times = []
+    for step in range(STEPS):
+        begun = time.perf_counter()
+        body.step(step * fleet.period_ns, Command(0.0, 0.0) if step else None)
+        times.append(time.perf_counter() - begun)
+    body.clear_to_drive()
+    body.checks(0)
+    body.close()
+    name = f"plant {fleet.robot(robot).plant}"
+    took_s, period_s = median(times), 1.0 / fleet.fleet.rate_hz
+    if body.failed:
+        yield "error", body.failed
+    elif took_s > SHARE_MAX * period_s:
+        share = f"{1e3 * took_s:.3g} ms here, {took_s / period_s:.0%} of a period"
+        yield (
+            "warning",
+            f"{name}: a step takes {share}: a plant that is too slow skips ticks; make it faster, or lower "
+            "fleet.rate_hz",
+        )
+    yield "info", f"{name} cannot be predicted (how it brakes and turns): simulate it"

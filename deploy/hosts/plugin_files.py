@@ -1,0 +1,82 @@
+"""The plugins of a fleet as files for robots' computers: what the packages of their classes hold here."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from agent.common.errors import Error
+from agent.fleet.model import Fleet
+
+BYTES_MAX: Final = 16_000_000
+_COMPILED: Final = (".so", ".pyd", ".dylib")
+
+
+class PluginFilesError(Error):
+    """A plugin cannot be sent; the text is one clear line."""
+
+
+def plugin_modules(fleet: Fleet) -> tuple[str, ...]:
+    """Modules of the plugins that a fleet uses.
+
+    Raises:
+        PluginFilesError: one of them is known in this process alone.
+    """
+    used = {robot.plant for robot in fleet.robots if robot.kind.is_plugin} | {fleet.control.law} - {None}
+    for reference in used:
+        if reference is not None and ":" not in reference:
+            raise PluginFilesError(
+                f"{reference}: this class is known in this process alone: robots' computers need it as "
+                '"package.module:Class"'
+            )
+    return tuple(sorted({str(reference).partition(":")[0] for reference in used}))
+
+
+def plugin_files(modules: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
+    """Names, as below a folder of Python packages, and bytes of the files that these modules need.
+
+    A module's whole top-level package is sent, without what it was compiled to here.
+
+    Raises:
+        PluginFilesError: there is none, it is too large, or part of it is compiled for this machine.
+    """
+    seen: set[Path] = set()
+    total = 0
+    for module in modules:
+        base, place = _whole(module)
+        files = sorted(place.rglob("*")) if place.is_dir() else [place]
+        for path in files:
+            if not path.is_file() or path.suffix == ".pyc" or path in seen:
+                continue
+            name = path.relative_to(base).as_posix()
+            if path.suffix in _COMPILED:
+                raise PluginFilesError(
+                    f"{module}: {name} is compiled for this machine: only packages of pure Python are sent"
+                )
+            seen.add(path)
+            total += path.stat().st_size
+            if total > BYTES_MAX:
+                raise PluginFilesError(
+                    f"{module}: {place} is larger than {BYTES_MAX // 1_000_000} MB: put the class into a "
+                    "package of its own"
+                )
+            yield name, path.read_bytes()
+
+
+def _whole(module: str) -> tuple[Path, Path]:
+    """The folder above, and the folder or file of, a module's top-level package.
+
+    Of a namespace that several packages share, the part with the module.
+    """
+    parts = module.split(".")
+    for depth in range(1, len(parts) + 1):
+        spec = importlib.util.find_spec(".".join(parts[:depth]))
+        if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
+            file = Path(spec.origin)
+            place = file.parent if spec.submodule_search_locations is not None else file
+            return place.parents[depth - 1], place
+        if spec is None or spec.origin is not None:
+            break
+    raise PluginFilesError(f"{module}: it is no file of Python: only packages of pure Python are sent")

@@ -1,0 +1,80 @@
+"""deploy.check.own_plant: a plant of others is made and asked once before anything drives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from agent.common import plugins
+from agent.control.hand import Pose
+from agent.fleet.loading import load_fleet
+from deploy.check.check import check
+from deploy.check.finding import Finding
+from deploy.check.own_plant import check_own_plants
+from deploy.console.data_files import FLEETS
+from plant.backend import Command, Plant, Reading, Setup
+
+
+class Good(Plant):
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        return Reading(now_ns, Pose(*self.setup.start, 0.0, 0.0), 0.0, 0.0)
+
+
+class Slow(Good):
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        time.sleep(0.011)
+        return super().step(now_ns, command)
+
+
+class Late(Good):
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        return super().step(now_ns, command) if command is None else 1 / 0  # type: ignore[return-value]
+
+
+class Heavy(Good):
+    def __init__(self, setup: Setup) -> None:
+        raise MemoryError("too heavy")
+
+
+class Touched(Good):
+    vehicle = True
+
+    def __init__(self, setup: Setup) -> None:
+        raise AssertionError("it was touched")
+
+
+@pytest.fixture(autouse=True)
+def _known() -> Iterator[None]:
+    for plugin in (Good, Slow, Late, Heavy, Touched):
+        plugins.register(plugin.__name__, plugin)
+    yield
+    plugins._registered.clear()
+
+
+def found(name: str) -> list[Finding]:
+    return list(check_own_plants(load_fleet(FLEETS / "delta.toml", [f"robot_defaults.plant={name}"])))
+
+
+def test_what_is_said_of_each() -> None:
+    assert found("unicycle") == []
+    assert [(f.level, f.place) for f in found("Good")] == [("info", "robot[1].plant")]
+    assert "plant Good cannot be predicted" in found("Good")[0].message
+    assert [f.level for f in found("Slow")] == ["warning", "info"]
+    assert "plant Slow: a step takes 11" in found("Slow")[0].message
+    late, _ = found("Late")
+    assert late.message.startswith(
+        "plant Late: step failed with ZeroDivisionError: division by zero (test_own"
+    )
+    (heavy,) = found("Heavy")
+    assert (heavy.level, "plant Heavy: cannot be made: MemoryError: too heavy" in heavy.message) == (
+        "error",
+        True,
+    )
+    assert found("Touched") == []
+
+
+def test_check_says_it() -> None:
+    fleet = load_fleet(FLEETS / "delta.toml", ["robot.3.plant=Late"])
+    assert [f.place for f in check(fleet) if f.level == "error"] == ["robot[3].plant"]
