@@ -154,7 +154,7 @@ class Agent:
         if other is not None:
             self._report.corrupted += 1
             if error.reason == "version":
-                self._peers.get(other).other_version = error.detail
+                self._peers.speaks_another_version(other, error.detail)
 
     def _accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
         self._relay.compare(now_ns, beacon)

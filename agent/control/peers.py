@@ -45,7 +45,7 @@ Motion = Callable[[int, int], Sample | None]
 
 
 class Peer:
-    """One other robot.
+    """One other robot. `Peers` writes it, others read.
 
     Attributes:
         message: its latest, a hand state, or a beacon in the form of one; None when nothing has come.
@@ -304,6 +304,10 @@ class Peers:
         if not here:
             peer.here = False
 
+    def speaks_another_version(self, robot: int, what: str) -> None:
+        """A message of a robot was refused for its version; `what` it and this program speak."""
+        self.get(robot).other_version = what
+
     def take_copy(self, robot: int) -> float | None:
         """Its copy of the shared multiplier, if one has come since the last call.
 
@@ -332,6 +336,10 @@ class Peers:
                 known = sorted(known, key=_by_hand, reverse=True)[:NEIGHBOURS_MAX]
             self._heard = tuple(sorted((peer.robot, peer.clock.least_us or 0) for peer in known))
         return self._heard
+
+    def set_trust(self, peer: Peer, trust: float) -> None:
+        """Trusts a robot so much (0..1) at once, as the one that trusts does not drive."""
+        peer.trust = trust
 
     def update_trust(self, peer: Peer, wanted: bool, period_s: float) -> float:
         """Moves the trust in a robot (0..1) on by one tick, up if `wanted`, and returns it."""

@@ -77,7 +77,7 @@ class NeighbourTrust:
             if drives:
                 controller.peers.update_trust(peer, wanted, period_s)
             else:
-                peer.trust = 1.0 if wanted and state is State.READY else 0.0
+                controller.peers.set_trust(peer, 1.0 if wanted and state is State.READY else 0.0)
             if edge.weight < BEGUN:
                 continue
             begun += 1
