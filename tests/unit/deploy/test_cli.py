@@ -134,7 +134,8 @@ def loaded_by(*arguments: str) -> set[str]:
 def test_help_loads_no_command_and_nothing_of_fleets() -> None:
     loaded = loaded_by("--help")
     assert not loaded & {*HEAVY, "numpy", "bridges", "plant"}
-    assert {name for name in loaded if name.startswith("agent.")} == {"agent.common", "agent.common.errors"}
+    light = {"agent.common", "agent.common.errors", "agent.common.exit"}
+    assert {name for name in loaded if name.startswith("agent.")} == light
     assert not [name for name in loaded if name.startswith("deploy.commands.")]
 
 
