@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.formation.geometry import Geometry
+from agent.formation.points import Floats
 from deploy.analysis.desired import MissionChange, desired
-from deploy.analysis.presence import away, downs
+from deploy.analysis.presence import Flags, away, downs
 from deploy.analysis.stability import SETTLED
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
-
-Flags = NDArray[np.bool_]
 
 _BRAKING_S: Final = 0.3
 """Of a simulated body at 1.5 m/s (`plant.unicycle.BRAKE_DECELERATION_MAX`)."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.control.boundaries import Circle, Polygon
-
-Floats = NDArray[np.float64]
+from agent.formation.points import Floats
 
 
 def distances(boundary: Circle | Polygon, points: Floats) -> Floats:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import PlanError, plan_of
+from agent.formation.points import Floats
 from agent.formation.reference import Reference
 from agent.formation.trajectory import make_trajectory
 from agent.messages.codec import newer
 from agent.messages.types import Mission
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
 
 

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.formation.points import Floats
 from agent.supervision.state_machine import State
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable
 

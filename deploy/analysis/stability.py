@@ -11,16 +11,13 @@ from math import inf, isfinite, log, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hands
-from agent.formation.points import edge_lengths
+from agent.formation.points import Floats, edge_lengths
 from agent.formation.trajectory import make_trajectory
 from deploy.analysis import fleet_law
 from deploy.analysis.couplings import FleetCoupling, FleetLaw, Mode, coupling_of
-
-Floats = NDArray[np.float64]
 
 SETTLED: Final = 0.05
 """Share of its distance within which an edge counts as settled."""

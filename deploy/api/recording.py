@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 import numpy as np
 
 from agent.common.errors import Error, packages_named
-from deploy.recording.link_table import Floats
+from agent.formation.points import Floats
 from deploy.recording.tables import Table
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.common.errors import Error, packages_named
+from agent.formation.points import Floats
 from deploy.api.changes import Classes, in_words_of_python, toml
 from deploy.api.fleet import Changes, Fleet, Source, load
 from deploy.api.recording import data_frame
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
-from deploy.recording.link_table import Floats
 from deploy.simulate.worker_pool import Pool, Work, cores
 from deploy.sweep.plan import Axis, Plan, Question, make_plan, parse_axis
 from deploy.sweep.run import PASSED, Row, Runs

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from agent.common.random_streams import stream, uniform
 
 T = TypeVar("T")
+Tables = dict[str, Any]
+"""Of a fleet file, as TOML has them."""
 
 
 class Dice:

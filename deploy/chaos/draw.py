@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from functools import partial
 from math import cos, hypot, pi, sin
-from typing import Any, Final
+from typing import Final
 
 import tomli_w
 
 from agent.fleet.loading import parse_fleet
 from agent.formation.trajectory import make_trajectory
-from deploy.chaos.dice import Dice
+from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.draw_faults import draw_faults
 from deploy.chaos.draw_formation import Shape, draw_shape
 from deploy.chaos.draw_obstacles import draw_obstacles, fence_round
 from deploy.chaos.draw_orders import draw_orders
 from deploy.check.braking import MARGIN_M
-
-Tables = dict[str, Any]
 
 ROBOTS_MAX: Final = 12
 RESERVE_MAX: Final = 3

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
-from deploy.chaos.dice import Dice
+from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.draw_obstacles import Reach
-
-Tables = dict[str, Any]
 
 _COUNTS: Final = ((0, 1.0), (1, 2.0), (2, 3.0), (3, 3.0), (4, 2.0), (6, 1.0), (8, 0.5))
 _KINDS: Final = (

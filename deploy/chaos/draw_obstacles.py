@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, cos, dist, hypot, pi, sin
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
-from deploy.chaos.dice import Dice
+from deploy.chaos.dice import Dice, Tables
 
-Tables = dict[str, Any]
 OBSTACLES_MAX: Final = 6
 _FREE_M: Final = 0.35
 """Obstacles are so much further from the hands at the start than robots keep from them."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import cos, dist, hypot, pi, sin
-from typing import Any, Final
+from typing import Final
 
 import tomli_w
 
@@ -18,13 +18,12 @@ from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.formation.mission_plan import Plan
-from deploy.chaos.dice import Dice
+from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.draw_formation import APART_FACTOR, apart_m, draw_shape, near_shape
 from deploy.chaos.draw_obstacles import Reach, hands
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import Operator
 
-Tables = dict[str, Any]
 Draw = Callable[[Dice, Vector], Tables]
 """A trajectory that begins near a place."""
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from agent.supervision.state_machine import TRANSITIONS, State
+from deploy.chaos.dice import Tables
 from deploy.chaos.run import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
-
-Tables = dict[str, Any]
 
 NOT_DRAWN: Final[Mapping[str, str]] = {
     "numbers_failed": "the law gave a number that is none: nothing that is drawn may lead to it",

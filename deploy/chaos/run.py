@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import time
-import traceback
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ import tomli_w
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
 from deploy.analysis.balance import caught
+from deploy.console.wording import error_text
 from deploy.recording.recording import Recording
 from deploy.simulate.judged import drive as simulate
 from deploy.simulate.worker_pool import Abandoned, GoOn
@@ -91,7 +91,7 @@ def drive(text: str, go_on: GoOn = lambda: True, source: str = "scenario") -> Ou
     except Abandoned:
         raise
     except Exception as error:
-        outcome = Outcome((Violation(CRASH, 0.0, _error_text(error)),))
+        outcome = Outcome((Violation(CRASH, 0.0, error_text(error, "The program failed: ")),))
     return replace(outcome, wall_s=time.perf_counter() - begun_s)
 
 
@@ -135,10 +135,3 @@ def _ended(result: RunResult) -> str:
     return (
         SOON if (last_trouble_s(recording, analysis) or 0.0) + RECOVERED_S >= recording.end_s else ELSEWHERE
     )
-
-
-def _error_text(error: Exception) -> str:
-    """An exception on one line, with the place that it comes from."""
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""
-    return " ".join(f"The program failed: {type(error).__name__}: {error}".split())[:300] + where

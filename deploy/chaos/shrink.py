@@ -12,10 +12,9 @@ from copy import deepcopy
 from typing import Any, Final
 
 from agent.fleet.model import FleetError
+from deploy.chaos.dice import Tables
 from deploy.chaos.run import CRASH, Outcome, drive, scenario_text
 from deploy.simulate.worker_pool import GoOn
-
-Tables = dict[str, Any]
 
 RUNS_MAX: Final = 120
 LISTS: Final = (("order",), ("faults", "rule"), ("obstacle",))

@@ -7,17 +7,15 @@ from math import atan2, exp, hypot, inf, sqrt
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry, start_hands
+from agent.formation.points import Floats
 from agent.formation.trajectory import make_trajectory
 from deploy.check.finding import Finding
 from deploy.console.wording import counted, robots
-
-Floats = NDArray[np.float64]
 
 TURN_PER_TICK_WARN: Final = 0.5
 TURN_PER_TICK_MAX: Final = 2.0

@@ -12,10 +12,9 @@ from agent.control.boundaries import Circle, Polygon
 from agent.fleet.model import Fleet
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
+from agent.formation.points import Floats
 from agent.formation.trajectory import make_trajectory
 from deploy.analysis.clearances import distances
-
-Floats = NDArray[np.float64]
 
 _CELLS: Final = 256
 """Pieces that a drive is cut into at first."""

@@ -15,13 +15,12 @@ from agent.control.hand import Pose, hand
 from agent.control.safety_distances import avoidance_distance, clearance, least_apart
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
+from agent.formation.points import Floats
 from deploy.analysis.clearances import distances
 from deploy.check.braking import check_braking, check_room
 from deploy.check.finding import Finding, Level
 from deploy.check.paths import Paths
 from deploy.console.wording import NAMES_SHOWN, robots
-
-Floats = NDArray[np.float64]
 
 _GAPS_OBSTACLES_MAX: Final = 100
 """With more obstacles than this, gaps between them are not looked for: pairs grow with the square."""

@@ -6,19 +6,16 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.fleet.model import Fleet, FormationError
 from agent.formation.geometry import Geometry, edge_indices, given_distances, given_offsets
 from agent.formation.graph import components, connected
-from agent.formation.points import edge_lengths
+from agent.formation.points import Floats, edge_lengths
 from agent.formation.trajectory import make_trajectory
 from deploy.analysis.rigidity import is_collinear, is_rigid, loose, rigidity_rank
 from deploy.check.finding import Finding
 from deploy.check.safety import start_points
 from deploy.console.wording import NAMES_SHOWN, robots, some
-
-Floats = NDArray[np.float64]
 
 DISTANCE_TOLERANCE: Final = 0.01
 """Distances further than this share from what the offsets say contradict them."""

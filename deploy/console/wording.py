@@ -1,7 +1,8 @@
-"""Lists of robots in messages: short, and in good English."""
+"""Lists of robots, and errors, in messages: short, and in good English."""
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -27,3 +28,10 @@ def some(ids: Iterable[Any]) -> str:
     shown = [str(number) for number in ids]
     text = ", ".join(shown[:NAMES_SHOWN])
     return f"{text} and {len(shown) - NAMES_SHOWN} more" if len(shown) > NAMES_SHOWN else text
+
+
+def error_text(error: Exception, before: str = "") -> str:
+    """An exception on one line, with the place that it comes from."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""
+    return " ".join(f"{before}{type(error).__name__}: {error}".split())[:300] + where

@@ -11,11 +11,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.formation.points import Floats
 from agent.messages.types import DUPLICATED, LOST, TOPICS, LinkTrace
 from deploy.recording.columns import Store
 from deploy.recording.links import Link
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Clock = tuple[int, float]
 """How far a clock is ahead (ns) and how much faster it goes, on purpose

@@ -26,7 +26,7 @@ from agent.messages.types import CLASSES, Message
 from deploy.recording.collector import RunData
 from deploy.recording.foxglove import SCHEMA_PREFIX
 from deploy.recording.message_json import reader, schema_name
-from deploy.recording.recorder import FLEET_ATTACHMENT, OUTCOME_METADATA, RUN_METADATA, RecordingError
+from deploy.recording.recorder import OUTCOME_METADATA, RUN_METADATA, RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE
 
@@ -96,7 +96,7 @@ class _File:
                 self.metadata[metadata.name] = metadata.metadata
             elif opcode == Opcode.ATTACHMENT:
                 attachment = Attachment.read(_stream(content))
-                if attachment.name == FLEET_ATTACHMENT:
+                if attachment.name == FLEET_FILE:
                     self.fleet_toml = attachment.data.decode()
         except RecordingError:
             raise
@@ -229,4 +229,4 @@ def _fleet(file: _File, fleet_path: Path | None) -> tuple[Fleet, str]:
         return load_fleet(fleet_path), fleet_path.read_text("utf-8-sig")
     if file.fleet_toml is None:
         raise RecordingError(f"{file.path} holds no fleet file, and there is none beside it")
-    return parse_fleet(file.fleet_toml, source=f"{FLEET_ATTACHMENT} inside {file.path}"), file.fleet_toml
+    return parse_fleet(file.fleet_toml, source=f"{FLEET_FILE} inside {file.path}"), file.fleet_toml

@@ -28,8 +28,8 @@ from agent.messages.validation import Malformed
 from agent.runtime.version import handfast_version
 from deploy.recording.foxglove import SCHEMAS, Scene
 from deploy.recording.message_json import schema, schema_name, to_json
+from deploy.recording.run_files import FLEET_FILE
 
-FLEET_ATTACHMENT: Final = "fleet.toml"
 RUN_METADATA: Final = "handfast.run"
 OUTCOME_METADATA: Final = "handfast.outcome"
 RAW_ENCODING: Final = "application/octet-stream"
@@ -101,7 +101,7 @@ class Recorder:
             self._writer.start(profile="", library="handfast")
             self._writer.add_metadata(RUN_METADATA, run)
             # Its own write: a file cut short still says what it was.
-            self._writer.add_attachment(0, 0, FLEET_ATTACHMENT, "application/toml", text.encode())
+            self._writer.add_attachment(0, 0, FLEET_FILE, "application/toml", text.encode())
             self._stream.flush()
         except OSError as error:
             failure = self._error(error)

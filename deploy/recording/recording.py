@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.fleet.model import Fleet
+from agent.formation.points import Floats
 from agent.messages.codec import newer
 from agent.messages.types import (
     Event,
@@ -23,7 +24,7 @@ from agent.messages.types import (
     Stop,
 )
 from deploy.recording.columns import Store
-from deploy.recording.link_table import Floats, LinkRows, LinkTable
+from deploy.recording.link_table import LinkRows, LinkTable
 from deploy.recording.tables import (
     StatusTable,
     Table,

@@ -12,10 +12,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.formation.points import Floats
 from agent.messages.declaration import Field, declared
 from agent.messages.types import HandState, Message, Multiplier, NeighbourStatus, Status
 from deploy.recording.columns import Store
-from deploy.recording.link_table import Clock, Floats, Ints, true_ns
+from deploy.recording.link_table import Clock, Ints, true_ns
 
 NEIGHBOUR: Final = np.dtype([(name, np.int64) for name in NeighbourStatus._fields])
 """A row of `agent.messages.types.Status.neighbours`."""

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.stability import SETTLED
-from deploy.recording.link_table import Floats
 from deploy.report.fault_strip import time_axes
 from deploy.report.plotting import (
     DOTTED,

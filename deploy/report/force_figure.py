@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from deploy.recording.link_table import Floats
+from agent.formation.points import Floats
 from deploy.report.plotting import (
     LEGEND_MAX,
     PALETTE,

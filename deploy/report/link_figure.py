@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agent.formation.points import Floats
 from agent.messages.types import LOST
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
 from deploy.report.fault_strip import time_axes
 from deploy.report.plotting import GREY, PALETTE, RED, new_figure, note

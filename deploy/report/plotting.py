@@ -22,12 +22,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as CornerPatch
-from numpy.typing import NDArray
 
 from agent.control.boundaries import Circle, Polygon
+from agent.formation.points import Floats
 from deploy.recording.recorder import RecordingError
-
-Floats = NDArray[np.float64]
 
 PALETTE: Final = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#4D4D4D",

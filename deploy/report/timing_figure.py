@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deploy.recording.link_table import Floats
+from agent.formation.points import Floats
 from deploy.report.plotting import (
     GREY,
     INK,

@@ -10,8 +10,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from agent.control.boundaries import fence_of, obstacles_of
+from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis
-from deploy.recording.link_table import Floats
 from deploy.report.plotting import (
     DASHED,
     DOTTED,

@@ -22,7 +22,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from deploy.recording.link_table import Floats
+from agent.formation.points import Floats
 from deploy.report.plotting import INK, PALETTE, RED, new_figure, write
 from deploy.sweep.plan import Axis, Plan
 from deploy.sweep.summary import CLOSEST, QUANTILES, SETTLING, Cell, Margin, Shown, shown

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from deploy.console.wording import error_text
 from deploy.simulate import judged
 from deploy.simulate.worker_pool import Abandoned
 from deploy.sweep.plan import Plan
@@ -90,16 +90,9 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
     except Abandoned:
         raise
     except Exception as error:
-        return unfinished(plan, run, CRASHED, _error_text(error), time.perf_counter() - begun)
+        return unfinished(plan, run, CRASHED, error_text(error), time.perf_counter() - begun)
 
 
 def unfinished(plan: Plan, run: int, verdict: str, reason: str, wall_s: float) -> Row:
     """The row of a run that was not driven to its end."""
     return Row(run, plan.run_seed(run), verdict, reason, wall_s=wall_s)
-
-
-def _error_text(error: Exception) -> str:
-    """An exception on one line, with the place that it comes from."""
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300] + where

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.fleet.fault_rules import ACTION_FIELDS, Rule
+from agent.formation.points import Floats
 from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
@@ -17,7 +18,7 @@ from deploy.analysis.rounding import largest, mean, number, percentile
 from deploy.console.wording import robots
 from deploy.faults.windows import LiveSet, live_sets, windows
 from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
-from deploy.recording.link_table import Floats, Ints, LinkTable
+from deploy.recording.link_table import Ints, LinkTable
 from deploy.recording.links import Link, links_of
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from agent.fleet.loading import law_name
+from agent.formation.points import Floats
 from deploy.analysis.analysis import Approach, norm
 from deploy.analysis.rounding import largest, number, percentile
-from deploy.recording.link_table import Floats
 from deploy.recording.recorder import RecordingError
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import numpy as np
 
 from agent.fleet.fault_rules import Impairments, Rule
 from agent.fleet.model import Fleet
+from agent.formation.points import Floats
 from agent.messages.types import TOPICS
 from agent.supervision.state_machine import DRIVING, REST_SPEED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import Down, Flags, downs
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording, RobotData
 from deploy.verdict.violations import REACTION_S, Violation, reaction_s, windows
 from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S

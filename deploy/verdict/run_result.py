@@ -11,8 +11,8 @@ import numpy as np
 
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, resolve
+from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis, analyse
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics, metrics, oracles, reasons
 from deploy.verdict.violations import Violation

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.fleet.fault_rules import Rule
+from agent.formation.points import Floats
 from deploy.faults.windows import Span, live_sets, spans
-from deploy.recording.link_table import Floats
 from deploy.recording.recording import Recording
 
 REACTION_S: Final = 0.1

@@ -19,7 +19,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Picture
-from numpy.typing import NDArray
 
 from agent.common.time import NS_PER_S
 from agent.control import hand
@@ -27,6 +26,7 @@ from agent.control.hand import Pose
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
+from agent.formation.points import Floats
 from agent.messages.codec import decode
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.console.arguments import fleet_path
@@ -40,8 +40,6 @@ from tests.hand_acceleration import hand_acceleration
 ORDERS: Final = Path(__file__).parents[2] / "docs" / "orders"
 WINDOWS_S: Final = {"join": (12.0, 34.0), "leave": (12.0, 24.0), "reshape": (12.0, 44.0)}
 """Of fleet time: what is drawn, and looked at for jumps."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

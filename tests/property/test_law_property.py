@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from agent.control import law
+from agent.formation.points import Floats
 from deploy.analysis import fleet_law
 
-Floats = NDArray[np.float64]
 RS = 0.22
 C1, C2 = 0.4, 0.6
 ROBOTS_MAX = 12

@@ -8,18 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from agent.common.time import NS_PER_S
 from agent.control import hand
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
+from agent.formation.points import Floats
 from deploy.console.data_files import FLEETS
 from deploy.simulate.simulation import Simulation
 from plant.unicycle import Unicycle
-
-Floats = NDArray[np.float64]
 
 ROVERS = FLEETS / "rovers.toml"
 SETTLED_M = 0.15

@@ -6,18 +6,16 @@ from math import hypot, pi
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
 from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
+from agent.formation.points import Floats
 from agent.links.fault_plan import FaultPlan
 from agent.messages.types import Faults
 from plant.measurement import Measurement
-
-Floats = NDArray[np.float64]
 
 FLEET = """
 robot = [{ id = 1, x_m = 0, y_m = 0%s }, { id = 2, x_m = 2, y_m = 0%s }]

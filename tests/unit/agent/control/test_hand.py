@@ -6,13 +6,12 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from agent.control.hand import Hand, Pose, advance, hand, wrench
+from agent.formation.points import Floats
 from tests.hand_acceleration import hand_acceleration
 
-Floats = NDArray[np.float64]
 MASS, INERTIA, REACH = 10.0, 0.13, 0.1
 POSES = [
     Pose(0.0, 0.0, 0.0, 0.0, 0.0),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -25,6 +24,7 @@ from agent.control.prediction import (
     following,
     transition,
 )
+from agent.formation.points import Floats
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
 
@@ -32,7 +32,6 @@ C1, C2 = 0.4, 0.6
 DECAY = constraint_decay(1.8, 1.0)
 MOST = 1.5
 
-Floats = NDArray[np.float64]
 Vector = tuple[float, float]
 
 

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.control.law import RELAXATION_MIN, Gains
+from agent.formation.points import Floats
 from deploy.analysis import fleet_law as law
 
-Floats = NDArray[np.float64]
 GAINS = Gains(kd=1.8, k2=5.0, kp=1.0)
 PAPER = Gains(kd=1.8, k2=5.0, kp=0.0)
 RS = 0.22

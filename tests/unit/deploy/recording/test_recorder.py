@@ -38,12 +38,12 @@ from deploy.recording.mcap_reader import MAGIC
 from deploy.recording.message_json import reader, schema, to_json
 from deploy.recording.recorder import (
     CHANNELS_MAX,
-    FLEET_ATTACHMENT,
     OUTCOME_METADATA,
     RUN_METADATA,
     Recorder,
     RecordingError,
 )
+from deploy.recording.run_files import FLEET_FILE
 from tests.declared_messages import messages_of
 from tests.unit.deploy.synthetic_run import (
     EPOCH_NS,
@@ -217,7 +217,7 @@ def test_the_file_says_what_it_is_and_holds_the_fleet_file(tmp_path: Path) -> No
     assert (run["fleet"], run["mode"], run["seed"], run["law"]) == ("made-up", "simulate", "7", "joint")
     assert json.loads(metadata[OUTCOME_METADATA]["reasons"]) == ["Robot 2's agent died."]
     (attachment,) = found.iter_attachments()
-    assert attachment.name == FLEET_ATTACHMENT
+    assert attachment.name == FLEET_FILE
     assert parse_fleet(attachment.data.decode(), source="attachment") == FLEET
 
 
