@@ -1,12 +1,23 @@
-"""The package of examples is as short as its documents say."""
+"""The package of examples is as short as its documents say, and what else these show of plugins works."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-EXAMPLES = Path(__file__).parents[2] / "docs/examples/handfast_examples"
+from agent.common import plugins
+from agent.fleet.loading import load_fleet
+from agent.formation.geometry import resolved
+from agent.supervision.state_machine import State
+from deploy.analysis.couplings import own_law_of
+from deploy.console.arguments import fleet_path
+from deploy.simulate.simulation import Simulation
+
+DOCS = Path(__file__).parents[2] / "docs"
+EXAMPLES = DOCS / "examples/handfast_examples"
 
 
 @pytest.mark.parametrize(
@@ -14,3 +25,22 @@ EXAMPLES = Path(__file__).parents[2] / "docs/examples/handfast_examples"
 )
 def test_an_example_is_short(name: str, below: int) -> None:
     assert len((EXAMPLES / name).read_text().splitlines()) < below
+
+
+def test_the_law_that_is_shown_drives_and_gives_its_modes() -> None:
+    law, modes = re.findall(
+        r"```python\n(.*?)```", (DOCS / "plugins.md").read_text().split("## A law")[1], re.S
+    )[:2]
+    made: dict[str, Any] = {}
+    exec(law + "\n" + modes, made)
+    plugins.register("Follow", made["Follow"])
+    try:
+        fleet = resolved(load_fleet(fleet_path("delta"), ["control.law=Follow", "fleet.duration_s=2"]))
+        found = own_law_of(fleet)
+        assert found is not None
+        assert len(found.modes(None)) == 12  # type: ignore[arg-type]
+        driven = Simulation(fleet)
+        driven.run(lambda _: True)
+        assert {agent.state for agent in driven.agents} <= {State.STOPPING, State.STOPPED}
+    finally:
+        plugins._registered.clear()
