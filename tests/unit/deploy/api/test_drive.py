@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+from math import cos, sin
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.common.errors import Error
+from agent.control.hand import Pose
 from agent.control.law_plugin import Law, Moment
 from deploy import cli
 from deploy.api.drive import run, simulate
 from deploy.api.fleet import load
+from plant.backend import Command, Plant, Reading, Setup
 
 
 def digest(path: Path) -> str:
@@ -109,3 +112,33 @@ def test_a_class_of_the_same_name_takes_the_place_of_the_one_before() -> None:
 def test_a_class_of_this_process_cannot_go_to_others() -> None:
     with pytest.raises(Error, match=r"^Drift: robots' processes cannot import a class that is defined here"):
         run("pair", law=local(Drift))
+
+
+class Rail(Plant):
+    """A body that goes where it is pushed, along its first heading alone."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.pose = Pose(*setup.start, speed=0.0, yaw_rate=0.0)
+        self.time_ns: int | None = None
+        self.force = 0.0
+
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        dt = 0.0 if self.time_ns is None else (now_ns - self.time_ns) / 1e9
+        x, y, heading, speed, _ = self.pose
+        way = dt * speed
+        speed += dt * self.force / self.setup.robot.mass_kg
+        self.pose = Pose(x + way * cos(heading), y + way * sin(heading), heading, speed, 0.0)
+        self.time_ns = now_ns
+        self.force = -20.0 * speed if command is None else command.force
+        return Reading(now_ns, self.pose, self.force, 0.0)
+
+
+def test_a_plant_is_a_class_wherever_it_is_defined() -> None:
+    local_rail = type("Rail", (Rail,), {"__module__": "__main__"})
+    alone, importable = (simulate("pair", plant=each, duration=2) for each in (local_rail, Rail))
+    assert {robot.plant for robot in alone.fleet.settings.robots} == {"Rail"}
+    assert np.ptp(alone.robots[1].poses.heading) == 0.0
+    assert np.array_equal(alone.hands[1], importable.hands[1])
+    with pytest.raises(Error, match=r"^Rail: robots' processes cannot import a class"):
+        run(alone.fleet)
