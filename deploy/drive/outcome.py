@@ -26,15 +26,11 @@ def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolde
     Raises:
         InputError: it cannot be made.
     """
-    from deploy.recording.recorder import RecordingError
-    from deploy.report.run_folder import FolderError, RunFolder
+    from deploy.report.run_folder import RunFolder
 
     stamp = time.strftime("%Y%m%d-%H%M%S")
     path = Path(options.out) if options.out else Path("runs") / f"{fleet.fleet.name}-{stamp}"
-    try:
-        return RunFolder(path, fleet, mode)
-    except (FolderError, RecordingError) as error:
-        raise InputError(str(error)) from None
+    return RunFolder(path, fleet, mode)
 
 
 def refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:

@@ -85,15 +85,11 @@ class Scenarios:
 
 def chaos(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from agent.runtime.bus import BusError
     from deploy.chaos.report import Tally, conclusion, lines
     from deploy.chaos.run_real import real_results
     from deploy.console.interrupt import Interrupt
     from deploy.console.progress import make_progress
-    from deploy.processes.ports import NoPortsError
-    from deploy.recording.recorder import RecordingError
-    from deploy.report.run_folder import FolderError
-    from deploy.simulate.worker_pool import Pool, PoolError, cores
+    from deploy.simulate.worker_pool import Pool, cores
 
     jobs = cores() if options.jobs is None else options.jobs
     for name, value, least in (("seed", options.seed, 0), ("count", options.count, 1), ("jobs", jobs, 1)):
@@ -108,22 +104,19 @@ def chaos(options: argparse.Namespace) -> int:
     tally = Tally()
     interrupt = Interrupt()
     with interrupt.caught():
-        try:
-            progress = make_progress(sys.stderr, len(seeds), quiet=options.quiet, trouble="failed")
-            with progress, ExitStack() as stack:
-                results: Iterator[Driven]
-                if options.real:
-                    results = real_results(seeds, out, interrupt)
-                else:
-                    pool = stack.enter_context(Pool(Scenarios(options.shrink), jobs, TIMEOUT_S))
-                    results = pool.results(seeds, lambda: interrupt.count == 0)
-                for driven in results:
-                    tally.add(driven)
-                    if driven.outcome.violations:
-                        progress.say(_failure(driven, _keep(out, driven)))
-                    progress.add(trouble=bool(driven.outcome.violations))
-        except (PoolError, FolderError, NoPortsError, RecordingError, BusError) as error:
-            raise InputError(str(error)) from None
+        progress = make_progress(sys.stderr, len(seeds), quiet=options.quiet, trouble="failed")
+        with progress, ExitStack() as stack:
+            results: Iterator[Driven]
+            if options.real:
+                results = real_results(seeds, out, interrupt)
+            else:
+                pool = stack.enter_context(Pool(Scenarios(options.shrink), jobs, TIMEOUT_S))
+                results = pool.results(seeds, lambda: interrupt.count == 0)
+            for driven in results:
+                tally.add(driven)
+                if driven.outcome.violations:
+                    progress.say(_failure(driven, _keep(out, driven)))
+                progress.add(trouble=bool(driven.outcome.violations))
     if not options.quiet:
         for line in lines(tally):
             print(line)

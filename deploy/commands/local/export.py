@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from agent.common.exit import PASSED
-from deploy.console.arguments import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,12 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from deploy.recording.recorder import RecordingError
-    from deploy.report.export import ExportError, export
+    from deploy.report.export import export
 
-    try:
-        for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):
-            print(path)
-    except (RecordingError, ExportError) as error:
-        raise InputError(str(error)) from None
+    for path in export(Path(options.folder), options.format, Path(options.out) if options.out else None):
+        print(path)
     return PASSED

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from deploy.console.arguments import InputError, describe, fleet_arguments, load
+from deploy.console.arguments import describe, fleet_arguments, load
 from deploy.console.interrupt import Interrupt
 
 
@@ -26,15 +26,11 @@ def _preflight(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
     from deploy.drive.preflight import Preflight, passed, show, to_json
     from deploy.processes.placement import place
-    from deploy.processes.ports import NoPortsError
 
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
-        try:
-            placed, ports, vehicles = place(fleet)
-        except NoPortsError as error:
-            raise InputError(str(error)) from None
+        placed, ports, vehicles = place(fleet)
         try:
             found = Preflight(placed, vehicles, interrupt).run()
         except BusError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from deploy.console.arguments import InputError
 from deploy.drive.outcome import conclude
 
 
@@ -16,11 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import rebuild
 
-    try:
-        result = rebuild(Path(options.folder))
-    except RecordingError as error:
-        raise InputError(str(error)) from None
+    result = rebuild(Path(options.folder))
     return conclude(result, Path(options.folder))

@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 
 from agent.common.exit import FAILED
-from deploy.console.arguments import InputError, drive_arguments, fleet_arguments, load
+from deploy.console.arguments import drive_arguments, fleet_arguments, load
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 
@@ -24,17 +24,13 @@ def _run(options: argparse.Namespace) -> int:
     from deploy.drive.live_view import make_view
     from deploy.drive.local import LocalRun
     from deploy.processes.placement import place
-    from deploy.processes.ports import NoPortsError
     from deploy.recording.recorder import RecordingError
 
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
         refuse_errors(options, fleet)
-        try:
-            fleet, ports, vehicles = place(fleet)
-        except NoPortsError as error:
-            raise InputError(str(error)) from None
+        fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
         run = LocalRun(fleet, folder, view, interrupt, vehicles)

@@ -10,10 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.common.exit import BAD_INPUT, INTERRUPTED, PASSED
-from agent.fleet.model import FleetError
+from agent.common.exit import INTERRUPTED, PASSED
 from deploy.console.arguments import (
-    InputError,
     change_arguments,
     describe,
     fleet_path,
@@ -80,18 +78,6 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
-    from deploy.recording.recorder import RecordingError
-    from deploy.simulate.worker_pool import PoolError
-    from deploy.sweep.plan import SweepError
-
-    try:
-        return _sweep(options)
-    except (FleetError, InputError, SweepError, RecordingError, PoolError) as error:
-        print(f"handfast: {error}", file=sys.stderr)
-        return BAD_INPUT
-
-
-def _sweep(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
     from deploy.simulate.worker_pool import cores
     from deploy.sweep.folder import SweepFolder
