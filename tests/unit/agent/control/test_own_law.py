@@ -12,9 +12,10 @@ import pytest
 from agent.control import own_law
 from agent.control.own_law import LawError
 from agent.core import Agent
+from agent.fleet.loading import parse_fleet
 from agent.messages.types import HandState
 from agent.supervision.state_machine import State
-from tests.unit.agent.agent_bench import PERIOD, Bench, brakes, fleet
+from tests.unit.agent.agent_bench import FLEET, PERIOD, Bench, brakes, fleet
 from tests.unit.agent.control.laws import LAWS, Good, known
 
 HERE = "tests.unit.agent.control.laws"
@@ -66,6 +67,23 @@ def test_the_safety_filter_stands_after_it():
     assert out is not None
     assert out.constraint_x == pytest.approx(10.0)
     assert out.correction_x < -5.0
+
+
+def test_what_is_in_the_way_does_not_push_but_is_gone_round():
+    shed = 'obstacle = [{ name = "shed", centre_m = [1.0, 0.0], radius_m = 0.5 }]\n'
+    text = shed + FLEET.replace("velocity_mps", "start_m = [3.0, 0.0], velocity_mps")
+    driven = Bench(made=parse_fleet(text, source="here", overrides=["control.law=Good"]))
+    driven.other = (4.0, 0.0, 0.0, 0.0)
+    out = driven.drive().hand
+    assert out is not None
+    assert (out.constraint_x, out.constraint_y) == pytest.approx((0.0, 0.0))
+    assert out.degree == 2  # the edge and the shed
+    before = Good.last.navigation
+    assert before == pytest.approx((out.navigation_x, out.navigation_y))
+    out = driven.run(100)[-1].hand
+    assert out is not None
+    assert Good.last.navigation[1] != pytest.approx(out.navigation_y, abs=0.05)  # turned, along the shed
+    assert (out.constraint_x, out.constraint_y) == pytest.approx((0.0, 0.0))
 
 
 def test_it_is_restarted_whenever_the_robot_begins_to_drive():
