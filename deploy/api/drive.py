@@ -21,7 +21,7 @@ from agent.fleet.sections import LAWS_GROUP
 from agent.messages.codec import decode
 from deploy.api.changes import in_words_of_python
 from deploy.api.fleet import Changes, Source, load, refuse_errors
-from deploy.api.recording import Recording
+from deploy.api.recording import Recording, refuse_full
 from deploy.recording.collector import RunData
 from deploy.verdict.run_result import RunResult
 
@@ -73,6 +73,8 @@ def simulate(
     loaded = load(fleet, changes, **named)
     if check:
         refuse_errors(loaded)
+    if out is not None:
+        refuse_full(Path(out))  # now, not when all has been driven
     loaded.register()
     settings, spool, tell = loaded.resolved, _Spool(), _told(progress)
     data = RunData(settings, mode="simulate", aside=Path(gettempdir()))

@@ -242,7 +242,7 @@ def load(fleet: Source, changes: Mapping[str, object] | None = None, **named: Un
     Args:
         changes: values by field, such as ``{"control.kp": 2.0, "robot.1.mass_kg": 12}``. Texts have units:
             ``"50ms"``, ``"90deg"``. Classes stand for themselves.
-        named: law, plant, faults, orders, duration, seed (`deploy.api.fleet.Changes`).
+        named: law, plant, faults, orders, duration, seed (`handfast.Changes`).
 
     Raises:
         Error: it cannot be loaded, or changed so. `FleetError` has every problem of the file.

@@ -320,8 +320,7 @@ class Recording:
             return path
         assert self.folder is not None
         try:
-            if path.exists() and any(path.iterdir()):
-                raise Error(f"{path} is not empty: name another folder, or remove it")
+            refuse_full(path)
             shutil.copytree(self.folder, path, dirs_exist_ok=True)
         except OSError as error:
             raise Error(f"cannot copy {self.folder} to {path}: {error.strerror or error}") from None
@@ -367,6 +366,16 @@ def load_recording(folder: str | Path) -> Recording:
     from deploy.verdict.run_result import RunResult
 
     return Recording(RunResult(read_run(folder)), Path(folder))
+
+
+def refuse_full(folder: Path) -> None:
+    """Refuses a folder for a new run that holds something.
+
+    Raises:
+        Error: it does.
+    """
+    if folder.is_dir() and any(folder.iterdir()):
+        raise Error(f"{folder} is not empty: name another folder, or remove it")
 
 
 def data_frame(columns: Mapping[str, Any], what: str) -> pandas.DataFrame:
