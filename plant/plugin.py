@@ -65,7 +65,7 @@ class PluginBody(PlantBackend):
         try:
             reading = self._plant.step(now_ns, None if self.failed else command)
             wrong = _wrong(reading)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             wrong = f"failed with {blame(error, type(self._plant))}"
         if wrong:  # it is where it was seen last
             self._fail(f"step {wrong}")
@@ -81,7 +81,7 @@ class PluginBody(PlantBackend):
         """What a method returns, None where it fails."""
         try:
             return method(*arguments)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self._fail(f"{what} failed with {blame(error, type(self._plant))}")
             return None
 
@@ -157,7 +157,7 @@ def _made(reference: str, plugin: type[Plant], fleet: Fleet, robot: int, how: Be
     period_s, timeout_s = fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s
     try:
         plant = plugin(Setup(row, settings, start, period_s, timeout_s, seed, how.look))
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         why = f"cannot be made: {blame(error, plugin)}"
         raise PluginError(f"plant {reference}: {why}; __init__ takes self and one Setup") from None
     return PluginBody(f"plant {reference}", plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.log)

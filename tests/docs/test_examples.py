@@ -13,6 +13,7 @@ from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolved
 from agent.supervision.state_machine import State
 from deploy.analysis.couplings import own_law_of
+from deploy.check.own_plant import check_own_plants
 from deploy.console.arguments import fleet_path
 from deploy.simulate.simulation import Simulation
 
@@ -42,5 +43,20 @@ def test_the_law_that_is_shown_drives_and_gives_its_modes() -> None:
         driven = Simulation(fleet)
         driven.run(lambda _: True)
         assert {agent.state for agent in driven.agents} <= {State.STOPPING, State.STOPPED}
+    finally:
+        plugins._registered.clear()
+
+
+def test_the_settings_and_the_plant_that_are_shown_work() -> None:
+    settings, plant = re.findall(r"```python\n(.*?)```", (DOCS / "plugins.md").read_text(), re.S)[:2]
+    made: dict[str, Any] = {"__name__": __name__}
+    exec(settings + plant, made)
+    made["Sledge"].section, made["Sledge"].Settings = "drag", made["Settings"]
+    plugins.register("Sledge", made["Sledge"])
+    try:
+        overrides = ["robot_defaults.plant=Sledge", "robot_defaults.drag.drag=2"]
+        fleet = load_fleet(fleet_path("pair"), overrides)
+        assert fleet.robot(1).section(made["Settings"]) == made["Settings"](2.0)
+        assert [finding.level for finding in check_own_plants(fleet)] == ["info"]
     finally:
         plugins._registered.clear()
