@@ -117,7 +117,9 @@ def make(fleet: Fleet, robot: int) -> Law:
     kind = kind_of(fleet)
     if kind.acceleration is Law.acceleration:
         raise _failure(kind, "it has no method acceleration(self, now)")
-    return attempt(kind, lambda: kind(robot, fleet, settings_of(fleet)))
+    return attempt(
+        kind, lambda: kind(robot, fleet, settings_of(fleet)), "__init__(self, robot, fleet, settings)"
+    )
 
 
 def kind_of(fleet: Fleet) -> type[Law]:
@@ -137,7 +139,7 @@ def evaluate(law: Law, moment: Moment) -> tuple[Vector, tuple[float, ...]]:
     Raises:
         LawError: it gives none, or such that cannot be driven by.
     """
-    given = attempt(law, lambda: law.acceleration(moment))
+    given = attempt(law, lambda: law.acceleration(moment), "acceleration(self, now)")
     wanted = _floats(given)
     if wanted is None or len(wanted) != 2:
         raise _failure(law, f"acceleration() must return two numbers (x, y) in m/s2, got {_short(given)}")
@@ -148,8 +150,8 @@ def evaluate(law: Law, moment: Moment) -> tuple[Vector, tuple[float, ...]]:
     return (wanted[0], wanted[1]), own
 
 
-def attempt(law: Law | type[Law], call: Callable[[], T]) -> T:
-    """What a call of a law's code gives.
+def attempt(law: Law | type[Law], call: Callable[[], T], signature: str = "") -> T:
+    """What a call of a law's code gives; `signature` is how that is to be written.
 
     Raises:
         LawError: it raises.
@@ -157,7 +159,9 @@ def attempt(law: Law | type[Law], call: Callable[[], T]) -> T:
     try:
         return call()
     except (Exception, SystemExit) as error:
-        raise _failure(law, blame(error, _kind(law))) from None
+        inside = error.__traceback__ and error.__traceback__.tb_next and error.__traceback__.tb_next.tb_next
+        hint = f"; write def {signature}" if signature and isinstance(error, TypeError) and not inside else ""
+        raise _failure(law, blame(error, _kind(law)) + hint) from None
 
 
 def _kind(law: Law | type[Law]) -> type[Law]:

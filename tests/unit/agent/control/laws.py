@@ -88,6 +88,12 @@ class WrongSignature(Law):
         return 0.0, 0.0
 
 
+class WrongInside(Law):
+    def acceleration(self, now: Moment) -> Any:
+        text: Any = "text"
+        return 1 + text
+
+
 class WithoutMethod(Law):
     pass
 
@@ -131,8 +137,8 @@ class NoLaw:
 LAWS = {
     kind.__name__: kind
     for kind in (
-        Good, Raises, Late, Scalar, Text, ManyNumbers, NotMade, OwnSignature, WrongSignature, WithoutMethod,
-        BadRestart, Slow, Modal, BadModes, NoLaw,
+        Good, Raises, Late, Scalar, Text, ManyNumbers, NotMade, OwnSignature, WrongSignature,
+        WrongInside, WithoutMethod, BadRestart, Slow, Modal, BadModes, NoLaw,
     )
 }  # fmt: skip
 

@@ -57,11 +57,20 @@ def test_a_law_that_gives_its_modes_is_judged_by_them():
     [
         ("Raises", "ZeroDivisionError: float division by zero (laws.py:"),
         ("NotMade", "KeyError: 'gain' (laws.py:"),
-        ("OwnSignature", "TypeError: OwnSignature.__init__() takes 1"),
-        ("WrongSignature", "TypeError: WrongSignature.acceleration() takes 1"),
+        (
+            "OwnSignature",
+            "TypeError: OwnSignature.__init__() takes 1 positional argument but 4 were given; write def "
+            "__init__(self, robot, fleet, settings)",
+        ),
+        (
+            "WrongSignature",
+            "TypeError: WrongSignature.acceleration() takes 1 positional argument but 2 were given; write "
+            "def acceleration(self, now)",
+        ),
+        ("Scalar", "acceleration() must return two numbers (x, y) in m/s2, got 3.0"),
+        ("WrongInside", "TypeError: unsupported operand type(s) for +: 'int' and 'str' (laws.py:"),
         ("WithoutMethod", "it has no method acceleration(self, now)"),
         ("BadRestart", "RuntimeError: not now (laws.py:"),
-        ("Scalar", "acceleration() must return two numbers"),
         ("ManyNumbers", "numbers must be at most 16"),
         ("BadModes", "ValueError: modes() must give finite numbers"),
     ],
