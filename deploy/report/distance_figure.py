@@ -20,11 +20,10 @@ from deploy.report.plotting import (
     LEGEND_MAX,
     PALETTE,
     RED,
-    SECOND_ROUND,
     draw_many,
     new_figure,
     note,
-    nth_color,
+    nth_line,
 )
 from deploy.verdict.run_result import RunResult
 
@@ -51,10 +50,9 @@ def distances(result: RunResult) -> Figure:
         axes.plot([], [], color="#00664B", linewidth=0.8, linestyle=(0, (6, 3)), label="wanted, ±5 % shaded")
     if few:
         for index, (i, j) in enumerate(a.edges.tolist()):
-            style = "solid" if index < len(PALETTE) else SECOND_ROUND
             label = f"{recording.ids[i]}–{recording.ids[j]}"
             values = lengths[:, index]
-            axes.plot(a.grid, values, color=nth_color(index), linewidth=1.3, linestyle=style, label=label)
+            axes.plot(a.grid, values, linewidth=1.3, label=label, **nth_line(index))
     else:
         draw_many(axes, a.grid, lengths, "edge")
     axes.axhline(safe, color=RED, linewidth=1.3, linestyle=(0, (5, 3)))

@@ -11,12 +11,10 @@ from matplotlib.figure import Figure
 from agent.formation.points import Floats
 from deploy.report.plotting import (
     LEGEND_MAX,
-    PALETTE,
-    SECOND_ROUND,
     draw_many,
     new_figure,
     note,
-    nth_color,
+    nth_line,
 )
 from deploy.verdict.run_result import RunResult
 
@@ -45,8 +43,7 @@ def forces(result: RunResult) -> Figure:
         elif few:
             for index, (t, values) in enumerate(series):
                 inside = (t >= 0) & (t <= grid[-1])
-                style = "solid" if index < len(PALETTE) else SECOND_ROUND
-                axes.plot(t[inside], values[inside], color=nth_color(index), linewidth=0.9, linestyle=style)
+                axes.plot(t[inside], values[inside], linewidth=0.9, **nth_line(index))
         else:
             table = np.column_stack([np.interp(grid, t, values) for t, values in series if len(t)])
             draw_many(axes, grid, table, "robot")
@@ -54,9 +51,8 @@ def forces(result: RunResult) -> Figure:
         axes.set_xlabel("fleet time (s)")
     if few:
         for index, robot in enumerate(recording.ids):
-            style = "solid" if index < len(PALETTE) else SECOND_ROUND
             label = f"robot {robot}"
-            panels[0, 0].plot([], [], color=nth_color(index), linewidth=1.3, linestyle=style, label=label)
+            panels[0, 0].plot([], [], linewidth=1.3, label=label, **nth_line(index))
     handles, labels = panels[0, 0].get_legend_handles_labels()
     if handles:
         rows = 1 if len(handles) <= 6 else 2

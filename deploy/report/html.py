@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any, Final
 
@@ -85,7 +85,14 @@ def shown(value: Any, unit: str = "") -> str:
     return f"{text} {unit}".strip()
 
 
-def table(head: str, rows: Sequence[str]) -> str:
-    """A table of rows (HTML) that scrolls sideways on its own."""
-    body = "\n".join(rows)
+def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table of HTML that scrolls sideways on its own; "#" begins the name of a column of numbers."""
+    kinds = [' class="n"' if name.startswith("#") else "" for name in columns]
+
+    def row(tag: str, cells: Sequence[object]) -> str:
+        parts = (f"<{tag}{kind}>{cell}</{tag}>" for kind, cell in zip(kinds, cells, strict=True))
+        return f"<tr>{''.join(parts)}</tr>"
+
+    head = row("th", [name.removeprefix("#") for name in columns])
+    body = "\n".join(row("td", cells) for cells in rows)
     return f'<div class="scroll"><table>\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody></table></div>'

@@ -18,9 +18,8 @@ _CAPTION: Final = (
     "messages between neighbours that was lost on purpose. Above, the faults and when they held."
 )
 _COLUMNS: Final = (
-    ("Link", ""), ("Lost", "n"), ("Delay mean / 95 % / max (ms)", "n"), ("Twice", "n"), ("Damaged", "n"),
-    ("Overtook", "n"), ("Held", "n"), ("Sent", "n"), ("Received", "n"), ("Missing", "n"),
-    ("Age 50 % / 99 % (ms)", "n"),
+    "#Lost", "#Delay mean / 95 % / max (ms)", "#Twice", "#Damaged", "#Overtook", "#Held", "#Sent",
+    "#Received", "#Missing", "#Age 50 % / 99 % (ms)",
 )  # fmt: skip
 
 
@@ -118,14 +117,9 @@ def _links_table(links: Sequence[Mapping[str, Any]]) -> str:
     )
     asked = {link["asked"] for link in chosen}
     one = f"<p>Asked of every link: <code>{escape(next(iter(asked)))}</code>.</p>" if len(asked) == 1 else ""
-    columns = list(_COLUMNS)
-    if not one:
-        columns.insert(1, ("Asked", ""))
-    head = "".join(
-        f'<th class="{kind}">{name}</th>' if kind else f"<th>{name}</th>" for name, kind in columns
-    )
+    columns = ("Link", *_COLUMNS) if one else ("Link", "Asked", *_COLUMNS)
     rows = [_row(link, asked_too=not one) for link in chosen]
-    return f"{one}{table(f'<tr>{head}</tr>', rows)}{note}"
+    return f"{one}{table(columns, rows)}{note}"
 
 
 def _badness(link: Mapping[str, Any]) -> tuple[float, float]:
@@ -134,20 +128,19 @@ def _badness(link: Mapping[str, Any]) -> tuple[float, float]:
     return -(age["p99"] if age else 0.0), -(link["injected"]["rate"] or 0.0)
 
 
-def _row(link: Mapping[str, Any], *, asked_too: bool) -> str:
+def _row(link: Mapping[str, Any], *, asked_too: bool) -> list[str]:
     done, measured, age = link["injected"], link["measured"], link["age_ms"]
     delay = done["delay_ms"]
     topic = "" if link["topic"] == "hand" else f" {link['topic']}"
-    numbers = [
+    return [
+        f"{link['link'].replace('->', '→')}{topic}",
+        *([escape(link["asked"])] if asked_too else []),
         f"{100 * done['rate']:.1f} %" if done["rate"] is not None else "–",
         _slashed(delay["mean"], delay["p95"], delay["max"]),
         *(shown(done[name]) for name in ("duplicated", "corrupted", "reordered", "held")),
         *(shown(measured[name]) for name in ("sent", "received", "lost")),
         _slashed(age["p50"], age["p99"]) if age else "–",
     ]
-    asked = f"<td>{escape(link['asked'])}</td>" if asked_too else ""
-    cells = "".join(f'<td class="n">{number}</td>' for number in numbers)
-    return f"<tr><td>{link['link'].replace('->', '→')}{topic}</td>{asked}{cells}</tr>"
 
 
 def _slashed(*values: float | None) -> str:

@@ -23,7 +23,6 @@ def section(recording: Recording, found: dict[str, Any]) -> str:
 
 
 def _oracles_table(found: dict[str, Any]) -> str:
-    head = "<tr><th>Rule</th><th>What it says</th><th>Result</th></tr>"
     rows = []
     for oracle in ORACLES:
         result = found["oracles"][oracle.name]
@@ -32,34 +31,28 @@ def _oracles_table(found: dict[str, Any]) -> str:
         if count:
             more = f" ({count - 1} more)" if count > 1 else ""
             words = f"<strong>violated</strong>: {escape(result['first'])}{more}"
-        rows.append(f"<tr><td>{oracle.name}</td><td>{escape(oracle.says)}</td><td>{words}</td></tr>")
-    return table(head, rows)
+        rows.append((oracle.name, escape(oracle.says), words))
+    return table(("Rule", "What it says", "Result"), rows)
 
 
 def _changes_table(found: dict[str, Any]) -> str:
-    head = '<tr><th class="n">From</th><th>Change</th><th class="n">In formation after</th></tr>'
     rows = [
-        f'<tr><td class="n">{shown(change["t_s"], "s")}</td><td>{escape(change["note"])}</td>'
-        f'<td class="n">{shown(change["settled_after_s"], "s")}</td></tr>'
+        (shown(change["t_s"], "s"), escape(change["note"]), shown(change["settled_after_s"], "s"))
         for change in found["changes"]
     ]
-    return table(head, rows)
+    return table(("#From", "Change", "#In formation after"), rows)
 
 
 def _transitions(recording: Recording) -> list[str]:
-    head = (
-        '<tr><th class="n">Time</th><th class="n">Robot</th><th>From</th><th>To</th><th>Transition</th>'
-        "<th>Why</th></tr>"
-    )
     changes = sorted(
         (change.t_s, robot, change)
         for robot, data in recording.robots.items()
         for change in data.status.changes()
     )
     rows = [
-        f'<tr><td class="n">{t_s:.2f} s</td><td class="n">{robot}</td><td>{escape(change.before)}</td>'
-        f"<td>{escape(change.state)}</td><td>{escape(change.row)}</td><td>{escape(change.reason)}</td></tr>"
+        (f"{t_s:.2f} s", robot, *map(escape, (change.before, change.state, change.row, change.reason)))
         for t_s, robot, change in changes[:TRANSITIONS_MAX]
     ]
     more = len(changes) - len(rows)
-    return [table(head, rows), *([f"<p>And {more} more.</p>"] if more else [])]
+    columns = ("#Time", "#Robot", "From", "To", "Transition", "Why")
+    return [table(columns, rows), *([f"<p>And {more} more.</p>"] if more else [])]

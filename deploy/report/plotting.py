@@ -38,8 +38,7 @@ LEGEND_MAX: Final = 10
 """More lines than this have no legend and are drawn thin."""
 
 DOTTED: Final = (0, (1, 2))
-SECOND_ROUND: Final = (0, (3, 1, 1, 1))
-"""Dashes of a line whose colour another one has already."""
+_SECOND_ROUND: Final = (0, (3, 1, 1, 1))
 
 STYLE: Final[dict[str, Any]] = {
     "font.size": 9.0,
@@ -110,6 +109,11 @@ def new_figure(width: float, height: float) -> Figure:
 def nth_color(index: int) -> str:
     """A colour of the palette, over again from its start when there are more lines than colours."""
     return PALETTE[index % len(PALETTE)]
+
+
+def nth_line(index: int) -> dict[str, Any]:
+    """Colour and dashes of a line: over again there are other dashes."""
+    return {"color": nth_color(index), "linestyle": "solid" if index < len(PALETTE) else _SECOND_ROUND}
 
 
 def note(axes: Axes, text: str) -> None:

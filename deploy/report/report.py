@@ -212,40 +212,36 @@ def _metrics_table(found: dict[str, Any]) -> str:
     titled = [metric for metric in metrics.METRICS if metric.title]
     titled.sort(key=lambda metric: metric.name.startswith("messages."))  # counts last
     rows = [
-        f'<tr><td>{metric.title}</td><td class="n">'
-        f"{shown(metrics.look_up(found, metric.name), metric.unit)}</td><td>{metric.meaning}</td></tr>"
+        (metric.title, shown(metrics.look_up(found, metric.name), metric.unit), metric.meaning)
         for metric in titled
     ]
     for reason, count in found.get("messages_rejected_by_reason", {}).items():
-        rows.append(f'<tr><td>Rejected: {escape(reason)}</td><td class="n">{shown(count)}</td><td></td></tr>')
-    head = '<tr><th>Metric</th><th class="n">Value</th><th>Meaning</th></tr>'
-    return table(head, rows)
+        rows.append((f"Rejected: {escape(reason)}", shown(count), ""))
+    return table(("Metric", "#Value", "Meaning"), rows)
 
 
 def _robots_table(recording: Recording, a: Analysis) -> str:
     columns = (
-        "Robot", "State at the end", "Closest (m)", "Worst edge at the end (m)",
-        "Off its place at the end (m)",
-        "Tick 99 % (µs)", "Overruns", "Age 99 % (ms)", "Sent", "Received", "Lost", "Rejected",
+        "#Robot", "State at the end", "#Closest (m)", "#Worst edge at the end (m)",
+        "#Off its place at the end (m)",
+        "#Tick 99 % (µs)", "#Overruns", "#Age 99 % (ms)", "#Sent", "#Received", "#Lost", "#Rejected",
     )  # fmt: skip
-    head = "".join(f'<th class="n">{c}</th>' if k != 1 else f"<th>{c}</th>" for k, c in enumerate(columns))
     rows = []
     for index, (robot, data) in enumerate(recording.robots.items()):
         totals = data.status.totals()
         state = data.status.at(recording.end_s)
         words = "nothing heard" if state is None else f"{state[0]}: {state[1]}" if state[1] else state[0]
-        cells = [
-            shown(_closest(a, index)),
-            shown(_worst_edge(a, index)),
-            shown(number(np.hypot(*(a.hands[-1, index] - a.desired[-1, index])))),
-            shown(percentile(data.status.tick_us, 99) if recording.mode != "simulate" else None),
-            shown(totals.get("overruns")),
-            shown(percentile(data.status.ages_us / 1e3, 99)),
-            *(shown(totals.get(name)) for name in ("sent", "received", "lost", "rejected")),
-        ]
-        numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
-        rows.append(f'<tr><td class="n">{robot}</td><td>{escape(words)}</td>{numbers}</tr>')
-    return table(f"<tr>{head}</tr>", rows)
+        cells = (
+            _closest(a, index),
+            _worst_edge(a, index),
+            number(np.hypot(*(a.hands[-1, index] - a.desired[-1, index]))),
+            percentile(data.status.tick_us, 99) if recording.mode != "simulate" else None,
+            totals.get("overruns"),
+            percentile(data.status.ages_us / 1e3, 99),
+            *(totals.get(name) for name in ("sent", "received", "lost", "rejected")),
+        )
+        rows.append((robot, escape(words), *map(shown, cells)))
+    return table(columns, rows)
 
 
 def _closest(a: Analysis, index: int) -> float | None:

@@ -37,12 +37,7 @@ def describe_links(recording: Recording, a: Analysis) -> dict[str, Any]:
         "links": [_link(recording, link, rows, asked, age) for link, rows in recording.links.by_link()],
         "injected": injected(recording.links),
         "links_audit": {
-            "decided": found.decided,
-            "agreeing": found.agreeing,
-            "differing": found.differing,
-            "unchecked": found.unchecked,
-            "unrecorded": found.unrecorded,
-            "unheard": found.unheard,
+            **vars(found),
             "differences": [
                 {
                     "link": f"{one.link.source}->{one.link.destination}",
