@@ -35,7 +35,7 @@ _SHOWN: Final = (
 
 
 class Poses(NamedTuple):
-    """Where a body was, n times: t (s), x, y (m), heading (rad, counter-clockwise from x, not wrapped), speed
+    """Where a body was, n times: t (s), x, y (m), heading (rad, counter-clockwise from x), speed
     (m/s), yaw_rate (rad/s); all (n,). The truth, where its plant measures with noise."""
 
     t: Floats
