@@ -86,8 +86,9 @@ class Run:
 
     def hand(self, robot: int) -> tuple[float, float]:
         agent = next(agent for agent in self.simulation.agents if agent.robot == robot)
-        assert agent._position is not None
-        return agent._position
+        here = agent._own_hand.here
+        assert here is not None
+        return here.x, here.y
 
 
 def order(at_s: float, what: str) -> str:
@@ -223,6 +224,5 @@ def test_who_starts_again_is_told_of_a_robot_that_nobody_hears_any_more():
     pose = there._backend.pose  # type: ignore[attr-defined]
     assert hypot(known.x - pose.x - 0.1, known.y - pose.y) < 0.15
     run.until(20.0)
-    hands = {agent.robot: agent._position for agent in run.simulation.agents}
-    assert hands[2] is not None
-    assert hypot(hands[2][0] - pose.x - 0.1, hands[2][1] - pose.y) > 0.2
+    x, y = run.hand(2)
+    assert hypot(x - pose.x - 0.1, y - pose.y) > 0.2

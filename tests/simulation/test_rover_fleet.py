@@ -67,7 +67,9 @@ class Run:
 
     def body(self, robot: int) -> SimulatedRoverPlant:
         """The bridge and vehicle that a robot has now."""
-        return self.simulation._bodies._rovers[robot]
+        body = self.simulation._bodies._bodies[robot]
+        assert isinstance(body, SimulatedRoverPlant)
+        return body
 
     def rover(self, robot: int) -> Rover:
         return self.body(robot).rover
