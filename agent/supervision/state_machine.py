@@ -55,6 +55,8 @@ DOES: Final[Mapping[State, str]] = {
 
 DRIVING: Final = frozenset({State.RUNNING, State.DEGRADED})
 """States in which it drives."""
+DRIVING_NAMES: Final = frozenset(state.value for state in DRIVING)
+"""As statuses say them."""
 
 
 class Conditions(NamedTuple):

@@ -8,15 +8,14 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages.types import Mission, Resume, Stop
-from agent.supervision.state_machine import DRIVING, State
+from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.console.wording import robots
 
 SENTENCES_MAX: Final = 8
 """So many changes of one moment are shown; of more only the number."""
 _STANDBY: Final = State.STANDBY.value
 _RELEASED: Final = State.RELEASED.value
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
-_ACTIVE: Final = _DRIVING | {State.HOLDING.value, _RELEASED}
+_ACTIVE: Final = DRIVING_NAMES | {State.HOLDING.value, _RELEASED}
 _IN: Final = (_STANDBY, State.FAULT.value)
 
 
@@ -96,7 +95,7 @@ class News:
         if state == State.RUNNING.value:
             back = self._away.pop(robot, None)
             return "" if back is None else f"{back}running"
-        if state == State.READY.value or (state == State.WAITING.value and before not in _DRIVING):
+        if state == State.READY.value or (state == State.WAITING.value and before not in DRIVING_NAMES):
             return ""
         self._away[robot] = "back: "
         return f"in {state}{why}" if state in _IN else f"{state}{why}"

@@ -13,7 +13,6 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 from agent.fleet.hosts import HostSection
@@ -23,7 +22,7 @@ from deploy.console.data_files import ANSIBLE
 from deploy.hosts import remote_program, systemd_units
 from deploy.hosts.bundle import Bundle, Platform
 from deploy.hosts.certificates import MODULE
-from deploy.hosts.connection import NO_PYTHON, bootstrap
+from deploy.hosts.connection import NO_PYTHON, PROGRAM, bootstrap
 from deploy.hosts.setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
 from deploy.hosts.systemd_units import fleet_file, places
 from deploy.inventory.hosts import hosts_of, robots_on
@@ -31,7 +30,6 @@ from deploy.inventory.ssh import ALIVE_COUNT, ALIVE_INTERVAL_S, CONNECT_TIMEOUT_
 
 GROUP: Final = "handfast_robots"
 OPERATORS_FLEET: Final = "fleet.toml"
-PROGRAM: Final = Path(remote_program.__file__)
 ROOT: Final = "{{handfast_root}}"
 VERSION: Final = "{{handfast_version}}"
 _PLATFORM: Final = re.compile(r"3\.(\d{1,2}) ([a-z0-9_]{1,20}) (?:glibc2\.(\d{1,2})|musl)", re.ASCII)

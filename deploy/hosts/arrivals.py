@@ -8,13 +8,12 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
-from agent.supervision.state_machine import DRIVING, State
+from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.drive.readiness import is_ready
 from deploy.faults.live import Receiver
 from deploy.session.operator_session import OperatorSession
 
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
-_SETTLED: Final = _DRIVING | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}
+_SETTLED: Final = DRIVING_NAMES | {State.STOPPED.value, State.RELEASED.value, State.HOLDING.value}
 
 
 class Arrivals(OperatorSession):
@@ -55,7 +54,7 @@ class Arrivals(OperatorSession):
 
     def drives(self, robot: int) -> bool:
         status = self.statuses.get(robot)
-        return status is not None and status.state in _DRIVING
+        return status is not None and status.state in DRIVING_NAMES
 
     @property
     def driving(self) -> bool:

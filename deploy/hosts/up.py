@@ -16,7 +16,7 @@ from typing import Final
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
-from agent.supervision.state_machine import DRIVING
+from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
 from deploy.hosts import systemd_units
@@ -28,8 +28,6 @@ from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.setup import Keys, Prepared, prepare
 from deploy.hosts.view import DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
-
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +168,7 @@ class BringUp:
         for robot in self._fleet.ids:
             about = units.get(systemd_units.unit_name(self._fleet.fleet.name, robot, "agent"), {})
             state = about.get("StatusText", "").partition(":")[0]
-            if about.get("ActiveState") != "active" or state not in _DRIVING:
+            if about.get("ActiveState") != "active" or state not in DRIVING_NAMES:
                 continue
             if not self._arrivals.drives(robot):
                 raise HostError(

@@ -30,13 +30,12 @@ from agent.messages.types import (
     Stop,
     clipped,
 )
-from agent.supervision.state_machine import DRIVING
+from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.orders.mission_editing import OrderError, first_mission, ordered
 from deploy.orders.versions import can_be
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
 NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
 
 Order = Mission | Stop | Resume
 
@@ -250,7 +249,7 @@ class Operator(Known):
             return True
         # A plant acknowledges no orders: one that missed a resume brakes although its agent drives.
         braked = plant is not None and plant.healthy and plant.obeying and not plant.driving
-        return status.state in _DRIVING and braked
+        return status.state in DRIVING_NAMES and braked
 
 
 def _next(now_ns: int, known: int, acknowledged: Iterable[int]) -> int:

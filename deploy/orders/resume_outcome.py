@@ -8,10 +8,9 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Resume, Status
-from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
+from agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
 
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
 _OVER: Final = (State.STOPPED.value, MISSION_OVER)
 
 
@@ -51,7 +50,7 @@ class Resuming:
             return True
         if not plant.healthy or not plant.obeying:
             return False
-        return status.state == State.READY.value or (status.state in _DRIVING and plant.driving)
+        return status.state == State.READY.value or (status.state in DRIVING_NAMES and plant.driving)
 
     @property
     def done(self) -> bool:
@@ -75,7 +74,7 @@ class Resuming:
                 why = "its operator must give it back first"
             return f"robot {robot}: still released: {note}: {why}"
         why = status.reason if plant.healthy else plant.note or status.reason
-        if status.state in _DRIVING and not plant.driving:
+        if status.state in DRIVING_NAMES and not plant.driving:
             why = "its plant brakes"
         text = f"robot {robot}: {status.state}" + (f": {why}" if why else "")
         if status.order_version < self.message.version:

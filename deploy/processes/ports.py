@@ -8,12 +8,11 @@ import socket
 from typing import Final
 
 from agent.common.errors import Error
+from agent.fleet.hosts import PORT_MAX
 from agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 BLOCK: Final = 128
 """Ports are reserved in blocks of this many."""
-PORT_MAX: Final = 32_767
-"""Above lies the range from which the system picks ports for outgoing connections."""
 
 
 class NoPortsError(Error, RuntimeError):

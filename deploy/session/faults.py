@@ -11,9 +11,7 @@ from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import Faults, Message, PlantState
 from deploy.faults.live import Held, Receiver
 from deploy.session.author import author
-from deploy.session.session import Session
-
-INBOX: Final = 4096
+from deploy.session.session import INBOX, Session
 
 
 class FaultsSession(Session):

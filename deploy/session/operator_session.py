@@ -11,11 +11,10 @@ from agent.messages import key_expressions
 from agent.messages.types import Ask, Heartbeat, Message, Status
 from deploy.orders.operator import Operator, Order
 from deploy.session.author import author
-from deploy.session.session import Session
+from deploy.session.session import INBOX, Session
 
 ASK_S: Final = 1.0
 SEND_PERIOD_S: Final = 0.25
-INBOX: Final = 4096
 
 
 class OperatorSession(Session):

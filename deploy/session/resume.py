@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message
 from deploy.orders.resume_outcome import Resuming
-from deploy.session.operator_session import INBOX, OperatorSession
-from deploy.session.session import connected
-
-ANSWER_S: Final = 3.0
+from deploy.session.operator_session import OperatorSession
+from deploy.session.session import ANSWER_S, INBOX, connected
 
 
 class ResumeSession(OperatorSession):

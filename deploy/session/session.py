@@ -21,6 +21,10 @@ from deploy.session.operator_bus import operator_bus
 CONNECT_S: Final = 3.0
 """Processes that are not there by then are named and left out."""
 POLL_S: Final = 0.02
+ANSWER_S: Final = 3.0
+"""So long robots have to answer an order."""
+INBOX: Final = 4096
+"""Messages that may wait to be read, of one key."""
 
 
 def valid(payload: bytes) -> Message | None:

@@ -10,11 +10,9 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Message
 from deploy.orders.stop_outcome import Stopping
-from deploy.session.session import Session
+from deploy.session.session import ANSWER_S, INBOX, Session
 
-ANSWER_S: Final = 3.0
 SEND_PERIOD_S: Final = 0.05
-INBOX: Final = 4096
 
 
 class StopSession(Session):

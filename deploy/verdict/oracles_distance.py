@@ -10,7 +10,7 @@ import numpy as np
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.model import Fleet
-from agent.supervision.state_machine import DRIVING, State
+from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis, Approaches
 from deploy.analysis.clearances import distances
 from deploy.analysis.presence import Flags, said
@@ -21,7 +21,6 @@ from plant.unicycle import BRAKE_DECELERATION_MAX
 CLEARANCE_TOLERANCE_M: Final = 0.01
 OUTSIDE_S: Final = 1.0
 """A robot outside the geofence must hold within so long."""
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
 _RELEASED: Final = frozenset({State.RELEASED.value})
 
 
@@ -96,7 +95,7 @@ def geofence(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         if not outside.any():
             continue
         status = recording.robots[robot].status
-        since_s = lasting(outside & said(status, a.grid, _DRIVING), a.grid, OUTSIDE_S)
+        since_s = lasting(outside & said(status, a.grid, DRIVING_NAMES), a.grid, OUTSIDE_S)
         if since_s is not None:
             message = f"Robot {robot} went on driving outside the geofence, from {since_s:.2f} s on."
             found.append(Violation("geofence", since_s, message))

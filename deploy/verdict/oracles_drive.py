@@ -15,7 +15,7 @@ from agent.fleet.fault_rules import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, 
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.messages.key_expressions import ROLES
-from agent.supervision.state_machine import DRIVING, State
+from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import last_caught_s
 from deploy.analysis.clearances import distances
@@ -33,7 +33,6 @@ RECOVERED_S: Final = 20.0
 ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 _NEAR_SHARE: Final = 1.05
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
 _EXCUSED: Final = frozenset({State.RELEASED.value})
 _HOLDING: Final = frozenset({State.HOLDING.value})
 
@@ -98,7 +97,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         skew_ns, drift = plan.clock(robot)
         own_end_s = end_s - skew_ns / 1e9 - drift * end_s  # by a clock that is wrong on purpose
         is_due = np.isfinite(a.desired[rows, index, 0]) & (grid < own_end_s)
-        idle = is_due & ~said(data.status, grid, _DRIVING | _EXCUSED)
+        idle = is_due & ~said(data.status, grid, DRIVING_NAMES | _EXCUSED)
         if lossy and (is_due & ~idle).any():  # by chance nothing may come for long, time and again
             idle &= ~said(data.status, grid, _HOLDING)
         if idle.any():

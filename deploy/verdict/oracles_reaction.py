@@ -10,7 +10,7 @@ from agent.fleet.fault_rules import Impairments, Rule
 from agent.fleet.model import Fleet
 from agent.formation.points import Floats
 from agent.messages.types import TOPICS
-from agent.supervision.state_machine import DRIVING, REST_SPEED
+from agent.supervision.state_machine import DRIVING_NAMES, REST_SPEED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import Down, Flags, downs
 from deploy.recording.recording import Recording, RobotData
@@ -28,7 +28,6 @@ _DELAY_MAX_S: Final = 0.5
 """Statuses, five a second, come through in time where links lose no more and delay no longer."""
 HEARD_S: Final = 1.0
 """An agent that says nothing for so long is not taken to be alive."""
-_DRIVING: Final = frozenset(state.value for state in DRIVING)
 _DONE: Final = {"kill": "killed", "stop": "paused"}
 
 
@@ -58,7 +57,7 @@ def plant_dead(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violatio
         for down in downs(recording, robot, "plant"):
             is_checked = True
             due_s = down.start_s + limit_s
-            drives = np.array([state in _DRIVING for state in data.status.states], dtype=np.bool_)
+            drives = np.array([state in DRIVING_NAMES for state in data.status.states], dtype=np.bool_)
             times = data.status.t
             before = int(np.searchsorted(times, due_s, side="right")) - 1
             # What it said last holds until it says another thing, if it can speak.
