@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 from io import StringIO
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
@@ -122,8 +123,7 @@ def run(
     Ctrl-C stops the robots and ends the processes, and completes the folder, before it is raised.
 
     Args:
-        fleet, changes, named: as `load` takes them. Laws and plants have to be in a module that a robot's
-            process can import.
+        fleet, changes, named: as `load` takes them. Laws and plants of one's own have to be in a module.
         out: the run's folder (default: ``runs/FLEET-TIME``); must be empty or new.
         report: whether figures and ``report.html`` are made.
         check: refuses a fleet that `check` finds errors in.
@@ -139,11 +139,11 @@ def run(
     from deploy.report.run_folder import RunFolder
 
     loaded = load(fleet, changes, **named)
-    _refuse_local_classes(loaded.settings)
+    path = _path_handed_on() if _own_classes(loaded.settings) else nullcontext()
     if check:
         refuse_errors(loaded)
     interrupt = Interrupt()
-    with interrupt.caught():
+    with interrupt.caught(), path:
         settings, ports, vehicles = place(loaded.resolved)
         try:
             with in_words_of_python():
@@ -164,7 +164,12 @@ def run(
     return Recording(result, folder.path)
 
 
-def _refuse_local_classes(settings: model.Fleet) -> None:
+def _own_classes(settings: model.Fleet) -> set[str]:
+    """Laws and plants of others that a fleet names.
+
+    Raises:
+        Error: one of them is known in this process alone.
+    """
     named = {(robot.plant, plants.GROUP) for robot in settings.robots if robot.plant not in plants.KINDS}
     if settings.control.law is not None:
         named.add((settings.control.law, LAWS_GROUP))
@@ -172,8 +177,23 @@ def _refuse_local_classes(settings: model.Fleet) -> None:
         if ":" not in plugins.resolve(name, group):
             raise Error(
                 f"{name}: robots' processes cannot import a class that is defined here: put it into a module "
-                "of an installed package, and give that (simulate and sweep take it as it is)"
+                "of its own, and import it from there (simulate and sweep take it as it is)"
             )
+    return {name for name, _ in named}
+
+
+@contextmanager
+def _path_handed_on() -> Iterator[None]:
+    """Has processes that are started find modules where this one does, such as beside its script."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
 
 
 def _new_folder(out: str | Path | None, settings: model.Fleet) -> Path:

@@ -69,3 +69,27 @@ def test_after_ctrl_c_no_process_is_left(tmp_path: Path, code: str, begun: str) 
     assert (out, process.returncode) == ("ended\n", 0), err
     if begun:
         assert (tmp_path / "run" / "metrics.json").exists()
+
+
+MODULE = """
+from handfast import Law
+
+class Drift(Law):
+    def acceleration(self, now):
+        return now.navigation
+"""
+BESIDE = """
+import handfast
+from drift import Drift
+
+recording = handfast.run("pair", law=Drift, duration=2, report=False)
+print(recording.metrics["law"], recording.robots[1].states.at(1.5), len(recording.reasons))
+"""
+
+
+def test_a_law_may_stand_beside_the_script(tmp_path: Path) -> None:
+    (tmp_path / "drift.py").write_text(MODULE, encoding="utf-8")
+    (tmp_path / "script.py").write_text(BESIDE, encoding="utf-8")
+    command = [sys.executable, str(tmp_path / "script.py")]
+    done = subprocess.run(command, cwd=tmp_path.parent, capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("drift:Drift running 1\n", "")
