@@ -43,6 +43,8 @@ def load_fleet(
     law: str | None = None,
     scenario: str | Path | None = None,
     orders: str | Path | None = None,
+    *,
+    recorded: bool = False,
 ) -> Fleet:
     """Reads and parses a fleet file, with the faults of a scenario file and the orders of another one if they
     are given; see `parse_fleet`.
@@ -59,6 +61,7 @@ def load_fleet(
         scenario_source=str(scenario),
         orders=None if orders is None else read_text(orders, "file of orders"),
         orders_source=str(orders),
+        recorded=recorded,
     )
 
 
@@ -93,14 +96,17 @@ def parse_fleet(
     scenario_source: str = "the scenario",
     orders: str | None = None,
     orders_source: str = "the orders",
+    recorded: bool = False,
 ) -> Fleet:
     """The fleet that a TOML text describes.
 
     `source` names the text in messages. `law` is a name of `LAWS`, or a plugin; `overrides` are
     ``table.field=value`` as typed after ``--set``. They win over the law, and the law over the text.
     `scenario` is the text of a file of faults: its rules come before the text's, its other settings win over
-    them. `orders` is the text of one of orders, which are added to the text's. Raises `FleetError` with every
-    problem at once (of a text that is not TOML, the one that its parser stops at), and nothing else.
+    them. `orders` is the text of one of orders, which are added to the text's. Where it is `recorded`, for
+    looking at a drive, plugins that are not here are no problem, but their tables are left out. Raises
+    `FleetError` with every problem at once (of a text that is not TOML, the one that its parser stops at),
+    and nothing else.
     """
     raw = fleet_tables(text, source)
     if scenario is not None:
@@ -115,6 +121,7 @@ def parse_fleet(
     choosing = [text for text in overrides if NAMES_A_PLUGIN.match(text)]
     for override in choosing:
         reader.override(raw, override)
+    _apply_named_law(raw, reader)
     read_plugins(raw, reader)
     for override in overrides:
         if override not in choosing:
@@ -122,10 +129,12 @@ def parse_fleet(
     _forget_old_kind(raw, kind_before, reader)
     plugin_problems = read_plugins(raw, reader)
     values = reader.read(raw)
+    if recorded and plugin_problems:
+        plugin_problems.clear()
+    elif not reader.problems and not plugin_problems:
+        complete(values, reader)
     for problem in plugin_problems:
         reader.add(problem.place, problem.message)
-    if not reader.problems:
-        complete(values, reader)
     check_fleet(values, raw, reader)
     problems = (*law_problems, *_with_ids(reader.problems, raw))
     if problems:
@@ -217,6 +226,21 @@ def _apply_law(raw: dict[str, Any], law: str | None) -> tuple[Problem, ...]:
             given.pop("law", None)
             given.update(preset)
     return ()
+
+
+def _apply_named_law(raw: dict[str, Any], reader: Reader) -> None:
+    """Takes a name of `LAWS` as `control.law`: what it sets wins over the file where ``--set`` gave it."""
+    law = _table(raw, "control").get("law")
+    if not isinstance(law, str) or law not in LAWS:
+        return
+    if reader.overridden("control.law"):
+        _apply_law(raw, law)
+        return
+    del raw["control"]["law"]
+    for table, preset in LAWS[law].items():
+        given = raw.setdefault(table, {})
+        if isinstance(given, dict):
+            given.update({key: value for key, value in preset.items() if key not in given})
 
 
 def _forget_old_kind(raw: dict[str, Any], before: object, reader: Reader) -> None:

@@ -180,8 +180,9 @@ class ControlSection(Sectioned):
     )
     law: str | None = setting(
         None,
-        "A plugin that is the law, in the place of the constraint force and its `coupling`: its class, "
-        "`package.module:Class`, or its name (docs/plugins.md).",
+        "The law. A plugin stands in the place of the constraint force and its `coupling`: its class, "
+        "`package.module:Class`, or its name (docs/plugins.md). The names that `--law` knows set what they "
+        "set there, so that a sweep over this field compares laws; left out: `coupling` and the gains.",
         example='"my_package.my_module:MyLaw"',
     )
     sections: Sections = setting((), "Tables of laws.", sections=tuple)
@@ -298,8 +299,11 @@ class Body(Sectioned):
 
     @property
     def kind(self) -> plants.Kind:
-        """What its `plant` is."""
-        return plants.kind(self.plant)
+        """What its `plant` is. A plugin that is not here, as in a recording from elsewhere, is no vehicle."""
+        try:
+            return plants.kind(self.plant)
+        except plugins.PluginError:
+            return plants.Kind(self.plant)
 
     def section(self, model: type[T]) -> T | None:
         """The table of this model, None where the robot's plant has no such table or it is not given."""

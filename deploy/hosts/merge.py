@@ -98,7 +98,9 @@ def merge(
     there_is = recordings(folders)
     plan = _plan(there_is.segments, choice or Choice())
     fleet = resolved(
-        parse_fleet(plan.newest.about.fleet_toml, source=f"the fleet file in {plan.newest.path}")
+        parse_fleet(
+            plan.newest.about.fleet_toml, source=f"the fleet file in {plan.newest.path}", recorded=True
+        )
     )
     damage = Damage()
     folder = RunFolder(out, fleet, "run")

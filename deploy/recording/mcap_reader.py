@@ -226,7 +226,8 @@ def _seed(run: dict[str, str]) -> int | None:
 def _fleet(file: _File, fleet_path: Path | None) -> tuple[Fleet, str]:
     """The fleet and its file's text: from the run's folder, else from inside the recording."""
     if fleet_path is not None and fleet_path.is_file():
-        return load_fleet(fleet_path), fleet_path.read_text("utf-8-sig")
+        return load_fleet(fleet_path, recorded=True), fleet_path.read_text("utf-8-sig")
     if file.fleet_toml is None:
         raise RecordingError(f"{file.path} holds no fleet file, and there is none beside it")
-    return parse_fleet(file.fleet_toml, source=f"{FLEET_FILE} inside {file.path}"), file.fleet_toml
+    source = f"{FLEET_FILE} inside {file.path}"
+    return parse_fleet(file.fleet_toml, source=source, recorded=True), file.fleet_toml

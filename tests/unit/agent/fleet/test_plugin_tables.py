@@ -13,6 +13,7 @@ from agent.common import plugins
 from agent.common.settings import about, setting
 from agent.control.law_plugin import Law
 from agent.fleet.loading import digest, law_name, parse_fleet, to_dict
+from agent.fleet.model import FleetError
 from plant.backend import Plant
 from tests.unit.agent.fleet.fleet_texts import SMALL, problems, small
 
@@ -89,6 +90,32 @@ def test_a_laws_table() -> None:
     assert small(text=text) == fleet
     plain = SMALL + '[control]\nlaw = "spring"\n'
     assert small(law="joint", text=plain).control.law is None, "a preset is a law as well"
+
+
+def test_a_law_of_ours_has_a_name_in_the_same_place():
+    """So one axis of a sweep compares ours with those of others."""
+    text = SMALL + '[control]\nlaw = "spring"\nkp = 3.0\nspring = { stiffness = 3 }\n'
+    ours = text.replace("spring = { stiffness = 3 }", "")
+    fleet = small("control.law=edge", text=ours)
+    assert (fleet.control.law, fleet.control.coupling, fleet.control.kp) == (None, "edge", 1.0)
+    written = small(text=ours.replace('"spring"', '"edge"'))
+    assert (written.control.coupling, written.control.kp) == ("edge", 3.0), "a file's own values hold"
+    assert small("control.kp=2", "control.law=joint", text=ours).control.kp == 2.0
+    assert not small("control.law=paper", text=ours).avoidance.enabled
+
+
+def test_a_recording_is_looked_at_where_its_plugins_are_not():
+    text = DRAG.replace('"drag"', '"not.here:Drag"') + (
+        '[control]\nlaw = "not.here:Spring"\nspring = { stiffness = 3 }\n'
+    )
+    with pytest.raises(FleetError, match="there is no module not"):
+        small(text=text)
+    fleet = parse_fleet(text, source="a recording", recorded=True)
+    assert (fleet.control.law, fleet.robot(3).plant) == ("not.here:Spring", "not.here:Drag")
+    assert not fleet.robot(3).kind.vehicle
+    assert parse_fleet(DRAG, source="a recording", recorded=True) == small(text=DRAG)
+    with pytest.raises(FleetError, match="unknown field"):
+        parse_fleet(DRAG.replace("tau_s", "tua_s"), source="a recording", recorded=True)
 
 
 @pytest.mark.parametrize(
