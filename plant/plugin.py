@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from math import nan
 from typing import Any, Final, TypeVar
 
 from agent.common import random_streams
@@ -63,13 +64,11 @@ class PluginBody(PlantBackend):
         """See `PlantBackend.step`."""
         begun_ns = self._clock()
         try:
-            reading = self._plant.step(now_ns, None if self.failed else command)
-            wrong = _wrong(reading)
+            reading = _plain(self._plant.step(now_ns, None if self.failed else command))
         except (Exception, SystemExit) as error:
-            wrong = f"failed with {blame(error, type(self._plant))}"
-        if wrong:  # it is where it was seen last
-            self._fail(f"step {wrong}")
-            pose = self._pose._replace(speed=0.0, yaw_rate=0.0)
+            is_ours = isinstance(error, _NoReadingError)
+            self._fail(f"step {error if is_ours else f'failed with {blame(error, type(self._plant))}'}")
+            pose = self._pose._replace(speed=0.0, yaw_rate=0.0)  # it is where it was seen last
             return Reading(now_ns, pose, 0.0, 0.0, False, self.failed)
         self._pose = reading.pose
         if self.failed:
@@ -116,20 +115,32 @@ class PluginBody(PlantBackend):
         self._asked("close", self._plant.close)
 
 
-def _wrong(reading: Any) -> str:
-    """What is wrong with what a step returned, "" for nothing."""
+def _plain(reading: Any) -> Reading:
+    """What a step returned, its numbers as Python's own; `_NoReadingError` where it is no reading."""
     if not isinstance(reading, Reading):
-        return f"returned {type(reading).__name__}, not a Reading: Reading(now_ns, Pose(...), force, torque)"
+        what = "not a Reading: Reading(now_ns, Pose(...), force, torque)"
+        raise _NoReadingError(f"returned {type(reading).__name__}, {what}")
     pose: object = reading.pose
     if not isinstance(pose, Pose):
-        return f"returned a Reading whose pose is {type(pose).__name__}, not a Pose"
+        raise _NoReadingError(f"returned a Reading whose pose is {type(pose).__name__}, not a Pose")
     numbers = {**pose._asdict(), "force": reading.force, "torque": reading.torque}
     for name, value in numbers.items():
-        if not isinstance(value, (int, float)) or not abs(value) <= FLOAT_MAX:
-            return f"returned a Reading whose {name} is {show(value)}"
-    if type(reading.time_ns) is not int or type(reading.note) is not str:
-        return "returned a Reading whose time_ns is no whole number, or whose note is no text"
-    return ""
+        try:
+            numbers[name] = float(value)
+        except (TypeError, ValueError):
+            numbers[name] = nan
+        if not abs(numbers[name]) <= FLOAT_MAX:
+            raise _NoReadingError(f"returned a Reading whose {name} is {show(value)}")
+    stamp: Any = reading.time_ns
+    note: Any = reading.note
+    if not isinstance(stamp, int) or not isinstance(note, str):
+        raise _NoReadingError("returned a Reading whose time_ns is no whole number, or whose note is no text")
+    *five, force, torque = numbers.values()
+    return reading._replace(pose=Pose(*five), force=force, torque=torque)
+
+
+class _NoReadingError(Exception):
+    """A step returned something else than a reading; the text says what."""
 
 
 def begin(fleet: Fleet, robot: int, how: Begin) -> PluginBody:

@@ -129,7 +129,10 @@ def blame(error: BaseException, plugin: type[Any] | None = None) -> str:
         trace = trace.tb_next
     if isinstance(error, SyntaxError) and error.filename:
         place = own = f" ({error.filename}:{error.lineno})"
-    text = str(error.msg if isinstance(error, SyntaxError) else error).strip().split("\n")[0]
+    try:
+        text = str(error.msg if isinstance(error, SyntaxError) else error).strip().split("\n")[0]
+    except Exception:  # its class is of others too
+        text = "an exception without a text"
     return printable(f"{type(error).__name__}: {text[:200]}{place if plugin is None else own}")
 
 

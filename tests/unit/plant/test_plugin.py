@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import inf, nan
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agent.common import plugins
@@ -99,10 +100,17 @@ def test_a_good_one_is_left_alone() -> None:
     good = begin(fleet("Good"), 1, Begin(0))
     reading = good.step(7, DRIVE)
     assert (reading.healthy, reading.note, reading.time_ns) == (True, "", 7)
-    assert good.pose is reading.pose
+    assert good.pose == reading.pose
     assert list(good.checks(7)) == []
     good.clear_to_drive()
     good.close()
+
+
+def test_numbers_of_numpy_become_plain_ones() -> None:
+    made, _ = body(lambda self, now, command: Reading(now, Pose(*np.ones(5, np.float32)), np.float64(1), 0))
+    reading = made.step(0, DRIVE)
+    assert {type(value) for value in (*reading.pose, reading.force, reading.torque)} == {float}
+    assert reading.healthy
 
 
 def test_a_vehicle_has_checks_and_a_stand_in() -> None:
@@ -149,8 +157,12 @@ def _nothing() -> None:
         (lambda self, now, command: (now, 1, 2), "^Drag: step returned tuple, not a Reading: Reading"),
         (lambda self, now, command: Reading(now, Pose(0, nan, 0, 0, 0), 0, 0), "Reading whose y is nan$"),
         (lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), inf, 0), "Reading whose force is inf$"),
-        (lambda self, now, command: Reading(now, (0, 0, 0, 0, 0), 0, 0), "pose is tuple, not a Pose$"),  # type: ignore[arg-type]
-        (lambda self, now, command: Reading(0.5, Pose(0, 0, 0, 0, 0), 0, 0), "time_ns is no whole number"),  # type: ignore[arg-type]
+        (
+            lambda self, now, command: Reading(now, Pose(0, 0, "a", 0, 0), 0, 0),
+            'Reading whose heading is "a"$',
+        ),
+        (lambda self, now, command: Reading(now, (0, 0, 0, 0, 0), 0, 0), "pose is tuple, not a Pose$"),
+        (lambda self, now, command: Reading(0.5, Pose(0, 0, 0, 0, 0), 0, 0), "time_ns is no whole number"),
     ],
 )
 def test_a_step_that_fails(step: Callable[..., Any], says: str) -> None:

@@ -160,3 +160,11 @@ def test_the_name_of_a_field_is_taken() -> None:
 def test_a_name_that_cannot_be_registered() -> None:
     with pytest.raises(PluginError, match="a:b"):
         plugins.register("a:b", PluginError)
+
+
+def test_an_exception_that_cannot_be_shown_is_named() -> None:
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise RuntimeError
+
+    assert plugins.blame(Mute()) == "Mute: an exception without a text"
