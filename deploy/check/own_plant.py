@@ -29,8 +29,9 @@ def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
         if plugin.vehicle and plugin.simulated is None:
             continue  # it is not for us to touch
         for level, text in _looked_at(fleet, robot.id):
-            if text not in said:
-                said.add(text)
+            key = robot.plant if level == "warning" else text  # each robot's takes another time
+            if key not in said:
+                said.add(key)
                 yield Finding(level, f"robot[{number}].plant", text)
 
 

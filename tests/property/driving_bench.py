@@ -73,7 +73,7 @@ class _Robot:
         drive = controller.drive(state, now_ns)
         controller.sent(now_ns, drive.force, drive.torque)
         self.asked = drive.force, drive.torque
-        multipliers = controller.multipliers()
+        multipliers = controller.coupling.shared()
         return HandState(robot, count, now_ns, True, drive.degree, *here, *drive.forces, 0.0, multipliers, ())
 
     def move(self, period_s: float) -> None:
