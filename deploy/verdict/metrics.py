@@ -21,7 +21,7 @@ from deploy.analysis.rounding import largest, number, percentile
 from deploy.recording.recorder import RecordingError
 
 if TYPE_CHECKING:
-    from deploy.verdict.run_result import RunResult
+    from deploy.verdict.evidence import Evidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +80,14 @@ class Metric:
 
     name: str
     meaning: str
-    value: Callable[[RunResult], Any]
+    value: Callable[[Evidence], Any]
     title: str = ""
     unit: str = ""
     optional: bool = False
     column: Column | None = None
 
 
-def compute(result: RunResult) -> dict[str, Any]:
+def compute(result: Evidence) -> dict[str, Any]:
     """The content of ``metrics.json``, in the order of `METRICS`."""
     found: dict[str, Any] = {}
     for metric in METRICS:
@@ -142,12 +142,12 @@ def _least(*found: Approach | None) -> float | None:
     return number(min(distances)) if distances else None
 
 
-def _final_tracking_error(result: RunResult) -> float | None:
+def _final_tracking_error(result: Evidence) -> float | None:
     a = result.analysis
     return largest(np.where(a.away[-1], np.nan, norm(a.hands[-1] - a.desired[-1])))
 
 
-def _changes(result: RunResult) -> list[dict[str, Any]]:
+def _changes(result: Evidence) -> list[dict[str, Any]]:
     return [
         {
             "t_s": number(change.t_s),
@@ -159,7 +159,7 @@ def _changes(result: RunResult) -> list[dict[str, Any]]:
     ]
 
 
-def _oracles(result: RunResult) -> dict[str, dict[str, Any]]:
+def _oracles(result: Evidence) -> dict[str, dict[str, Any]]:
     return {
         name: {
             "checked": violations is not None,
@@ -170,17 +170,17 @@ def _oracles(result: RunResult) -> dict[str, dict[str, Any]]:
     }
 
 
-def _rejected(result: RunResult) -> dict[str, int]:
+def _rejected(result: Evidence) -> dict[str, int]:
     start = "rejected."
     totals = sorted(result.totals.items())
     return {name.removeprefix(start): count for name, count in totals if name.startswith(start) and count}
 
 
-def _total(name: str) -> Callable[[RunResult], int]:
+def _total(name: str) -> Callable[[Evidence], int]:
     return lambda result: result.totals[name]
 
 
-def _link(name: str) -> Callable[[RunResult], Any]:
+def _link(name: str) -> Callable[[Evidence], Any]:
     return lambda result: result.about_links[name]
 
 

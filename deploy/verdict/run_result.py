@@ -2,98 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry, resolve
-from agent.formation.points import Floats
-from deploy.analysis.analysis import Analysis, analyse
-from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics, metrics, oracles, reasons
-from deploy.verdict.violations import Violation
+from deploy.verdict import metrics
+from deploy.verdict.evidence import Evidence
 
 
-class RunResult:
+class RunResult(Evidence):
     """A finished run: recording in, analysis, metrics and verdict out, each made once, when first asked for.
 
     Asking raises `agent.formation.geometry.FormationError` when the fleet's formation cannot be resolved.
     """
 
-    def __init__(self, recording: Recording) -> None:
-        self.recording: Recording = recording
-
-    @property
-    def fleet(self) -> Fleet:
-        return self.recording.fleet
-
-    @cached_property
-    def geometry(self) -> Geometry:
-        return resolve(self.fleet)
-
-    @cached_property
-    def analysis(self) -> Analysis:
-        return analyse(self.recording, self.geometry)
-
     @cached_property
     def metrics(self) -> dict[str, Any]:
         """The content of ``metrics.json``, by `deploy.verdict.metrics.METRICS`."""
         return metrics.compute(self)
-
-    @cached_property
-    def violations(self) -> Mapping[str, Sequence[Violation] | None]:
-        """What every oracle found; None where it does not apply."""
-        return oracles.examine(self.recording, self.analysis, self.fleet)
-
-    @property
-    def passed(self) -> bool:
-        return not self.reasons
-
-    @cached_property
-    def reasons(self) -> Sequence[str]:
-        """Why the verdict failed, as sentences."""
-        return reasons.reasons(self.recording, self.analysis, self.violations)
-
-    @cached_property
-    def warnings(self) -> Sequence[str]:
-        return reasons.warnings(self.recording, self.analysis, self.about_links)
-
-    # --- what several metrics are made of ---------------------------------------------------------
-
-    @cached_property
-    def about_links(self) -> Mapping[str, Any]:
-        return link_metrics.describe_links(self.recording, self.analysis)
-
-    @cached_property
-    def distance_errors(self) -> Floats:
-        """(k, m) m: how far each edge was from its wanted distance; NaN where it does not count."""
-        a = self.analysis
-        errors: Floats = np.where(a.counts, a.distances - a.wanted, np.nan)
-        return errors
-
-    @cached_property
-    def ages_ms(self) -> Floats:
-        """Of the neighbours' states, whenever the law used one.
-
-        Before the start and after the end, neighbours come and go: ages from then say nothing of the drive.
-        """
-        robots, end_s = self.recording.robots.values(), self.recording.end_s
-        return np.concatenate([robot.status.ages_between(0.0, end_s) for robot in robots]) / 1e3
-
-    @cached_property
-    def ticks_us(self) -> Floats:
-        """Durations of the agents' ticks; none in virtual time, where they take none."""
-        ticks = np.concatenate([robot.status.tick_us for robot in self.recording.robots.values()])
-        return ticks[:0] if self.recording.mode == "simulate" else ticks
-
-    @cached_property
-    def totals(self) -> Counter[str]:
-        """What all agents counted."""
-        totals: Counter[str] = Counter()
-        for robot in self.recording.robots.values():
-            totals.update(robot.status.totals())
-        return totals

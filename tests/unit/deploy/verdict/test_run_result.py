@@ -14,7 +14,7 @@ from deploy.console.data_files import FLEETS
 from deploy.sweep.plan import Question, make_plan
 from deploy.sweep.run import PASSED, execute
 from deploy.verdict.run_result import RunResult
-from tests.unit.deploy.judged_run import PAIR, recorded, status, with_statuses
+from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.simulated_run import TRIO
 from tests.unit.deploy.synthetic_run import in_formation, messages
 
@@ -76,11 +76,3 @@ def test_nothing_is_made_before_it_is_asked_for(count: Count) -> None:
     other = RunResult(result.recording)
     assert other.passed
     assert "about_links" not in vars(other), "a sweep asks for the verdict alone"
-
-
-def test_ages_and_ticks_are_all_that_agents_said() -> None:
-    sent = with_statuses(status(1, 1.0, ages_us=(1000, 2000), tick_us=(100,)), status(2, 1.0, tick_us=(300,)))
-    result = RunResult(recorded(PAIR, sent))
-    assert result.ages_ms.tolist() == [1.0, 2.0]
-    assert result.ticks_us.tolist() == [100, 300]
-    assert not len(RunResult(recorded(PAIR, sent, mode="simulate")).ticks_us)
