@@ -5,16 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from agent.common.errors import Error
+from agent.common.plugins import blame
+from agent.common.reader import Problem
 from agent.common.settings import Entry, Sectioned, T, entries
+from agent.common.wording import joined
+
+
+class ModelError(Error, ValueError):
+    """The class of a plugin's table does not take valid values; its argument is the `Problem`."""
 
 
 def build(
-    model: type[T], values: Mapping[str, Any], known: Callable[[type], Mapping[str, Entry]] = entries
+    model: type[T],
+    values: Mapping[str, Any],
+    known: Callable[[type], Mapping[str, Entry]] = entries,
+    place: str = "",
 ) -> T:
     """The model of what `Reader.read` returned without problems.
 
     Args:
         known: what a table of a model may hold: `Reader.entries` where tables of plugins are among it.
+        place: of the table in the file.
+
+    Raises:
+        ModelError: the class of a plugin's table does.
     """
     untyped: type = model
     arguments: dict[str, Any] = {}
@@ -22,11 +37,17 @@ def build(
     for entry in known(untyped).values():
         if not entry.attribute:
             continue
-        value = values[entry.attribute]
-        if entry.table is not None:
-            value = build(entry.table, value, known) if value is not None else None
+        value, here = values[entry.attribute], joined(place, entry.key)
+        if entry.table is not None and value is not None:
+            try:
+                value = build(entry.table, value, known, here)
+            except (Exception, SystemExit) as error:
+                if not entry.is_section:
+                    raise
+                raise ModelError(Problem(here, blame(error, entry.table))) from None
         elif entry.tables is not None:
-            value = tuple(build(entry.tables, row, known) for row in value)
+            rows = enumerate(value, 1)
+            value = tuple(build(entry.tables, row, known, f"{here}[{k}]") for k, row in rows)
         if not entry.is_section:
             arguments[entry.attribute] = value
         elif value is not None:

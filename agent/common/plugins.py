@@ -11,11 +11,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any, Final
+from types import UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin
 
 from agent.common.errors import Error
+from agent.common.reader import Reader
 from agent.common.settings import Entry, entries, section_entry
-from agent.common.wording import nearest, printable, show
+from agent.common.wording import joined, nearest, printable, show
 
 _REFERENCE: Final = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)", re.ASCII)
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}", re.ASCII)
@@ -104,13 +106,50 @@ def section(plugin: type[Any], reference: str, taken: Iterable[str]) -> Entry | 
     if not isinstance(model, type) or not is_dataclass(model) or not getattr(parameters, "frozen", False):
         raise PluginError(f"{reference}: Settings must be a class below @dataclass(frozen=True)")
     try:
-        entries(model)
+        wrong = _wrong_fields(model, model.__name__)
     except Exception as error:
         raise PluginError(
             f"{reference}: its Settings cannot be read: {blame(error, plugin)}; write each field "
             'as name: float = setting(1.0, "What it is", unit="m", ge=0)'
         ) from None
+    if wrong:
+        raise PluginError(f"{reference}: {wrong}")
     return section_entry(name, model, printable((model.__doc__ or "").strip().split("\n")[0]))
+
+
+def _wrong_fields(model: type, place: str) -> str:
+    """What is wrong with the fields of a model, "" for nothing: a type that no file holds, a default that is
+    none."""
+    for entry in entries(model).values():
+        here = joined(place, entry.key)
+        inside = entry.table or entry.tables
+        if inside is not None:
+            if wrong := _wrong_fields(inside, here):
+                return wrong
+            continue
+        if entry.setting.parse is None and not _is_held(entry.hint):
+            kind = getattr(entry.hint, "__name__", str(entry.hint))
+            return (
+                f"{here} is {printable(kind)}: a file holds float, int, bool, str, Literal and tuples of them"
+            )
+        reader = Reader(model)
+        if not entry.required:
+            reader.default(entry, here)
+        for problem in reader.problems:
+            return f"the default of {problem}"
+    return ""
+
+
+def _is_held(hint: Any) -> bool:
+    """Whether a file can hold a value of this type."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return all(type(arg) in (str, int, bool) for arg in args)
+    if origin is tuple:
+        return all(arg is Ellipsis or _is_held(arg) for arg in args)
+    if origin in (Union, UnionType):
+        return all(map(_is_held, args))
+    return hint in (float, int, bool, str)
 
 
 def blame(error: BaseException, plugin: type[Any] | None = None) -> str:

@@ -113,7 +113,7 @@ class Reader:
                 self.add(here, f"is missing: write for example {entry.key} = {given}")
                 value = _INVALID
             else:
-                value = entry.default
+                value = self.default(entry, here)
             if not entry.attribute:
                 shared = self._handed_down(entry.hint, value)
             elif value is not _INVALID:
@@ -144,6 +144,12 @@ class Reader:
             self.add(place, f"table {header} is missing: it must give at least {' and '.join(needs)}")
             return _INVALID
         return self._table(model, value, place, handed)
+
+    def default(self, entry: Entry, place: str) -> Any:
+        """What a field is that nobody gave: its default, read as if the file gave it."""
+        if entry.setting.parse is not None or (entry.default is None and entry.optional):
+            return entry.default
+        return self._value(entry.hint, entry.default, place, entry.setting)
 
     def complete(self, entry: Entry, values: dict[str, Any], place: str) -> None:
         """Puts a table that nobody gave into valid values, as if it stood there empty."""

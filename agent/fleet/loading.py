@@ -15,7 +15,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
 
-from agent.common.models import build, plain
+from agent.common.models import ModelError, build, plain
 from agent.common.plugins import PluginError
 from agent.common.reader import Problem, Reader
 from agent.common.wording import printable, show
@@ -139,7 +139,10 @@ def parse_fleet(
     problems = (*law_problems, *_with_ids(reader.problems, raw))
     if problems:
         raise FleetError(source, problems)
-    return build(Fleet, values, reader.entries)
+    try:
+        return build(Fleet, values, reader.entries)
+    except ModelError as error:
+        raise FleetError(source, [*_with_ids(error.args, raw)]) from None
 
 
 def fleet_tables(text: str, source: str) -> dict[str, Any]:

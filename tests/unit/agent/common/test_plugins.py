@@ -5,13 +5,18 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import make_dataclass
+from enum import Enum
+from math import nan
 from pathlib import Path
 from textwrap import dedent
+from typing import Any, Literal
 
 import pytest
 
 from agent.common import plugins
 from agent.common.plugins import PluginError
+from agent.common.settings import setting
 
 GROUP = "handfast.tests"
 PACKAGE = {
@@ -150,6 +155,44 @@ def test_the_table_of_a_class() -> None:
 def test_a_table_that_is_declared_wrongly(name: str, says: str) -> None:
     with pytest.raises(PluginError, match=f"ref: .*{says}"):
         plugins.section(plugins.load(f"strange_things.good:{name}", GROUP), "ref", ())
+
+
+class Colour(Enum):
+    RED = 1
+
+
+INNER = make_dataclass("Inner", [("b", bool, setting(1, "x"))], frozen=True)
+
+
+def of_field(hint: Any, default: Any, **rest: Any) -> type[Any]:
+    model = make_dataclass("Ground", [("a", hint, setting(default, "x", **rest))], frozen=True)
+    return type("Drag", (), {"section": "drag", "Settings": model})
+
+
+@pytest.mark.parametrize(
+    ("plugin", "says"),
+    [
+        (of_field(float, -1.0, ge=0), "the default of Ground.a: must be at least 0, got -1.0"),
+        (of_field(float, "abc"), 'the default of Ground.a: must be a number, such as 1.0, got "abc"'),
+        (of_field(float, nan), "the default of Ground.a: must be a finite number, got nan"),
+        (of_field(float, None), "the default of Ground.a: must be a number, such as 1.0, got None"),
+        (of_field(Literal["a", "b"], "c"), 'the default of Ground.a: must be one of "a", "b", got "c"'),
+        (of_field(tuple[float, float], (1.0,)), "the default of Ground.a: must be an array of 2 numbers"),
+        (of_field(Colour, Colour.RED), "Ground.a is Colour: a file holds float, int, bool, str, Literal"),
+        (of_field(Any, 1), "Ground.a is Any: a file holds float"),
+        (of_field(INNER, None), "the default of Ground.a.b: must be true or false"),
+    ],
+)
+def test_a_default_that_no_file_can_give_is_refused_by_class_and_field(plugin: type[Any], says: str) -> None:
+    with pytest.raises(PluginError) as caught:
+        plugins.section(plugin, "ref", ())
+    assert str(caught.value).startswith(f"ref: {says}")
+    assert "\n" not in str(caught.value)
+
+
+def test_defaults_that_a_file_can_give() -> None:
+    for hint, default in ((float | None, None), (tuple[float, ...], ()), (Literal["a"], "a"), (float, 1)):
+        assert plugins.section(of_field(hint, default), "ref", ()) is not None
 
 
 def test_the_name_of_a_field_is_taken() -> None:

@@ -31,6 +31,16 @@ class SpringSettings:
     stiffness: float = field(metadata=about("Stiffness.", unit="1/s2", ge=0, le=100))
 
 
+@dataclass(frozen=True)
+class RangeSettings:
+    low: float = setting(0, "From.", ge=0)
+    high: float = setting(1.0, "To.", ge=0)
+
+    def __post_init__(self) -> None:
+        if self.low >= self.high:
+            raise ValueError("low must be\nbelow high")
+
+
 class Drag(Plant):
     section = "drag"
     Settings = DragSettings
@@ -45,6 +55,11 @@ class Mass(Drag):
     section = "mass_kg"
 
 
+class Range(Drag):
+    section = "range"
+    Settings = RangeSettings
+
+
 class Spring(Law):
     section = "spring"
     Settings = SpringSettings
@@ -55,7 +70,7 @@ DRAG = SMALL.replace("mass_kg = 8", 'mass_kg = 8\nplant = "drag"\n[robot_default
 
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
-    for name, plugin in {"drag": Drag, "tow": Tow, "mass": Mass, "spring": Spring}.items():
+    for name, plugin in {"drag": Drag, "tow": Tow, "mass": Mass, "range": Range, "spring": Spring}.items():
         plugins.register(name, plugin)
     yield
     plugins._registered.clear()
@@ -71,6 +86,13 @@ def test_a_plants_table_is_inherited_set_and_written_again() -> None:
     assert digest(again) == digest(fleet) != digest(small(text=DRAG))
     assert pickle.loads(pickle.dumps(fleet)) == fleet  # noqa: S301 (our own bytes)
     assert hash(fleet)
+
+
+def test_a_default_is_the_number_that_a_file_would_give() -> None:
+    fleet = small("robot_defaults.plant=range")
+    again = parse_fleet(tomli_w.dumps(to_dict(fleet)), source="again")
+    assert again == fleet
+    assert digest(again) == digest(fleet)
 
 
 def test_the_order_of_overrides_does_not_matter() -> None:
@@ -129,6 +151,12 @@ def test_a_recording_is_looked_at_where_its_plugins_are_not():
         (["robot.3.drag=3"], None, DRAG, "--set robot.3.drag: must be a table"),
         (["robot.3.plant=tow"], None, DRAG, "--set robot.3.plant: tow: another plugin here has"),
         (["robot.3.plant=mass"], None, SMALL, '--set robot.3.plant: mass: section = "mass_kg" is taken'),
+        (
+            ["robot.3.plant=range", "robot.3.range.low=2"],
+            None,
+            SMALL,
+            "robot[1].range: ValueError: low must be (test_plugin_tables.py:",
+        ),
         (["robot.3.plant=no.such:Thing"], None, DRAG, "--set robot.3.plant: no.such:Thing: there is no "),
         ([], "spring", SMALL, "control.spring: table [control.spring] is missing: it must give"),
         ([], "sprig", SMALL, '--law: must be one of paper, edge, joint, penalty, or a plugin, got "sprig"'),
