@@ -115,7 +115,7 @@ def parse_fleet(
         add_orders(raw, orders, orders_source)
 
     reader = Reader(Fleet)
-    law_problems = _apply_law(raw, law)
+    law_problems = _apply_law(raw, law, recorded)
     kind_before = _table(raw, "trajectory").get("kind", "hold")
     # First what says which plugins there are: they say which tables there may be.
     choosing = [text for text in overrides if NAMES_A_PLUGIN.match(text)]
@@ -213,10 +213,10 @@ def _table(raw: Mapping[str, Any], key: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _apply_law(raw: dict[str, Any], law: str | None) -> tuple[Problem, ...]:
+def _apply_law(raw: dict[str, Any], law: str | None, recorded: bool = False) -> tuple[Problem, ...]:
     if law is None:
         return ()
-    if law not in LAWS:
+    if law not in LAWS and not recorded:
         try:
             load_law(law)
         except PluginError as error:

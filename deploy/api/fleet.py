@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
 
 from agent.common.errors import Error, packages_named
+from agent.common.plugins import PluginError
 from agent.fleet import model
 from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
 from deploy.api.changes import Classes, in_words_of_python, override
@@ -43,6 +44,7 @@ class Fleet:
 
     Attributes:
         source: names it in messages.
+        recorded: it is for looking at a drive, and its plugins need not be here.
         settings: everything that is in it, as frozen dataclasses: ``fleet.settings.control.kp``.
     """
 
@@ -53,13 +55,15 @@ class Fleet:
         overrides: Mapping[str, str] | None = None,
         law: str | None = None,
         classes: Mapping[str, type] | None = None,
+        *,
+        recorded: bool = False,
     ) -> None:
-        self.source, self._text, self._law = source, text, law
+        self.source, self._text, self._law, self.recorded = source, text, law, recorded
         self._overrides, self._classes = dict(overrides or {}), Classes(classes)
         self._classes.register()
         with in_words_of_python():
             self.settings: model.Fleet = parse_fleet(
-                text, source=source, overrides=[*self._overrides.values()], law=law
+                text, source=source, overrides=[*self._overrides.values()], law=law, recorded=recorded
             )
 
     # --- what can be asked of it -------------------------------------------------------------------
@@ -117,6 +121,8 @@ class Fleet:
 
     def toml(self) -> str:
         """The fleet file as it stands, every field spelled out."""
+        if self.recorded:
+            return self._text  # with the tables of plugins that are not here
         with packages_named("Fleet.toml"):
             import tomli_w
 
@@ -221,7 +227,12 @@ class Fleet:
         """What it will do, as ``handfast check`` tells it."""
         from deploy.check.description import describe
 
-        return describe(self.settings)
+        try:
+            return describe(self.settings)
+        except PluginError:
+            if not self.recorded:
+                raise
+            return repr(self)
 
     def __repr__(self) -> str:
         changed = [*([f"law={self._law}"] if self._law else []), *self.overrides.values()]
@@ -249,7 +260,7 @@ def load(fleet: Source, changes: Mapping[str, object] | None = None, **named: Un
     """
     source: object = fleet
     if isinstance(source, Fleet):
-        loaded = source
+        loaded = source.with_() if source.recorded else source
     elif isinstance(source, Mapping):
         with packages_named("a fleet of tables"):
             import tomli_w

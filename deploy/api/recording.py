@@ -162,14 +162,16 @@ class Recording:
     @cached_property
     def fleet(self) -> Fleet:
         """The fleet as it was driven."""
-        from deploy.api.fleet import load
+        from deploy.api.fleet import Fleet
 
+        if self._data.fleet_toml is not None:
+            return Fleet(self._data.fleet_toml, str(self.folder or "the recording"), recorded=True)
         with packages_named("Recording.fleet"):
             import tomli_w
 
         from agent.fleet.loading import to_dict
 
-        return load(tomli_w.dumps(to_dict(self._data.fleet)))
+        return Fleet(tomli_w.dumps(to_dict(self._data.fleet)), "the recording", recorded=True)
 
     @property
     def ids(self) -> tuple[int, ...]:

@@ -59,7 +59,7 @@ class Sweep:
         where a run has none), ``reason`` (why it did not pass)."""
         rows = [self._rows[run] for run in range(self._plan.runs)]
         found: dict[str, NDArray[Any]] = {}
-        places = np.indices(self.shape).reshape(len(self.shape), -1)
+        places = np.indices(self.shape).reshape(len(self.shape), len(self._plan.cells))
         for (field, values), place in zip(self.values.items(), places, strict=True):
             chosen = [values[k] for k in np.repeat(place, self.seeds).tolist()]
             shown = [each.__name__ if isinstance(each, type) else each for each in chosen]

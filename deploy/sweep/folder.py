@@ -212,6 +212,11 @@ def read_question(folder: Path) -> Question:
         raise SweepError(f"{folder / SWEEP_FILE} is not what a sweep has written") from None
 
 
+def read_digest(folder: Path) -> str:
+    """`Plan.digest` of the sweep in `folder`; raises as `read_question`."""
+    return str(_read_toml(folder / SWEEP_FILE).get("fleet_digest", ""))
+
+
 def replace_file(path: Path, content: bytes) -> None:
     """Writes a file all at once: whoever reads it sees the old or the new one, never a part."""
     new = path.with_name(path.name + ".new")

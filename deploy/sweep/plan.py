@@ -172,7 +172,10 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The fleets of a question, one for each cell, in the order of the grid: the last axis counts fastest."""
+    """The fleets of a question, one for each cell, in the order of the grid: the last axis counts fastest.
+
+    `recorded_digest`: that of a sweep whose plugins are not here, so that its fleets lack their tables.
+    """
 
     axes: tuple[Axis, ...]
     repeat: int
@@ -181,6 +184,7 @@ class Plan:
     side_m: float | None
     gap_m: float
     assign: tuple[bool, ...]
+    recorded_digest: str | None = None
 
     @property
     def runs(self) -> int:
@@ -225,6 +229,8 @@ class Plan:
 
     def digest(self) -> str:
         """16 hex digits over the fleets of all cells."""
+        if self.recorded_digest is not None:
+            return self.recorded_digest
         text = "".join(digest(fleet) for fleet in self.cells)
         return blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -240,8 +246,10 @@ class Plan:
         return identity | {"fleet_digest": self.digest()}
 
 
-def make_plan(question: Question) -> Plan:
+def make_plan(question: Question, recorded_digest: str | None = None) -> Plan:
     """Reads the fleet of every cell.
+
+    With the digest of a sweep that was driven, for looking at it, plugins that are not here are no problem.
 
     Raises:
         FleetError: with every problem of every cell, each said once.
@@ -257,7 +265,13 @@ def make_plan(question: Question) -> Plan:
         given = [f"{axis.field}={value}" for axis, value in zip(question.axes, values, strict=True)]
         overrides = [*question.overrides, *given]
         try:
-            fleet = parse_fleet(question.text, source=question.source, overrides=overrides, law=question.law)
+            fleet = parse_fleet(
+                question.text,
+                source=question.source,
+                overrides=overrides,
+                law=question.law,
+                recorded=recorded_digest is not None,
+            )
             cells.append(resolved(fleet))
             assign.append(fleet.formation.assign or not chosen)
         except FleetError as error:
@@ -277,6 +291,7 @@ def make_plan(question: Question) -> Plan:
         side_m,
         max(GAP_M, *(GAP_PER_SAFE * fleet.formation.safe_distance_m for fleet in cells)),
         tuple(assign),
+        recorded_digest,
     )
 
 

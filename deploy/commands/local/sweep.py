@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.common.exit import INTERRUPTED, PASSED
+from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     change_arguments,
     describe,
@@ -80,7 +81,7 @@ def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.console.interrupt import Interrupt
     from deploy.simulate.worker_pool import cores
-    from deploy.sweep.folder import SweepFolder
+    from deploy.sweep.folder import SweepFolder, read_digest
     from deploy.sweep.plan import SweepError, make_plan
     from deploy.sweep.summary import margin_axis
 
@@ -91,9 +92,16 @@ def sweep(options: argparse.Namespace) -> int:
             raise SweepError(f"--jobs must be at least 1, got {jobs}")
         timeout_s = _quantity(options.timeout, "s", "--timeout", '"90s" or "10min"')
         again, question = _question(options)
-        plan = make_plan(question)
+        lacking: FleetError | None = None
+        try:
+            plan = make_plan(question)
+        except FleetError as error:
+            if again is None or options.write is not None:  # that file would lack the plugins' tables
+                raise
+            plan, lacking = make_plan(question, read_digest(again)), error
         margin = margin_axis(plan, options.margin)
-        _refuse_errors(options, plan)
+        if lacking is None:
+            _refuse_errors(options, plan)
         if again is not None:
             path = again
         elif options.out:
@@ -103,6 +111,8 @@ def sweep(options: argparse.Namespace) -> int:
         with SweepFolder(path, question, plan) as folder:
             if options.write is not None:
                 return _write(folder, options.write)
+            if lacking is not None and folder.missing:
+                raise lacking
             _drive(folder, jobs, timeout_s, interrupt, quiet=options.quiet)
             if folder.missing:
                 done = plan.runs - len(folder.missing)

@@ -64,6 +64,15 @@ def test_what_is_varied_wins_over_a_change() -> None:
     assert isinstance(one.plot(), matplotlib.figure.Figure)
 
 
+@pytest.mark.parametrize("over", [None, {}])
+def test_nothing_varied_is_one_cell(over: dict[str, Any] | None) -> None:
+    one = sweep("pair", over, duration=1, seeds=2, workers=1)
+    assert (one.fields, one.shape, one.metric("passed").shape) == ((), (), (2,))
+    assert repr(one).startswith("<Sweep over nothing: 2 runs, ")
+    with pytest.raises(Error, match=r"^nothing is varied: there is nothing to plot$"):
+        one.plot()
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

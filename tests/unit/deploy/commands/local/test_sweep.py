@@ -1,0 +1,69 @@
+"""The command ``handfast sweep`` where the plugins of a sweep that was driven are not installed."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+
+GONE = """
+from dataclasses import dataclass
+from handfast import Law, setting
+
+@dataclass(frozen=True)
+class Settings:
+    gain: float = setting(1.0, "Gain.", ge=0)
+
+class Gone(Law):
+    section = "gone"
+    Settings = Settings
+
+    def acceleration(self, now):
+        x, y = now.navigation
+        return self.settings.gain * x, self.settings.gain * y
+"""
+
+
+@pytest.mark.parametrize(
+    "named", [["--law", "gone_of_sweep:Gone"], ["--set", "control.law=gone_of_sweep:Gone"]]
+)
+def test_a_finished_sweep_is_looked_at_without_its_plugins(
+    named: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module, out = tmp_path / "gone_of_sweep.py", tmp_path / "out"
+    module.write_text(GONE, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    varied = ["--over", "control.gone.gain=0.5,1"]
+    arguments = [
+        "sweep",
+        "pair",
+        *named,
+        *varied,
+        "--duration",
+        "1s",
+        "--no-check",
+        "--out",
+        str(out),
+        "--jobs=1",
+    ]
+    assert cli.main(arguments) == 0
+    first = capsys.readouterr().out
+    summary = (out / "summary.json").read_bytes()
+    (out / "summary.json").unlink()
+    module.unlink()
+    monkeypatch.delitem(sys.modules, "gone_of_sweep")
+    assert cli.main(["sweep", str(out), "--quiet"]) == 0
+    assert capsys.readouterr().out == first
+    assert (out / "summary.json").read_bytes() == summary, "with the digest of what was driven"
+
+    assert cli.main(["sweep", str(out), "--write", "0"]) == 2, (
+        "a file without the plugin's table helps nobody"
+    )
+    rows = (out / "results.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    (out / "results.csv").write_text("".join(rows[:-1]), encoding="utf-8")
+    capsys.readouterr()
+    assert cli.main(["sweep", str(out), "--quiet"]) == 2
+    assert "there is no module gone_of_sweep" in capsys.readouterr().err
