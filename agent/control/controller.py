@@ -101,7 +101,8 @@ class Controller:
             control.c2,
             fleet.period_ns,
             self.reference.motion,
-            decay=constraint_decay(control.kd, control.kp),
+            # What a law of others asks for next, nobody can say: it counts for no longer than a period.
+            decay=constraint_decay(control.kd, control.kp) if control.law is None else fleet.fleet.rate_hz,
             predict=control.prediction,
             most=control.max_speed_mps if fleet.avoidance.enabled else None,
         )
@@ -313,6 +314,8 @@ class Controller:
             scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
         gap = self._safe_distance + self._margin + doubt
+        if self._own_law is not None:
+            gap += self._unforeseen(now_ns, peer)
         # Where it is, nobody knows: those that are heard come first.
         rank = safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
         plane = safety_filter.keep_apart(
@@ -339,6 +342,15 @@ class Controller:
                     safety_filter.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank)
                 )
         scene.planes.append(plane)
+
+    def _unforeseen(self, now_ns: int, peer: Peer) -> float:
+        """How much further to keep from a robot that a law of others drives, m.
+
+        It may have accelerated in any direction since its message: by a t of speed, which the barrier takes a
+        distance of a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away.
+        """
+        age = max(0, now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
+        return 0.5 * self._acceleration_max * age * (1.0 / self._barrier_rate + 0.5 * age)
 
     def _keep_clear(self, scene: _Scene) -> None:
         """The same against obstacles and the geofence, which have no motion of their own."""

@@ -70,7 +70,8 @@ class Analysis:
     away: Flags
     """(k, n): the robot could not follow (`deploy.analysis.presence.away`)."""
     settling_s: float | None
-    """Last time that any edge was off, 0 when none was, None when one is at the end (or nothing is known)."""
+    """Last time that any edge was off, 0 when none was; None when one is at the end, when no robots with an
+    edge can follow then, or nothing is known."""
     changes: tuple[Settled, ...]
     """Of mission, within the drive."""
     mission_version: int
@@ -127,7 +128,8 @@ def analyse(recording: Recording, geometry: Geometry) -> Analysis:
     counts = wish.whole & ~gone[:, edges[:, 0]] & ~gone[:, edges[:, 1]]
     off = counts & (np.abs(distances - wanted) > SETTLED * wanted)  # False for NaN
     known = np.isfinite(distances) & counts
-    settling_s = _last_off(grid, off) if known.any() else None
+    lost = bool(wish.whole[-1].any()) and not counts[-1].any()  # of nobody's edges one can say that they hold
+    settling_s = _last_off(grid, off) if known.any() and not lost else None
     end_s = float(grid[-1])
     changes = [change for change in wish.changes if change.t_s <= end_s]
     ends = [*(change.t_s for change in changes[1:]), end_s]

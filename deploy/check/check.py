@@ -18,8 +18,6 @@ from deploy.check.faults import check_faults
 from deploy.check.finding import Finding
 from deploy.check.loop import check_gains, check_loop, check_saturation
 from deploy.check.orders import check_orders
-from deploy.check.own_law import check_own_law
-from deploy.check.own_plant import check_own_plants
 from deploy.check.safety import check_safety
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
 from deploy.check.vehicles import check_vehicles
@@ -44,13 +42,19 @@ def check(fleet: Fleet) -> list[Finding]:
         if float(geometry.distances.min(initial=inf)) > fleet.formation.safe_distance_m:
             findings += check_saturation(fleet, geometry)
             findings += check_loop(fleet, geometry)
-        findings += check_own_law(fleet, geometry)
+        if fleet.control.law is not None:
+            from deploy.check.own_law import check_own_law  # here: other fleets need none of it
+
+            findings += check_own_law(fleet, geometry)
         findings += check_orders(fleet, geometry)
     findings += check_gains(fleet)
     findings += check_motion(fleet, geometry)
     findings += check_noise(fleet)
     findings += check_safety(fleet, geometry)
     findings += check_vehicles(fleet)
-    findings += check_own_plants(fleet)
+    if any(robot.kind.is_plugin for robot in fleet.robots):
+        from deploy.check.own_plant import check_own_plants
+
+        findings += check_own_plants(fleet)
     findings += check_faults(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any, Final
 
 import numpy as np
 
 from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis.analysis import Analysis
+from deploy.analysis.presence import downs
 from deploy.analysis.stability import SETTLED
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics, oracles_distance
 from deploy.verdict.violations import Violation
 
+SILENCE_S: Final = 2.0
+"""An agent says its status five times a second; one that said nothing in the last so many is lost."""
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 SKIPPED_SHARE: Final = 0.05
@@ -113,6 +117,7 @@ def _incomplete(recording: Recording) -> list[str]:
         f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s."
         for robot, gap in longest.items()
     ]
+    out += _fell_silent(recording)
     if end_s < planned_s - GAP_S and not _stopped_by_order(recording):
         why = ""
         if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
@@ -120,6 +125,26 @@ def _incomplete(recording: Recording) -> list[str]:
         elif recording.interrupted:
             why = ": it was interrupted"
         out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
+    return out
+
+
+def _fell_silent(recording: Recording) -> list[str]:
+    """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
+    out = []
+    law = recording.fleet.control.law
+    hint = "" if law is None else f" Its law, {law}, may hang."
+    for robot, data in recording.robots.items():
+        last_s = float(data.status.t[-1]) if len(data.status) else inf
+        silence_s = recording.end_s - last_s
+        ordered = any(
+            down.start_s <= last_s + SILENCE_S and down.end_s > last_s + SILENCE_S
+            for down in downs(recording, robot, "agent")
+        )
+        if silence_s > SILENCE_S and not ordered:
+            out.append(
+                f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
+                f"{silence_s:.1f} s of the drive.{hint}"
+            )
     return out
 
 

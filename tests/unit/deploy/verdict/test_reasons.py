@@ -240,3 +240,22 @@ def test_a_law_of_others_is_named_where_ticks_are_skipped(tick_us: int, skipped:
     assert (
         expected not in judged(own, with_statuses(status(1, 1.0, counters=counters)))["verdict"]["warnings"]
     )
+
+
+def test_an_agent_that_falls_silent_for_good_is_named() -> None:
+    """It may hang: the neighbours brake, and nothing else says so."""
+    fleet = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=6.0)
+    sent = list(messages(fleet, in_formation(fleet)))
+
+    def reasons(last_s: float) -> list[str]:
+        heard = [
+            each
+            for each in sent
+            if type(each[2]) is not Status or each[2].robot == 1 or each[0] <= EPOCH_NS + round(last_s * 1e9)
+        ]
+        found: list[str] = judged(fleet, heard)["verdict"]["reasons"]
+        return found
+
+    assert reasons(6.0) == reasons(4.5) == []
+    (silent,) = reasons(3.0)
+    assert silent.startswith("The agent of robot 2 said nothing more from 2.8 s on, in the last 3.2 s of")
