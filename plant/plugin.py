@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from math import nan
+from math import inf
 from typing import Any, Final, TypeVar
 
 from agent.common import random_streams
-from agent.common.plugins import PluginError, blame
+from agent.common.plugins import PluginError, blame, number
 from agent.common.time import NS_PER_S
 from agent.common.wording import show
 from agent.control.hand import Pose
@@ -125,12 +125,10 @@ def _plain(reading: Any) -> Reading:
         raise _NoReadingError(f"returned a Reading whose pose is {type(pose).__name__}, not a Pose")
     numbers = {**pose._asdict(), "force": reading.force, "torque": reading.torque}
     for name, value in numbers.items():
-        try:
-            numbers[name] = float(value)
-        except (TypeError, ValueError):
-            numbers[name] = nan
+        numbers[name] = number(value)
         if not abs(numbers[name]) <= FLOAT_MAX:
-            raise _NoReadingError(f"returned a Reading whose {name} is {show(value)}")
+            limit = f", which may be {FLOAT_MAX:g} at most" if abs(numbers[name]) < inf else ""
+            raise _NoReadingError(f"returned a Reading whose {name} is {show(value)}{limit}")
     stamp: Any = reading.time_ns
     note: Any = reading.note
     if not isinstance(stamp, int) or not isinstance(note, str):

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
+from math import inf, nan
+from numbers import Real
 from types import UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin
 
@@ -150,6 +152,23 @@ def _is_held(hint: Any) -> bool:
     if origin in (Union, UnionType):
         return all(map(_is_held, args))
     return hint in (float, int, bool, str)
+
+
+def number(given: Any) -> float:
+    """A real number of others (int, float, a scalar of numpy) as Python's own; NaN for anything else."""
+    if not isinstance(given, Real):
+        given = python(given)
+    if isinstance(given, bool) or not isinstance(given, Real):
+        return nan
+    try:
+        return float(given)
+    except OverflowError:
+        return inf
+
+
+def python(given: Any) -> Any:
+    """An array, or a scalar of one, as Python's own list or number; anything else as it is."""
+    return given.tolist() if hasattr(type(given), "tolist") else given
 
 
 def blame(error: BaseException, plugin: type[Any] | None = None) -> str:

@@ -6,10 +6,11 @@ Whatever is wrong with it is one `LawError` that names it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf, nan
 from typing import Any, TypeVar
 
 from agent.common.errors import Error
-from agent.common.plugins import blame
+from agent.common.plugins import blame, number, python
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.common.wording import printable
@@ -142,11 +143,11 @@ def evaluate(law: Law, moment: Moment) -> tuple[Vector, tuple[float, ...]]:
     given = attempt(law, lambda: law.acceleration(moment), "acceleration(self, now)")
     wanted = _floats(given)
     if wanted is None or len(wanted) != 2:
-        raise _failure(law, f"acceleration() must return two numbers (x, y) in m/s2, got {_short(given)}")
+        raise _failure(law, f"acceleration() must return two numbers (x, y) in m/s2, {_got(given)}")
     numbers = attempt(law, lambda: law.numbers)
     own = _floats(numbers)
     if own is None or len(own) > OWN_MAX:
-        raise _failure(law, f"numbers must be at most {OWN_MAX} finite numbers, got {_short(numbers)}")
+        raise _failure(law, f"numbers must be at most {OWN_MAX} finite numbers, {_got(numbers)}")
     return (wanted[0], wanted[1]), own
 
 
@@ -175,18 +176,19 @@ def _failure(law: Law | type[Law], what: str) -> LawError:
 
 def _floats(given: Any) -> tuple[float, ...] | None:
     """Finite numbers that a message can hold; None for anything else."""
-    if isinstance(given, str | bytes):
-        return None
     try:
-        found = tuple(map(float, given))
-    except Exception:  # whatever it is that can be iterated
+        given = python(given)
+        found = tuple(map(number, given)) if isinstance(given, tuple | list) else (nan,)
+    except Exception:  # its class is of others too
         return None
     return found if all(-FLOAT_MAX <= value <= FLOAT_MAX for value in found) else None
 
 
-def _short(given: object) -> str:
+def _got(given: Any) -> str:
     try:
         text = repr(given)
+        found = [number(value) for value in given] if isinstance(given, tuple | list) else ()
     except Exception:
-        text = f"a {type(given).__name__}"
-    return printable(text[:60])
+        text, found = f"a {type(given).__name__}", ()
+    limit = f" (at most {FLOAT_MAX:g})" if any(FLOAT_MAX < abs(value) < inf for value in found) else ""
+    return f"got {printable(text[:60])}{limit}"

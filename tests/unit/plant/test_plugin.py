@@ -154,6 +154,12 @@ def _nothing() -> None:
         (_raises, r"^Drag: step failed with RuntimeError: no wheel \(test_plugin.py:\d+\)$"),
         (_nothing, r"^Drag: step failed with TypeError: .*takes 0 positional arguments but 3 were given$"),
         (lambda self, now, command: None, "^Drag: step returned NoneType, not a Reading: Reading"),
+        (lambda self, now, command: Reading(now, Pose("1", 0, 0, 0, 0), 0, 0), 'whose x is "1"$'),
+        (lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), True, 0), "whose force is true$"),
+        (
+            lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), 1e308, 0),
+            r"which may be 1e\+15 at most$",
+        ),
         (lambda self, now, command: (now, 1, 2), "^Drag: step returned tuple, not a Reading: Reading"),
         (lambda self, now, command: Reading(now, Pose(0, nan, 0, 0, 0), 0, 0), "Reading whose y is nan$"),
         (lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), inf, 0), "Reading whose force is inf$"),

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agent.control import own_law
@@ -177,6 +178,36 @@ def test_what_is_no_number_is_none_whatever_it_does():
     made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
     made.acceleration = lambda now: Odd()  # type: ignore[attr-defined]
     with pytest.raises(LawError, match="got a Odd"):
+        own_law.evaluate(made, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [("1.0", "2.0"), (True, False), {1.0: 2.0, 3.0: 4.0}, {1.0, 2.0}, iter((1.0, 2.0)), np.ones((2, 2)),
+     np.array([True, False]), (1.0, None), (1j, 0.0)],
+)  # fmt: skip
+def test_what_looks_like_two_numbers_is_refused(given: Any):
+    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
+    made.acceleration = lambda now: given  # type: ignore[attr-defined]
+    with pytest.raises(LawError, match="must return two numbers"):
+        own_law.evaluate(made, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "given", [[1, 2], np.array([1.0, 2.0]), (np.float32(1), np.int64(2)), (np.array(1.0), 2.0)]
+)
+def test_two_real_numbers_of_any_kind_are_taken(given: Any):
+    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
+    made.acceleration = lambda now: given  # type: ignore[attr-defined]
+    wanted, _ = own_law.evaluate(made, None)  # type: ignore[arg-type]
+    assert wanted == (1.0, 2.0)
+    assert {type(value) for value in wanted} == {float}
+
+
+def test_a_number_that_no_message_holds_is_told_the_limit():
+    made = LAWS["Scalar"](1, None, None)  # type: ignore[call-arg]
+    made.acceleration = lambda now: (1e308, 0.0)  # type: ignore[attr-defined]
+    with pytest.raises(LawError, match=r"got \(1e\+308, 0.0\) \(at most 1e\+15\)$"):
         own_law.evaluate(made, None)  # type: ignore[arg-type]
 
 
