@@ -37,6 +37,11 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     except LawError as error:
         yield Finding("error", "control.law", str(error))
         return
+    given, right = 0 if modes is None else len(modes.modes(geometry)), 2 * len(fleet.members)
+    if modes is not None and given != right:
+        wrong = f"modes() must give two modes for each robot that has a place, {right}, got {given}"
+        yield Finding("error", "control.law", f"law {name}: {wrong}")
+        return
     period_s = 1.0 / fleet.fleet.rate_hz
     if took_s > SHARE_MAX * period_s:
         yield Finding(

@@ -129,6 +129,12 @@ class BadModes(Modal):
         return [(1.0, float("nan"), True)]
 
 
+class FewModes(Modal):
+    @classmethod
+    def modes(cls, fleet: Any, settings: Any) -> Any:
+        return [(1.0, 2.0, True)]
+
+
 class NoLaw:
     def acceleration(self, now: Moment) -> tuple[float, float]:
         return now.navigation
@@ -138,7 +144,7 @@ LAWS = {
     kind.__name__: kind
     for kind in (
         Good, Raises, Late, Scalar, Text, ManyNumbers, NotMade, OwnSignature, WrongSignature,
-        WrongInside, WithoutMethod, BadRestart, Slow, Modal, BadModes, NoLaw,
+        WrongInside, WithoutMethod, BadRestart, Slow, Modal, BadModes, FewModes, NoLaw,
     )
 }  # fmt: skip
 

@@ -90,3 +90,11 @@ def test_a_slow_law_is_a_warning_that_names_it():
     assert (
         len(found("Slow", "control.plant_timeout_s=1", "control.wrench_timeout_s=1", "fleet.rate_hz=5")) == 1
     )
+
+
+def test_modes_are_two_for_each_robot():
+    (few,) = found("FewModes")
+    assert (few.level, few.message) == (
+        "error",
+        "law FewModes: modes() must give two modes for each robot that has a place, 12, got 1",
+    )
