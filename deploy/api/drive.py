@@ -21,7 +21,7 @@ from agent.fleet import model, plants
 from agent.fleet.sections import LAWS_GROUP
 from agent.messages.codec import decode
 from deploy.api.changes import in_words_of_python
-from deploy.api.fleet import Changes, Source, load, refuse_errors
+from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors
 from deploy.api.recording import Recording, refuse_full
 from deploy.recording.collector import RunData
 from deploy.verdict.run_result import RunResult
@@ -47,6 +47,7 @@ class _Spool:
         yield from msgpack.Unpacker(self._file, use_list=False)
 
 
+@names_known
 @packages_named("handfast.simulate")
 def simulate(
     fleet: Source,
@@ -71,13 +72,14 @@ def simulate(
     """
     from deploy.simulate.simulation import Simulation
 
+    tell = _told(progress)
     loaded = load(fleet, changes, **named)
     if check:
         refuse_errors(loaded)
     if out is not None:
         refuse_full(Path(out))  # now, not when all has been driven
     loaded.register()
-    settings, spool, tell = loaded.resolved, _Spool(), _told(progress)
+    settings, spool = loaded.resolved, _Spool()
     data = RunData(settings, mode="simulate", aside=Path(gettempdir()))
 
     def sink(received_ns: int, key: str, payload: bytes) -> None:
@@ -107,6 +109,7 @@ def simulate(
     return recording
 
 
+@names_known
 @packages_named("handfast.run")
 def run(
     fleet: Source,
@@ -206,7 +209,11 @@ def _new_folder(out: str | Path | None, settings: model.Fleet) -> Path:
 def _told(progress: Progress) -> Callable[[float], object]:
     if not progress:
         return lambda _: None
-    return _line if progress is True else progress
+    if progress is True:
+        return _line
+    if not callable(progress):
+        raise Error(f"progress must be True, False or a function of the share that is done, got {progress!r}")
+    return progress
 
 
 def _line(share: float) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from functools import cached_property, wraps
+from inspect import signature
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypedDict, TypeVar, Unpack
 
 from agent.common.errors import Error, packages_named
 from agent.common.plugins import PluginError
+from agent.common.wording import nearest
 from agent.fleet import model
 from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
 from deploy.api.changes import Classes, in_words_of_python, override
@@ -17,6 +20,9 @@ from deploy.console.data_files import SCENARIOS, bundled
 
 if TYPE_CHECKING:
     from deploy.check.finding import Finding
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _SHOWN_MAX: Final = 8
 
@@ -184,6 +190,11 @@ class Fleet:
     def _with_tables(self, faults: str | Path | None, orders: str | Path | None) -> str:
         with packages_named("a fleet with faults or orders"):
             import tomli_w
+        texts: Mapping[str, object] = {"faults": faults, "orders": orders}
+        for name, given in texts.items():
+            if given is not None and not isinstance(given, (str, PathLike)):
+                field = "" if name == "orders" else '; one field is a change: {"faults.delay": "50ms"}'
+                raise Error(f"{name} must be a file or a text (TOML), got {given!r}{field}")
         tables = fleet_tables(self._text, self.source)
         if faults is not None:
             is_text = _is_toml(faults)
@@ -242,10 +253,30 @@ class Fleet:
         return f"<Fleet {self.name}: {robots}, {self.duration_s:g} s{', ' if shown else ''}{shown}>"
 
 
+def names_known(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which takes the names of `Changes`: a `TypeError` for another name is said as its own."""
+    given = signature(function).parameters.values()
+    known = [*(each.name for each in given if each.kind is not each.VAR_KEYWORD), *Changes.__annotations__]
+
+    @wraps(function)
+    def checked(*args: P.args, **named: P.kwargs) -> R:
+        for name in named:
+            if name not in known:
+                near = nearest(name, known)
+                hint = f"did you mean {near}?" if near else f"there are {', '.join(known)}"
+                raise TypeError(
+                    f"handfast.{function.__name__}() got an unexpected keyword argument {name!r}; {hint}"
+                )
+        return function(*args, **named)
+
+    return checked
+
+
 Source = Fleet | str | Path | Mapping[str, Any]
 """A fleet; a file; the name of a bundled fleet; the text of a fleet file; or its tables."""
 
 
+@names_known
 @packages_named("handfast.load")
 def load(fleet: Source, changes: Mapping[str, object] | None = None, **named: Unpack[Changes]) -> Fleet:
     """Loads a fleet: a file, the name of a bundled one (`fleets`), the text of one (TOML), or its tables.
@@ -316,6 +347,7 @@ class Findings(tuple["Finding", ...]):
     __repr__ = __str__
 
 
+@names_known
 @packages_named("handfast.check")
 def check(fleet: Source, changes: Mapping[str, object] | None = None, **named: Unpack[Changes]) -> Findings:
     """Finds what would go wrong with a fleet, without driving it; arguments and errors as `load`'s."""

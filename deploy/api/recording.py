@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from html import escape
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -131,6 +132,13 @@ class Robot:
 
 def _pair(table: Table, x: str, y: str) -> Floats:
     return np.column_stack([table[x], table[y]])
+
+
+class Tables(dict[str, "Columns"]):
+    """Columns by the table's name; an `Error` for a name that there is not."""
+
+    def __missing__(self, name: str) -> Columns:
+        return _named(self, name, "table")
 
 
 class Recording:
@@ -259,7 +267,7 @@ class Recording:
         ``multipliers``, ``statuses``, ``distances``; ``links`` and ``truths`` where there are."""
         from deploy.report.export import tabulate
 
-        return tabulate(self._result)
+        return Tables(tabulate(self._result))
 
     def frame(self, name: str) -> pandas.DataFrame:
         """One of `tables` as a pandas DataFrame.
@@ -367,6 +375,8 @@ def load_recording(folder: str | Path) -> Recording:
     from deploy.recording.mcap_reader import read_run
     from deploy.verdict.run_result import RunResult
 
+    if not isinstance(folder, (str, PathLike)):
+        raise Error(f"a recording is named by the folder that a run has left, got {folder!r}")
     return Recording(RunResult(read_run(folder)), Path(folder))
 
 

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING
 from functools import cached_property
+from math import inf
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, Unpack, get_type_hints
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from agent.common.errors import Error, packages_named
 from agent.formation.points import Floats
 from deploy.api.changes import Classes, in_words_of_python, toml
-from deploy.api.fleet import Changes, Fleet, Source, load
+from deploy.api.fleet import Changes, Fleet, Source, load, names_known
 from deploy.api.recording import data_frame
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
@@ -150,6 +152,7 @@ class Sweep:
         return f"<Sweep over {over}: {self._plan.runs} runs, {failed or 'none'} failed>"
 
 
+@names_known
 @packages_named("handfast.sweep")
 def sweep(
     fleet: Source,
@@ -185,6 +188,11 @@ def sweep(
     for name, count in (("workers", jobs), ("seeds", seeds)):
         if type(count) is not int or count < 1:
             raise Error(f"{name} must be a whole number of at least 1, got {count!r}")
+    side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
+    if random_starts not in (True, False) and not (isinstance(side, Real) and 0.0 < float(side) < inf):
+        raise Error(
+            f"random_starts must be True, False or the side of a square (m) above 0, got {random_starts!r}"
+        )
     classes = Classes(loaded.classes)
     with in_words_of_python():
         axes, values = _axes(over or {}, classes)
@@ -195,7 +203,7 @@ def sweep(
             tuple(each for field, each in loaded.overrides.items() if field not in values),
             axes,
             seeds,
-            None if random_starts is False else 0.0 if random_starts is True else float(random_starts),
+            None if side is None else float(side),
         )
         plan = make_plan(question)
     if check:

@@ -61,6 +61,11 @@ def test_progress_is_told_as_a_share(capsys: pytest.CaptureFixture[str]) -> None
     assert capsys.readouterr().err.endswith("100 %\n")
 
 
+def test_progress_that_is_no_function_is_refused() -> None:
+    with pytest.raises(Error, match=r"^progress must be True, False or a function .*, got 3$"):
+        simulate("pair", duration=1, progress=3)  # type: ignore[arg-type]
+
+
 def test_errors_of_check_are_refused_unless_said_otherwise() -> None:
     with pytest.raises(Error, match="not started"):
         simulate("pair", {"control.kp": 5000.0}, duration=1)

@@ -9,7 +9,9 @@ import pytest
 
 from agent.common.errors import Error
 from agent.fleet.loading import load_fleet
+from deploy.api.drive import run, simulate
 from deploy.api.fleet import Fleet, check, fleets, load, refuse_errors, scenarios
+from deploy.api.sweep import sweep
 from deploy.console.data_files import FLEETS
 
 DELTA = FLEETS / "delta.toml"
@@ -89,6 +91,9 @@ def test_what_can_be_asked_of_a_fleet(tmp_path: Path) -> None:
         (lambda: load("delta", [1]), "changes are given by field"),  # type: ignore[arg-type]
         (lambda: load("delta", law="nope"), "  law: must be one of paper, edge"),
         (lambda: load("delta", faults="nope"), "no bundled scenario of that name"),
+        (lambda: load("delta", faults={"delay": "1s"}), r'^faults must be a file .*"faults\.delay": "50ms"'),
+        (lambda: load("delta", orders=3), r"^orders must be a file or a text \(TOML\), got 3$"),
+        (lambda: load("delta", orders=0), r"^orders must be a file or a text \(TOML\), got 0$"),
         (lambda: load("delta", orders="nope"), "cannot read the file of orders"),
         (lambda: load("delta", duration="5 bananas"), r"  fleet\.duration_s: must be"),
         (
@@ -101,6 +106,15 @@ def test_what_can_be_asked_of_a_fleet(tmp_path: Path) -> None:
 def test_nonsense_is_said_in_one_error(make: Any, says: str) -> None:
     with pytest.raises(Error, match=says):
         make()
+
+
+@pytest.mark.parametrize("call", [load, check, simulate, run, sweep], ids=lambda call: call.__name__)
+def test_a_name_that_is_none_is_said_by_the_function_that_was_called(call: Any) -> None:
+    head = rf"^handfast\.{call.__name__}\(\) got an unexpected keyword argument "
+    with pytest.raises(TypeError, match=head + r"'durration'; did you mean duration\?$"):
+        call("delta", durration=3)
+    with pytest.raises(TypeError, match=head + "'jobs'; there are fleet, .*law, .*seed$"):
+        call("delta", jobs=2)
 
 
 def test_check_finds_what_the_command_finds_and_errors_are_refused() -> None:

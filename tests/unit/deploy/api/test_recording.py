@@ -65,6 +65,9 @@ def test_tables_are_those_of_the_export(recording: Recording) -> None:
 
 
 def test_frames_are_pandas(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(Error, match="there is no table 'nope'; there are hands"):
+        recording.tables["nope"]
+    assert "nope" not in recording.tables
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
     frame: Any = recording.frame("hands")
     assert {"t_s", "robot", "x_m", "constraint_x_mps2"} <= set(frame)
@@ -162,6 +165,8 @@ def test_a_recording_is_looked_at_where_its_plugins_are_not(
 def test_a_folder_that_holds_no_run_is_said(tmp_path: Path) -> None:
     with pytest.raises(Error, match=r"holds no run\.mcap"):
         load_recording(tmp_path)
+    with pytest.raises(Error, match=r"^a recording is named by the folder that a run has left, got None$"):
+        load_recording(None)  # type: ignore[arg-type]
 
 
 def test_a_distance_of_no_robot_is_said(recording: Recording) -> None:

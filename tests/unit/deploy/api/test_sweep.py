@@ -89,6 +89,8 @@ def test_nothing_varied_is_one_cell(over: dict[str, Any] | None) -> None:
             {"over": {"control.kp": [1.0, 5000.0]}},
             r"^not started .* with control\.kp=5000\.0, fleet\.rate_hz: ",
         ),
+        ({"random_starts": "big"}, r"^random_starts must be True, False or the side .*, got 'big'$"),
+        ({"random_starts": -1}, r"^random_starts must be True, False or the side .*, got -1$"),
         ({"random_starts": 0.01}, "^random_starts: no room for 2 robots"),
     ],
 )
