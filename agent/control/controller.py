@@ -83,9 +83,10 @@ class Controller:
     """The law of robot `robot`.
 
     Attributes:
-        course: where every robot is to be, and who shares an edge.
+        reference: where every robot is to be, and who shares an edge.
         peers: what is known of the others; whoever receives their messages gives them to it.
-        around: what must be kept away from besides.
+        proximity: what must be kept away from besides.
+        coupling: its multipliers.
         detour: its way round what blocks it.
         edges: the own edges that count now, with what is known of the robot at the other end.
     """

@@ -20,9 +20,8 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control import own_law
+from agent.common.errors import Error
 from agent.control.law import Gains
-from agent.control.own_law import LawError
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.geometry import Geometry
@@ -247,7 +246,7 @@ def law_of(fleet: Fleet) -> FleetLaw | None:
         return coupling
     try:
         return own_law_of(fleet)
-    except LawError:  # `check` says it
+    except Error:  # `check` says it
         return None
 
 
@@ -255,8 +254,10 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
     """A fleet's law of others, None when it does not give its modes.
 
     Raises:
-        LawError: it fails at that.
+        agent.control.own_law.LawError: it fails at that.
     """
+    from agent.control import own_law  # here: other fleets need none of it
+
     kind = own_law.kind_of(fleet)
 
     def linearised() -> OwnFleetLaw | None:
