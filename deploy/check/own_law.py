@@ -15,6 +15,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.trajectory import make_trajectory
 from deploy.analysis.couplings import own_law_of
+from deploy.check import patience
 from deploy.check.finding import Finding
 
 ROUNDS: Final = 3
@@ -32,10 +33,14 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         return
     try:
         laws = {robot: own_law.make(fleet, robot) for robot in fleet.ids}
-        took_s = _took_s(fleet, geometry, laws)
+        took_s = patience.answer(lambda: _took_s(fleet, geometry, laws))
         modes = own_law_of(fleet)
     except LawError as error:
         yield Finding("error", "control.law", str(error))
+        return
+    except TimeoutError:
+        hangs = f"acceleration() did not return within {patience.ANSWER_S:g} s where the fleet starts"
+        yield Finding("error", "control.law", f"law {name}: {hangs}")
         return
     given, right = 0 if modes is None else len(modes.modes(geometry)), 2 * len(fleet.members)
     if modes is not None and given != right:

@@ -10,6 +10,7 @@ from typing import Final
 from agent.common.plugins import PluginError
 from agent.fleet import plants
 from agent.fleet.model import Fleet
+from deploy.check import patience
 from deploy.check.finding import Finding, Level
 from plant.backend import Begin, Command
 from plant.plugin import begin_virtual
@@ -22,17 +23,27 @@ SHARE_MAX: Final = 0.25
 def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
     """Makes what stands for each plant of others in virtual time, and asks it at the start."""
     said: set[str] = set()
+    hung: set[str] = set()
     for number, robot in enumerate(fleet.robots, 1):
-        if not robot.kind.is_plugin:
+        if not robot.kind.is_plugin or robot.plant in hung:
             continue
         plugin = plants.load(robot.plant)
         if plugin.vehicle and plugin.simulated is None:
             continue  # it is not for us to touch
-        for level, text in _looked_at(fleet, robot.id):
+        for level, text in _answers(fleet, robot.id, hung):
             key = robot.plant if level == "warning" else text  # each robot's takes another time
             if key not in said:
                 said.add(key)
                 yield Finding(level, f"robot[{number}].plant", text)
+
+
+def _answers(fleet: Fleet, robot: int, hung: set[str]) -> list[tuple[Level, str]]:
+    try:
+        return patience.answer(lambda: list(_looked_at(fleet, robot)))
+    except TimeoutError:
+        hung.add(fleet.robot(robot).plant)
+        hangs = f"does not answer within {patience.ANSWER_S:g} s where its robot starts"
+        return [("error", f"plant {fleet.robot(robot).plant}: {hangs}")]
 
 
 def _looked_at(fleet: Fleet, robot: int) -> Iterator[tuple[Level, str]]:
