@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypedDict, TypeVar, Unpack
 
 from agent.common.errors import Error, packages_named
-from agent.common.plugins import PluginError
 from agent.common.wording import nearest
 from agent.fleet import model
 from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
@@ -238,12 +237,7 @@ class Fleet:
         """What it will do, as ``handfast check`` tells it."""
         from deploy.check.description import describe
 
-        try:
-            return describe(self.settings)
-        except PluginError:
-            if not self.recorded:
-                raise
-            return repr(self)
+        return describe(self.settings)
 
     def __repr__(self) -> str:
         changed = [*([f"law={self._law}"] if self._law else []), *self.overrides.values()]
