@@ -162,6 +162,8 @@ def _made(reference: str, plugin: type[Plant], fleet: Fleet, robot: int, how: Be
     row = fleet.robot(robot)
     start = how.at or (row.x_m, row.y_m, row.heading_rad)
     settings = None if row.kind.section is None else row.section(row.kind.section.hint)
+    if plugin.step is Plant.step:
+        raise PluginError(f"plant {reference}: it has no method step(self, now_ns, command)")
     seed = random_streams.stream(fleet.fleet.seed, "plugin", robot)
     period_s, timeout_s = fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s
     try:

@@ -6,6 +6,7 @@ Whatever is wrong with it is one `LawError` that names it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from inspect import iscoroutinefunction
 from math import inf, nan
 from typing import Any, TypeVar
 
@@ -118,6 +119,8 @@ def make(fleet: Fleet, robot: int) -> Law:
     kind = kind_of(fleet)
     if kind.acceleration is Law.acceleration:
         raise _failure(kind, "it has no method acceleration(self, now)")
+    if iscoroutinefunction(kind.acceleration):
+        raise _failure(kind, "acceleration() cannot be async: write def acceleration(self, now)")
     return attempt(
         kind, lambda: kind(robot, fleet, settings_of(fleet)), "__init__(self, robot, fleet, settings)"
     )

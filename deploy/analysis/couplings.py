@@ -25,7 +25,7 @@ from agent.control.law import Gains
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.geometry import Geometry
-from deploy.analysis import fleet_law
+from deploy.analysis import fleet_law, patience
 from deploy.analysis.fleet_law import Array, Edges
 from deploy.analysis.rigidity import rigidity_matrix
 
@@ -254,7 +254,7 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
     """A fleet's law of others, None when it does not give its modes.
 
     Raises:
-        agent.control.own_law.LawError: it fails at that.
+        agent.control.own_law.LawError: it fails at that, or never returns.
     """
     from agent.control import own_law  # here: other fleets need none of it
 
@@ -264,4 +264,4 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
         modes = kind.modes(fleet, own_law.settings_of(fleet))
         return None if modes is None else OwnFleetLaw(modes)
 
-    return own_law.attempt(kind, linearised)
+    return own_law.attempt(kind, lambda: patience.answer("modes()", linearised))

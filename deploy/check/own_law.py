@@ -9,21 +9,19 @@ from typing import Final
 
 from agent.control import own_law
 from agent.control.law import navigation_force
-from agent.control.law_plugin import Law, Moment, Neighbour, Reference
+from agent.control.law_plugin import Moment, Neighbour, Reference
 from agent.control.own_law import LawError
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.trajectory import make_trajectory
+from deploy.analysis import patience
 from deploy.analysis.couplings import own_law_of
-from deploy.check import patience
 from deploy.check.finding import Finding
 
 ROUNDS: Final = 3
 """So many times every robot's law is asked: the first time it warms up, and has no numbers of the others."""
 TIMED_S: Final = 2.0
 """It is not asked any more after so long."""
-SHARE_MAX: Final = 0.25
-"""Of a period, that a law may take: the rest is for messages, the safety filter and other processes."""
 
 
 def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
@@ -32,15 +30,13 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     if name is None:
         return
     try:
-        laws = {robot: own_law.make(fleet, robot) for robot in fleet.ids}
-        took_s = patience.answer(lambda: _took_s(fleet, geometry, laws))
+        took_s = patience.answer("it", lambda: _took_s(fleet, geometry))
         modes = own_law_of(fleet)
     except LawError as error:
         yield Finding("error", "control.law", str(error))
         return
-    except TimeoutError:
-        hangs = f"acceleration() did not return within {patience.ANSWER_S:g} s where the fleet starts"
-        yield Finding("error", "control.law", f"law {name}: {hangs}")
+    except TimeoutError as error:
+        yield Finding("error", "control.law", f"law {name}: {error}, where the fleet starts")
         return
     given, right = 0 if modes is None else len(modes.modes(geometry)), 2 * len(fleet.members)
     if modes is not None and given != right:
@@ -48,7 +44,7 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         yield Finding("error", "control.law", f"law {name}: {wrong}")
         return
     period_s = 1.0 / fleet.fleet.rate_hz
-    if took_s > SHARE_MAX * period_s:
+    if took_s > patience.SHARE_MAX * period_s:
         yield Finding(
             "warning",
             "control.law",
@@ -61,8 +57,9 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     yield Finding("info", "control.law", f"law {name} cannot be predicted ({unknown}): simulate it")
 
 
-def _took_s(fleet: Fleet, geometry: Geometry, laws: dict[int, Law]) -> float:
+def _took_s(fleet: Fleet, geometry: Geometry) -> float:
     """How long one robot's law takes at the start, s; raises `LawError` where it fails there."""
+    laws = {robot: own_law.make(fleet, robot) for robot in fleet.ids}
     hands = start_hands(fleet).tolist()
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)
     c1, c2 = fleet.control.c1, fleet.control.c2

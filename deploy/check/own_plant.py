@@ -10,14 +10,12 @@ from typing import Final
 from agent.common.plugins import PluginError
 from agent.fleet import plants
 from agent.fleet.model import Fleet
-from deploy.check import patience
+from deploy.analysis import patience
 from deploy.check.finding import Finding, Level
 from plant.backend import Begin, Command
 from plant.plugin import begin_virtual
 
 STEPS: Final = 5
-SHARE_MAX: Final = 0.25
-"""Of a period, that a step may take: the rest is for messages and other processes."""
 
 
 def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
@@ -39,11 +37,11 @@ def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
 
 def _answers(fleet: Fleet, robot: int, hung: set[str]) -> list[tuple[Level, str]]:
     try:
-        return patience.answer(lambda: list(_looked_at(fleet, robot)))
-    except TimeoutError:
-        hung.add(fleet.robot(robot).plant)
-        hangs = f"does not answer within {patience.ANSWER_S:g} s where its robot starts"
-        return [("error", f"plant {fleet.robot(robot).plant}: {hangs}")]
+        return patience.answer("it", lambda: list(_looked_at(fleet, robot)))
+    except TimeoutError as error:
+        name = fleet.robot(robot).plant
+        hung.add(name)
+        return [("error", f"plant {name}: {error}, where its robot starts")]
 
 
 def _looked_at(fleet: Fleet, robot: int) -> Iterator[tuple[Level, str]]:
@@ -64,7 +62,7 @@ def _looked_at(fleet: Fleet, robot: int) -> Iterator[tuple[Level, str]]:
     took_s, period_s = median(times), 1.0 / fleet.fleet.rate_hz
     if body.failed:
         yield "error", body.failed
-    elif took_s > SHARE_MAX * period_s:
+    elif took_s > patience.SHARE_MAX * period_s:
         share = f"{1e3 * took_s:.3g} ms here, {took_s / period_s:.0%} of a period"
         yield (
             "warning",

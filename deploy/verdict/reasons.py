@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis.analysis import Analysis
+from deploy.analysis.patience import SHARE_MAX
 from deploy.analysis.presence import downs
 from deploy.analysis.stability import SETTLED
 from deploy.console.wording import robots
@@ -23,9 +24,7 @@ SILENCE_S: Final = 2.0
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
 SKIPPED_SHARE: Final = 0.05
-LONG_SHARE: Final = 0.25
-"""So large a share of the ticks is skipped, and a tick takes so large a share of a period, where the law of
-others is named."""
+"""So large a share of the ticks is skipped where the law of others is named."""
 _GOOD_STATES: Final = frozenset(
     state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
 )
@@ -85,7 +84,7 @@ def _late_laws(recording: Recording) -> list[str]:
             late.append(robot)
             skipped += count
             durations_us.append(float(np.median(ticks_us)))
-    if max(durations_us) < LONG_SHARE * period_us:
+    if max(durations_us) < SHARE_MAX * period_us:
         return []
     return [
         f"{robots(late).capitalize()} skipped {skipped} ticks: one takes up to {max(durations_us) / 1e3:.1f} "

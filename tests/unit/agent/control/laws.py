@@ -75,6 +75,28 @@ class NotMade(Law):
         return now.navigation
 
 
+class HangsMade(Good):
+    section = None
+    Settings = None
+
+    def __init__(self, robot: int, fleet: Any, settings: Any) -> None:
+        time.sleep(0.3)
+
+
+class HangsModes(Law):
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+    @classmethod
+    def modes(cls, fleet: Any, settings: Any) -> Any:
+        time.sleep(0.3)
+
+
+class Asynchronous(Law):
+    async def acceleration(self, now: Moment) -> tuple[float, float]:  # type: ignore[override]
+        return now.navigation
+
+
 class OwnSignature(Law):
     def __init__(self) -> None:
         pass
@@ -144,7 +166,8 @@ LAWS = {
     kind.__name__: kind
     for kind in (
         Good, Raises, Late, Scalar, Text, ManyNumbers, NotMade, OwnSignature, WrongSignature,
-        WrongInside, WithoutMethod, BadRestart, Slow, Modal, BadModes, FewModes, NoLaw,
+        WrongInside, WithoutMethod, BadRestart, HangsMade, HangsModes, Asynchronous, Slow, Modal, BadModes,
+        FewModes, NoLaw,
     )
 }  # fmt: skip
 

@@ -8,6 +8,7 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
+from deploy.analysis import patience
 from deploy.check.check import Finding, check
 from deploy.check.description import describe
 from deploy.console.arguments import fleet_path
@@ -70,6 +71,7 @@ def test_a_law_that_gives_its_modes_is_judged_by_them():
         ("Scalar", "acceleration() must return two numbers (x, y) in m/s2, got 3.0"),
         ("WrongInside", "TypeError: unsupported operand type(s) for +: 'int' and 'str' (laws.py:"),
         ("WithoutMethod", "it has no method acceleration(self, now)"),
+        ("Asynchronous", "acceleration() cannot be async: write def acceleration(self, now)"),
         ("BadRestart", "RuntimeError: not now (laws.py:"),
         ("ManyNumbers", "numbers must be at most 16"),
         ("BadModes", "ValueError: modes() must give finite numbers"),
@@ -90,6 +92,14 @@ def test_a_slow_law_is_a_warning_that_names_it():
     assert (
         len(found("Slow", "control.plant_timeout_s=1", "control.wrench_timeout_s=1", "fleet.rate_hz=5")) == 1
     )
+
+
+@pytest.mark.parametrize(("law", "what"), [("HangsMade", "it"), ("HangsModes", "modes()")])
+def test_a_law_that_never_returns_is_one_error(law: str, what: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(patience, "ANSWER_S", 0.05)
+    (finding,) = found(law)
+    assert finding.level == "error"
+    assert f"{what} did not return within 0.05 s" in finding.message
 
 
 def test_modes_are_two_for_each_robot():

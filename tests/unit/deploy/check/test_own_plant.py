@@ -10,6 +10,7 @@ import pytest
 from agent.common import plugins
 from agent.control.hand import Pose
 from agent.fleet.loading import load_fleet
+from deploy.analysis import patience
 from deploy.check.check import check
 from deploy.check.finding import Finding
 from deploy.check.own_plant import check_own_plants
@@ -26,6 +27,16 @@ class Slow(Good):
     def step(self, now_ns: int, command: Command | None) -> Reading:
         time.sleep(0.011)
         return super().step(now_ns, command)
+
+
+class Hangs(Good):
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        time.sleep(0.3)
+        return super().step(now_ns, command)
+
+
+class WithoutStep(Plant):
+    pass
 
 
 class Late(Good):
@@ -47,7 +58,7 @@ class Touched(Good):
 
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
-    for plugin in (Good, Slow, Late, Heavy, Touched):
+    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, WithoutStep):
         plugins.register(plugin.__name__, plugin)
     yield
     plugins._registered.clear()
@@ -73,6 +84,20 @@ def test_what_is_said_of_each() -> None:
         True,
     )
     assert found("Touched") == []
+    (without,) = found("WithoutStep")
+    assert (without.level, without.message) == (
+        "error",
+        "plant WithoutStep: it has no method step(self, now_ns, command)",
+    )
+
+
+def test_one_that_never_returns_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patience, "ANSWER_S", 0.05)
+    (finding,) = found("Hangs")
+    assert (finding.level, finding.message) == (
+        "error",
+        "plant Hangs: it did not return within 0.05 s, where its robot starts",
+    )
 
 
 def test_check_says_it() -> None:

@@ -1,4 +1,4 @@
-"""Waits for code of others, which may never return, for so long and no longer."""
+"""How long code of others is waited for where a fleet starts, and how much of a period it may take there."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ from collections.abc import Callable
 from typing import Final, TypeVar
 
 ANSWER_S: Final = 10.0
-"""Code of others that takes longer at the start of a fleet is not waited for."""
+"""What takes longer is not waited for."""
+SHARE_MAX: Final = 0.25
+"""Of a period: the rest is for messages, the safety filter and other processes."""
 T = TypeVar("T")
 
 
-def answer(call: Callable[[], T], seconds: float = ANSWER_S) -> T:
+def answer(what: str, call: Callable[[], T], seconds: float | None = None) -> T:
     """What `call` returns or raises. It runs in a thread, which is left behind if it does not end, and does
-    not outlive the process.
+    not outlive the process. `what` names it in messages.
 
     Raises:
-        TimeoutError: it has not returned within so many seconds.
+        TimeoutError: it has not returned within so many seconds, `ANSWER_S` unless given.
     """
+    seconds = ANSWER_S if seconds is None else seconds
     found: list[T] = []
     raised: list[BaseException] = []
 
@@ -33,5 +36,5 @@ def answer(call: Callable[[], T], seconds: float = ANSWER_S) -> T:
     if raised:
         raise raised[0]
     if not found:
-        raise TimeoutError
+        raise TimeoutError(f"{what} did not return within {seconds:g} s")
     return found[0]
