@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +12,7 @@ from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError
+from deploy.inventory.folders import out_folder
 from deploy.recording.run_files import REPORT_FILE
 
 if TYPE_CHECKING:
@@ -28,9 +28,7 @@ def run_folder(options: argparse.Namespace, fleet: Fleet, mode: str) -> RunFolde
     """
     from deploy.report.run_folder import RunFolder
 
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    path = Path(options.out) if options.out else Path("runs") / f"{fleet.fleet.name}-{stamp}"
-    return RunFolder(path, fleet, mode)
+    return RunFolder(out_folder(options.out, fleet.fleet.name), fleet, mode)
 
 
 def refuse_errors(options: argparse.Namespace, fleet: Fleet) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 from deploy.console.arguments import InputError
@@ -12,6 +13,11 @@ def cache_folder(kind: str) -> Path:
     """Where this user keeps what need not be fetched again."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "handfast" / kind
+
+
+def out_folder(out: str | Path | None, name: str, above: str = "runs") -> Path:
+    """The folder that is named, or one of a name and the time."""
+    return Path(out) if out else Path(above) / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def refuse_full(out: Path) -> None:

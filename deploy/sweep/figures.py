@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from math import ceil, prod
+from math import ceil
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,13 +93,13 @@ def write_sweep_figures(
     for name, draw in drawings(plan, cells, margin, found).items():
         paths.append(folder / f"{name}.png")
         write(paths[-1], draw)
-    rest = _Grid(plan, margin).rest if len(plan.axes) > 2 else []
-    count = prod(len(plan.axes[k].values) for k in rest)
-    if count <= PANELS_MAX:
+    grid = _Grid(plan, margin) if len(plan.axes) > 2 else None
+    if grid is None or len(grid.all_panels) <= PANELS_MAX:
         return paths, ""
-    names = ", ".join(plan.axes[k].field for k in rest)
+    names = ", ".join(plan.axes[k].field for k in grid.rest)
     return paths, (
-        f"the pictures show {PANELS_MAX} of {count} combinations of {names}; all are in summary.csv"
+        f"the pictures show {PANELS_MAX} of {len(grid.all_panels)} combinations of {names}; all are in "
+        "summary.csv"
     )
 
 

@@ -116,7 +116,6 @@ BY_OTHERS: Final = {
         agent/fleet/sections
         agent/formation/points
         agent/node
-        agent/supervision/status
         bridges/mavlink/bridge/parameter_audit
         bridges/mavlink/session/codec
         bridges/mavlink/session/settings
@@ -136,7 +135,6 @@ BY_OTHERS: Final = {
         deploy/console/wording
         deploy/faults/windows
         deploy/faults/wording
-        deploy/inventory/folders
         deploy/orders/blend_time
         deploy/orders/versions
         deploy/recording/collector

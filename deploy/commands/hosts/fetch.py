@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from pathlib import Path
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
@@ -40,7 +39,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from deploy.hosts.robot_recording import MergeError
     from deploy.hosts.view import FAILED as HOST_FAILED
     from deploy.hosts.view import make_hosts_view
-    from deploy.inventory.folders import refuse_full
+    from deploy.inventory.folders import out_folder, refuse_full
     from deploy.inventory.hosts import hosts_of, located
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
@@ -55,8 +54,7 @@ def _fetch(options: argparse.Namespace) -> int:
     with interrupt.caught():
         fleet = load(options)
         name = fleet.fleet.name
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        out = Path(options.out) if options.out else Path("runs") / f"{name}-fetched-{stamp}"
+        out = out_folder(options.out, f"{name}-fetched")
         refuse_full(out)
         hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
         fetching = Fetching(fleet, since_s)

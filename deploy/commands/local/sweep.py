@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -80,6 +79,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def sweep(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
     from deploy.console.interrupt import Interrupt
+    from deploy.inventory.folders import out_folder
     from deploy.simulate.worker_pool import cores
     from deploy.sweep.folder import SweepFolder, read_digest
     from deploy.sweep.plan import SweepError, make_plan
@@ -102,12 +102,7 @@ def sweep(options: argparse.Namespace) -> int:
         margin = margin_axis(plan, options.margin)
         if lacking is None:
             _refuse_errors(options, plan)
-        if again is not None:
-            path = again
-        elif options.out:
-            path = Path(options.out)
-        else:
-            path = Path("sweeps") / f"{plan.cells[0].fleet.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        path = again or out_folder(options.out, plan.cells[0].fleet.name, "sweeps")
         with SweepFolder(path, question, plan) as folder:
             if options.write is not None:
                 return _write(folder, options.write)

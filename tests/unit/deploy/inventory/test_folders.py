@@ -1,0 +1,33 @@
+"""deploy.inventory.folders: names of new folders, and folders that are in the way."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from deploy.console.arguments import InputError
+from deploy.inventory.folders import cache_folder, out_folder, refuse_full
+
+
+def test_a_folder_is_the_one_that_is_named_or_has_the_name_and_the_time() -> None:
+    assert out_folder("there", "delta") == out_folder(Path("there"), "delta") == Path("there")
+    assert re.fullmatch(r"runs/delta-\d{8}-\d{6}", out_folder(None, "delta").as_posix())
+    assert re.fullmatch(r"sweeps/delta-\d{8}-\d{6}", out_folder("", "delta", "sweeps").as_posix())
+
+
+def test_what_is_there_and_not_an_empty_folder_is_refused(tmp_path: Path) -> None:
+    refuse_full(tmp_path)
+    refuse_full(tmp_path / "new")
+    (tmp_path / "file").write_text("x")
+    for full in (tmp_path, tmp_path / "file"):
+        with pytest.raises(InputError, match=f"^{full} is not an empty folder: name another one with --out"):
+            refuse_full(full)
+
+
+def test_caches_are_where_the_user_keeps_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/elsewhere")
+    assert cache_folder("wheels") == Path("/elsewhere/handfast/wheels")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder("wheels") == Path.home() / ".cache/handfast/wheels"
