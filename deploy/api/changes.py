@@ -13,6 +13,7 @@ from typing import Final
 from agent.common import plugins
 from agent.common.errors import Error
 from agent.common.reader import Problem
+from agent.fleet import model, plants
 from agent.fleet.model import FleetError
 
 _OPTION: Final = re.compile(r"--(?:set|over) (?=[\w\"])|--(?=law\b)| with --out\b")
@@ -76,6 +77,27 @@ def toml(path: str, value: object, classes: Classes) -> str:
     raise Error(
         f"{path}: a number, text, True, False, a list, a dictionary or a class was expected, got {value!r}"
     )
+
+
+def own_classes(settings: model.Fleet, cannot: str) -> set[str]:
+    """Laws and plants of others that a fleet names.
+
+    Args:
+        cannot: who needs them somewhere else, as "robots' processes cannot import".
+
+    Raises:
+        Error: one of them is known in this process alone.
+    """
+    named = {robot.plant for robot in settings.robots if robot.plant not in plants.KINDS}
+    if settings.control.law is not None:
+        named.add(settings.control.law)
+    for name in sorted(named):
+        if ":" not in name:
+            raise Error(
+                f"{name}: {cannot} a class that is defined here: put it into a module of its own, and import "
+                "it from there (simulate and sweep take it as it is)"
+            )
+    return named
 
 
 @contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -15,14 +14,12 @@ from typing import IO, Final, Unpack
 
 import msgpack
 
-from agent.common import plugins
 from agent.common.errors import Error, packages_named
-from agent.fleet import model, plants
-from agent.fleet.sections import LAWS_GROUP
 from agent.messages.codec import decode
-from deploy.api.changes import in_words_of_python
+from deploy.api.changes import in_words_of_python, own_classes
 from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors
-from deploy.api.recording import Recording, refuse_full
+from deploy.api.recording import Recording
+from deploy.inventory.folders import out_folder, refuse_full
 from deploy.recording.collector import RunData
 from deploy.verdict.run_result import RunResult
 
@@ -77,7 +74,8 @@ def simulate(
     if check:
         refuse_errors(loaded)
     if out is not None:
-        refuse_full(Path(out))  # now, not when all has been driven
+        with in_words_of_python():
+            refuse_full(Path(out))  # now, not when all has been driven
     loaded.register()
     settings, spool = loaded.resolved, _Spool()
     data = RunData(settings, mode="simulate", aside=Path(gettempdir()))
@@ -142,7 +140,11 @@ def run(
     from deploy.report.run_folder import RunFolder
 
     loaded = load(fleet, changes, **named)
-    path = _path_handed_on() if _own_classes(loaded.settings) else nullcontext()
+    path = (
+        _path_handed_on()
+        if own_classes(loaded.settings, "robots' processes cannot import")
+        else nullcontext()
+    )
     if check:
         refuse_errors(loaded)
     interrupt = Interrupt()
@@ -150,7 +152,7 @@ def run(
         settings, ports, vehicles = place(loaded.resolved)
         try:
             with in_words_of_python():
-                folder = RunFolder(_new_folder(out, settings), settings, "run")
+                folder = RunFolder(out_folder(out, settings.fleet.name), settings, "run")
             view = make_view(None if progress else StringIO())
             drive = LocalRun(settings, folder, view, interrupt, vehicles)
             try:
@@ -167,24 +169,6 @@ def run(
     return Recording(result, folder.path)
 
 
-def _own_classes(settings: model.Fleet) -> set[str]:
-    """Laws and plants of others that a fleet names.
-
-    Raises:
-        Error: one of them is known in this process alone.
-    """
-    named = {(robot.plant, plants.GROUP) for robot in settings.robots if robot.plant not in plants.KINDS}
-    if settings.control.law is not None:
-        named.add((settings.control.law, LAWS_GROUP))
-    for name, group in sorted(named):
-        if ":" not in plugins.resolve(name, group):
-            raise Error(
-                f"{name}: robots' processes cannot import a class that is defined here: put it into a module "
-                "of its own, and import it from there (simulate and sweep take it as it is)"
-            )
-    return {name for name, _ in named}
-
-
 @contextmanager
 def _path_handed_on() -> Iterator[None]:
     """Has processes that are started find modules where this one does, such as beside its script."""
@@ -197,13 +181,6 @@ def _path_handed_on() -> Iterator[None]:
             del os.environ["PYTHONPATH"]
         else:
             os.environ["PYTHONPATH"] = before
-
-
-def _new_folder(out: str | Path | None, settings: model.Fleet) -> Path:
-    """The folder that is named, or one of the fleet's name and the time."""
-    if out is not None:
-        return Path(out)
-    return Path("runs") / f"{settings.fleet.name}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def _told(progress: Progress) -> Callable[[float], object]:

@@ -13,7 +13,7 @@ from agent.common.errors import Error, packages_named
 from agent.common.wording import nearest
 from agent.fleet import model
 from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
-from deploy.api.changes import Classes, in_words_of_python, override
+from deploy.api.changes import Classes, in_words_of_python, override, own_classes
 from deploy.console.arguments import fleet_path, scenario_path
 from deploy.console.data_files import SCENARIOS, bundled
 
@@ -137,8 +137,10 @@ class Fleet:
         """Writes `toml` to a file; returns its path.
 
         Raises:
-            Error: it cannot be written.
+            Error: it cannot be written, or names a law or a plant that is known in this process alone.
         """
+        if not self.recorded:
+            own_classes(self.settings, "a file cannot name")
         try:
             Path(path).write_text(self.toml(), encoding="utf-8")
         except OSError as error:

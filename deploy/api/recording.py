@@ -14,6 +14,8 @@ import numpy as np
 
 from agent.common.errors import Error, packages_named
 from agent.formation.points import Floats
+from deploy.api.changes import in_words_of_python
+from deploy.inventory.folders import refuse_full
 from deploy.recording.tables import Table
 
 if TYPE_CHECKING:
@@ -330,7 +332,8 @@ class Recording:
             return path
         assert self.folder is not None
         try:
-            refuse_full(path)
+            with in_words_of_python():
+                refuse_full(path)
             shutil.copytree(self.folder, path, dirs_exist_ok=True)
         except OSError as error:
             raise Error(f"cannot copy {self.folder} to {path}: {error.strerror or error}") from None
@@ -378,16 +381,6 @@ def load_recording(folder: str | Path) -> Recording:
     if not isinstance(folder, (str, PathLike)):
         raise Error(f"a recording is named by the folder that a run has left, got {folder!r}")
     return Recording(RunResult(read_run(folder)), Path(folder))
-
-
-def refuse_full(folder: Path) -> None:
-    """Refuses a folder for a new run that holds something.
-
-    Raises:
-        Error: it does.
-    """
-    if folder.is_dir() and any(folder.iterdir()):
-        raise Error(f"{folder} is not empty: name another folder, or remove it")
 
 
 def data_frame(columns: Mapping[str, Any], what: str) -> pandas.DataFrame:

@@ -269,7 +269,14 @@ class _Carried:
             if isinstance(model, type):  # their names mean something here, and nothing there
                 model.__annotations__ = get_type_hints(model)
         self.execute, self.unfinished = runs.execute, runs.unfinished
-        self._data: bytes = cloudpickle.dumps((runs, classes))
+        try:
+            self._data: bytes = cloudpickle.dumps((runs, classes))
+        except Exception as error:  # of pickle or of the classes; each means the same here
+            names = ", ".join(sorted(classes))
+            raise Error(
+                f"{names}: cannot be sent to the processes of a sweep ({error}): put it into a module of its "
+                "own and import it from there, or keep in the class what can be pickled"
+            ) from None
 
     def __reduce__(self) -> tuple[Callable[[bytes], Runs], tuple[bytes]]:
         return _arrived, (self._data,)

@@ -74,7 +74,7 @@ def test_errors_of_check_are_refused_unless_said_otherwise() -> None:
 
 def test_a_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x").touch()
-    with pytest.raises(Error, match="is not empty: name another folder, or remove it"):
+    with pytest.raises(Error, match="is not an empty folder: name another one, or remove it"):
         simulate("pair", duration=1, out=tmp_path)
 
 
@@ -117,6 +117,8 @@ def test_a_class_of_the_same_name_takes_the_place_of_the_one_before() -> None:
 def test_a_class_of_this_process_cannot_go_to_others() -> None:
     with pytest.raises(Error, match=r"^Drift: robots' processes cannot import a class that is defined here"):
         run("pair", law=local(Drift))
+    with pytest.raises(Error, match=r"^Drift: a file cannot name a class that is defined here"):
+        load("pair", law=local(Drift)).save("nowhere.toml")
 
 
 class Rail(Plant):

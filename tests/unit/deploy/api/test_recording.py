@@ -17,6 +17,7 @@ from deploy.api.drive import simulate
 from deploy.api.fleet import load
 from deploy.api.recording import Recording, load_recording
 from deploy.report.export import tabulate
+from tests.passing_law import PassingLaw
 
 
 @pytest.fixture(scope="module")
@@ -120,44 +121,23 @@ def test_one_that_was_read_is_saved_as_a_copy(folder: Path, tmp_path: Path) -> N
     recording = Recording.open(folder)
     copy = recording.save(tmp_path / "copy")
     assert (copy / "run.mcap").read_bytes() == (folder / "run.mcap").read_bytes()
-    with pytest.raises(Error, match="is not empty: name another folder, or remove it"):
+    with pytest.raises(Error, match="is not an empty folder: name another one, or remove it"):
         recording.save(copy)
-
-
-GONE = """
-from dataclasses import dataclass
-from handfast import Law, setting
-
-@dataclass(frozen=True)
-class Settings:
-    gain: float = setting(1.0, "Gain.", ge=0)
-
-class Gone(Law):
-    section = "gone"
-    Settings = Settings
-
-    def acceleration(self, now):
-        x, y = now.navigation
-        return self.settings.gain * x, self.settings.gain * y
-"""
 
 
 def test_a_recording_is_looked_at_where_its_plugins_are_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = tmp_path / "gone_of_recording.py"
-    module.write_text(GONE, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    law = PassingLaw(tmp_path, monkeypatch, "gone_of_recording")
     changes = {"control.gone.gain": 0.5}
-    driven = simulate("pair", changes, law="gone_of_recording:Gone", duration=1, out=tmp_path / "run")
+    driven = simulate("pair", changes, law=law.reference, duration=1, out=tmp_path / "run")
     toml = driven.fleet.toml()
-    module.unlink()
-    monkeypatch.delitem(sys.modules, "gone_of_recording")
+    law.leave()
     fleet = load_recording(tmp_path / "run").fleet
-    assert (fleet["control.law"], fleet.edges) == ("gone_of_recording:Gone", driven.fleet.edges)
+    assert (fleet["control.law"], fleet.edges) == (law.reference, driven.fleet.edges)
     assert fleet.toml() == toml, "with the plugin's table"
     assert repr(fleet) == repr(driven.fleet)
-    assert "law: gone_of_recording:Gone, a plugin" in str(fleet)
+    assert f"law: {law.reference}, a plugin" in str(fleet)
     for use in (simulate, load, lambda fleet: fleet.with_(seed=3)):
         with pytest.raises(Error, match="there is no module gone_of_recording"):
             use(fleet)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from agent.common.errors import Error
+from agent.control.law_plugin import Law
 from deploy.api.drive import simulate
 from deploy.api.sweep import Sweep, sweep
 
@@ -135,6 +137,14 @@ found = handfast.sweep("pair", {"control.push.force": [-0.1, 0.1]}, law=PushLaw,
 here = handfast.simulate(found.fleet(1))
 print(found.columns["rms_distance_error_m"][1] == here.metrics["rms_distance_error_m"], here.metrics["law"])
 """
+
+
+def test_a_class_that_cannot_be_sent_to_workers_is_named() -> None:
+    class Locked(Law):
+        lock = threading.Lock()
+
+    with pytest.raises(Error, match=r"^Locked: cannot be sent to the processes of a sweep"):
+        sweep("pair", {"control.c1": [0.4, 0.5]}, law=Locked, duration=1, check=False)
 
 
 def test_a_law_of_a_script_reaches_the_workers(tmp_path: Path) -> None:
