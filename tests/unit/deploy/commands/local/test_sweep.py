@@ -2,29 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
 from deploy import cli
-
-GONE = """
-from dataclasses import dataclass
-from handfast import Law, setting
-
-@dataclass(frozen=True)
-class Settings:
-    gain: float = setting(1.0, "Gain.", ge=0)
-
-class Gone(Law):
-    section = "gone"
-    Settings = Settings
-
-    def acceleration(self, now):
-        x, y = now.navigation
-        return self.settings.gain * x, self.settings.gain * y
-"""
+from tests.passing_law import PassingLaw
 
 
 @pytest.mark.parametrize(
@@ -33,9 +16,7 @@ class Gone(Law):
 def test_a_finished_sweep_is_looked_at_without_its_plugins(
     named: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    module, out = tmp_path / "gone_of_sweep.py", tmp_path / "out"
-    module.write_text(GONE, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    law, out = PassingLaw(tmp_path, monkeypatch, "gone_of_sweep"), tmp_path / "out"
     varied = ["--over", "control.gone.gain=0.5,1"]
     arguments = [
         "sweep",
@@ -53,8 +34,7 @@ def test_a_finished_sweep_is_looked_at_without_its_plugins(
     first = capsys.readouterr().out
     summary = (out / "summary.json").read_bytes()
     (out / "summary.json").unlink()
-    module.unlink()
-    monkeypatch.delitem(sys.modules, "gone_of_sweep")
+    law.leave()
     assert cli.main(["sweep", str(out), "--quiet"]) == 0
     assert capsys.readouterr().out == first
     assert (out / "summary.json").read_bytes() == summary, "with the digest of what was driven"
