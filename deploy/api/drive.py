@@ -18,6 +18,7 @@ from agent.common.errors import Error, packages_named
 from agent.messages.codec import decode
 from deploy.api.changes import in_words_of_python, own_classes
 from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors
+from deploy.api.given import a_path, flags
 from deploy.api.recording import Recording
 from deploy.inventory.folders import out_folder, refuse_full
 from deploy.recording.collector import RunData
@@ -69,13 +70,15 @@ def simulate(
     """
     from deploy.simulate.simulation import Simulation
 
+    flags(report=report, check=check)
     tell = _told(progress)
+    target = None if out is None else a_path(out, "out")
     loaded = load(fleet, changes, **named)
     if check:
         refuse_errors(loaded)
-    if out is not None:
+    if target is not None:
         with in_words_of_python():
-            refuse_full(Path(out))  # now, not when all has been driven
+            refuse_full(target)  # now, not when all has been driven
     loaded.register()
     settings, spool = loaded.resolved, _Spool()
     data = RunData(settings, mode="simulate", aside=Path(gettempdir()))
@@ -96,14 +99,14 @@ def simulate(
         from deploy.report.run_folder import RunFolder
 
         with in_words_of_python():
-            target = RunFolder(folder, settings, "simulate")
+            written = RunFolder(folder, settings, "simulate")
         for message in spool:
-            target.record(*message)
-        target.finish(reasons, report=with_report)
+            written.record(*message)
+        written.finish(reasons, report=with_report)
 
     recording = Recording(RunResult(data.recording(reasons=reasons)), None, write)
-    if out is not None:
-        recording.save(out, report=report)
+    if target is not None:
+        recording.save(target, report=report)
     return recording
 
 
@@ -139,6 +142,8 @@ def run(
     from deploy.processes.placement import place
     from deploy.report.run_folder import RunFolder
 
+    flags(report=report, check=check, progress=progress)
+    target = None if out is None else a_path(out, "out")
     loaded = load(fleet, changes, **named)
     path = (
         _path_handed_on()
@@ -152,7 +157,7 @@ def run(
         settings, ports, vehicles = place(loaded.resolved)
         try:
             with in_words_of_python():
-                folder = RunFolder(out_folder(out, settings.fleet.name), settings, "run")
+                folder = RunFolder(out_folder(target, settings.fleet.name), settings, "run")
             view = make_view(None if progress else StringIO())
             drive = LocalRun(settings, folder, view, interrupt, vehicles)
             try:

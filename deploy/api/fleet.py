@@ -14,6 +14,7 @@ from agent.common.wording import nearest
 from agent.fleet import model
 from agent.fleet.loading import add_orders, add_scenario, fleet_tables, parse_fleet, read_text, to_dict
 from deploy.api.changes import Classes, in_words_of_python, override, own_classes
+from deploy.api.given import Known, a_path
 from deploy.console.arguments import fleet_path, scenario_path
 from deploy.console.data_files import SCENARIOS, bundled
 
@@ -105,7 +106,8 @@ class Fleet:
     def edges(self) -> dict[tuple[int, int], float]:
         """Wanted distances (m) by the two robots of each edge."""
         formation = self.resolved.formation
-        return dict(zip(formation.edges or (), formation.distance_m, strict=True))  # type: ignore[arg-type]
+        lengths = zip(formation.edges or (), formation.distance_m, strict=True)  # type: ignore[arg-type]
+        return Known("edge", dict(lengths))
 
     def __getitem__(self, field: str) -> Any:
         """The value of a field: ``fleet["control.kp"]``, or of one robot ``fleet["robot.2.mass_kg"]``.
@@ -139,13 +141,14 @@ class Fleet:
         Raises:
             Error: it cannot be written, or names a law or a plant that is known in this process alone.
         """
+        target = a_path(path, "the file")
         if not self.recorded:
             own_classes(self.settings, "a file cannot name")
         try:
-            Path(path).write_text(self.toml(), encoding="utf-8")
+            target.write_text(self.toml(), encoding="utf-8")
         except OSError as error:
             raise Error(f"cannot write {path}: {error.strerror or error}") from None
-        return Path(path)
+        return target
 
     # --- other fleets ------------------------------------------------------------------------------
 

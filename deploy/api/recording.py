@@ -6,15 +6,15 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from html import escape
-from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from agent.common.errors import Error, packages_named
 from agent.formation.points import Floats
 from deploy.api.changes import in_words_of_python
+from deploy.api.given import Known, a_path, flags
 from deploy.inventory.folders import refuse_full
 from deploy.recording.tables import Table
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from deploy.recording.recording import RobotData
     from deploy.report.export import Columns
     from deploy.verdict.run_result import RunResult
-
-T = TypeVar("T")
 
 _SHOWN: Final = (
     "settling_time_s", "min_distance_m.edge", "min_distance_m.any", "final_distance_error_m",
@@ -136,13 +134,6 @@ def _pair(table: Table, x: str, y: str) -> Floats:
     return np.column_stack([table[x], table[y]])
 
 
-class Tables(dict[str, "Columns"]):
-    """Columns by the table's name; an `Error` for a name that there is not."""
-
-    def __missing__(self, name: str) -> Columns:
-        return _named(self, name, "table")
-
-
 class Recording:
     """A run that has ended, in virtual time or real.
 
@@ -235,9 +226,6 @@ class Recording:
         Raises:
             Error: there is no such robot.
         """
-        for robot in (one, other):
-            if robot not in self.hands:
-                raise Error(f"there is no robot {robot}; there are {', '.join(map(str, self.ids))}")
         between = self.hands[one] - self.hands[other]
         length: Floats = np.hypot(between[:, 0], between[:, 1])
         return length
@@ -245,7 +233,7 @@ class Recording:
     @cached_property
     def robots(self) -> Mapping[int, Robot]:
         """By robot: poses, hand states with forces, wrenches, states, at its own times."""
-        return {robot: Robot(data) for robot, data in self._data.robots.items()}
+        return Known("robot", {robot: Robot(data) for robot, data in self._data.robots.items()})
 
     @cached_property
     def events(self) -> Sequence[Event]:
@@ -256,10 +244,10 @@ class Recording:
         )
 
     def _by_robot(self, values: Floats) -> Mapping[int, Floats]:
-        return {robot: values[:, index] for index, robot in enumerate(self.ids)}
+        return Known("robot", {robot: values[:, index] for index, robot in enumerate(self.ids)})
 
     def _by_edge(self, values: Floats) -> Mapping[tuple[int, int], Floats]:
-        return {edge: values[:, index] for index, edge in enumerate(self.edges)}
+        return Known("edge", {edge: values[:, index] for index, edge in enumerate(self.edges)})
 
     # --- tables ------------------------------------------------------------------------------------
 
@@ -269,7 +257,8 @@ class Recording:
         ``multipliers``, ``statuses``, ``distances``; ``links`` and ``truths`` where there are."""
         from deploy.report.export import tabulate
 
-        return Tables(tabulate(self._result))
+        found = tabulate(self._result)
+        return Known("table", {name: Known("column", columns) for name, columns in found.items()})
 
     def frame(self, name: str) -> pandas.DataFrame:
         """One of `tables` as a pandas DataFrame.
@@ -277,8 +266,7 @@ class Recording:
         Raises:
             Error: there is no such table, or pandas is not installed.
         """
-        columns = _named(self.tables, name, "table")
-        return data_frame(columns, "Recording.frame")
+        return data_frame(self.tables[name], "Recording.frame")
 
     # --- what came of it ---------------------------------------------------------------------------
 
@@ -311,7 +299,7 @@ class Recording:
         """
         from deploy.report.figures import PICTURES, figure
 
-        _named(PICTURES, name, "picture")
+        Known("picture", PICTURES)[name]
         return figure(self._result, name)
 
     @packages_named("Recording.save")
@@ -325,7 +313,8 @@ class Recording:
         Raises:
             Error: it cannot be written.
         """
-        path = Path(folder)
+        flags(report=report)
+        path = a_path(folder, "the folder")
         if self._write is not None:
             self._write(path, report)
             self.folder = self.folder or path
@@ -378,9 +367,8 @@ def load_recording(folder: str | Path) -> Recording:
     from deploy.recording.mcap_reader import read_run
     from deploy.verdict.run_result import RunResult
 
-    if not isinstance(folder, (str, PathLike)):
-        raise Error(f"a recording is named by the folder that a run has left, got {folder!r}")
-    return Recording(RunResult(read_run(folder)), Path(folder))
+    path = a_path(folder, "the folder that a run has left")
+    return Recording(RunResult(read_run(path)), path)
 
 
 def data_frame(columns: Mapping[str, Any], what: str) -> pandas.DataFrame:
@@ -394,9 +382,3 @@ def data_frame(columns: Mapping[str, Any], what: str) -> pandas.DataFrame:
     except ModuleNotFoundError:
         raise Error(f"{what} needs the package pandas: pip install pandas") from None
     return pd.DataFrame(dict(columns))
-
-
-def _named(known: Mapping[str, T], name: str, what: str) -> T:
-    if name not in known:
-        raise Error(f"there is no {what} {name!r}; there are {', '.join(known)}")
-    return known[name]

@@ -18,6 +18,7 @@ from agent.common.errors import Error, packages_named
 from agent.formation.points import Floats
 from deploy.api.changes import Classes, in_words_of_python, toml
 from deploy.api.fleet import Changes, Fleet, Source, load, names_known
+from deploy.api.given import Known, flags, whole
 from deploy.api.recording import data_frame
 from deploy.console.interrupt import Interrupt
 from deploy.console.progress import make_progress
@@ -47,7 +48,7 @@ class Sweep:
     def __init__(self, plan: Plan, rows: Mapping[int, Row], values: Mapping[str, Sequence[object]]) -> None:
         self._plan, self._rows = plan, rows
         self.fields = tuple(values)
-        self.values = {field: tuple(each) for field, each in values.items()}
+        self.values = Known("field", {field: tuple(each) for field, each in values.items()})
         self.seeds = plan.repeat
 
     @property
@@ -74,7 +75,7 @@ class Sweep:
         for name in self.metrics:
             found[name] = np.array([row.numbers.get(name, np.nan) for row in rows])
         found["reason"] = np.array([row.reason for row in rows])
-        return found
+        return Known("column", found)
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -87,10 +88,8 @@ class Sweep:
         Raises:
             Error: there is no such column, or it holds no numbers.
         """
-        numbers = [key for key, column in self.columns.items() if column.dtype.kind in "bif"]
-        if name not in numbers:
-            raise Error(f"there is no metric {name!r}; there are {', '.join(numbers)}")
-        values: Floats = self.columns[name].astype(np.float64).reshape(*self.shape, self.seeds)
+        numbers = {key: column for key, column in self.columns.items() if column.dtype.kind in "bif"}
+        values: Floats = Known("metric", numbers)[name].astype(np.float64).reshape(*self.shape, self.seeds)
         return values
 
     @property
@@ -104,13 +103,14 @@ class Sweep:
         Raises:
             Error: there is no such run.
         """
-        if not 0 <= run < self._plan.runs:
-            raise Error(f"there is no run {run}: they are 0 to {self._plan.runs - 1}")
+        number = whole(run, "a run")
+        if not 0 <= number < self._plan.runs:
+            raise Error(f"there is no run {number}: they are 0 to {self._plan.runs - 1}")
         import tomli_w
 
         from agent.fleet.loading import to_dict
 
-        return load(tomli_w.dumps(to_dict(self._plan.fleet(run))))
+        return load(tomli_w.dumps(to_dict(self._plan.fleet(number))))
 
     def frame(self) -> pandas.DataFrame:
         """`columns` as a pandas DataFrame.
@@ -136,11 +136,9 @@ class Sweep:
         axis, cells = margin_axis(self._plan, None), self._cells
         found = margins(self._plan, cells, axis) if axis is not None else []
         known = drawings(self._plan, cells, axis, found)
-        name = next(iter(known)) if name is None else name
-        if name not in known:
-            raise Error(f"there is no picture {name!r}; there are {', '.join(known)}")
+        draw = Known("picture", known)[next(iter(known)) if name is None else name]
         with styled():
-            return known[name]()
+            return draw()
 
     @cached_property
     def _cells(self) -> Sequence[Cell]:
@@ -181,13 +179,12 @@ def sweep(
     Raises:
         Error: the grid is not sound.
     """
+    flags(check=check, progress=progress)
     loaded = load(fleet, changes, **named)
     if over is not None and not isinstance(over, Mapping):
         raise Error(f'what is varied is given by field, such as {{"control.kp": [0.5, 1, 2]}}, got {over!r}')
-    jobs = cores() if workers is None else workers
-    for name, count in (("workers", jobs), ("seeds", seeds)):
-        if type(count) is not int or count < 1:
-            raise Error(f"{name} must be a whole number of at least 1, got {count!r}")
+    jobs = cores() if workers is None else whole(workers, "workers", 1)
+    seeds = whole(seeds, "seeds", 1)
     side: Any = None if random_starts is False else 0.0 if random_starts is True else random_starts
     if random_starts not in (True, False) and not (isinstance(side, Real) and 0.0 < float(side) < inf):
         raise Error(

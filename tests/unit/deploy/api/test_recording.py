@@ -146,10 +146,3 @@ def test_a_recording_is_looked_at_where_its_plugins_are_not(
 def test_a_folder_that_holds_no_run_is_said(tmp_path: Path) -> None:
     with pytest.raises(Error, match=r"holds no run\.mcap"):
         load_recording(tmp_path)
-    with pytest.raises(Error, match=r"^a recording is named by the folder that a run has left, got None$"):
-        load_recording(None)  # type: ignore[arg-type]
-
-
-def test_a_distance_of_no_robot_is_said(recording: Recording) -> None:
-    with pytest.raises(Error, match="there is no robot 9; there are 1, 2"):
-        recording.distance(1, 9)

@@ -22,7 +22,11 @@ from deploy.api.sweep import Sweep, sweep
 @pytest.fixture(scope="module")
 def found() -> Sweep:
     return sweep(
-        "pair", {"control.kp": [1, 0.5], "faults.delay": ["20ms", 0]}, duration=4, seeds=2, workers=2
+        "pair",
+        {"control.kp": [1, 0.5], "faults.delay": ["20ms", 0]},
+        duration=4,
+        seeds=np.int64(2),
+        workers=np.int64(2),
     )
 
 
@@ -41,8 +45,12 @@ def test_a_run_of_it_can_be_driven_alone(found: Sweep) -> None:
     alone = simulate(found.fleet(5))
     row = found.columns["rms_distance_error_m"][5]
     assert alone.metrics["rms_distance_error_m"] == row
+    assert found.fleet(found.columns["rms_distance_error_m"].argmax()).name == "pair"  # numpy's whole number
     with pytest.raises(Error, match="there is no run 8: they are 0 to 7"):
         found.fleet(8)
+    for given in ("a", 1.0, None, True):
+        with pytest.raises(Error, match=f"^a run must be a whole number, got {given!r}$"):
+            found.fleet(given)  # type: ignore[arg-type]
 
 
 def test_pictures_are_figures(found: Sweep) -> None:
@@ -52,6 +60,10 @@ def test_pictures_are_figures(found: Sweep) -> None:
         found.plot("nope")
     with pytest.raises(Error, match="there is no metric 'nope'; there are "):
         found.metric("nope")
+    with pytest.raises(Error, match=r"there is no column 'nope'; there are control\.kp, "):
+        found.columns["nope"]
+    with pytest.raises(Error, match=r"there is no field 'nope'; there are control\.kp, faults\.delay"):
+        found.values["nope"]
 
 
 def test_frames_are_pandas(found: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:

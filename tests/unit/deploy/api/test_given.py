@@ -1,0 +1,80 @@
+"""What callers give that can be no such thing is named; dictionaries stay dictionaries."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.common.errors import Error
+from deploy.api.drive import run, simulate
+from deploy.api.fleet import load
+from deploy.api.given import Known, a_path
+from deploy.api.recording import Recording
+from deploy.api.sweep import sweep
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate("delta", duration=1)
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda it: it.hands[99], r"^there is no robot 99; there are 1, 2, 3, 4, 5, 6$"),
+        (lambda it: it.desired["1"], r"^there is no robot '1'; there are 1, .*, 6 \(whole numbers\)$"),
+        (lambda it: it.robots[99], "^there is no robot 99; there are 1"),
+        (lambda it: it.distance("1", "2"), r"^there is no robot '1'; there are 1, .* \(whole numbers\)$"),
+        (lambda it: it.distances[2, 1], r"^there is no edge \(2, 1\): it is \(1, 2\)$"),
+        (lambda it: it.wanted[1, 6], r"^there is no edge \(1, 6\); there are \(1, 2\), \(1, 3\), "),
+        (lambda it: it.fleet.edges[2, 1], r"^there is no edge \(2, 1\): it is \(1, 2\)$"),
+        (lambda it: it.fleet.edges[1, 6], r"^there is no edge \(1, 6\); there are \(1, 2\)"),
+        (lambda it: it.tables["hands"]["x"], "^there is no column 'x'; there are t_s, robot"),
+    ],
+)
+def test_a_key_that_there_is_not_is_said_with_those_that_there_are(
+    recording: Recording, ask: Any, says: str
+) -> None:
+    with pytest.raises(Error, match=says):
+        ask(recording)
+
+
+def test_it_is_a_dictionary_to_all_others() -> None:
+    known = Known("robot", {1: "one"})
+    assert known == {1: "one"}
+    assert (known.get(2), 2 in known) == (None, False)
+    with pytest.raises(Error, match=r"^there is no robot 2; there are 1$"):
+        copy.deepcopy(known)[2]
+    many: Known[int, int] = Known("robot", dict.fromkeys(range(100), 0))
+    with pytest.raises(Error, match=r"58, 59 and 40 more$"):
+        many[100]
+    nothing: Known[int, int] = Known("robot", {})
+    with pytest.raises(Error, match=r"^there is no robot 1, nor any other$"):
+        nothing[1]
+
+
+@pytest.mark.parametrize("given", [5, None, True, b"x", "a\0", "\ud800"])
+def test_what_is_no_path_is_said(given: Any, recording: Recording) -> None:
+    for use in (
+        lambda: simulate("pair", duration=1, out=5 if given is None else given),
+        lambda: run("pair", duration=1, out=5 if given is None else given),
+        lambda: recording.save(given),
+        lambda: load("pair").save(given),
+        lambda: Recording.open(given),
+    ):
+        with pytest.raises(Error, match=r"^(out|the folder|the file|the folder that .*) must be a path, got"):
+            use()
+    assert a_path("a", "out") == a_path(Path("a"), "out") == Path("a")
+
+
+@pytest.mark.parametrize("name", ["report", "check", "progress"])
+def test_flags_are_true_or_false(name: str, recording: Recording) -> None:
+    for call in (simulate, run, sweep):
+        if (call, name) not in ((simulate, "progress"), (sweep, "report")):
+            with pytest.raises(Error, match=rf"^{name} must be True or False, got 'no'$"):
+                call("pair", duration=1, **{name: "no"})  # type: ignore[operator]
+    with pytest.raises(Error, match=r"^report must be True or False, got 3$"):
+        recording.save("nowhere", report=3)  # type: ignore[arg-type]
