@@ -15,6 +15,7 @@ symmetric matrices (mu their eigenvalue):
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -220,11 +221,18 @@ COUPLINGS: Final[Mapping[str, type[FleetCoupling]]] = {
 """By their name in `control.coupling`."""
 
 
+_MODES: Final = "modes(cls, fleet, settings)"
+_GIVES: Final = "gives two (k1, k2, shape) for each robot, or None"
+
+
 class OwnFleetLaw(FleetLaw):
     """A law of others, by the modes that its class gives."""
 
     def __init__(self, modes: Sequence[tuple[float, float, bool]]) -> None:
-        self._modes = tuple(Mode(float(k1), float(k2), bool(shape)) for k1, k2, shape in modes)
+        try:
+            self._modes = tuple(Mode(float(k1), float(k2), bool(shape)) for k1, k2, shape in modes)
+        except (TypeError, ValueError):
+            raise ValueError(f"{_MODES} {_GIVES}") from None
         if not np.isfinite(self._modes).all():
             raise ValueError("modes() must give finite numbers")
 
@@ -254,7 +262,7 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
     """A fleet's law of others, None when it does not give its modes.
 
     Raises:
-        agent.control.own_law.LawError: it fails at that, or never returns.
+        agent.control.own_law.LawError: it fails at that, or never returns; the text is one line.
     """
     from agent.control import own_law  # here: other fleets need none of it
 
@@ -262,6 +270,13 @@ def own_law_of(fleet: Fleet) -> OwnFleetLaw | None:
 
     def linearised() -> OwnFleetLaw | None:
         modes = kind.modes(fleet, own_law.settings_of(fleet))
-        return None if modes is None else OwnFleetLaw(modes)
+        # One more than is right: what gives them may never end.
+        return None if modes is None else OwnFleetLaw(list(islice(modes, 2 * len(fleet.members) + 1)))
 
-    return own_law.attempt(kind, lambda: patience.answer("modes()", linearised))
+    def attempted() -> OwnFleetLaw | None:
+        return own_law.attempt(kind, linearised, f"{_MODES}, a classmethod that {_GIVES}")
+
+    try:
+        return patience.answer("modes()", attempted)
+    except (TimeoutError, ChildProcessError) as error:
+        raise own_law.LawError(f"law {fleet.control.law}: {error}") from None

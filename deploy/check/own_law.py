@@ -35,12 +35,13 @@ def check_own_law(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     except LawError as error:
         yield Finding("error", "control.law", str(error))
         return
-    except TimeoutError as error:
+    except (TimeoutError, ChildProcessError) as error:
         yield Finding("error", "control.law", f"law {name}: {error}, where the fleet starts")
         return
     given, right = 0 if modes is None else len(modes.modes(geometry)), 2 * len(fleet.members)
     if modes is not None and given != right:
-        wrong = f"modes() must give two modes for each robot that has a place, {right}, got {given}"
+        got = given if given < right else "more"
+        wrong = f"modes() must give two modes for each robot that has a place, {right}, got {got}"
         yield Finding("error", "control.law", f"law {name}: {wrong}")
         return
     period_s = 1.0 / fleet.fleet.rate_hz

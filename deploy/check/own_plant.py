@@ -1,9 +1,9 @@
-"""Does a plant of others work where its robot starts, how long does it take, what cannot be said of it."""
+"""Does a plant of others work where its robots start, how long does it take, what cannot be said of it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from statistics import median
 from typing import Final
 
@@ -16,32 +16,44 @@ from plant.backend import Begin, Command
 from plant.plugin import begin_virtual
 
 STEPS: Final = 5
+TIMED_S: Final = 5.0
+"""No further robot of a plant is asked after so long."""
 
 
 def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
     """Makes what stands for each plant of others in virtual time, and asks it at the start."""
-    said: set[str] = set()
-    hung: set[str] = set()
+    places: dict[str, dict[int, str]] = {}
     for number, robot in enumerate(fleet.robots, 1):
-        if not robot.kind.is_plugin or robot.plant in hung:
-            continue
-        plugin = plants.load(robot.plant)
+        if robot.kind.is_plugin:
+            places.setdefault(robot.plant, {})[robot.id] = f"robot[{number}].plant"
+    for name, where in places.items():
+        plugin = plants.load(name)
         if plugin.vehicle and plugin.simulated is None:
             continue  # it is not for us to touch
-        for level, text in _answers(fleet, robot.id, hung):
-            key = robot.plant if level == "warning" else text  # each robot's takes another time
+        said: set[str] = set()
+        for asked, level, text in _answers(fleet, name, tuple(where)):
+            key = name if level == "warning" else text  # each robot's takes another time
             if key not in said:
                 said.add(key)
-                yield Finding(level, f"robot[{number}].plant", text)
+                yield Finding(level, where[asked], text)
 
 
-def _answers(fleet: Fleet, robot: int, hung: set[str]) -> list[tuple[Level, str]]:
+def _answers(fleet: Fleet, name: str, robots: Sequence[int]) -> list[tuple[int, Level, str]]:
+    """What is to be said of each robot of a plant; they are asked together, as they are made for a drive."""
+
+    def asked() -> list[tuple[int, Level, str]]:
+        found: list[tuple[int, Level, str]] = []
+        until = time.monotonic() + TIMED_S
+        for robot in robots:
+            found += [(robot, level, text) for level, text in _looked_at(fleet, robot)]
+            if time.monotonic() > until:
+                break
+        return found
+
     try:
-        return patience.answer("it", lambda: list(_looked_at(fleet, robot)))
-    except TimeoutError as error:
-        name = fleet.robot(robot).plant
-        hung.add(name)
-        return [("error", f"plant {name}: {error}, where its robot starts")]
+        return patience.answer("it", asked)
+    except (TimeoutError, ChildProcessError) as error:
+        return [(robots[0], "error", f"plant {name}: {error}, where its robot starts")]
 
 
 def _looked_at(fleet: Fleet, robot: int) -> Iterator[tuple[Level, str]]:

@@ -2,22 +2,69 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from itertools import repeat
+from typing import Any
 
 import pytest
 
+from agent.common import plugins
+from agent.control.law_plugin import Moment
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from deploy.analysis import patience
 from deploy.check.check import Finding, check
 from deploy.check.description import describe
 from deploy.console.arguments import fleet_path
-from tests.unit.agent.control.laws import known
+from tests.unit.agent.control.laws import Good, Modal, known
+
+
+class EndlessModes(Modal):
+    @classmethod
+    def modes(cls, fleet: Any, settings: Any) -> Any:
+        return repeat((1.0, 2.0, True))
+
+
+class NumberOfModes(Modal):
+    @classmethod
+    def modes(cls, fleet: Any, settings: Any) -> Any:
+        return 3
+
+
+class TextOfModes(Modal):
+    @classmethod
+    def modes(cls, fleet: Any, settings: Any) -> Any:
+        return "abcdefghijkl"
+
+
+class MethodOfModes(Modal):
+    def modes(self, fleet: Any, settings: Any) -> Any:  # type: ignore[override]
+        return None
+
+
+class Ends(Good):
+    section = None
+    Settings = None
+
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        os._exit(7)
+
+
+class EndsModes(Modal):
+    @classmethod
+    def modes(cls, fleet: Any, settings: Any) -> Any:
+        os._exit(7)
+
+
+OWN = (EndlessModes, NumberOfModes, TextOfModes, MethodOfModes, Ends, EndsModes)
 
 
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
     with known():
+        for kind in OWN:
+            plugins.register(kind.__name__, kind)
         yield
 
 
@@ -108,3 +155,23 @@ def test_modes_are_two_for_each_robot():
         "error",
         "law FewModes: modes() must give two modes for each robot that has a place, 12, got 1",
     )
+
+
+def test_modes_that_do_not_end_are_too_many():
+    (many,) = found("EndlessModes")
+    assert many.message.endswith("modes() must give two modes for each robot that has a place, 12, got more")
+
+
+@pytest.mark.parametrize("law", ["NumberOfModes", "TextOfModes", "MethodOfModes"])
+def test_modes_that_are_none_say_what_they_would_be(law: str):
+    (wrong,) = found(law)
+    assert "\n" not in wrong.message
+    assert "modes(cls, fleet, settings)" in wrong.message
+    assert wrong.message.endswith("gives two (k1, k2, shape) for each robot, or None")
+
+
+@pytest.mark.parametrize(("law", "what"), [("Ends", "it"), ("EndsModes", "modes()")])
+def test_a_law_that_ends_its_process_is_one_error(law: str, what: str):
+    (finding,) = found(law)
+    assert finding.level == "error"
+    assert finding.message.startswith(f"law {law}: {what} ended its process (status 7)")

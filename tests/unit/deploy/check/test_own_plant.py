@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 
@@ -11,6 +12,7 @@ from agent.common import plugins
 from agent.control.hand import Pose
 from agent.fleet.loading import load_fleet
 from deploy.analysis import patience
+from deploy.check import own_plant
 from deploy.check.check import check
 from deploy.check.finding import Finding
 from deploy.check.own_plant import check_own_plants
@@ -33,6 +35,11 @@ class Hangs(Good):
     def step(self, now_ns: int, command: Command | None) -> Reading:
         time.sleep(0.3)
         return super().step(now_ns, command)
+
+
+class Ends(Good):
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        os._exit(7)
 
 
 class WithoutStep(Plant):
@@ -58,7 +65,7 @@ class Touched(Good):
 
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
-    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, WithoutStep):
+    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, Ends, WithoutStep):
         plugins.register(plugin.__name__, plugin)
     yield
     plugins._registered.clear()
@@ -98,6 +105,24 @@ def test_one_that_never_returns_is_one_error(monkeypatch: pytest.MonkeyPatch) ->
         "error",
         "plant Hangs: it did not return within 0.05 s, where its robot starts",
     )
+
+
+def test_one_that_ends_its_process_is_one_error() -> None:
+    (finding,) = found("Ends")
+    assert (finding.level, finding.message) == (
+        "error",
+        "plant Ends: it ended its process (status 7), where its robot starts",
+    )
+
+
+def test_no_further_robot_is_asked_after_so_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    fleet = load_fleet(FLEETS / "delta.toml", ["robot_defaults.plant=Good", "robot.2.plant=Late"])
+    assert [f.level for f in check_own_plants(fleet)] == ["info", "error", "info"]
+    late = load_fleet(FLEETS / "delta.toml", ["robot_defaults.plant=Good"])
+    monkeypatch.setattr(own_plant, "TIMED_S", 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(own_plant, "_looked_at", lambda fleet, robot: iter([("info", str(robot))]))
+        assert [f.message for f in check_own_plants(late)] == ["1"]
 
 
 def test_check_says_it() -> None:
