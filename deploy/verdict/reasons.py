@@ -29,6 +29,7 @@ _GOOD_STATES: Final = frozenset(
     state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
 )
 """Of a robot at the end of its drive. Its operator may take it whenever he likes: that is a warning."""
+_IN_FAULT: Final = f" ended the drive in state {State.FAULT.value}: "
 
 
 def reasons(
@@ -40,12 +41,18 @@ def reasons(
         violations: what each oracle found.
     """
     states, unsettled = _states(recording), _unsettled(a)
-    found = [*recording.reasons, *_incomplete(recording), *states]
+    own = sorted([*_incomplete(recording), *states], key=lambda reason: not of_fault(reason))
+    found = [*recording.reasons, *own]
     for name, each in violations.items():
         if name == "recovery" and (states or unsettled):
             continue  # the same, in words about the end
         found += [violation.message for violation in each or ()]
     return found + unsettled
+
+
+def of_fault(reason: str) -> bool:
+    """Whether one of `reasons` is that robots were in fault, which others may come of."""
+    return _IN_FAULT in reason
 
 
 def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) -> list[str]:
@@ -121,6 +128,8 @@ def _incomplete(recording: Recording) -> list[str]:
         why = ""
         if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
             why = ": it was stopped"
+        elif all(last and last[0] == State.FAULT.value for last in _last(recording).values()):
+            why = ": no robot could drive any more"
         elif recording.interrupted:
             why = ": it was interrupted"
         out.append(f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}.")
@@ -188,20 +197,28 @@ def _gaps(recording: Recording) -> list[Gap]:
     return out
 
 
+def _last(recording: Recording) -> dict[int, tuple[str, str] | None]:
+    """State and reason of each robot when it was to drive no more, though poses may have ended before."""
+    stopped_s = recording.stopped_s
+    until_s = recording.planned_s if stopped_s is None else stopped_s
+    return {robot: data.status.at(until_s) for robot, data in recording.robots.items()}
+
+
 def _states(recording: Recording) -> list[str]:
-    """Sentences for robots that did not drive at the end of the drive."""
+    """Sentences for robots that did not drive at the end of the drive, one for all with the same reason."""
+    same: dict[tuple[str, str], list[int]] = {}
+    for robot, last in _last(recording).items():
+        if last is not None and last[0] not in _GOOD_STATES:
+            same.setdefault(last, []).append(robot)
     out = []
-    for robot, data in recording.robots.items():
-        last = data.status.at(recording.end_s)
-        if last is None or last[0] in _GOOD_STATES:
-            continue
-        state, reason = last
+    for (state, reason), ids in same.items():
+        they, its = ("it", "its") if len(ids) == 1 else ("they", "their")
         why = f" ({reason})" if reason else ""
         meaning = {
-            State.FAULT.value: "it braked because something of its own was wrong",
-            State.HOLDING.value: "it braked, and waited until it might drive again",
-        }.get(state, "it did not drive")
-        out.append(f"Robot {robot} ended the drive in state {state}: {meaning}{why}.")
+            State.FAULT.value: f"{they} braked because something of {its} own was wrong",
+            State.HOLDING.value: f"{they} braked, and waited until {they} might drive again",
+        }.get(state, f"{they} did not drive")
+        out.append(f"{robots(ids).capitalize()} ended the drive in state {state}: {meaning}{why}.")
     return out
 
 

@@ -259,3 +259,36 @@ def test_an_agent_that_falls_silent_for_good_is_named() -> None:
     assert reasons(6.0) == reasons(4.5) == []
     (silent,) = reasons(3.0)
     assert silent.startswith("The agent of robot 2 said nothing more from 2.8 s on, in the last 3.2 s of")
+
+
+def faulted(at_s: float, *ids: int) -> list[Sent]:
+    """A run of PAIR of which these robots' plants say nothing more from a time on, and their agents why."""
+
+    def said(message: Message) -> Message:
+        late = (message.time_ns - EPOCH_NS) / 1e9 >= at_s  # type: ignore[union-attr]
+        if late and type(message) is Status and message.robot in ids:
+            return message._replace(state="fault", reason="plant unhealthy: plant my:Plant: late")
+        return message
+
+    return [
+        (received, key, said(each))
+        for received, key, each in messages(PAIR, in_formation(PAIR))
+        if not (type(each) is PlantState and each.robot in ids and received > EPOCH_NS + at_s * 1e9)
+    ]
+
+
+def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
+    """The poses end before the agents say what is wrong."""
+    why = "(plant unhealthy: plant my:Plant: late)."
+    assert judged(PAIR, faulted(1.0, 1, 2))["verdict"]["reasons"] == [
+        f"Robots 1 and 2 ended the drive in state fault: they braked because something of their own was "
+        f"wrong {why}",
+        "The run ended after 1.0 s of the 2.0 s that were planned: no robot could drive any more.",
+    ]
+    stop: Sent = (at_ns := EPOCH_NS + 1_800_000_000, key_expressions.stop(NAME), Stop(1, at_ns, "enough"))
+    late = judged(PAIR, [*faulted(1.0, 1, 2), stop])
+    assert late["verdict"] == judged(PAIR, faulted(1.0, 1, 2))["verdict"]
+    assert judged(PAIR, faulted(1.0, 2))["verdict"]["reasons"] == [
+        f"Robot 2 ended the drive in state fault: it braked because something of its own was wrong {why}",
+        "The data are incomplete: robot 2 sent no pose from 0.98 s to 2.00 s.",
+    ]
