@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.common.exit import INTERRUPTED, PASSED
+from agent.common.wording import printable
 from agent.fleet.model import FleetError
 from deploy.console.arguments import (
     change_arguments,
@@ -242,6 +243,7 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
     from deploy.sweep.folder import csv_bytes, replace_file
     from deploy.sweep.plan import SweepError
     from deploy.sweep.summary import margins, shown, summarise, summary_json, summary_table
+    from deploy.verdict.reasons import of_fault
 
     plan = folder.plan
     cells = summarise(plan, folder.rows)
@@ -263,10 +265,14 @@ def _conclude(folder: SweepFolder, margin: int | None) -> None:
             numbers = ["-" if value is None else one.text(value) for one, value in values]
             rows.append([*cell.values, *shares, *numbers])
         print(_aligned(rows))
-    unfinished = sum(cell.unfinished for cell in cells)
-    if unfinished:
-        first = next(row for row in map(folder.rows.__getitem__, range(plan.runs)) if row.settled is None)
-        print(f"{unfinished} of {plan.runs} runs were not finished; run {first.run}: {first.reason}")
+    driven = [folder.rows[run] for run in range(plan.runs)]
+    for what, found_in in (
+        ("were not finished", [row for row in driven if row.settled is None]),
+        ("ended with robots in fault", [row for row in driven if of_fault(row.reason)]),
+    ):
+        if found_in:
+            first = found_in[0]
+            print(f"{len(found_in)} of {plan.runs} runs {what}; run {first.run}: {printable(first.reason)}")
     for margin_found in found[:ROWS_MAX]:
         print(f"margin of {margin_found}")
     if len(found) > ROWS_MAX:

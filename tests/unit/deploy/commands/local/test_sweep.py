@@ -1,4 +1,4 @@
-"""The command ``handfast sweep`` where the plugins of a sweep that was driven are not installed."""
+"""The command ``handfast sweep`` with plugins: that fail while they drive, or are not installed any more."""
 
 from __future__ import annotations
 
@@ -47,3 +47,25 @@ def test_a_finished_sweep_is_looked_at_without_its_plugins(
     capsys.readouterr()
     assert cli.main(["sweep", str(out), "--quiet"]) == 2
     assert "there is no module gone_of_sweep" in capsys.readouterr().err
+
+
+def test_a_law_that_fails_in_mid_drive_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "late_of_sweep.py").write_text(
+        "import handfast\n"
+        "class Late(handfast.Law):\n"
+        "    def acceleration(self, now):\n"
+        "        if self.fleet.control.kp > 1.0 and now.time > 0.5:\n"
+        "            raise RuntimeError('too late')\n"
+        "        return now.navigation\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    named = ["pair", "--law", "late_of_sweep:Late", "--over", "control.kp=1,2", "--duration", "1s"]
+    told = ["--quiet", "--no-check", "--jobs=1", "--out", str(tmp_path / "out")]
+    assert cli.main(["sweep", *named, *told]) == 0
+    assert (
+        "\n1 of 2 runs ended with robots in fault; run 1: Robots 1 and 2 ended the drive in state fault: "
+        "they braked because something of their own was wrong (law late_of_sweep:Late: RuntimeError: too late"
+    ) in capsys.readouterr().out
