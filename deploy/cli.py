@@ -5,16 +5,30 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import threading
+import time
 from collections.abc import Collection, Sequence
+from errno import ENOSPC
 from importlib import import_module
+from importlib.machinery import PathFinder
+from os.path import dirname
 from typing import Any, Final, NamedTuple
 
+for _name in ("agent", "plant", "bridges"):  # before anything of them runs; as in handfast.py
+    _ours, _found = PathFinder.find_spec(_name, [dirname(dirname(__file__))]), PathFinder.find_spec(_name)
+    if _ours and _found and _ours.origin != _found.origin:
+        _wrong = f"{_found.origin} takes the place of handfast's package {_name}: rename it"
+        print(f"handfast: {_wrong}", file=sys.stderr)
+        sys.exit(2)  # agent.common.exit.BAD_INPUT
+
 from agent.common.errors import Error, packages_named
-from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED
+from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED
 from deploy.console.data_files import bundled
 from deploy.console.interrupt import remembered
 
 ROVER_SIMULATOR: Final = "rover-simulator"
+THREADS_S: Final = 1.0
+"""So long a thread of others may go on after the command."""
 
 
 class Command(NamedTuple):
@@ -100,9 +114,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
                 return run(arguments[1:])
             asked = next((word for word in arguments if not word.startswith("-")), "")
-            options = _parser([asked]).parse_args(arguments)
-            result: int = options.command(options)
-            sys.stdout.flush()  # here, where an output that nobody reads is found
+            try:
+                options = _parser([asked]).parse_args(arguments)
+                result: int = options.command(options)
+            except SystemExit:
+                print(end="", flush=True)
+                raise
+            print(end="", flush=True)  # here, where an output that nobody takes is found
             return result
     except KeyboardInterrupt:
         # One that came up through an `exec`, as of a dataclass that was being made, has `python -m` end
@@ -111,11 +129,49 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone (`handfast check ... | head`): nothing is left to say or flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _write_out()
+        return FAILED
+    except OSError as error:
+        if error.errno != ENOSPC:
+            raise
+        _write_out()
+        print(f"handfast: cannot write: {error.strerror}", file=sys.stderr)
         return FAILED
     except Error as error:
         print(f"handfast: {error}", file=sys.stderr)
         return BAD_INPUT
+
+
+def process() -> int:
+    """`main`, as all that this process does: threads that others left running do not keep it."""
+    try:
+        status = main()
+    except SystemExit as ended:  # of the parser
+        status = ended.code if isinstance(ended.code, int) else PASSED
+    if threading.active_count() == 1:
+        return status
+    try:
+        until = time.monotonic() + THREADS_S
+        main_thread = threading.main_thread()
+        others = [each for each in threading.enumerate() if not each.daemon and each is not main_thread]
+        for each in others:
+            each.join(max(0.0, until - time.monotonic()))
+        names = ", ".join(each.name for each in others if each.is_alive())
+        if not names:
+            return status
+        print(f"handfast: ends threads that a plugin left running: {names}", file=sys.stderr, flush=True)
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    _write_out()
+    os._exit(status)  # at its end the interpreter would wait for them
+
+
+def _write_out() -> None:
+    """Writes what was printed; what cannot be written is not tried again at the process's end."""
+    try:
+        print(end="", flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parser(asked: Collection[str] | None = None) -> argparse.ArgumentParser:
@@ -147,4 +203,4 @@ class _Version(argparse.Action):
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(process())

@@ -68,7 +68,11 @@ def fleet_arguments(parser: argparse.ArgumentParser) -> None:
 
 def change_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the options that change a fleet."""
-    parser.add_argument("--law", metavar="LAW", help=f"preset of the control law: {', '.join(LAWS)}")
+    parser.add_argument(
+        "--law",
+        metavar="LAW",
+        help=f"preset of the control law: {', '.join(LAWS)}; or a plugin: package.module:Class, or its name",
+    )
     parser.add_argument(
         "--set",
         dest="overrides",

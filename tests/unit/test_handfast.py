@@ -71,6 +71,15 @@ def test_on_a_robot_there_is_what_laws_and_plants_need(tmp_path: Path) -> None:
     assert python(code, tmp_path) == "[]"
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_file_in_the_way_of_a_package_is_named_and_not_run(package: str, tmp_path: Path) -> None:
+    file = tmp_path / f"{package}.py"
+    file.write_text("print('it ran')")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\ntry: import handfast"
+    said = f"{file} takes the place of handfast's package {package}: rename it"
+    assert python(f"{code}\nexcept ImportError as error: print(error)") == said
+
+
 def test_none_of_ours_builds_on_it() -> None:
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):

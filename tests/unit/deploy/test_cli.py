@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO, Final
 
 import pytest
 
@@ -185,3 +186,58 @@ def test_whoever_reads_the_output_may_go() -> None:
     finally:
         os.close(writer)
     assert (done.returncode, done.stderr) == (1, "")
+
+
+def command_line(
+    *arguments: str, path: Path = ROOT, stdout: int | IO[str] = subprocess.PIPE
+) -> subprocess.CompletedProcess[str]:
+    """A command as a process that looks for modules in `path` first."""
+    words = [sys.executable, "-P", "-m", "deploy.cli", *arguments]
+    environment = {**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{ROOT}"}
+    return subprocess.run(
+        words, stdout=stdout, stderr=subprocess.PIPE, text=True, env=environment, timeout=60
+    )
+
+
+@pytest.mark.parametrize("arguments", [("check", "delta"), ("--help",)])
+def test_an_output_without_room_is_one_line(arguments: tuple[str, ...]) -> None:
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("Linux has it")
+    with full.open("w") as stream:
+        done = command_line(*arguments, stdout=stream)
+    assert (done.returncode, done.stderr) == (1, "handfast: cannot write: No space left on device\n")
+
+
+@pytest.mark.parametrize("package", ["agent", "plant", "bridges"])
+def test_a_file_in_the_way_of_a_package_is_named_and_not_run(package: str, tmp_path: Path) -> None:
+    file = tmp_path / f"{package}.py"
+    file.write_text("print('it ran')")
+    done = command_line("--help", path=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"handfast: {file} takes the place of handfast's package {package}: rename it\n"
+
+
+THREADED: Final = """
+import threading
+from handfast import Law
+threading.Thread(target=threading.Event().wait, name="endless").start()
+threading.Thread(target=threading.Event().wait, args=(0.01,), name="short").start()
+class Threaded(Law):
+    def acceleration(self, now):
+        return now.navigation
+"""
+
+
+def test_a_plugins_threads_do_not_keep_a_command(tmp_path: Path) -> None:
+    (tmp_path / "threaded.py").write_text(THREADED)
+    done = command_line("check", "delta", "--law", "threaded:Threaded", path=tmp_path)
+    assert done.returncode == 0
+    assert "threaded:Threaded cannot be predicted" in done.stdout
+    assert done.stderr == "handfast: ends threads that a plugin left running: endless\n"
+
+
+def test_the_law_may_be_a_plugin(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    assert "package.module:Class" in capsys.readouterr().out
