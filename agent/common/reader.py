@@ -217,10 +217,12 @@ class Reader:
             if fitting:
                 return self._value(fitting[0], raw, place, said, default)
         elif origin is Literal:
-            if raw in args:
-                return raw
-            near = self._nearest(str(raw), [str(option) for option in args]) if isinstance(raw, str) else None
-            hinted = f"; did you mean {show(near)}?" if near else ""
+            for option in args:
+                if option == raw and isinstance(option, bool) is isinstance(raw, bool):  # true is not 1
+                    return option
+            options = {str(option): option for option in args}
+            near = self._nearest(raw, options) if isinstance(raw, str) else None
+            hinted = f"; did you mean {show(options[near])}?" if near else ""
             self.add(place, f"must be {describe(hint)}, got {show(raw)}{hinted}")
             return _INVALID
         elif origin is tuple:
@@ -406,5 +408,7 @@ def _override_value(entry: Entry, written: str) -> object:
     if set(parsed) != {"value"}:  # more lines than one
         return text
     value = parsed["value"]
-    wants_text = entry.hint is str or get_origin(entry.hint) is Literal
-    return value if isinstance(value, str) or not wants_text else text  # fleet.name=42 means the name "42"
+    # fleet.name=42 means the name "42"; where options are texts so does 42, unless it is an option itself.
+    options = get_args(entry.hint) if get_origin(entry.hint) is Literal else ()
+    wants_text = entry.hint is str or (value not in options and any(isinstance(o, str) for o in options))
+    return value if isinstance(value, str) or not wants_text else text

@@ -298,6 +298,50 @@ def test_overrides(override: str, get: Any, value: object) -> None:
     assert get(cart) == value
 
 
+@dataclass(frozen=True, slots=True)
+class Filter:
+    order: Literal[1, 2] = setting(1, "Order.")
+    steps: Literal["auto", "2", 4] = setting("auto", "Steps.")
+
+
+@dataclass(frozen=True, slots=True)
+class Sounder:
+    filter: Filter = field(metadata=about("The filter."))
+
+
+def of_filter(raw: dict[str, Any], *overrides: str) -> dict[str, Any] | str:
+    """The fields of the filter, or the first problem."""
+    reader = Reader(Sounder)
+    for override in overrides:
+        reader.override(raw, override)
+    values = reader.read(raw)
+    fields: dict[str, Any] = values.get("filter", {})
+    return str(reader.problems[0]) if reader.problems else fields
+
+
+@pytest.mark.parametrize(
+    ("override", "fields"),
+    [
+        ("filter.order=2", {"order": 2, "steps": "auto"}),
+        ("filter.steps=2", {"order": 1, "steps": "2"}),
+        ("filter.steps=4", {"order": 1, "steps": 4}),
+        ("filter.steps=auto", {"order": 1, "steps": "auto"}),
+        ("filter.order=3", "--set filter.order: must be one of 1, 2, got 3"),
+        ("filter.order=true", "--set filter.order: must be one of 1, 2, got true"),
+        ('filter.order="2"', '--set filter.order: must be one of 1, 2, got "2"; did you mean 2?'),
+    ],
+)
+def test_options_that_are_numbers(override: str, fields: dict[str, Any] | str) -> None:
+    assert of_filter({"filter": {}}, override) == fields
+
+
+def test_an_option_is_read_as_the_model_has_it() -> None:
+    read = of_filter({"filter": {"order": 2.0}})
+    assert isinstance(read, dict)
+    assert type(read["order"]) is int
+    assert of_filter({"filter": {"order": True}}) == "filter.order: must be one of 1, 2, got true"
+
+
 def test_the_last_override_wins() -> None:
     cart, _ = read({"frame": dict(FRAME), "wheel": [{"id": 4}]}, "motor.turns=5", "motor.turns=6")
     assert cart is not None
