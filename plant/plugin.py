@@ -11,13 +11,13 @@ from math import inf
 from typing import Any, Final, TypeVar
 
 from agent.common import random_streams
-from agent.common.plugins import PluginError, blame, number
+from agent.common.plugins import PluginError, attempt, blame, make, number, python
 from agent.common.time import NS_PER_S
-from agent.common.wording import show
+from agent.common.wording import printable, show
 from agent.control.hand import Pose
 from agent.fleet import plants
 from agent.fleet.model import Fleet
-from agent.messages.types import FLOAT_MAX, LEVELS
+from agent.messages.types import FLOAT_MAX, FUTURE_NS_MAX, LEVELS, TEXT_MAX
 from plant.backend import Begin, Check, Command, Plant, PlantBackend, Reading, Setup
 
 T = TypeVar("T")
@@ -53,7 +53,7 @@ class PluginBody(PlantBackend):
         self._pose = begin
         self.failed = ""
         self._late, self._slow = 0, ""
-        self._ready = (Check("plant", "ok", "it is there"),) if plant.vehicle else ()
+        self._ready = (Check("plant", "ok", "it is there"),) if type(plant).vehicle else ()
 
     @property
     def pose(self) -> Pose:
@@ -63,11 +63,11 @@ class PluginBody(PlantBackend):
     def step(self, now_ns: int, command: Command | None) -> Reading:
         """See `PlantBackend.step`."""
         begun_ns = self._clock()
-        try:
-            reading = _plain(self._plant.step(now_ns, None if self.failed else command))
-        except (Exception, SystemExit) as error:
-            is_ours = isinstance(error, _NoReadingError)
-            self._fail(f"step {error if is_ours else f'failed with {blame(error, type(self._plant))}'}")
+        asked = None if self.failed else command
+        reading = self._asked(
+            "step", lambda: _reading(self._plant.step(now_ns, asked), now_ns), "step(self, now_ns, command)"
+        )
+        if reading is None:
             pose = self._pose._replace(speed=0.0, yaw_rate=0.0)  # it is where it was seen last
             return Reading(now_ns, pose, 0.0, 0.0, False, self.failed)
         self._pose = reading.pose
@@ -76,13 +76,16 @@ class PluginBody(PlantBackend):
         self._time(self._clock() - begun_ns)
         return reading._replace(note=self._slow) if self._slow and not reading.note else reading
 
-    def _asked(self, what: str, method: Callable[..., T], *arguments: object) -> T | None:
-        """What a method returns, None where it fails."""
-        try:
-            return method(*arguments)
-        except (Exception, SystemExit) as error:
-            self._fail(f"{what} failed with {blame(error, type(self._plant))}")
-            return None
+    def _asked(self, what: str, call: Callable[[], T], signature: str = "") -> T | None:
+        """What a call of its method `what` gives, None where it fails; `signature` as in `blame`."""
+
+        def failed(error: BaseException) -> None:
+            if isinstance(error, _WrongError):
+                self._fail(f"{what} returned {error}")
+            else:
+                self._fail(f"{what} failed with {blame(error, type(self._plant), signature)}")
+
+        return attempt(call, failed)
 
     def _fail(self, wrong: str) -> None:
         if not self.failed:
@@ -101,44 +104,68 @@ class PluginBody(PlantBackend):
 
     def clear_to_drive(self) -> None:
         """See `PlantBackend.clear_to_drive`."""
-        self._asked("clear_to_drive", self._plant.clear_to_drive)
+        self._asked("clear_to_drive", lambda: self._plant.clear_to_drive(), "clear_to_drive(self)")
 
     def checks(self, now_ns: int) -> Sequence[Check]:
         """See `PlantBackend.checks`."""
-        found = self._asked("checks", self._plant.checks, now_ns)
+        found = self._asked("checks", lambda: _checks(self._plant.checks(now_ns)), "checks(self, now_ns)")
         if self.failed:
             return (Check("plant", BLOCKING, self.failed),)
         return found or self._ready
 
     def close(self) -> None:
         """See `PlantBackend.close`."""
-        self._asked("close", self._plant.close)
+        self._asked("close", lambda: self._plant.close(), "close(self)")
 
 
-def _plain(reading: Any) -> Reading:
-    """What a step returned, its numbers as Python's own; `_NoReadingError` where it is no reading."""
-    if not isinstance(reading, Reading):
+def _reading(given: Any, now_ns: int) -> Reading:
+    """What a step returned, its values as Python's own; `_WrongError` where it is no reading."""
+    if not isinstance(given, Reading):
         what = "not a Reading: Reading(now_ns, Pose(...), force, torque)"
-        raise _NoReadingError(f"returned {type(reading).__name__}, {what}")
-    pose: object = reading.pose
+        raise _WrongError(f"{type(given).__name__}, {what}")
+    time_ns, pose, force, torque, healthy, note, obeying = given
     if not isinstance(pose, Pose):
-        raise _NoReadingError(f"returned a Reading whose pose is {type(pose).__name__}, not a Pose")
-    numbers = {**pose._asdict(), "force": reading.force, "torque": reading.torque}
+        raise _wrong("pose", type(pose).__name__, "not a Pose")
+    numbers = {**pose._asdict(), "force": force, "torque": torque}
     for name, value in numbers.items():
         numbers[name] = number(value)
         if not abs(numbers[name]) <= FLOAT_MAX:
-            limit = f", which may be {FLOAT_MAX:g} at most" if abs(numbers[name]) < inf else ""
-            raise _NoReadingError(f"returned a Reading whose {name} is {show(value)}{limit}")
-    stamp: Any = reading.time_ns
-    note: Any = reading.note
-    if not isinstance(stamp, int) or not isinstance(note, str):
-        raise _NoReadingError("returned a Reading whose time_ns is no whole number, or whose note is no text")
+            limit = f"which may be {FLOAT_MAX:g} at most" if abs(numbers[name]) < inf else ""
+            raise _wrong(name, show(value), limit)
+    stamp = python(time_ns)
+    # Virtual time begins at 0, and what is seen late is from before; a clock that the step reads is ahead.
+    earliest, latest = min(0, now_ns - NS_PER_S), now_ns + FUTURE_NS_MAX
+    if isinstance(stamp, bool) or not isinstance(stamp, int) or not earliest <= stamp <= latest:
+        raise _wrong("time_ns", show(time_ns), f"not a whole number from 0 to now_ns, {now_ns}")
+    truths = {"healthy": python(healthy), "obeying": python(obeying)}
+    for name, value in truths.items():
+        if not isinstance(value, bool):
+            raise _wrong(name, show(value), "not True or False")
+    if not isinstance(note, str):
+        raise _wrong("note", show(note), "not a text")
     *five, force, torque = numbers.values()
-    return reading._replace(pose=Pose(*five), force=force, torque=torque)
+    text = printable(note[: TEXT_MAX + 1])  # longer ones are cut in messages, and marked
+    return Reading(max(0, stamp), Pose(*five), force, torque, note=text, **truths)
 
 
-class _NoReadingError(Exception):
-    """A step returned something else than a reading; the text says what."""
+def _checks(given: Any) -> Sequence[Check]:
+    """What `checks` returned, in texts that a message holds; `_WrongError` where it is something else."""
+    right = 'a list of Check(name, level, found, advice): texts, level one of "ok", "warning", "blocking"'
+    if not isinstance(given, list | tuple):
+        raise _WrongError(f"{show(given)}, not {right}")
+    for check in given:
+        texts = isinstance(check, Check) and all(isinstance(text, str) for text in check)
+        if not texts or check.level not in LEVELS:
+            raise _WrongError(f"a list with {show(check)}, not {right}")
+    return [Check(*map(printable, check)) for check in given]
+
+
+class _WrongError(Exception):
+    """A method of a plant returned what it must not; the text says what, and what would be right."""
+
+
+def _wrong(field: str, value: str, right: str) -> _WrongError:
+    return _WrongError(f"a Reading whose {field} is {value}{right and ', '}{right}")
 
 
 def begin(fleet: Fleet, robot: int, how: Begin) -> PluginBody:
@@ -166,9 +193,10 @@ def _made(reference: str, plugin: type[Plant], fleet: Fleet, robot: int, how: Be
         raise PluginError(f"plant {reference}: it has no method step(self, now_ns, command)")
     seed = random_streams.stream(fleet.fleet.seed, "plugin", robot)
     period_s, timeout_s = fleet.period_ns / NS_PER_S, fleet.control.wrench_timeout_s
-    try:
-        plant = plugin(Setup(row, settings, start, period_s, timeout_s, seed, how.look))
-    except (Exception, SystemExit) as error:
-        why = f"cannot be made: {blame(error, plugin)}"
-        raise PluginError(f"plant {reference}: {why}; __init__ takes self and one Setup") from None
+    setup = Setup(row, settings, start, period_s, timeout_s, seed, how.look)
+
+    def failure(wrong: str) -> PluginError:
+        return PluginError(f"plant {reference}: cannot be made: {wrong}")
+
+    plant = make(plugin, "__init__(self, setup)", failure, setup)
     return PluginBody(f"plant {reference}", plant, Pose(*start, 0.0, 0.0), fleet.period_ns, how.log)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from functools import partial
+from typing import Any, NoReturn
 
 from agent.common.errors import Error
-from agent.common.plugins import blame
+from agent.common.plugins import attempt, blame
 from agent.common.reader import Problem
 from agent.common.settings import Entry, Sectioned, T, entries
 from agent.common.wording import joined
@@ -39,12 +40,8 @@ def build(
             continue
         value, here = values[entry.attribute], joined(place, entry.key)
         if entry.table is not None and value is not None:
-            try:
-                value = build(entry.table, value, known, here)
-            except (Exception, SystemExit) as error:
-                if not entry.is_section:
-                    raise
-                raise ModelError(Problem(here, blame(error, entry.table))) from None
+            made = partial(build, entry.table, value, known, here)
+            value = attempt(made, partial(_failed, here, entry.table)) if entry.is_section else made()
         elif entry.tables is not None:
             rows = enumerate(value, 1)
             value = tuple(build(entry.tables, row, known, f"{here}[{k}]") for k, row in rows)
@@ -55,6 +52,10 @@ def build(
     if sections:
         arguments["sections"] = tuple(sections)
     return model(**arguments)
+
+
+def _failed(place: str, model: type, error: BaseException) -> NoReturn:
+    raise ModelError(Problem(place, blame(error, model))) from None
 
 
 def plain(instance: object) -> dict[str, Any]:

@@ -6,10 +6,12 @@ Whatever is wrong with it is one `LawError` that names it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from inspect import iscoroutinefunction
 from math import inf, nan
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
+from agent.common import plugins
 from agent.common.errors import Error
 from agent.common.plugins import blame, number, python
 from agent.common.quantities import Vector
@@ -80,7 +82,7 @@ class OwnLaw:
         )
         if self._fresh:
             self._fresh = False
-            attempt(self._law, self._law.restart)
+            restart(self._law)
         wanted, self.numbers = evaluate(self._law, moment)
         return wanted
 
@@ -117,13 +119,19 @@ def make(fleet: Fleet, robot: int) -> Law:
         LawError: it cannot be made.
     """
     kind = kind_of(fleet)
-    if kind.acceleration is Law.acceleration:
+    acceleration = attempt(kind, lambda: kind.acceleration)
+    if acceleration is Law.acceleration:
         raise _failure(kind, "it has no method acceleration(self, now)")
-    if iscoroutinefunction(kind.acceleration):
+    if iscoroutinefunction(acceleration):
         raise _failure(kind, "acceleration() cannot be async: write def acceleration(self, now)")
-    return attempt(
-        kind, lambda: kind(robot, fleet, settings_of(fleet)), "__init__(self, robot, fleet, settings)"
-    )
+    failure = partial(_failure, kind)
+    signature = "__init__(self, robot, fleet, settings)"
+    return plugins.make(kind, signature, failure, robot, fleet, settings_of(fleet))
+
+
+def restart(law: Law) -> None:
+    """Has a law forget what it knows; raises as `attempt`."""
+    attempt(law, lambda: law.restart(), "restart(self)")
 
 
 def kind_of(fleet: Fleet) -> type[Law]:
@@ -160,16 +168,16 @@ def attempt(law: Law | type[Law], call: Callable[[], T], signature: str = "") ->
     Raises:
         LawError: it raises.
     """
-    try:
-        return call()
-    except (Exception, SystemExit) as error:
-        inside = error.__traceback__ and error.__traceback__.tb_next and error.__traceback__.tb_next.tb_next
-        hint = f"; write def {signature}" if signature and isinstance(error, TypeError) and not inside else ""
-        raise _failure(law, blame(error, _kind(law)) + hint) from None
+
+    def failed(error: BaseException) -> NoReturn:
+        raise _failure(law, blame(error, _kind(law), signature)) from None
+
+    return plugins.attempt(call, failed)
 
 
 def _kind(law: Law | type[Law]) -> type[Law]:
-    return law if isinstance(law, type) else type(law)
+    kind = type(law)  # not isinstance: that asks an instance for its __class__
+    return law if issubclass(kind, type) else kind  # type: ignore[return-value]
 
 
 def _failure(law: Law | type[Law], what: str) -> LawError:
@@ -179,19 +187,16 @@ def _failure(law: Law | type[Law], what: str) -> LawError:
 
 def _floats(given: Any) -> tuple[float, ...] | None:
     """Finite numbers that a message can hold; None for anything else."""
-    try:
-        given = python(given)
-        found = tuple(map(number, given)) if isinstance(given, tuple | list) else (nan,)
-    except Exception:  # its class is of others too
-        return None
+    found = plugins.attempt(lambda: _numbers(python(given)), lambda _: (nan,))  # its class is of others too
     return found if all(-FLOAT_MAX <= value <= FLOAT_MAX for value in found) else None
 
 
+def _numbers(given: Any) -> tuple[float, ...]:
+    return tuple(map(number, given)) if isinstance(given, tuple | list) else (nan,)
+
+
 def _got(given: Any) -> str:
-    try:
-        text = repr(given)
-        found = [number(value) for value in given] if isinstance(given, tuple | list) else ()
-    except Exception:
-        text, found = f"a {type(given).__name__}", ()
+    text = plugins.attempt(lambda: repr(given), lambda _: f"a {type(given).__name__}")
+    found = plugins.attempt(lambda: _numbers(given), lambda _: ())
     limit = f" (at most {FLOAT_MAX:g})" if any(FLOAT_MAX < abs(value) < inf for value in found) else ""
     return f"got {printable(text[:60])}{limit}"

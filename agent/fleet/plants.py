@@ -123,7 +123,11 @@ def load(reference: str) -> type[Any]:
         agent.common.plugins.PluginError: there is none.
     """
     try:
-        return plugins.load(reference, GROUP, BASE)
+        plugin = plugins.load(reference, GROUP, BASE)
+        simulated = plugins.declared(plugin, reference, "simulated")
+        if simulated is not None:
+            plugins.require(simulated, BASE, f"{reference}: simulated = {show(simulated)}")
+        return plugin
     except plugins.PluginError as error:
         if ":" in reference:
             raise

@@ -72,7 +72,7 @@ def _took_s(fleet: Fleet, geometry: Geometry) -> float:
         moments[robot] = Moment(0.0, 1.0 / fleet.fleet.rate_hz, (hx, hy), (0.0, 0.0), force, reference, ())
     numbers: dict[int, tuple[float, ...]] = {}
     for robot in moments:
-        own_law.attempt(laws[robot], laws[robot].restart)
+        own_law.restart(laws[robot])
     times, until = [0.0], time.perf_counter() + TIMED_S
     for _ in range(ROUNDS):
         for robot, moment in moments.items():

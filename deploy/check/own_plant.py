@@ -8,6 +8,7 @@ from statistics import median
 from typing import Final
 
 from agent.common.plugins import PluginError
+from agent.common.time import NS_PER_S
 from agent.fleet import plants
 from agent.fleet.model import Fleet
 from deploy.analysis import patience
@@ -18,6 +19,8 @@ from plant.plugin import begin_virtual
 STEPS: Final = 5
 TIMED_S: Final = 5.0
 """No further robot of a plant is asked after so long."""
+BEGIN_NS: Final = 1_000 * NS_PER_S
+"""As with the clock of a wall, nothing that it can see is from before 0."""
 
 
 def check_own_plants(fleet: Fleet) -> Iterator[Finding]:
@@ -58,17 +61,17 @@ def _answers(fleet: Fleet, name: str, robots: Sequence[int]) -> list[tuple[int, 
 
 def _looked_at(fleet: Fleet, robot: int) -> Iterator[tuple[Level, str]]:
     try:
-        body = begin_virtual(fleet, robot, Begin(0))
+        body = begin_virtual(fleet, robot, Begin(BEGIN_NS))
     except PluginError as error:
         yield "error", str(error)
         return
     times = []
     for step in range(STEPS):
         begun = time.perf_counter()
-        body.step(step * fleet.period_ns, Command(0.0, 0.0) if step else None)
+        body.step(BEGIN_NS + step * fleet.period_ns, Command(0.0, 0.0) if step else None)
         times.append(time.perf_counter() - begun)
     body.clear_to_drive()
-    body.checks(0)
+    body.checks(BEGIN_NS)
     body.close()
     name = f"plant {fleet.robot(robot).plant}"
     took_s, period_s = median(times), 1.0 / fleet.fleet.rate_hz

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,9 +15,10 @@ import pytest
 from agent.common import plugins
 from agent.common.plugins import PluginError
 from agent.common.settings import setting
+from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
 from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet
+from agent.fleet.model import Fleet, FleetError
 from deploy.console.data_files import FLEETS
 from plant.backend import Begin, Check, Command, Plant, Reading, Setup
 from plant.plugin import LATE_STEPS, PluginBody, begin, begin_virtual
@@ -63,9 +65,37 @@ class Old(Good):
     def __init__(self, robot: int, start: object) -> None: ...
 
 
+class Table(Good):
+    section = None
+    Settings = None
+
+    def __init__(self, setup: Setup) -> None:
+        raise TypeError("no number")
+
+
+class Nothing(Good):
+    section = None
+    Settings = None
+
+    def __new__(cls, *_: object) -> Any:
+        return 5
+
+
+class Number(Real):
+    simulated = 5  # type: ignore[assignment]
+
+
+class Text(Real):
+    simulated = "bp:Nope"  # type: ignore[assignment]
+
+
+class Other(Real):
+    simulated = Ground  # type: ignore[assignment]
+
+
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
-    for plugin in (Good, Real, Radio, Old):
+    for plugin in (Good, Real, Radio, Old, Table, Nothing, Number, Text, Other):
         plugins.register(plugin.__name__, plugin)
     yield
     plugins._registered.clear()
@@ -127,11 +157,17 @@ def test_a_vehicle_has_checks_and_a_stand_in() -> None:
     [
         (
             "Radio",
-            r"^plant Radio: cannot be made: OSError: no radio \(test_plugin.py:\d+\); __init__ takes",
+            r"^plant Radio: cannot be made: OSError: no radio \(test_plugin.py:\d+\)$",
         ),
         (
             "Old",
-            r"^plant Old: cannot be made: TypeError: .*missing 1 required positional argument: 'start'",
+            r"^plant Old: cannot be made: TypeError: .*missing 1 required positional argument: 'start'"
+            r"; write def __init__\(self, setup\)$",
+        ),
+        ("Table", r"^plant Table: cannot be made: TypeError: no number \(test_plugin.py:\d+\)$"),
+        (
+            "Nothing",
+            "^plant Nothing: cannot be made: its __new__ must make an instance of the class, not int",
         ),
     ],
 )
@@ -140,8 +176,35 @@ def test_one_that_cannot_be_made(name: str, says: str) -> None:
         begin(fleet(name), 1, Begin(0))
 
 
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("Number", "Number: simulated = 5 is no class, but int: write class Mine(Plant), with from handfast"),
+        ("Text", 'Text: simulated = "bp:Nope" is no class, but str: write class Mine(Plant)'),
+        ("Other", "is no subclass of Plant: write class Ground(Plant), with from handfast import Plant"),
+    ],
+)
+def test_what_stands_for_it_is_a_plant(name: str, says: str) -> None:
+    with pytest.raises(FleetError) as refused:
+        fleet(name)
+    assert says in str(refused.value)
+    assert len(refused.value.problems) == 1
+
+
+def _cancelled(*_: object) -> Reading:
+    raise asyncio.CancelledError("away")
+
+
 def _raises(*_: object) -> Reading:
     raise RuntimeError("no wheel\nat all")
+
+
+def _stamped(stamp: Callable[[int], Any]) -> Callable[..., Reading]:
+    return lambda self, now, command: Reading(stamp(now), Pose(0, 0, 0, 0, 0), 0, 0)
+
+
+def _said(**rest: Any) -> Callable[..., Reading]:
+    return lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), 0, 0, **rest)
 
 
 def _nothing() -> None:
@@ -152,7 +215,12 @@ def _nothing() -> None:
     ("step", "says"),
     [
         (_raises, r"^Drag: step failed with RuntimeError: no wheel \(test_plugin.py:\d+\)$"),
-        (_nothing, r"^Drag: step failed with TypeError: .*takes 0 positional arguments but 3 were given$"),
+        (
+            _nothing,
+            r"^Drag: step failed with TypeError: .*takes 0 positional arguments but 3 were given; write def "
+            r"step\(self, now_ns, command\)$",
+        ),
+        (_cancelled, r"^Drag: step failed with CancelledError: away \(test_plugin.py:\d+\)$"),
         (lambda self, now, command: None, "^Drag: step returned NoneType, not a Reading: Reading"),
         (lambda self, now, command: Reading(now, Pose("1", 0, 0, 0, 0), 0, 0), 'whose x is "1"$'),
         (lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), True, 0), "whose force is true$"),
@@ -168,7 +236,14 @@ def _nothing() -> None:
             'Reading whose heading is "a"$',
         ),
         (lambda self, now, command: Reading(now, (0, 0, 0, 0, 0), 0, 0), "pose is tuple, not a Pose$"),
-        (lambda self, now, command: Reading(0.5, Pose(0, 0, 0, 0, 0), 0, 0), "time_ns is no whole number"),
+        (_stamped(lambda now: 0.5), r"time_ns is 0.5, not a whole number from 0 to now_ns, \d+$"),
+        (_stamped(lambda now: True), "time_ns is true, not a whole number"),
+        (_stamped(lambda now: 10**40), "time_ns is 1000+, not a whole number from 0 to now_ns"),
+        (_stamped(lambda now: now + 10**12), r"time_ns is \d+, not a whole number from 0 to now_ns"),
+        (_stamped(lambda now: -2 * NS_PER_S), "time_ns is -2000000000, not a whole number from 0 to now_ns"),
+        (_said(note=5), "whose note is 5, not a text$"),
+        (_said(obeying="no"), 'whose obeying is "no", not True or False$'),
+        (_said(healthy=1), "whose healthy is 1, not True or False$"),
     ],
 )
 def test_a_step_that_fails(step: Callable[..., Any], says: str) -> None:
@@ -180,6 +255,52 @@ def test_a_step_that_fails(step: Callable[..., Any], says: str) -> None:
     assert said == [reading.note], "said once"
     assert re.search(says, reading.note), reading.note
     assert made.checks(0)[0].level == "blocking"
+
+
+@pytest.mark.parametrize(
+    ("now_ns", "stamp", "sent"),
+    [
+        (20_000_000, np.int64(19), 19),
+        (20_000_000, -30_000_000, 0),  # seen 50 ms late, and virtual time begins at 0
+        (20_000_000, 30_000_000, 30_000_000),  # of a clock that the step has read
+    ],
+)
+def test_times_that_a_message_holds(now_ns: int, stamp: Any, sent: int) -> None:
+    made, said = body(_stamped(lambda now: stamp))
+    reading = made.step(now_ns, DRIVE)
+    assert (reading.time_ns, type(reading.time_ns), said) == (sent, int, [])
+
+
+def test_what_is_said_of_a_reading_is_such_that_a_message_holds_it() -> None:
+    made, said = body(_said(note="no fix \udcff\n", healthy=np.bool_(False), obeying=np.bool_(True)))
+    reading = made.step(0, DRIVE)
+    assert (reading.healthy, reading.note, reading.obeying) == (False, "no fix \\udcff\\n", True)
+    assert type(reading.healthy) is bool
+    assert said == []
+
+
+@pytest.mark.parametrize(
+    ("checks", "says"),
+    [
+        (5, "^Drag: checks returned 5, not a list of Check"),
+        (None, "^Drag: checks returned None, not a list of Check"),
+        ([1], "^Drag: checks returned a list with 1, not a list of Check"),
+        ([Check("radio", "bad", "weak")], 'level one of "ok", "warning", "blocking"$'),
+        ([Check("radio", "ok", 5)], "^Drag: checks returned a list with .*5.*, not a list of Check"),  # type: ignore[arg-type]
+    ],
+)
+def test_checks_that_are_none(checks: Any, says: str) -> None:
+    made, said = body(_said())
+    made._plant.checks = lambda now_ns: checks  # type: ignore[method-assign]
+    assert [check.level for check in made.checks(0)] == ["blocking"]
+    assert re.search(says, made.failed), made.failed
+    assert said == [made.failed]
+
+
+def test_texts_of_checks_are_such_that_a_message_holds_them() -> None:
+    made, _ = body(_said())
+    made._plant.checks = lambda now_ns: [Check("radio", "warning", "\udcff")]  # type: ignore[method-assign]
+    assert list(made.checks(0)) == [Check("radio", "warning", "\\udcff")]
 
 
 def test_after_a_failure_it_is_only_asked_to_brake() -> None:

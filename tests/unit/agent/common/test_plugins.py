@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import sys
 from collections.abc import Iterator
@@ -69,6 +70,21 @@ PACKAGE = {
     "unfinished.py": "def f(:\n",
     "lacking.py": "import no_such_package_at_all\n",
     "leaving.py": "raise SystemExit(3)\n",
+    "cancelled.py": "import asyncio\n\nraise asyncio.CancelledError\n",
+    "odd.py": """
+        class Meta(type):
+            def __getattribute__(cls, name):
+                raise ValueError("meta " + name)
+
+
+        class Hidden(metaclass=Meta):
+            pass
+
+
+        def __getattr__(name):
+            raise ValueError("no " + name)
+        """,
+    "größe.py": "class Weiß:\n    pass\n",
 }
 
 
@@ -83,7 +99,12 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strange-things\nVersion: 1\n")
     (info / "entry_points.txt").write_text(
         f"[{GROUP}]\ndrag = strange_things.good:Drag\nwhole = strange_things.good\n"
+        "two words = strange_things.good:Drag\nclash = strange_things.good:Drag\n"
     )
+    other = tmp_path / "other_things-1.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-things\nVersion: 1\n")
+    (other / "entry_points.txt").write_text(f"[{GROUP}]\nclash = strange_things.good:Plain\n")
     monkeypatch.syspath_prepend(tmp_path)
     plugins._entry_points.cache_clear()
     yield folder
@@ -118,7 +139,17 @@ def test_a_class_is_found_by_its_module_by_its_name_and_when_it_was_registered()
         ("strange_things/good.py:Drag", 'a class is written "package.module:Class"'),
         ("strange_things.good", 'a class is written "package.module:Class"'),
         ("drg", 'no plugin has the name "drg"; did you mean drag?'),
-        ("spring", "names here are: drag, whole"),
+        ("spring", "names here are: clash, drag, whole$"),
+        ("two words", "a name has letters, digits, - and _, and begins with no digit$"),
+        (
+            "clash",
+            r"strange-things \(strange_things.good:Drag\) and other-things \(strange_things.good:Plain\)",
+        ),
+        ("strange_things.cancelled:X", r"CancelledError \(.*cancelled.py:3\)"),
+        ("strange_things.odd:X", r"cannot be imported: ValueError: no X \(.*odd.py:12\)"),
+        ("plant:Sledge", "plant is the name of a package of handfast: give your module another name$"),
+        ("agent.no_such:X", "agent is the name of a package of handfast"),
+        ("handfast:Sledge", "handfast is the name of a package of handfast"),
         ("whole", 'its entry point is "strange_things.good"'),
     ],
 )
@@ -129,6 +160,34 @@ def test_what_is_wrong_is_one_line(reference: str, says: str) -> None:
     assert re.search(says.replace("(PluginError)", r"\(PluginError\)"), text)
     assert reference in text
     assert "\n" not in text
+
+
+def test_python_names_that_are_not_ascii() -> None:
+    assert plugins.load("strange_things.größe:Weiß", GROUP).__name__ == "Weiß"
+    plugins.register("Weiß", PluginError)
+    assert plugins.load("Weiß", GROUP) is PluginError
+
+
+def test_a_class_that_cannot_be_looked_at() -> None:
+    hidden = plugins.load("strange_things.odd:Hidden", GROUP)
+    with pytest.raises(PluginError, match=r"ref: its section cannot be read: ValueError: meta section \(odd"):
+        plugins.section(hidden, "ref", ())
+
+
+@pytest.mark.parametrize("kind", [ValueError, SystemExit, asyncio.CancelledError, GeneratorExit])
+def test_whatever_code_of_others_raises_is_met(kind: type[BaseException]) -> None:
+    def call() -> str:
+        raise kind("away")
+
+    assert plugins.attempt(call, lambda error: plugins.blame(error)).startswith(f"{kind.__name__}: away (")
+
+
+def test_ctrl_c_is_not() -> None:
+    def call() -> str:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plugins.attempt(call, lambda error: "met")
 
 
 def test_a_group_that_nobody_is_in() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -92,6 +93,37 @@ class HangsModes(Law):
         time.sleep(0.3)
 
 
+class Cancelled(Law):
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        raise asyncio.CancelledError
+
+
+class Nothing(Law):
+    def __new__(cls, *_: Any) -> Any:
+        return None
+
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+
+class Closed(Law):
+    """Lets nobody look at it."""
+
+    def __getattribute__(self, name: str) -> Any:
+        raise ValueError(f"no {name}")
+
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+
+class RestartSignature(Law):
+    def restart(self, now: Moment) -> None:  # type: ignore[override]
+        pass
+
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+
 class Asynchronous(Law):
     async def acceleration(self, now: Moment) -> tuple[float, float]:  # type: ignore[override]
         return now.navigation
@@ -167,7 +199,7 @@ LAWS = {
     for kind in (
         Good, Raises, Late, Scalar, Text, ManyNumbers, NotMade, OwnSignature, WrongSignature,
         WrongInside, WithoutMethod, BadRestart, HangsMade, HangsModes, Asynchronous, Slow, Modal, BadModes,
-        FewModes, NoLaw,
+        FewModes, NoLaw, Cancelled, Nothing, Closed, RestartSignature,
     )
 }  # fmt: skip
 

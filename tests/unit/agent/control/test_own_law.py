@@ -126,6 +126,13 @@ def test_its_numbers_reach_its_neighbours_and_the_last_ones_hold():
         ("ManyNumbers", "numbers must be at most 16 finite numbers, got (0.0, 0.0"),
         ("WrongSignature", "TypeError: WrongSignature.acceleration() takes 1 positional argument but 2 were"),
         ("BadRestart", "RuntimeError: not now (laws.py:"),
+        ("Cancelled", "CancelledError (laws.py:"),
+        ("Closed", "ValueError: no restart (laws.py:"),
+        (
+            "RestartSignature",
+            "TypeError: RestartSignature.restart() missing 1 required positional argument: 'now'; write def "
+            "restart(self)",
+        ),
     ],
 )
 def test_a_law_that_fails_is_a_fault_that_names_it_and_is_not_asked_again(law: str, says: str):
@@ -153,6 +160,7 @@ def test_a_law_that_fails_is_a_fault_that_names_it_and_is_not_asked_again(law: s
         ("NotMade", "KeyError: 'gain' (laws.py:"),
         ("OwnSignature", "TypeError: OwnSignature.__init__() takes 1 positional argument but 4 were given"),
         ("WithoutMethod", "it has no method acceleration(self, now)"),
+        ("Nothing", "its __new__ must make an instance of the class, not NoneType"),
     ],
 )
 def test_a_law_that_cannot_be_made_is_refused_in_one_line(law: str, says: str):

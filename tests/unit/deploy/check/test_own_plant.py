@@ -56,6 +56,11 @@ class Heavy(Good):
         raise MemoryError("too heavy")
 
 
+class Before(Good):
+    def step(self, now_ns: int, command: Command | None) -> Reading:
+        return super().step(now_ns, command)._replace(time_ns=-5)
+
+
 class Touched(Good):
     vehicle = True
 
@@ -65,7 +70,7 @@ class Touched(Good):
 
 @pytest.fixture(autouse=True)
 def _known() -> Iterator[None]:
-    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, Ends, WithoutStep):
+    for plugin in (Good, Slow, Late, Heavy, Touched, Hangs, Ends, WithoutStep, Before):
         plugins.register(plugin.__name__, plugin)
     yield
     plugins._registered.clear()
@@ -90,6 +95,8 @@ def test_what_is_said_of_each() -> None:
         "error",
         True,
     )
+    before, _ = found("Before")
+    assert "whose time_ns is -5, not a whole number" in before.message
     assert found("Touched") == []
     (without,) = found("WithoutStep")
     assert (without.level, without.message) == (
