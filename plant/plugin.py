@@ -130,8 +130,8 @@ def _reading(given: Any, now_ns: int) -> Reading:
     for name, value in numbers.items():
         numbers[name] = number(value)
         if not abs(numbers[name]) <= FLOAT_MAX:
-            limit = f"which may be {FLOAT_MAX:g} at most" if abs(numbers[name]) < inf else ""
-            raise _wrong(name, show(value), limit)
+            limit = f"which may be {FLOAT_MAX:g} at most"
+            raise _wrong(name, show(value), limit if abs(numbers[name]) < inf else "not a finite number")
     stamp = python(time_ns)
     # Virtual time begins at 0, and what is seen late is from before; a clock that the step reads is ahead.
     earliest, latest = min(0, now_ns - NS_PER_S), now_ns + FUTURE_NS_MAX
@@ -165,7 +165,7 @@ class _WrongError(Exception):
 
 
 def _wrong(field: str, value: str, right: str) -> _WrongError:
-    return _WrongError(f"a Reading whose {field} is {value}{right and ', '}{right}")
+    return _WrongError(f"a Reading whose {field} is {value}, {right}")
 
 
 def begin(fleet: Fleet, robot: int, how: Begin) -> PluginBody:

@@ -222,18 +222,30 @@ def _nothing() -> None:
         ),
         (_cancelled, r"^Drag: step failed with CancelledError: away \(test_plugin.py:\d+\)$"),
         (lambda self, now, command: None, "^Drag: step returned NoneType, not a Reading: Reading"),
-        (lambda self, now, command: Reading(now, Pose("1", 0, 0, 0, 0), 0, 0), 'whose x is "1"$'),
-        (lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), True, 0), "whose force is true$"),
+        (
+            lambda self, now, command: Reading(now, Pose("1", 0, 0, 0, 0), 0, 0),
+            'whose x is "1", not a finite number$',
+        ),
+        (
+            lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), True, 0),
+            "whose force is true, not a finite number$",
+        ),
         (
             lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), 1e308, 0),
             r"which may be 1e\+15 at most$",
         ),
         (lambda self, now, command: (now, 1, 2), "^Drag: step returned tuple, not a Reading: Reading"),
-        (lambda self, now, command: Reading(now, Pose(0, nan, 0, 0, 0), 0, 0), "Reading whose y is nan$"),
-        (lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), inf, 0), "Reading whose force is inf$"),
+        (
+            lambda self, now, command: Reading(now, Pose(0, nan, 0, 0, 0), 0, 0),
+            "Reading whose y is nan, not a finite number$",
+        ),
+        (
+            lambda self, now, command: Reading(now, Pose(0, 0, 0, 0, 0), inf, 0),
+            "Reading whose force is inf, not a finite number$",
+        ),
         (
             lambda self, now, command: Reading(now, Pose(0, 0, "a", 0, 0), 0, 0),
-            'Reading whose heading is "a"$',
+            'Reading whose heading is "a", not a finite number$',
         ),
         (lambda self, now, command: Reading(now, (0, 0, 0, 0, 0), 0, 0), "pose is tuple, not a Pose$"),
         (_stamped(lambda now: 0.5), r"time_ns is 0.5, not a whole number from 0 to now_ns, \d+$"),
