@@ -315,10 +315,26 @@ class Controller:
             scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
         gap = self._safe_distance + self._margin + doubt
-        if self._own_law is not None:
-            gap += self._unforeseen(now_ns, peer)
         # Where it is, nobody knows: those that are heard come first.
         rank = safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
+        pushed = other.navigation[0] + other.constraint[0], other.navigation[1] + other.constraint[1]
+        if self._own_law is not None:
+            gap += self._unforeseen(now_ns, peer)
+            if silent:
+                # By such a law a crowd may be as dense as can be: what is not known of one robot must not
+                # push the others into each other.
+                rank = safety_filter.UNSURE
+                plane = safety_filter.keep_apart(
+                    name,
+                    (dx, dy),
+                    (own.vx, own.vy),
+                    other.velocity,
+                    self._safe_distance + self._margin,
+                    self._barrier_rate,
+                    alone=True,
+                    other_acceleration=pushed,
+                )
+                scene.planes.append(_only_braking(plane, own) if guessed else plane)
         plane = safety_filter.keep_apart(
             name,
             (dx, dy),
@@ -327,17 +343,14 @@ class Controller:
             gap,
             self._barrier_rate,
             alone=silent or not peer.here or not follows,
-            other_acceleration=(
-                other.navigation[0] + other.constraint[0],
-                other.navigation[1] + other.constraint[1],
-            ),
+            other_acceleration=pushed,
             rank=rank,
         )
         if guessed:
             # Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops
             # it, as hard as need be, but must not push it off.
+            plane = _only_braking(plane, own)
             closing = plane.nx * own.vx + plane.ny * own.vy
-            plane = plane._replace(least=min(plane.least, -closing / STOP_S))
             if rho < gap and closing < LEAVING * hypot(own.vx, own.vy):
                 scene.planes.extend(
                     safety_filter.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank)
@@ -348,9 +361,10 @@ class Controller:
         """How much further to keep from a robot that a law of others drives, m.
 
         It may have accelerated in any direction since its message: by a t of speed, which the barrier takes a
-        distance of a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away.
+        distance of a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away. One that is
+        silent is reckoned with where it may be by then, and this grows no more.
         """
-        age = max(0, now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
+        age = min(max(0, now_ns + peer.clock.used_ns - peer.time_ns), UNSURE_NS) / NS_PER_S
         return 0.5 * self._acceleration_max * age * (1.0 / self._barrier_rate + 0.5 * age)
 
     def _keep_clear(self, scene: _Scene) -> None:
@@ -416,6 +430,12 @@ LEAVING: Final = 0.5
 """Who drives at most 60 degrees from straight away is leaving (cosine)."""
 SLOW_SPEED: Final = 0.2
 """One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
+
+
+def _only_braking(plane: safety_filter.HalfPlane, own: hand.Hand) -> safety_filter.HalfPlane:
+    """The half plane, as far as it brakes the own hand: it does not drive it back."""
+    closing = plane.nx * own.vx + plane.ny * own.vy
+    return plane._replace(least=min(plane.least, -closing / STOP_S))
 
 
 def _within(value: float, most: float | None) -> float:
