@@ -60,12 +60,12 @@ class Signature(Plant):
         return 1
 
 
-class Constructor(Plant):
+class Constructor(Good):
     def __init__(self, setup):
         raise RuntimeError("no licence")
 
 
-class Made(Plant):
+class Made(Good):
     def __init__(self, robot, start):
         pass
 
