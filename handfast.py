@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 for _name in ("agent", "plant", "bridges", "deploy"):  # before anything of them runs; as in deploy/cli.py
     _ours, _found = PathFinder.find_spec(_name, [dirname(__file__)]), PathFinder.find_spec(_name)
-    if _ours and _found and _ours.origin != _found.origin:
+    if _ours and _found and _found.origin and _ours.origin != _found.origin:
         raise ImportError(f"{_found.origin} takes the place of handfast's package {_name}: rename it")
 
 from agent.common.errors import Error as Error

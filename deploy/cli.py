@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 for _name in ("agent", "plant", "bridges"):  # before anything of them runs; as in handfast.py
     _ours, _found = PathFinder.find_spec(_name, [dirname(dirname(__file__))]), PathFinder.find_spec(_name)
-    if _ours and _found and _ours.origin != _found.origin:
+    if _ours and _found and _found.origin and _ours.origin != _found.origin:
         _wrong = f"{_found.origin} takes the place of handfast's package {_name}: rename it"
         print(f"handfast: {_wrong}", file=sys.stderr)
         sys.exit(2)  # agent.common.exit.BAD_INPUT

@@ -11,7 +11,7 @@ from math import inf
 from typing import Any, Final, TypeVar
 
 from agent.common import random_streams
-from agent.common.plugins import PluginError, attempt, blame, make, number, python
+from agent.common.plugins import NoAnswerError, PluginError, attempt, blame, make, number, python
 from agent.common.time import NS_PER_S
 from agent.common.wording import printable, show
 from agent.control.hand import Pose
@@ -52,6 +52,7 @@ class PluginBody(PlantBackend):
         self._name, self._plant, self._period_ns, self._say, self._clock = name, plant, period_ns, say, clock
         self._pose = begin
         self.failed = ""
+        self._hangs = False
         self._late, self._slow = 0, ""
         self._ready = (Check("plant", "ok", "it is there"),) if type(plant).vehicle else ()
 
@@ -78,8 +79,11 @@ class PluginBody(PlantBackend):
 
     def _asked(self, what: str, call: Callable[[], T], signature: str = "") -> T | None:
         """What a call of its method `what` gives, None where it fails; `signature` as in `blame`."""
+        if self._hangs:
+            return None
 
         def failed(error: BaseException) -> None:
+            self._hangs = isinstance(error, NoAnswerError)
             if isinstance(error, _WrongError):
                 self._fail(f"{what} returned {error}")
             else:

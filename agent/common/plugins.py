@@ -36,6 +36,10 @@ class PluginError(Error, ValueError):
     """A class that cannot be used: one line that names it, what is wrong and what would be right."""
 
 
+class NoAnswerError(TimeoutError):
+    """Is raised within a call of others' code that does not return; it is not called again."""
+
+
 def attempt(call: Callable[[], T], failed: Callable[[BaseException], T]) -> T:
     """What `call` gives; whatever code of others raises in it, but for KeyboardInterrupt, `failed` takes."""
     try:

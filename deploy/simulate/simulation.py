@@ -36,6 +36,7 @@ from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, Operator, Order, refused
+from deploy.simulate import hangs
 from deploy.simulate.bodies import Bodies
 from plant.node import PlantNode
 
@@ -403,12 +404,17 @@ class Simulation:
         `progress` is called with the fleet time (s, below 0 before the epoch) four times a second; when it
         returns False the run ends there.
         """
+        with hangs.ended(self.fleet) as came_on:
+            self._run(progress, came_on)
+
+    def _run(self, progress: Progress | None, came_on: Callable[[], None]) -> None:
         duration_ns = round(self.fleet.fleet.duration_s * NS_PER_S)
         if not self.start(duration_ns, progress):
             return
         end_ns = self.epoch_ns + duration_ns
         while self.now_ns < end_ns:
             self.run_until(min(end_ns, (self.now_ns // PROGRESS_PERIOD_NS + 1) * PROGRESS_PERIOD_NS))
+            came_on()
             if progress is not None and not progress(self._fleet_time_s):
                 return
         for order, host in enumerate(self._hosts):
