@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 from agent.fleet.model import Fleet
@@ -23,7 +24,7 @@ VEHICLES_END_TIMEOUT_S: Final = 2.0
 
 class LocalRun:
     """One run: starts the processes of `fleet` (resolved and placed, with these simulated rovers), drives it
-    and ends it.
+    and ends it. `source`: the fleet file that it is started from, for whoever looks for it by that.
 
     After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
     """
@@ -35,7 +36,9 @@ class LocalRun:
         view: View,
         interrupt: Interrupt,
         vehicles: Sequence[Vehicle] = (),
+        source: Path | None = None,
     ) -> None:
+        self._source = source
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
         self._interrupt = interrupt
         self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles)
@@ -53,7 +56,9 @@ class LocalRun:
         try:
             self._start()
             with (
-                Registration(self._fleet.fleet.name, self._folder.path, self._folder.fleet_file),
+                Registration(
+                    self._fleet.fleet.name, self._folder.path, self._folder.fleet_file, self._source
+                ),
                 operator_bus(self._fleet) as bus,
             ):
                 drive = Drive(

@@ -19,6 +19,7 @@ from typing import Final
 
 from agent.common.wording import show
 from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet, FleetError
 from agent.runtime.runtime_folder import private_folder
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import bundled
@@ -35,13 +36,15 @@ class NotRunningError(LookupError):
 @dataclass(frozen=True, slots=True)
 class Running:
     """One run that lives: name of its fleet, its process, its folder, the fleet file that its robots read
-    (with the ports they have), and when it started (local time, ISO 8601)."""
+    (with the ports they have), when it started (local time, ISO 8601), and the fleet file that it was started
+    from, "" where there is none."""
 
     name: str
     pid: int
     folder: str
     fleet_file: str
     started: str
+    source: str = ""
 
     def __str__(self) -> str:
         return f"{self.name} ({self.folder}, since {self.started[11:]})"
@@ -53,15 +56,17 @@ class Registration:
     Args:
         name: the fleet's.
         folder, fleet_file: the run's.
+        source: the fleet file that it was started from.
     """
 
-    def __init__(self, name: str, folder: Path, fleet_file: Path) -> None:
+    def __init__(self, name: str, folder: Path, fleet_file: Path, source: Path | None = None) -> None:
         about = Running(
             name,
             os.getpid(),
             str(folder.absolute()),
             str(fleet_file.absolute()),
             time.strftime("%Y-%m-%dT%H:%M:%S"),
+            "" if source is None else str(source.absolute()),
         )
         self._path = private_folder() / f"{_PREFIX}{about.pid}-{time.monotonic_ns()}{_SUFFIX}"
         # Under another name until it is complete and locked: nobody may take it for one that is left over.
@@ -110,7 +115,8 @@ def find(what: str) -> Path:
     """The placed fleet file that is meant: of a fleet that runs here by its name, of a run by its folder.
 
     A fleet file means the run of its fleet here; where there is none it is taken as it is, with its own
-    addresses and ports, for a fleet that was started otherwise. So does the name of a bundled fleet.
+    addresses and ports, for a fleet that was started otherwise. So does the name of a bundled fleet. A fleet
+    on hosts is not meant by a run here that only has its name: it was started from this file, or drives it.
 
     Raises:
         NotRunningError: nothing of the kind runs here, or two runs have that name.
@@ -128,8 +134,10 @@ def find(what: str) -> Path:
         exact = [run for run in runs if Path(run.fleet_file).resolve() == path.resolve()]
         if exact:
             return Path(exact[0].fleet_file)
-        name = load_fleet(path).fleet.name
-        return _only(name, runs) or path
+        fleet = load_fleet(path)
+        if _is_on_hosts(fleet):
+            runs = [run for run in runs if _started_from(run, path) or _drives_hosts(run)]
+        return _only(fleet.fleet.name, runs) or path
     if path.suffix == ".toml" or len(path.parts) > 1:
         raise NotRunningError(f"{show(what)[1:-1]}: there is no such file{_those(runs)}")
     found = _only(what, runs)
@@ -138,6 +146,20 @@ def find(what: str) -> Path:
     if found is None:
         raise NotRunningError(f"no fleet of the name {show(what)} runs here{_those(runs)}")
     return found
+
+
+def _is_on_hosts(fleet: Fleet) -> bool:
+    return any(robot.host is not None for robot in fleet.robots)
+
+
+def _started_from(run: Running, path: Path) -> bool:
+    return bool(run.source) and Path(run.source).resolve() == path.resolve()
+
+
+def _drives_hosts(run: Running) -> bool:
+    with suppress(FleetError):  # its file may be gone by now
+        return _is_on_hosts(load_fleet(run.fleet_file, recorded=True))
+    return False
 
 
 def _only(name: str, runs: Sequence[Running]) -> Path | None:

@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 
 from agent.common.exit import FAILED
-from deploy.console.arguments import drive_arguments, fleet_arguments, load
+from deploy.console.arguments import drive_arguments, fleet_arguments, fleet_path, load
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 
@@ -33,7 +33,7 @@ def _run(options: argparse.Namespace) -> int:
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
-        run = LocalRun(fleet, folder, view, interrupt, vehicles)
+        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet))
         try:
             with view:
                 run.run()

@@ -23,11 +23,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return private
 
 
-def a_run(tmp_path: Path, name: str, folder: str) -> Registration:
+def a_run(tmp_path: Path, name: str, folder: str, source: Path | None = None) -> Registration:
     path = tmp_path / folder
     path.mkdir()
     (path / "fleet.toml").write_text((FLEETS / "pair.toml").read_text().replace('"pair"', f'"{name}"'))
-    return Registration(name, path, path / "fleet.toml")
+    return Registration(name, path, path / "fleet.toml", source)
 
 
 def test_found_by_name_while_it_lives(tmp_path: Path, folder: Path) -> None:
@@ -118,6 +118,22 @@ def test_hosts_of_a_running_fleet_have_their_addresses(
     text = (FLEETS / "pair.toml").read_text().replace("[[robot]]", '[[robot]]\nhost = "left"')
     path.write_text(text + "[host.left]\n")
     assert running_fleet(str(path)).agent_endpoint(1) == "tls/10.0.0.7:7650"
+
+
+def test_a_fleet_on_hosts_is_not_a_run_here_that_has_its_name(tmp_path: Path) -> None:
+    ours = tmp_path / "on-hosts.toml"
+    text = (FLEETS / "pair.toml").read_text().replace("[[robot]]", '[[robot]]\nhost = "left"')
+    ours.write_text(text + '[host.left]\naddress = "10.0.0.7"\n')
+    with a_run(tmp_path, "pair", "other"):
+        assert find(str(ours)) == ours
+        assert find("pair") == tmp_path / "other" / "fleet.toml"
+    with a_run(tmp_path, "pair", "own", source=ours):
+        assert find(str(ours)) == tmp_path / "own" / "fleet.toml"
+    with a_run(tmp_path, "pair", "drive") as drive:
+        (tmp_path / "drive" / "fleet.toml").write_text(ours.read_text())
+        assert find(str(ours)) == tmp_path / "drive" / "fleet.toml"
+        drive.close()
+        assert find(str(ours)) == ours
 
 
 def test_nothing_runs_at_all() -> None:
