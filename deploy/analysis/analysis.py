@@ -86,6 +86,13 @@ class Analysis:
         """Of pairs while they shared none."""
         return self._approaches(sharing=False)
 
+    @cached_property
+    def closest(self) -> Approach | None:
+        """Of any two robots; None where no two are known."""
+        return min(
+            (each.closest for each in (self.with_edge, self.without_edge) if each.closest), default=None
+        )
+
     def _approaches(self, *, sharing: bool) -> Approaches:
         n = len(self.ids)
         columns: dict[int, list[tuple[int, int]]] = {}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import hypot, isinf
+from math import hypot, inf, isinf
 from typing import Final, Protocol, TextIO, TypeVar
 
 from rich.console import Group
@@ -55,7 +55,7 @@ class Picture:
     time_s: float | None
     duration_s: float
     nearest: tuple[float, int, int] | None = None
-    """Closest pair of neighbours: distance, and the two robots."""
+    """Closest of any two robots: distance, and the two."""
     worst: tuple[float, int, int] | None = None
     """Edge that is furthest from its wanted distance: error, and the two robots."""
     robots: Mapping[int, RobotPicture] = field(default_factory=dict)
@@ -144,6 +144,7 @@ class Watch:
         picture = Picture(time_s, duration_s, faults=self._faults(time_s))
         known = time_s is not None and self._epoch_ns is not None
         now_ns = (self._epoch_ns or 0) + round((time_s or 0.0) * NS_PER_S) if known else 0
+        picture.nearest = closest(self.hands.values())
         errors: dict[int, float] = {}
         for robot, here in self.hands.items():
             for edge in self._reference.edges(robot, now_ns):
@@ -154,8 +155,6 @@ class Watch:
                 error = abs(distance - edge.distance)
                 errors[robot] = max(error, errors.get(robot, 0.0))
                 pair = min(robot, edge.other), max(robot, edge.other)
-                if picture.nearest is None or distance < picture.nearest[0]:
-                    picture.nearest = distance, *pair
                 if picture.worst is None or error > picture.worst[0]:
                     picture.worst = error, *pair
         picture.robots = {
@@ -191,6 +190,22 @@ class Watch:
             dict(status.counters).get("overruns", 0),
             max(off, key=lambda each: abs(each[1]), default=None),
         )
+
+
+def closest(hands: Iterable[HandState]) -> tuple[float, int, int] | None:
+    """Distance (m) of the two hands nearest to each other, and the two robots; None without two."""
+    found: tuple[float, int, int] | None = None
+    least_m = inf
+    near: list[HandState] = []
+    for here in sorted(hands, key=lambda hand: hand.x):  # all pairs of a large fleet would take too long
+        near = [there for there in near if here.x - there.x < least_m]
+        for there in near:
+            distance_m = hypot(here.x - there.x, here.y - there.y)
+            if distance_m < least_m:
+                least_m = distance_m
+                found = distance_m, min(here.robot, there.robot), max(here.robot, there.robot)
+        near.append(here)
+    return found
 
 
 S = TypeVar("S", HandState, Status)
@@ -255,8 +270,9 @@ class Terminal(TerminalView):
 def summary(picture: Picture) -> str:
     """One line: worst edge, closest pair, oldest message, and how many robots are in which state."""
     parts = []
-    if picture.worst is not None and picture.nearest is not None:
+    if picture.worst is not None:
         parts.append("worst edge {:.3f} m off ({}-{})".format(*picture.worst))
+    if picture.nearest is not None:
         parts.append("closest {:.3f} m ({}-{})".format(*picture.nearest))
     parts.append(f"oldest message {picture.oldest_ms:.0f} ms")
     states: dict[str, list[int]] = {}

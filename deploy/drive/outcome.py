@@ -78,12 +78,12 @@ def conclude(result: RunResult, folder: Path) -> int:
         print(f"  warning: {printable(warning)}")
     metrics = result.metrics
     settled = metrics["settling_time_s"]
-    nearest = metrics["min_distance_m"]["edge"]
+    closest = result.analysis.closest
     error = metrics["final_distance_error_m"]
     print(
         "  formation "
         + (f"within 5 % after {settled:.1f} s" if settled is not None else "not within 5 % at the end")
-        + (f", closest neighbours {nearest:.3f} m" if nearest is not None else "")
+        + (f", closest {closest.distance_m:.3f} m ({closest.pair[0]}-{closest.pair[1]})" if closest else "")
         + (f", last distance error {error * 1000:.1f} mm" if error is not None else "")
     )
     report = folder / REPORT_FILE

@@ -123,7 +123,7 @@ def _summary(result: RunResult) -> str:
     """What the verdict means, in plain words."""
     safe, found = result.analysis.safe_m, result.metrics
     if result.passed:
-        settled, closest = found["settling_time_s"], found["min_distance_m"]["edge"]
+        settled, closest = found["settling_time_s"], result.analysis.closest
         if not found["edges"] or settled is None:
             what = "drove to the end"
         elif settled == 0:
@@ -132,7 +132,10 @@ def _summary(result: RunResult) -> str:
             what = f"was in formation after {settled:.1f} s and stayed so to the end"
         apart = ""
         if closest is not None:
-            apart = f" No neighbours came closer than {closest:.3f} m; {safe:g} m is the least allowed."
+            apart = (
+                f" No two robots came closer than {closest.distance_m:.3f} m (robots {closest.pair[0]} and "
+                f"{closest.pair[1]}); {safe:g} m is the least allowed."
+            )
         return f"The fleet {what}.{apart}"
     count = len(result.reasons)
     return f"{'One thing is not as it' if count == 1 else f'{count} things are not as they'} should be:"

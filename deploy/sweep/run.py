@@ -30,8 +30,8 @@ class Row:
         verdict: `PASSED`, `FAILED` (it was driven, and something was wrong), `CRASHED` or `TIMED_OUT` (it
             was not driven to the end: there are no numbers).
         reason: the first of the verdict's reasons, one line, empty when it passed.
-        safe: the oracle `separation` found nothing: no two robots came below the safe distance, or, where
-            avoidance is switched off, no two of an edge. None when not known.
+        safe: the oracle `separation` found nothing: no two robots came below the safe distance; None when
+            not known.
         settled: every edge was within 5 % of its distance at the end; None when not known.
         numbers: by the names of `deploy.verdict.metrics.columns`, those that are known.
         wall_s: real time that it took.

@@ -16,7 +16,7 @@ DEFAULT_MARGIN: Final = "faults.delay"
 QUANTILES: Final[Mapping[str, float]] = {"q25": 0.25, "median": 0.5, "q75": 0.75}
 SETTLING: Final = "settling_time_s"
 CLOSEST: Final = "min_distance_m"
-"""Between the pairs that `Row.safe` is about."""
+CLOSEST_OF_ANY: Final = f"{CLOSEST}.any"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,7 @@ class Cell:
 
     `quantiles` has those of `summarised`, by name and then by `QUANTILES`; a quantile that falls among
     runs without that number (a settling time of a run that never settled) is None. `least_m` is the
-    closest that any two robots came in any run (of an edge, where avoidance is switched off), None when not
-    known.
+    closest that any two robots came in any run, None when not known.
     """
 
     number: int
@@ -143,8 +142,7 @@ def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
     for number, fleet in enumerate(plan.cells):
         first = number * plan.repeat
         own = [rows[run] for run in range(first, first + plan.repeat)]
-        closest = f"{CLOSEST}.{'any' if fleet.avoidance.enabled else 'edge'}"
-        nearest = [row.numbers.get(closest) for row in own]
+        nearest = [row.numbers.get(CLOSEST_OF_ANY) for row in own]
         cells.append(
             Cell(
                 number,
@@ -157,7 +155,7 @@ def summarise(plan: Plan, rows: Mapping[int, Row]) -> list[Cell]:
                 sum(row.good for row in own),
                 min((value for value in nearest if value is not None), default=None),
                 {
-                    name: _quantiles(closest if name == CLOSEST else name, own, column)
+                    name: _quantiles(CLOSEST_OF_ANY if name == CLOSEST else name, own, column)
                     for name, (_, column) in summarised().items()
                 },
             )

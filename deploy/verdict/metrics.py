@@ -137,9 +137,8 @@ def _rms(errors: Floats) -> float | None:
     return number(float(np.sqrt(np.mean(finite**2)))) if finite.size else None
 
 
-def _least(*found: Approach | None) -> float | None:
-    distances = [each.distance_m for each in found if each is not None]
-    return number(min(distances)) if distances else None
+def _distance(closest: Approach | None) -> float | None:
+    return None if closest is None else number(closest.distance_m)
 
 
 def _final_tracking_error(result: Evidence) -> float | None:
@@ -206,12 +205,12 @@ METRICS: tuple[Metric, ...] = (
     Metric("duration_s", "How long the fleet drove.", lambda r: number(r.recording.end_s)),
     Metric(
         "min_distance_m.edge", "Least distance ever between two robots that share an edge.",
-        lambda r: _least(r.analysis.with_edge.closest), "Closest, robots with an edge", "m",
+        lambda r: _distance(r.analysis.with_edge.closest), "Closest, robots with an edge", "m",
         column=Column(2, low_is_good=False),
     ),
     Metric(
         "min_distance_m.any", "Least distance ever between any two robots.",
-        lambda r: _least(r.analysis.with_edge.closest, r.analysis.without_edge.closest),
+        lambda r: _distance(r.analysis.closest),
         "Closest, any two robots", "m",
         column=Column(
             3, low_is_good=False, picture=Picture("least_distance", "distance", "closest", "m", digits=3)

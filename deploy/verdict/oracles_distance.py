@@ -21,20 +21,22 @@ from plant.unicycle import BRAKE_DECELERATION_MAX
 CLEARANCE_TOLERANCE_M: Final = 0.01
 OUTSIDE_S: Final = 1.0
 """A robot outside the geofence must hold within so long."""
+_BARE: Final = "With avoidance.enabled = false nothing keeps such pairs apart."
 _RELEASED: Final = frozenset({State.RELEASED.value})
 
 
 def separation(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
-    """No two robots below the safe distance; by the bare law, no two that share an edge."""
+    """No two robots below the safe distance, whatever the law promises of them."""
     if len(a.ids) < 2:
         return None
-    found = too_close(a.with_edge, a.safe_m, "share an edge")
-    if fleet.avoidance.enabled:
-        found += too_close(a.without_edge, a.safe_m, "share no edge")
-    return found
+    more = "" if fleet.avoidance.enabled else f" {_BARE}"
+    return [
+        *_too_close(a.with_edge, a.safe_m, "share an edge"),
+        *_too_close(a.without_edge, a.safe_m, "share no edge", more),
+    ]
 
 
-def too_close(approaches: Approaches, safe_m: float, relation: str) -> list[Violation]:
+def _too_close(approaches: Approaches, safe_m: float, relation: str, more: str = "") -> list[Violation]:
     """One violation for all pairs of a kind that came below the safe distance: the closest is named."""
     if not approaches.unsafe:
         return []
@@ -45,7 +47,7 @@ def too_close(approaches: Approaches, safe_m: float, relation: str) -> list[Viol
     )
     message = (
         f"Robots {i} and {j}, which {relation}, came within {distance_m:.3f} m of each other at {t_s:.2f} s; "
-        f"the safe distance is {safe_m:.3f} m.{others}"
+        f"the safe distance is {safe_m:.3f} m.{others}{more}"
     )
     return [Violation("separation", t_s, message)]
 

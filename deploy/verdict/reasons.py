@@ -16,7 +16,7 @@ from deploy.analysis.presence import downs
 from deploy.analysis.stability import SETTLED
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
-from deploy.verdict import link_metrics, oracles_distance
+from deploy.verdict import link_metrics
 from deploy.verdict.violations import Violation
 
 SILENCE_S: Final = 2.0
@@ -62,10 +62,6 @@ def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) 
         about_links: as `deploy.verdict.link_metrics.describe_links` gives it.
     """
     found = [f"{warning}." for warning in recording.warnings] + _releases(recording)
-    if not recording.fleet.avoidance.enabled:
-        # The bare law keeps neighbours apart and says nothing of others: not its failure, nor to be hidden.
-        for violation in oracles_distance.too_close(a.without_edge, a.safe_m, "share no edge"):
-            found.append(f"{violation.message} The law keeps apart only robots that share an edge.")
     for gap in _gaps(recording):
         if gap.rule:
             found.append(

@@ -49,7 +49,6 @@ BY_OTHERS: Final = {
         agent/common/exit
         deploy/drive/fleet_state
         deploy/drive/local
-        deploy/drive/outcome
         deploy/drive/preflight
         deploy/drive/standstill
         deploy/faults/live

@@ -13,6 +13,8 @@ from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.console.data_files import FLEETS
+from deploy.simulate import judged
+from deploy.verdict.run_result import RunResult
 from tests.hand_trace import Floats, Trace, drive
 from tests.simulation import closed_loop
 
@@ -58,6 +60,14 @@ def test_closest_pair_of_an_edge_is_the_one_at_the_start():
     assert distances[0].min() == pytest.approx(np.hypot(0.02, 0.3), abs=1e-9)
     safe = delta(200).formation.safe_distance_m
     assert distances.min() > safe
+
+
+def test_the_verdict_names_the_pair_without_an_edge_that_the_law_lets_collide():
+    fleet = delta(50)
+    result = RunResult(judged.drive(replace(fleet, fleet=replace(fleet.fleet, duration_s=3))))
+    assert result.reasons[0].startswith("Robots 1 and 6, which share no edge, came within 0.018 m")
+    assert result.metrics["min_distance_m"]["any"] == pytest.approx(0.018, abs=1e-3)
+    assert result.metrics["min_distance_m"]["edge"] == pytest.approx(0.301, abs=1e-3)
 
 
 def test_sampled_loop_is_of_second_order_in_the_period():

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+from math import dist
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, parse_fleet
@@ -13,7 +16,7 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Faults, HandState, Mission, Status, Stop
 from deploy.console.data_files import FLEETS
-from deploy.drive.live_view import Lines, Watch, faults_line, summary
+from deploy.drive.live_view import Lines, Watch, closest, faults_line, summary
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S
 
@@ -39,6 +42,16 @@ def live(time_s: float, rules: str, lease_ns: int = 0) -> Faults:
     return Faults(7, now_ns, "ana@lab:3211", now_ns, lease_ns, rules)
 
 
+LINE = """
+[fleet]
+name = "line"
+[formation]
+offsets = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
+edges = [[1, 2], [2, 3]]
+safe_distance_m = 0.22
+[trajectory]
+kind = "hold"
+""" + "".join(f"[[robot]]\nid = {k + 1}\nx_m = {k}.0\ny_m = 0.0\n" for k in range(3))
 LOSS = '[[faults.rule]]\nlink = "1->2"\nloss = "30%"\n'
 
 
@@ -105,6 +118,32 @@ def test_a_clock_that_is_off_is_marked(offset_us: int, error_us: int, says: bool
     text = f", clock of robot 2 {offset_us // 1000} ms ahead of robot 1's"
     assert (text in summary(picture)) == says
     assert ("behind" in summary(picture)) is False
+
+
+def at(robot: int, x: float, y: float) -> HandState:
+    return HandState.placed(robot, 1, EPOCH_NS, True, 0, (x, y, 0.0, 0.0))
+
+
+@given(st.lists(st.tuples(st.integers(-4, 4), st.integers(-4, 4)), max_size=12))
+def test_the_closest_are_any_two(places: list[tuple[int, int]]) -> None:
+    found = closest([at(robot, 0.1 * x, 0.1 * y) for robot, (x, y) in enumerate(places, 1)])
+    distances = {
+        (i + 1, j + 1): 0.1 * dist(places[i], places[j]) for j in range(len(places)) for i in range(j)
+    }
+    assert (found is None) == (not distances)
+    if found is not None:
+        assert found[0] == pytest.approx(min(distances.values()))
+        assert distances[found[1], found[2]] == pytest.approx(found[0])
+
+
+def test_robots_without_an_edge_are_the_closest_too() -> None:
+    line = parse_fleet(LINE, source="line")
+    watched = Watch(line, resolve(line))
+    for robot, x in ((1, 0.0), (2, 1.0), (3, 0.2)):
+        watched.feed(key_expressions.hand("line", robot), at(robot, x, 0.0))
+    picture = watched.picture(None)
+    assert picture.nearest == (pytest.approx(0.2), 1, 3)
+    assert "closest 0.200 m (1-3)" in summary(picture)
 
 
 def test_plain_lines_end_with_the_faults() -> None:
