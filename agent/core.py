@@ -14,13 +14,12 @@ from agent.common.errors import Error
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
-from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
-from agent.formation.mission_plan import PlanError, plan_of
+from agent.formation.mission_choice import MissionChoice, MissionRefused
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
-from agent.messages.codec import encode, newer
+from agent.messages.codec import encode
 from agent.messages.types import (
     FLOAT_MAX,
     Ask,
@@ -63,9 +62,9 @@ class Agent:
         self.transition = ""
         self.reason = ""
 
-        self._fleet, self._geometry = fleet, resolve(fleet)
-        self._digest = digest(fleet)
-        self._controller = Controller(fleet, self._geometry, robot)
+        geometry = resolve(fleet)
+        self._missions = MissionChoice(fleet, geometry)
+        self._controller = Controller(fleet, geometry, robot)
         self._peers = self._controller.peers
         self._trust = NeighbourTrust(fleet, self._controller)
         self._situation = Situation(fleet, robot, self._controller, self._trust)
@@ -161,22 +160,16 @@ class Agent:
         return self._peers.accept_beacon(beacon, now_ns)
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
-        situation = self._situation
-        if mission.digest != self._digest:
-            situation.refused_mission = (
-                f"the mission is for another fleet file: its digest is {mission.digest[:16]}, "
-                f"this agent's is {self._digest}"
-            )
-            return "digest"
-        self._relay.heard(now_ns, mission)
-        before = situation.mission
-        if not newer(mission, before):
-            return None
+        situation, before = self._situation, self._situation.mission
+        if self._missions.is_ours(mission):
+            self._relay.heard(now_ns, mission)
         try:
-            plan = plan_of(mission, self._fleet, self._geometry)
-        except PlanError as error:
-            situation.refused_mission = f"the mission cannot be driven: {error}"
-            return "mission"
+            plan = self._missions.take(mission)
+        except MissionRefused as error:
+            situation.refused_mission = str(error)
+            return error.reason
+        if plan is None:
+            return None
         situation.mission, situation.refused_mission = mission, ""
         self._relay.take(mission)
         self._controller.plan(plan)

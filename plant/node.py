@@ -10,8 +10,8 @@ from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.control.hand import Pose
-from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
+from agent.formation.mission_choice import MissionChoice, MissionRefused
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
 from agent.messages.codec import encode
@@ -49,7 +49,7 @@ class PlantNode:
         overruns: ticks that were missed.
 
     Raises:
-        agent.fleet.model.FleetError: the fleet has no such robot.
+        agent.fleet.model.FleetError: the fleet has no such robot, or its formation cannot be resolved.
     """
 
     def __init__(self, fleet: Fleet, robot: int, backend: PlantBackend) -> None:
@@ -64,8 +64,13 @@ class PlantNode:
         self._key_wrench = key_expressions.wrench(name, robot)
         self.alive_key: Final = key_expressions.alive(name, robot, "plant")
         self._key_checks = key_expressions.checks(name, robot)
-        self._digest = digest(fleet)
-        self._mission_version = self._epoch_ns = -1
+        geometry = None
+        if not fleet.is_resolved:  # else without numpy, which takes its time
+            from agent.formation.geometry import resolve
+
+            geometry = resolve(fleet)
+        self._missions = MissionChoice(fleet, geometry)
+        self._epoch_ns = -1
         self._latch = StopLatch(robot, backend.clear_to_drive)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
@@ -152,16 +157,16 @@ class PlantNode:
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         """Takes a mission; returns why it is refused, None when it is not."""
-        if mission.digest != self._digest:
-            return "digest"
-        if mission.version > self._mission_version:
-            self._mission_version = mission.version
-            # A change of a drive that goes on is no clearance for a body that its operator has taken.
-            if mission.epoch_ns != self._epoch_ns:
-                self._epoch_ns = mission.epoch_ns
-                self._numbers.begin(mission.epoch_ns)
-                self._ingress.begin(mission.epoch_ns)
-                self._backend.clear_to_drive()
+        try:
+            plan = self._missions.take(mission)
+        except MissionRefused as error:
+            return error.reason
+        # A change of a drive that goes on is no clearance for a body that its operator has taken.
+        if plan is not None and mission.epoch_ns != self._epoch_ns:
+            self._epoch_ns = mission.epoch_ns
+            self._numbers.begin(mission.epoch_ns)
+            self._ingress.begin(mission.epoch_ns)
+            self._backend.clear_to_drive()
         return None
 
     def _command(self, now_ns: int) -> Command | None:

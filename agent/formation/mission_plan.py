@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.common.models import build
 from agent.common.quantities import FAR_M, Vector
@@ -21,12 +21,16 @@ from agent.common.wording import show
 from agent.fleet.model import Fleet
 from agent.fleet.sections import TRAJECTORY_FIELDS, TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
-from agent.formation.geometry import Geometry
 from agent.formation.trajectory import Sample, Trajectory, make_trajectory
 from agent.messages.types import NEIGHBOURS_MAX, Mission, Setting
 
+if TYPE_CHECKING:
+    from agent.formation.geometry import Geometry  # numpy: plants do without
+
 Edges = dict[tuple[int, int], float]
 """Wanted distance (m) of each edge (i, j), i < j."""
+Formation = tuple[tuple[int, ...], Mapping[int, Vector], Edges]
+"""Members, the place of each (m, W), and the edges between them."""
 Parts = tuple[
     tuple[tuple[int, float, float], ...], tuple[tuple[int, int, float], ...], tuple[tuple[str, Any], ...]
 ]
@@ -72,28 +76,22 @@ class _Root:
     trajectory: TrajectorySection = field(default_factory=TrajectorySection, metadata=about("Trajectory."))
 
 
-def plan_of(mission: Mission, fleet: Fleet, geometry: Geometry) -> Plan:
+def plan_of(mission: Mission, fleet: Fleet, geometry: Geometry | None) -> Plan:
     """The plan of a mission. A part that is empty in it is the fleet file's.
 
     Where it names robots, its edges are all the edges there are: none, if it gives none.
 
     Args:
-        geometry: `agent.formation.geometry.resolve` of `fleet`.
+        geometry: `agent.formation.geometry.resolve` of `fleet`; None for a fleet that is resolved.
 
     Raises:
         PlanError: for a mission that cannot be driven.
     """
     if mission.robots:
         return written_plan(mission, fleet)
-    members = geometry.ids
-    offsets = {robot: (x, y) for robot, (x, y) in zip(members, geometry.offsets.tolist(), strict=True)}
+    members, offsets, edges = _resolved_formation(fleet) if geometry is None else _formation(geometry)
     if mission.edges:
         edges = _given_edges(mission, offsets, fleet.formation.safe_distance_m)
-    else:
-        edges = {}
-        for (i, j), distance in zip(geometry.edges.tolist(), geometry.distances.tolist(), strict=True):
-            a, b = members[i], members[j]
-            edges[min(a, b), max(a, b)] = distance
     return _plan(mission, fleet, members, offsets, edges)
 
 
@@ -116,6 +114,28 @@ def trajectory_parts(section: TrajectorySection) -> tuple[Setting, ...]:
     """A trajectory as a mission writes it: the fields of its kind."""
     needed, taken = TRAJECTORY_FIELDS[section.kind]
     return tuple(Setting(key, getattr(section, key)) for key in ("kind", *needed, *taken))
+
+
+def _formation(geometry: Geometry) -> Formation:
+    members = geometry.ids
+    offsets = {robot: (x, y) for robot, (x, y) in zip(members, geometry.offsets.tolist(), strict=True)}
+    edges = {}
+    for (i, j), distance in zip(geometry.edges.tolist(), geometry.distances.tolist(), strict=True):
+        a, b = members[i], members[j]
+        edges[min(a, b), max(a, b)] = distance
+    return members, offsets, edges
+
+
+def _resolved_formation(fleet: Fleet) -> Formation:
+    formation = fleet.formation
+    members = tuple(robot.id for robot in fleet.members)
+    assert fleet.is_resolved
+    assert formation.offsets is not None
+    assert isinstance(formation.distance_m, tuple)
+    edges = {
+        (min(i, j), max(i, j)): d for (i, j), d in zip(formation.edges, formation.distance_m, strict=True)
+    }
+    return members, dict(zip(members, formation.offsets, strict=True)), edges
 
 
 def _plan(

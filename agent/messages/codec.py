@@ -54,6 +54,10 @@ _UINT32: Final = 0xCE
 _CHECKSUM_BYTES: Final = 5
 
 
+Mark = tuple[int, int]
+"""Which of a thing somebody has acknowledged: its version, and what tells those of one version apart."""
+
+
 def newer(mission: Mission, known: Mission | None) -> bool:
     """Whether `mission` holds instead of `known`: by its version, and of equal ones by its content, so that
     of two operators' missions the same one wins everywhere."""

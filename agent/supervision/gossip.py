@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Final
 
 from agent.common.time import NS_PER_S
+from agent.messages.codec import Mark
 
 AGAIN_NS: Final = NS_PER_S // 2
 """What was said is not said again for so long."""
@@ -21,10 +22,6 @@ lies to be heard by all but him."""
 SPREAD_NS: Final = NS_PER_S // 50
 """Robots wait for different times, in steps of this: mostly one says it and the others hear it."""
 STEPS: Final = 8
-
-
-Mark = tuple[int, int]
-"""Which of a thing somebody has acknowledged: its version, and what tells those of one version apart."""
 
 
 class Gossip:

@@ -10,10 +10,10 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
-from agent.messages.codec import encode, tag
+from agent.messages.codec import Mark, encode, tag
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
-from agent.supervision.gossip import AGAIN_NS, Gossip, Mark
+from agent.supervision.gossip import AGAIN_NS, Gossip
 from agent.supervision.stop_latch import StopLatch
 
 UNMOVED_NS: Final = NS_PER_S // 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +14,6 @@ from agent.formation.mission_plan import PlanError, plan_of
 from agent.formation.points import Floats
 from agent.formation.reference import Reference
 from agent.formation.trajectory import make_trajectory
-from agent.messages.codec import newer
 from agent.messages.types import Mission
 from deploy.recording.recording import Recording
 
@@ -49,7 +48,7 @@ def desired(recording: Recording, geometry: Geometry, grid: Floats) -> Desired:
 
     A mission that cannot be driven is left out, as agents leave it.
     """
-    missions = list(_taken(recording))
+    missions = recording.held_missions
     version = missions[-1].version if missions else 0
     if any(mission.robots or mission.edges or mission.trajectory for mission in missions):
         return _by_course(recording, geometry, grid, missions)
@@ -64,20 +63,13 @@ def desired(recording: Recording, geometry: Geometry, grid: Floats) -> Desired:
     return Desired(places, edges, wanted, np.ones(wanted.shape, dtype=np.bool_), (), version)
 
 
-def _taken(recording: Recording) -> Iterator[Mission]:
-    """The missions that held one after the other, for one who heard what the recording holds."""
-    known: Mission | None = None
-    for mission in recording.missions:
-        if newer(mission, known):
-            known = mission
-            yield mission
-
-
-def _by_course(recording: Recording, geometry: Geometry, grid: Floats, missions: list[Mission]) -> Desired:
+def _by_course(
+    recording: Recording, geometry: Geometry, grid: Floats, missions: Sequence[Mission]
+) -> Desired:
     fleet, ids, epoch_ns = recording.fleet, recording.ids, recording.epoch_ns or 0
     row = {robot: index for index, robot in enumerate(ids)}
     reference = Reference(fleet, geometry)
-    pending = missions[::-1]
+    pending = [*reversed(missions)]
     changes: list[MissionChange] = []
     version = 0
     places = np.full((len(grid), len(ids), 2), np.nan)

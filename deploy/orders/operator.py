@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
-from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
 from agent.formation.geometry import Geometry
-from agent.formation.mission_plan import Plan, PlanError, plan_of
+from agent.formation.mission_choice import MissionChoice, MissionRefused
+from agent.formation.mission_plan import Plan
 from agent.messages import key_expressions
-from agent.messages.codec import encode, newer
+from agent.messages.codec import Mark, encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     Ask,
@@ -53,7 +53,6 @@ class Known:
         geometry: `agent.formation.geometry.resolve` of it.
 
     Attributes:
-        mission, plan: the newest mission that this fleet can drive, and what it means.
         stop, resume: the newest ones.
         foreign: a mission for another fleet file, which robots have taken: they read that one.
         keys: the key of each type of message that operators send.
@@ -62,9 +61,7 @@ class Known:
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         self.fleet: Final = fleet
-        self._geometry, self._digest = geometry, digest(fleet)
-        self.mission: Mission | None = None
-        self.plan: Plan | None = None
+        self._missions = MissionChoice(fleet, geometry)
         self.stop: Stop | None = None
         self.resume: Resume | None = None
         self.foreign: Mission | None = None
@@ -83,7 +80,7 @@ class Known:
         if key not in self.relay_keys and key != self.keys.get(type(message)):
             return False
         if type(message) is Mission:
-            if key in self.relay_keys and message.digest != self._digest:
+            if key in self.relay_keys and not self._missions.is_ours(message):
                 self.foreign = message
             return self._take(message)
         if type(message) is Stop and (self.stop is None or message.version > self.stop.version):
@@ -95,19 +92,30 @@ class Known:
         return False
 
     def _take(self, mission: Mission) -> bool:
-        if mission.digest != self._digest or not newer(mission, self.mission):
-            return False
         try:
-            self.plan = plan_of(mission, self.fleet, self._geometry)
-        except PlanError:
+            return self._missions.take(mission) is not None
+        except MissionRefused:
             return False  # no agent takes it either
-        self.mission = mission
-        return True
+
+    @property
+    def mission(self) -> Mission | None:
+        """The newest mission that this fleet can drive."""
+        return self._missions.mission
+
+    @property
+    def plan(self) -> Plan | None:
+        """What that mission means."""
+        return self._missions.plan
 
     @property
     def mission_version(self) -> int:
         """Of the newest mission, 0 without any."""
         return 0 if self.mission is None else self.mission.version
+
+    @property
+    def mission_mark(self) -> Mark:
+        """What tells the newest mission from others of its version too."""
+        return self._missions.mark
 
     @property
     def order_version(self) -> int:
@@ -127,6 +135,8 @@ class Operator(Known):
         super().__init__(fleet, geometry)
         self._acknowledged = dict.fromkeys(fleet.ids, (0, 0))
         """What each robot acknowledged last: versions of a mission, and of a stop or resume."""
+        self._marks: dict[int, Mark] = {}
+        """The mission that each robot's beacon told last: which of those of one version it is."""
 
     def hear(self, key: str, message: Message) -> bool:
         name = self.fleet.fleet.name
@@ -135,6 +145,7 @@ class Operator(Known):
         elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
             order_version = max(message.stop_version, message.resume_version)
             self._acknowledge(message.robot, message.mission_version, order_version)
+            self._marks[message.robot] = message.mission_version, message.mission_tag
         return super().hear(key, message)
 
     def _acknowledge(self, robot: int, mission_version: int, order_version: int) -> None:
@@ -147,7 +158,7 @@ class Operator(Known):
         return any(
             mission > self.mission_version or order > self.order_version
             for mission, order in self._acknowledged.values()
-        )
+        ) or any(mark > self.mission_mark for mark in self._marks.values())
 
     def ahead(self, now_ns: int) -> list[int]:
         """Robots that have acknowledged an order which was not heard here, if its version can be true."""
@@ -223,7 +234,10 @@ class Operator(Known):
         version = self.mission_version
         for robot in self.fleet.ids:
             status = statuses.get(robot)
-            if up(robot, "agent") and status is not None and status.mission_version < version:
+            behind = status is not None and (
+                status.mission_version < version or self._other_of(version, robot) < self.mission_mark
+            )
+            if up(robot, "agent") and behind:
                 return self.again()
             if up(robot, "plant") and not self.has_epoch(plants.get(robot)):
                 return self.again()
@@ -233,6 +247,11 @@ class Operator(Known):
         ):
             return [*self.latest]
         return []
+
+    def _other_of(self, version: int, robot: int) -> Mark:
+        """The mission of that version that a robot has, the own one where it has told no other."""
+        mark = self._marks.get(robot, (0, 0))
+        return mark if mark[0] == version else self.mission_mark
 
     def has_epoch(self, plant: PlantState | None) -> bool:
         """Whether a plant has the mission's epoch: its sequence numbers count from that."""

@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Final
 
 from agent.fleet.model import Fleet
+from agent.formation.geometry import Geometry, resolve
+from agent.formation.mission_plan import PlanError, plan_of
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
+from agent.messages.codec import newer
 from agent.messages.types import (
     TOPICS,
     Ask,
@@ -33,7 +36,7 @@ from agent.messages.types import (
 )
 from deploy.recording.columns import Store
 from deploy.recording.link_table import LinkRows
-from deploy.recording.recording import LiveFaults, Recording, RobotData, last_mission
+from deploy.recording.recording import LiveFaults, Recording, RobotData
 from deploy.recording.tables import (
     HandRows,
     Rows,
@@ -72,6 +75,7 @@ class RunData:
         self.foreign = 0
         # Agents relay orders: the first message of each is kept.
         self._missions: dict[Mission, Mission] = {}
+        self._geometry: Geometry | None = None
         self._stops: dict[Stop, Stop] = {}
         self._resumes: dict[Resume, Resume] = {}
         self.events: list[Event] = []
@@ -134,7 +138,7 @@ class RunData:
         elif sink is not None and sink.is_of(message):
             sink.append(message)
         elif type(message) is Mission and key in self._missions_from:
-            self._missions.setdefault(message._replace(time_ns=0), message)
+            self._take_mission(message)
         elif type(message) is Stop and key in self._stops_from:
             self._stops.setdefault(message._replace(time_ns=0), message)
         elif type(message) is Resume and key in self._resumes_from:
@@ -151,6 +155,20 @@ class RunData:
             self.events.append(message)
         elif self._ignored.get(key) is not type(message):
             self.foreign += 1
+
+    def _take_mission(self, mission: Mission) -> None:
+        """Keeps a mission once; one that cannot be driven is not what the fleet did."""
+        content = mission._replace(time_ns=0)
+        if content in self._missions:
+            return
+        if self._geometry is None and not mission.robots:
+            self._geometry = resolve(self.fleet)
+        try:
+            plan_of(mission, self.fleet, self._geometry)
+        except PlanError:
+            self.foreign += 1
+        else:
+            self._missions[content] = mission
 
     def _is_ours(self, key: str, trace: LinkTrace) -> bool:
         return self._traced.get(key) == trace.robot and all(
@@ -177,7 +195,9 @@ class RunData:
         fleet_toml: str | None = None,
     ) -> Recording:
         """The run as it stands; what is fed later does not change it."""
-        mission = last_mission(list(self._missions.values()))
+        mission: Mission | None = None
+        for each in self._missions.values():
+            mission = each if newer(each, mission) else mission
         epoch_ns = mission.epoch_ns if mission else self._first_ns()
         robots = {
             robot: RobotData(

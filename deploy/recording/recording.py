@@ -109,8 +109,17 @@ class Recording:
 
     @property
     def mission(self) -> Mission | None:
-        """The mission that holds in the end (`last_mission`)."""
-        return last_mission(self.missions)
+        """The mission that holds in the end, None without any."""
+        return self.held_missions[-1] if self.held_missions else None
+
+    @cached_property
+    def held_missions(self) -> Sequence[Mission]:
+        """The missions that held one after the other, for one who heard what the recording holds."""
+        held: list[Mission] = []
+        for mission in self.missions:
+            if newer(mission, held[-1] if held else None):
+                held.append(mission)
+        return held
 
     def fleet_time_s(self, time_ns: int) -> float:
         """Wall clock (ns) as fleet time."""
@@ -184,12 +193,3 @@ class Recording:
                 out[:, index, 0] = np.interp(grid, body.t, x)
                 out[:, index, 1] = np.interp(grid, body.t, y)
         return out
-
-
-def last_mission(missions: Sequence[Mission]) -> Mission | None:
-    """The mission that holds in the end: the one with the greatest version, None without any."""
-    last: Mission | None = None
-    for mission in missions:
-        if newer(mission, last):
-            last = mission
-    return last

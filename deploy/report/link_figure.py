@@ -129,7 +129,7 @@ def _lost(recording: Recording, end: float) -> tuple[Floats, Floats] | None:
 def _graphs(recording: Recording) -> tuple[list[float], list[set[tuple[int, int]]]]:
     """The edges of the missions one after the other, and from when (fleet time, s) on each holds."""
     begins, graphs = [-inf], [set(recording.fleet.formation.edges)]
-    for mission in sorted(recording.missions, key=lambda mission: mission.version):
+    for mission in recording.held_missions:
         if mission.robots:
             begins.append(recording.fleet_time_s(mission.from_ns))
             graphs.append({(i, j) for i, j, _ in mission.edges})
