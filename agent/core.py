@@ -11,6 +11,7 @@ from math import isfinite
 from typing import Final
 
 from agent.common.errors import Error
+from agent.common.time import MachineClock
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
@@ -178,6 +179,10 @@ class Agent:
             self._ingress.begin(mission.epoch_ns)
             self._outbox.begin(mission.epoch_ns)
         return None
+
+    def runs_by(self, clock: MachineClock) -> None:
+        """See `agent.node.Node`: its plant goes by the same clock."""
+        self._outbox.runs_by(clock)
 
     def end(self) -> None:
         """The process is about to end: from the next tick on the robot brakes."""

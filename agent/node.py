@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
+from agent.common.time import MachineClock
 from agent.links.fault_plan import FaultPlan
 from agent.messages.types import Outgoing
 
@@ -31,7 +32,8 @@ class Node(Protocol):
 
     @property
     def phase_ns(self) -> int:
-        """Offset of the ticks from the multiples of the period."""
+        """Offset of the ticks from the multiples of the period; a plant's changes when it follows another
+        clock."""
         ...
 
     @property
@@ -70,6 +72,10 @@ class Node(Protocol):
     @property
     def done(self) -> bool:
         """True when, after `end`, the process may end."""
+        ...
+
+    def runs_by(self, clock: MachineClock) -> None:
+        """Takes the clock of the process; not called in virtual time, where all have one."""
         ...
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:

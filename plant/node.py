@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from agent.common.time import NS_PER_S
+from agent.common.time import NS_PER_S, MachineClock
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.formation.mission_choice import MissionChoice, MissionRefused
@@ -39,6 +39,8 @@ from plant.backend import Check, Command, PlantBackend, Reading
 from plant.measurement import Measurement
 
 CHECKS_PERIOD_NS: Final = NS_PER_S
+CLOCK_STEP_NS: Final = NS_PER_S // 1000
+"""Clocks of two processes that differ by less were read at starts of their own, and not set between them."""
 
 
 class PlantNode:
@@ -56,7 +58,7 @@ class PlantNode:
         name = fleet.fleet.name
         self.robot: Final = robot
         self.period_ns: Final = fleet.period_ns
-        self.phase_ns: Final = 0
+        self.phase_ns = 0
         self._backend = backend
         self._timeout_ns = round(fleet.control.wrench_timeout_s * NS_PER_S)
         self._key_state = key_expressions.plant_state(name, robot)
@@ -104,6 +106,8 @@ class PlantNode:
             *self._ingress.publications,
         )
         self.overruns = 0
+        self._clock: MachineClock | None = None
+        self._now_ns = self._ahead_ns = 0
         self._wrench: Wrench | None = None
         self._ending = False
         self._at_rest = self._obeying = True
@@ -138,7 +142,29 @@ class PlantNode:
         from the agent. A mission of another drive, and a resume, also let a body obey again that its operator
         has given back. A message that is malformed, not for it or older than the last is counted and ignored.
         """
-        self._ingress.receive(now_ns, key, payload)
+        self._now_ns = now_ns
+        self._ingress.receive(now_ns - self._ahead_ns, key, payload)
+
+    def runs_by(self, clock: MachineClock) -> None:
+        """See `agent.node.Node`. Its agent's wrenches tell that one's clock, which it follows."""
+        self._clock = clock
+
+    def _follow(self, theirs: tuple[int, ...]) -> None:
+        """Goes by the agent's wall clock from now on, if both come from one monotonic clock.
+
+        A machine's clock may be set between the starts of an agent and its plant: each then maps it to the
+        monotonic clock in its own way, for as long as it lives. On the bus a robot has one clock, the
+        agent's; only the body is stepped by the plant's own, which never jumps.
+        """
+        own = self._clock
+        if own is None or len(theirs) != len(own) or theirs[0] != own.boot:
+            return
+        ahead_ns = own.offset_ns - theirs[1]
+        if abs(ahead_ns - self._ahead_ns) < CLOCK_STEP_NS:
+            return
+        self._ingress.moved(self._ahead_ns - ahead_ns)
+        self._ahead_ns, self.phase_ns = ahead_ns, ahead_ns % self.period_ns
+        self._wrench = None  # another agent's, by another clock: no measure of what is new
 
     def _accept_stop(self, stop: Stop, now_ns: int) -> str | None:
         return self._latch.accept_stop(stop)
@@ -148,6 +174,9 @@ class PlantNode:
 
     def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
         """Takes a wrench; returns why it is refused, None when it is not."""
+        if wrench.clock:
+            self._follow(wrench.clock)
+            now_ns = self._now_ns - self._ahead_ns
         if wrench.time_ns > now_ns + FUTURE_NS_MAX:
             return "future"
         if self._wrench is not None and wrench.time_ns <= self._wrench.time_ns:
@@ -189,13 +218,17 @@ class PlantNode:
         return None
 
     def tick(self, now_ns: int) -> list[Outgoing]:
-        """Steps the body to `now_ns` (ns of the wall clock) with the command that holds now.
+        """Steps the body to `now_ns` (ns of the own wall clock) with the command that holds now.
 
         Returns what to publish: its state as measured, the true one where that may differ, its checks.
         """
-        self._ingress.arrive(now_ns)
-        command = self._command(now_ns)
+        self._now_ns = now_ns
+        self._ingress.arrive(now_ns - self._ahead_ns)
+        fleet_ns = now_ns - self._ahead_ns
+        command = self._command(fleet_ns)
         reading = self._backend.step(now_ns, command)
+        if self._ahead_ns:
+            reading = reading._replace(time_ns=reading.time_ns - self._ahead_ns)
         pose, self._obeying = reading.pose, reading.obeying
         self._at_rest = at_rest(pose.speed, pose.yaw_rate)
         sequence = self._numbers.next(reading.time_ns)
@@ -208,7 +241,7 @@ class PlantNode:
         checks = self._backend.checks(now_ns)
         if checks and (self._changed(checks) or now_ns >= self._checks_due_ns):
             out.append((self._key_checks, self._checks_message(checks, now_ns)))
-        out += self._ingress.outgoing(now_ns, flush=command is None)
+        out += self._ingress.outgoing(fleet_ns, flush=command is None)
         return out
 
     def _changed(self, checks: Sequence[Check]) -> bool:
@@ -233,7 +266,7 @@ class PlantNode:
                 CheckLine(clipped(name, most), level, clipped(found, most), clipped(advice, most))
                 for name, level, found, advice in checks
             )
-            payload = encode(Checks(self.robot, self._checks_sequence - 1, now_ns, lines))
+            payload = encode(Checks(self.robot, self._checks_sequence - 1, now_ns - self._ahead_ns, lines))
             if len(payload) <= BYTES_MAX:
                 break
         return payload

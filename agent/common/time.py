@@ -42,6 +42,18 @@ class LocalTime(NamedTuple):
         return true_ns
 
 
+class MachineClock(NamedTuple):
+    """How a process's wall time comes from the monotonic clock that all processes of its machine share.
+
+    Attributes:
+        boot: names that clock: the machine and its boot.
+        offset_ns: wall time minus it, as the process read both at its start, ns.
+    """
+
+    boot: int
+    offset_ns: int
+
+
 class Clock(Protocol):
     """The clock of a process's loop: wall time in ns, read and slept until."""
 

@@ -142,6 +142,12 @@ class Ingress:
         self.plan.begin(epoch_ns)
         self._links.refresh()
 
+    def moved(self, by_ns: int) -> None:
+        """The node's clock is read `by_ns` later from now on."""
+        self._links.moved(by_ns)
+        if self._held_due_ns is not None:
+            self._held_due_ns += by_ns
+
     def accept(self, message: Faults, now_ns: int) -> str | None:
         """Takes live rules; returns why they are refused (`FaultPlan.take`)."""
         before = self._versions()

@@ -144,6 +144,11 @@ class _Link:
             out.append((marks, due_ns - sent_ns, bit))
         return out
 
+    def moved(self, by_ns: int) -> None:
+        self.held = [(sent_ns + by_ns, *rest) for sent_ns, *rest in self.held]  # type: ignore[misc]
+        self._free_ns += by_ns
+        self._departures = deque(each + by_ns for each in self._departures)
+
     def _queue_ns(self, effects: LinkEffects, sent_ns: int, size: int) -> int | None:
         """How long a message waits for, and takes on, a link of limited rate; None when the queue is full."""
         if effects.rate is None:
@@ -259,6 +264,14 @@ class LinkEmulator:
         link.waiting += 1
         self._order += 1
         heapq.heappush(self._pending, (due_ns, self._order, link, arrival))
+
+    def moved(self, by_ns: int) -> None:
+        """The node's clock is read `by_ns` later from now on: what waits does not wait longer or shorter."""
+        self._pending = [(due_ns + by_ns, *rest) for due_ns, *rest in self._pending]  # type: ignore[misc]
+        if self._trace_due_ns is not None:
+            self._trace_due_ns += by_ns
+        for link in self._links.values():
+            link.moved(by_ns)
 
     def due(self, now_ns: int) -> list[Arrival]:
         """Messages whose time has come at `now_ns`, the earliest first."""

@@ -44,7 +44,7 @@ class Ticks:
 
     def __init__(self, node: Ticked, now_ns: int) -> None:
         self._plan: Final = node.plan
-        self._period_ns, self._phase_ns = node.period_ns, node.phase_ns
+        self._node, self._period_ns, self._phase_ns = node, node.period_ns, node.phase_ns
         robot, role = key_expressions.robot_of_alive(node.alive_key) or (0, "")
         self._robot = robot
         self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
@@ -59,6 +59,7 @@ class Ticks:
 
     def plan(self, tick_ns: int) -> None:
         """Plans the tick after the one at `tick_ns`."""
+        self._phase_ns = self._node.phase_ns
         self._deadline_ns = next_tick_ns(tick_ns, self._period_ns, self._phase_ns)
         plan = self._plan
         if self._changes != plan.changes:

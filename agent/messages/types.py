@@ -240,6 +240,24 @@ class Wrench(NamedTuple):
     force: Annotated[float, About("Force asked for, along the heading", "N")]
     torque: Annotated[float, About("Torque asked for", "N m")]
     brake: Annotated[bool, About("True when the plant is asked to brake")]
+    clock: Annotated[
+        tuple[
+            Annotated[
+                int,
+                About(
+                    "Which monotonic clock, wall minus it", "ns", least=1 - TIME_NS_MAX, most=TIME_NS_MAX - 1
+                ),
+            ],
+            ...,
+        ],
+        About(
+            "`agent.common.time.MachineClock` of the agent, by which its plant goes too if it has the same "
+            "monotonic clock; none in virtual time",
+            rows=2,
+            before=(),
+            omitted=True,
+        ),
+    ] = ()
 
 
 class Setting(NamedTuple):

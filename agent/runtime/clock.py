@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import time
+from contextlib import suppress
+from hashlib import blake2b
+from pathlib import Path
+from typing import Final
 
-from agent.common.time import NS_PER_S, LocalTime
+from agent.common.time import NS_PER_S, LocalTime, MachineClock
+
+_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_TIME_NAMESPACE: Final = Path("/proc/self/ns/time")
+
+
+def boot() -> int:
+    """Names the monotonic clock of this process: other processes with the same number read the same clock.
+
+    It is made of the boot's id and the time namespace where the system tells them, else of the host's name.
+    """
+    parts = [socket.gethostname()]
+    with suppress(OSError):
+        parts = [_BOOT_ID.read_text().strip()]
+    with suppress(OSError):
+        parts.append(os.readlink(_TIME_NAMESPACE))
+    return int.from_bytes(blake2b(" ".join(parts).encode(), digest_size=7).digest(), "big")
 
 
 class RealClock:
@@ -14,6 +36,9 @@ class RealClock:
 
     Args:
         skew_ns, drift: by how much it is to be wrong (`agent.common.time.LocalTime`).
+
+    Attributes:
+        machine: how it comes from the machine's own clock.
     """
 
     def __init__(self, skew_ns: int = 0, drift: float = 0.0) -> None:
@@ -26,6 +51,7 @@ class RealClock:
             after = time.monotonic_ns()
             samples.append((after - before, wall - (before + after) // 2))
         self._offset_ns = min(samples)[1]
+        self.machine: Final = MachineClock(boot(), self._offset_ns)
         self._local = LocalTime(skew_ns, drift)
 
     def begin(self, epoch_ns: int) -> None:

@@ -204,6 +204,7 @@ def _run(
     fleet = load_fleet(options.fleet, options.overrides, options.law)
     clock = RealClock(*FaultPlan(fleet).clock(options.robot))
     node, listen, connect, close = start(fleet, options.robot, clock, log)
+    node.runs_by(clock.machine)
     try:
         with open_bus(
             fleet,

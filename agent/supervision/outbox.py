@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from agent.common.time import MachineClock
 from agent.control.hand import Hand
 from agent.control.peers import Peers
 from agent.fleet.model import Fleet
@@ -47,7 +48,12 @@ class Outbox:
         self._key_wrench = key_expressions.wrench(name, robot)
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
+        self._clock: tuple[int, ...] = ()
         self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
+
+    def runs_by(self, clock: MachineClock) -> None:
+        """The clock of the process, which its wrenches tell."""
+        self._clock = tuple(clock)
 
     def begin(self, epoch_ns: int) -> None:
         """Counts rounds from the epoch of a mission."""
@@ -59,7 +65,8 @@ class Outbox:
     ) -> Outgoing:
         """What the plant is asked for: force (N) and torque (N m), or to brake."""
         sequence = self._wrenches.next(now_ns)
-        return self._key_wrench, encode(Wrench(self._robot, sequence, now_ns, force, torque, brake))
+        wrench = Wrench(self._robot, sequence, now_ns, force, torque, brake, self._clock)
+        return self._key_wrench, encode(wrench)
 
     def hand(
         self,

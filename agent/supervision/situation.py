@@ -55,16 +55,18 @@ class Situation:
         beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
         self._listening_ns = LISTEN_ROUNDS * beacon_rounds * fleet.period_ns
         self._listened_ns: int | None = None
+        self._plant_came_ns = self._plant_ahead_ns = 0
 
     # ------------------------------------------------------------------ what happens
 
     def accept_plant(self, state: PlantState, now_ns: int) -> str | None:
         """Takes a state of the plant; returns why it is refused, None when it is not."""
         if state.time_ns > now_ns + FUTURE_NS_MAX:
+            self._plant_ahead_ns = state.time_ns - now_ns
             return "future"
         if self.plant is not None and state.time_ns <= self.plant.time_ns:
             return "duplicate" if state.time_ns == self.plant.time_ns else "out_of_order"
-        self.plant = state
+        self.plant, self._plant_came_ns, self._plant_ahead_ns = state, now_ns, 0
         return None
 
     def accept_heartbeat(self, heartbeat: Heartbeat, now_ns: int) -> None:
@@ -142,9 +144,13 @@ class Situation:
     def _plant_trouble(self, now_ns: int) -> str:
         plant = self.plant
         if plant is None:
-            return "for its plant"
+            ahead_s = self._plant_ahead_ns / NS_PER_S
+            return f"for its plant, whose clock is {ahead_s:.2f} s ahead" if ahead_s else "for its plant"
         age_ns = now_ns - plant.time_ns
         if age_ns > self._plant_timeout_ns:
+            came_ns = self._plant_came_ns
+            if came_ns - plant.time_ns > self._plant_timeout_ns >= now_ns - came_ns:
+                return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
             return f"plant silent for {age_ns / NS_PER_S:.2f} s"
         return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
 

@@ -276,7 +276,7 @@ def test_integers_and_single_precision_are_taken_for_floats(message: Wrench):
     head = msgpack.packb([VERSION, 2, *message[:3]])[1:]
     single = struct.pack(">f", 1.5)
     mixed = decode(sealed(b"\x98" + head + b"\xca" + single + b"\x02" + b"\xc3"))
-    assert mixed == message._replace(force=1.5, torque=2.0, brake=True)
+    assert mixed == message._replace(force=1.5, torque=2.0, brake=True, clock=())
     assert type(mixed.torque) is float
 
 

@@ -159,4 +159,4 @@ class Bench:
 
 
 def brakes(out: Out) -> bool:
-    return out.wrench[3:] == BRAKE
+    return out.wrench[3:6] == BRAKE

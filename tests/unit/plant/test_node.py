@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.common.time import NS_PER_S
+from agent.common.time import NS_PER_S, MachineClock
 from agent.control.hand import Pose
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
+from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     CHECK_TEXT_MIN,
     CHECKS_MAX,
@@ -548,3 +549,73 @@ def test_a_body_without_its_agent_comes_to_rest():
         now += PERIOD
     assert (told.speed, told.yaw_rate) == pytest.approx((0.0, 0.0), abs=1e-3)
     assert not told.driving
+
+
+# ---------------------------------------------------------------------- the agent's clock
+
+HOUR = 3600 * NS_PER_S
+T1 = T0 + 9 * HOUR
+MONOTONIC = 77 * NS_PER_S
+"""The machine's at T1 by the plant's clock."""
+
+
+def wrench_by(clock: MachineClock, time_ns: int, force: float = 3.0) -> bytes:
+    return encode(Wrench(1, 0, time_ns, force, 0.2, False, tuple(clock)))
+
+
+@pytest.mark.parametrize("ahead_ns", [HOUR, -HOUR, 130_000_007])
+def test_on_the_bus_a_plant_goes_by_its_agents_clock(node: PlantNode, backend: Backend, ahead_ns: int):
+    """`ahead_ns`: of the plant's clock, which the body goes on being stepped by."""
+    node.runs_by(MachineClock(5, T1 - MONOTONIC))
+    agents = MachineClock(5, T1 - MONOTONIC - ahead_ns)
+    mission = Mission(1, T1, T1 - HOUR, 9 * HOUR, digest(fleet()))
+    node.receive(T1, MISSION_KEY, encode(mission))
+    for tick in range(20):
+        now_ns = T1 + tick * PERIOD
+        node.receive(now_ns, WRENCH_KEY, wrench_by(agents, now_ns - ahead_ns - PERIOD // 2))
+        told = state(node, now_ns)
+        assert told.driving
+        assert told.time_ns == now_ns - 7 - ahead_ns
+        assert backend.calls[-1] == (now_ns, (3.0, 0.2))
+    numbers = SequenceNumbers(PERIOD)
+    numbers.begin(mission.epoch_ns)
+    assert told.sequence == numbers.at(told.time_ns)
+    assert (T1 - ahead_ns - (T1 - node.phase_ns)) % PERIOD == 0  # its ticks are on the agent's grid
+    after = state(node, now_ns + TIMEOUT + PERIOD)
+    assert not after.driving
+    assert node.condition == ("braking", "no fresh wrench for 0.13 s")
+
+
+def test_an_agent_that_starts_again_by_another_clock_is_obeyed(node: PlantNode):
+    node.runs_by(MachineClock(5, T1 - MONOTONIC))
+    node.receive(T1, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC), T1 - 1))
+    assert state(node, T1).driving
+    now = T1 + PERIOD
+    node.receive(now, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC - HOUR), now - HOUR, 1.0))
+    assert state(node, now).time_ns == now - 7 - HOUR
+    assert node.condition == ("driving", "")
+    # What the one before it sent, and comes late, is as old as it is.
+    node.receive(now, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC), T1 - TIMEOUT - 1))
+    assert not state(node, now + PERIOD).driving
+
+
+@pytest.mark.parametrize(
+    "clock", [MachineClock(6, T1 - MONOTONIC - HOUR), MachineClock(5, T1 - MONOTONIC + 999)]
+)
+def test_a_plant_follows_neither_another_machines_clock_nor_a_hair(node: PlantNode, clock: MachineClock):
+    node.runs_by(MachineClock(5, T1 - MONOTONIC))
+    node.receive(T1, WRENCH_KEY, wrench_by(clock, T1))
+    assert state(node, T1).time_ns == T1 - 7
+    assert node.phase_ns == 0
+
+
+@pytest.mark.parametrize("ahead_ns", [HOUR, -HOUR])
+def test_what_waits_on_a_link_waits_no_longer_for_a_clock_that_is_followed(backend: Backend, ahead_ns: int):
+    node = PlantNode(fleet(faults='{ topic = "wrench", delay = 0.05 }'), 1, backend)
+    node.runs_by(MachineClock(5, T1 - MONOTONIC))
+    node.receive(T1, WRENCH_KEY, wrench_by(MachineClock(5, T1 - MONOTONIC), T1))
+    node._follow((5, T1 - MONOTONIC - ahead_ns))
+    assert not state(node, T1 + 2 * PERIOD).driving
+    assert node._ingress._links._pending
+    node.tick(T1 + 3 * PERIOD)
+    assert node._ingress._links._pending == []

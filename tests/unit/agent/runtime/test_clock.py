@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from agent.common.time import NS_PER_S
@@ -80,3 +82,22 @@ def test_sleeps_by_its_own_clock(machine: Machine):
     real.sleep_until(due)
     assert machine.slept == [pytest.approx(1.0, abs=1e-6)]
     assert real.now_ns() == pytest.approx(due, abs=200)
+
+
+def test_two_processes_between_which_the_clock_was_set_differ_by_as_much(machine: Machine):
+    before = RealClock().machine
+    machine.wall += 3600 * NS_PER_S
+    after = RealClock().machine
+    assert after.boot == before.boot == clock.boot()
+    assert after.offset_ns - before.offset_ns == pytest.approx(3600 * NS_PER_S, abs=100)
+
+
+def test_another_boot_is_another_clock(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    names = set()
+    for text in ("one", "another"):
+        (tmp_path / "boot_id").write_text(text)
+        monkeypatch.setattr(clock, "_BOOT_ID", tmp_path / "boot_id")
+        names.add(clock.boot())
+    monkeypatch.setattr(clock, "_BOOT_ID", tmp_path / "none")
+    names.add(clock.boot())  # a system that does not tell: by the host's name
+    assert len(names) == 3

@@ -86,6 +86,18 @@ def test_trouble_with_the_plant_is_said(later_s: float, changes: dict[str, Any],
     assert made.plant_trouble == trouble
 
 
+def test_a_plant_of_another_clock_is_told_from_one_that_is_silent() -> None:
+    made, _ = situation()
+    made.accept_plant(plant(time_ns=NOW + 9 * NS_PER_S), NOW)
+    made.check_plant(NOW)
+    assert made.plant_trouble == "for its plant, whose clock is 9.00 s ahead"
+    made.accept_plant(plant(time_ns=NOW - 9 * NS_PER_S), NOW)
+    made.check_plant(NOW)
+    assert made.plant_trouble == "plant late by 9.00 s, or its clock is behind"
+    made.check_plant(NOW + NS_PER_S)
+    assert made.plant_trouble == "plant silent for 10.00 s"
+
+
 @pytest.mark.parametrize(
     ("after_ns", "reason"), [(1, None), (0, "duplicate"), (-1, "out_of_order"), (3600 * NS_PER_S, "future")]
 )
