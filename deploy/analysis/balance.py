@@ -38,6 +38,28 @@ def caught(a: Analysis, fleet: Fleet, row: int = -1) -> bool:
     ends = np.unique(a.edges[np.flatnonzero(a.off[row])])
     if not len(ends):
         return False
+    return _at_rest(a, fleet, coupling, row, ends)
+
+
+def rest_shapes(a: Analysis, fleet: Fleet, far: NDArray[np.bool_], row: int = -1) -> list[list[int]]:
+    """Of the robots that are `far` (n,) from their places, or at an edge that is off, at a row of the grid:
+    the groups that hang together by edges, have one that is off, and are `caught`."""
+    coupling = coupling_of(fleet)
+    off = a.edges[a.off[row]]
+    if coupling is None or not len(off):
+        return []
+    in_it = far.copy()
+    in_it[off] = True
+    group = np.where(in_it, np.arange(len(a.ids)), -1)
+    edges = a.edges[a.counts[row] & in_it[a.edges].all(axis=1)]
+    for i, j in edges.tolist():
+        group[group == group[i]] = group[j]
+    found = [np.flatnonzero(group == each) for each in np.unique(group[off])]
+    return [ends.tolist() for ends in found if _at_rest(a, fleet, coupling, row, ends)]
+
+
+def _at_rest(a: Analysis, fleet: Fleet, coupling: FleetCoupling, row: int, ends: NDArray[np.int64]) -> bool:
+    """Whether these robots stand, as seen from their places, with their forces in balance."""
     rows = _lately(a, row)
     moved = np.ptp(a.hands[rows] - a.desired[rows], axis=0).max(axis=1)
     navigation, total = (np.hypot(*forces)[ends] for forces in _forces(a, fleet, coupling, row))

@@ -15,6 +15,7 @@ from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis, analyse
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics, oracles, reasons
+from deploy.verdict.tracking import Tracking
 from deploy.verdict.violations import Violation
 
 
@@ -51,11 +52,16 @@ class Evidence:
     @cached_property
     def reasons(self) -> Sequence[str]:
         """Why the verdict failed, as sentences."""
-        return reasons.reasons(self.recording, self.analysis, self.violations)
+        return reasons.reasons(self.recording, self.analysis, self.violations, self.tracking)
 
     @cached_property
     def warnings(self) -> Sequence[str]:
-        return reasons.warnings(self.recording, self.analysis, self.about_links)
+        return reasons.warnings(self.recording, self.analysis, self.about_links, self.tracking)
+
+    @cached_property
+    def tracking(self) -> Tracking:
+        """Who was not at its place at the end."""
+        return Tracking(self.recording, self.analysis)
 
     # --- what several metrics are made of ---------------------------------------------------------
 

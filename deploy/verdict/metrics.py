@@ -17,6 +17,7 @@ import numpy as np
 from agent.fleet.loading import law_name
 from agent.formation.points import Floats
 from deploy.analysis.analysis import Approach, norm
+from deploy.analysis.places import last_there_s
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.recording.recorder import RecordingError
 
@@ -220,6 +221,11 @@ METRICS: tuple[Metric, ...] = (
         "settling_time_s", "Last time that any edge was more than 5 % off its distance.",
         lambda r: number(r.analysis.settling_s), "Settling time", "s",
         column=Column(1, picture=Picture("settling_time", "settling time", "settling", "s")),
+    ),
+    Metric(
+        "tracking_settling_time_s",
+        "Last time that any robot was off its place, by a quarter of the least distance of two places.",
+        lambda r: number(last_there_s(r.analysis)), "All at their places after", "s",
     ),
     Metric("changes", "Changes of mission, each with its own settling time.", _changes),
     Metric(

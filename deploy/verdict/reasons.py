@@ -17,6 +17,8 @@ from deploy.analysis.stability import SETTLED
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics
+from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
+from deploy.verdict.tracking import Tracking
 from deploy.verdict.violations import Violation
 
 SILENCE_S: Final = 2.0
@@ -33,14 +35,18 @@ _IN_FAULT: Final = f" ended the drive in state {State.FAULT.value}: "
 
 
 def reasons(
-    recording: Recording, a: Analysis, violations: Mapping[str, Sequence[Violation] | None]
+    recording: Recording,
+    a: Analysis,
+    violations: Mapping[str, Sequence[Violation] | None],
+    tracking: Tracking,
 ) -> list[str]:
     """Sentences that fail the verdict; first those that the operator's side gave. None: it passed.
 
     Args:
         violations: what each oracle found.
+        tracking: who was not at its place at the end.
     """
-    states, unsettled = _states(recording), _unsettled(a)
+    states, unsettled = _states(recording), [*_unsettled(recording, a, tracking), *tracking.reasons]
     own = sorted([*_incomplete(recording), *states], key=lambda reason: not of_fault(reason))
     found = [*recording.reasons, *own]
     for name, each in violations.items():
@@ -55,7 +61,9 @@ def of_fault(reason: str) -> bool:
     return _IN_FAULT in reason
 
 
-def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) -> list[str]:
+def warnings(
+    recording: Recording, a: Analysis, about_links: Mapping[str, Any], tracking: Tracking
+) -> list[str]:
     """Sentences that fail nothing.
 
     Args:
@@ -68,7 +76,7 @@ def warnings(recording: Recording, a: Analysis, about_links: Mapping[str, Any]) 
                 f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant: from {gap.start_s:.2f} s to "
                 f"{gap.end_s:.2f} s its place is not known, and taken from what came before and after."
             )
-    found += _late_laws(recording)
+    found += _late_laws(recording) + tracking.warnings
     found += link_metrics.clock_warnings(recording, about_links["clock_offsets"])
     if any(len(robot.hand) for robot in recording.robots.values()):  # else links were not looked at
         found += link_metrics.idle_rules(recording, a)
@@ -234,7 +242,7 @@ def _releases(recording: Recording) -> list[str]:
     return out
 
 
-def _unsettled(a: Analysis) -> list[str]:
+def _unsettled(recording: Recording, a: Analysis, tracking: Tracking) -> list[str]:
     off = np.flatnonzero(a.off[-1])
     if not len(off):
         return []
@@ -242,11 +250,18 @@ def _unsettled(a: Analysis) -> list[str]:
     error = np.abs(distances - wanted)
     worst = int(off[np.argmax((error / wanted)[off])])
     i, j = (a.ids[index] for index in a.edges[worst])
+    why = ""
+    if not tracking.off:  # else that is said of them
+        told = [(a.ids[index], tracking.causes.of(index)) for index in a.edges[worst].tolist()]
+        why = "".join(f" Robot {robot}: {'; '.join(each)}." for robot, each in told if each)
+    last_s = last_trouble_s(recording, a)
+    if last_s is not None and last_s + RECOVERED_S > recording.end_s:
+        why += f" The last fault or change was at {last_s:.1f} s."
     others = {1: "", 2: " One other edge was off as well."}.get(
         len(off), f" {len(off) - 1} other edges were off as well."
     )
     return [
         f"The formation had not settled at the end ({a.grid[-1]:.1f} s): robots {i} and {j} were "
         f"{distances[worst]:.3f} m apart instead of {wanted[worst]:.3f} m, "
-        f"{100 * error[worst] / wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}"
+        f"{100 * error[worst] / wanted[worst]:.0f} % off where {100 * SETTLED:.0f} % is allowed.{others}{why}"
     ]

@@ -14,7 +14,7 @@ from agent.control import law
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import Analysis, analyse
-from deploy.analysis.balance import STILL_S, caught, last_caught_s
+from deploy.analysis.balance import STILL_S, caught, last_caught_s, rest_shapes
 from deploy.recording.collector import RunData
 from tests.unit.deploy.synthetic_run import make_fleet, messages, standing
 
@@ -87,3 +87,25 @@ def test_one_that_leaves_another_shape_was_caught_until_then() -> None:
     assert not caught(a, fleet)
     assert last_caught_s(a, fleet, 0.0) == pytest.approx(7.2, abs=0.5)
     assert last_caught_s(a, fleet, 6.0) == -inf
+
+
+def test_the_shapes_at_rest_are_told_apart_by_their_edges() -> None:
+    """Robots 1 and 2 have each other's side, robots 3 and 4 are far from their places and move."""
+    offsets = [(0.0, 0.0), (2.0, 0.0), (0.0, 50.0), (2.0, 50.0)]
+    fleet = make_fleet(offsets, [(1, 2), (3, 4)], duration_s=4.0)
+    fleet = replace(fleet, control=replace(fleet.control, coupling="joint", kp=1.0))
+    half_m = 0.5 * balanced(of_coupling("joint"))
+    data = RunData(fleet)
+    for sent in messages(fleet, [standing(*offset) for offset in offsets]):
+        data.feed(*sent)
+    a = analyse(data.recording(), resolve(fleet))
+    hands = a.hands.copy()
+    hands[:, 0], hands[:, 1] = (1.0 + half_m, 0.0), (1.0 - half_m, 0.0)
+    hands[:, 2, 1] = 50.0 + a.grid
+    distances = np.hypot(*np.moveaxis(hands[:, a.edges[:, 0]] - hands[:, a.edges[:, 1]], 2, 0))
+    off = a.counts & (np.abs(distances - a.wanted) > 0.05 * a.wanted)
+    a = replace(a, hands=hands, distances=distances, off=off)
+    assert not caught(a, fleet), "not all that are off are at rest"
+    far = np.array([True, True, True, False])
+    assert rest_shapes(a, fleet, far) == [[0, 1]]
+    assert rest_shapes(replace(a, off=np.zeros_like(off)), fleet, far) == []

@@ -30,7 +30,8 @@ def test_a_perfect_run() -> None:
     found = driven(PAIR, standing(0, 0), standing(1, 0))
     assert list(found) == [
         "fleet", "law", "seed", "mode", "robots", "edges", "rate_hz", "duration_s", "min_distance_m",
-        "settling_time_s", "changes", "final_distance_error_m", "final_tracking_error_m",
+        "settling_time_s", "tracking_settling_time_s", "changes", "final_distance_error_m",
+        "final_tracking_error_m",
         "rms_distance_error_m", "messages", "age_of_information_ms", "tick", "links", "injected",
         "links_audit", "clock_offsets",
         "oracles", "verdict", "messages_rejected_by_reason",

@@ -1,0 +1,42 @@
+"""How far robots are from their places in the formation, and when that is too far."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from agent.formation.points import Floats
+from deploy.analysis.analysis import Analysis, norm
+from deploy.analysis.presence import Flags
+
+AT_PLACE: Final = 0.25
+"""Share of the least distance between two places: who is nearer than that to its own is there."""
+
+
+def allowed_m(a: Analysis, row: int = -1) -> float:
+    """How far a robot may be from its place to count as there: by the formation's own scale, a quarter of the
+    least that it puts between two robots; of one that is alone, the safe distance."""
+    places = a.desired[row]
+    places = places[np.isfinite(places[:, 0])]
+    least_m = 4.0 * a.safe_m
+    if len(places) > 1:
+        least_m = min(float(norm(places[k + 1 :] - places[k]).min()) for k in range(len(places) - 1))
+    return AT_PLACE * max(least_m, a.safe_m)
+
+
+def distances_m(a: Analysis) -> Floats:
+    """(k, n): of each robot from its place; NaN where it has none, is not known, or could not follow."""
+    found: Floats = np.where(a.away, np.nan, norm(a.hands - a.desired))
+    return found
+
+
+def last_there_s(a: Analysis) -> float | None:
+    """Last time that any robot was further from its place than is allowed at the end, 0 when none was; None
+    when one is at the end, and where nothing is known."""
+    distances = distances_m(a)
+    far: Flags = distances > allowed_m(a)  # False for NaN
+    if not np.isfinite(distances).any() or far[-1].any():
+        return None
+    when = np.flatnonzero(far.any(axis=1))
+    return float(a.grid[when[-1]]) if len(when) else 0.0

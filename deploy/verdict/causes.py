@@ -1,0 +1,162 @@
+"""What keeps a robot from its place, as far as a recording tells: in words that stand after a colon."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from agent.control.safety_distances import avoidance_distance
+from deploy.analysis.analysis import Analysis, norm
+from deploy.analysis.balance import rest_shapes
+from deploy.analysis.presence import Flags
+from deploy.console.wording import robots
+from deploy.recording.recording import Recording
+
+LOOK_S: Final = 2.0
+"""Over so long before a moment it is looked what held a robot."""
+SHARE: Final = 0.1
+"""Who changed what the law asked for in a smaller share of a robot's ticks than this did not hold it."""
+FAST: Final = 0.8
+"""Above this share of the greatest speed, a place is hard to catch up with."""
+SILENT_S: Final = 2.0
+"""A robot that has said nothing for so long is silent; its agent speaks five times a second."""
+_NEAR: Final = 1.05
+_LIMITS: Final[Mapping[str, str]] = {
+    "speed": "control.max_speed_mps",
+    "actuators": "max_force_n or max_torque_nm",
+    "turning": "the greatest yaw rate",
+    "acceleration": "control.max_acceleration",
+}
+"""What the safety filter calls the limits of motion, and what sets them."""
+
+
+class Causes:
+    """What keeps robots from their places at a row of the grid, as far as the recording tells.
+
+    Args:
+        far: (n,) who is not at its place then.
+    """
+
+    def __init__(self, recording: Recording, a: Analysis, far: Flags, row: int = -1) -> None:
+        self._recording, self._a, self._row = recording, a, row
+        self._t = float(a.grid[row])
+        self._shapes = rest_shapes(a, recording.fleet, far, row)
+        self._edges = {
+            (min(i, j), max(i, j)): float(distance)
+            for (i, j), distance in zip(a.edges.tolist(), a.wanted[row].tolist(), strict=True)
+            if distance == distance
+        }
+
+    def of(self, index: int) -> list[str]:
+        """Of one robot, else of those that it shares edges with; empty when the recording does not say."""
+        return self._own(index) or self._of_neighbours(index)
+
+    def _own(self, index: int) -> list[str]:
+        """What keeps the robot itself.
+
+        The shape in which it is at rest (`deploy.analysis.balance`), what its agent said, from whom or what
+        the safety filter kept it, who stands before it, and how fast its place is.
+        """
+        recording, a, t = self._recording, self._a, self._t
+        fleet, robot = recording.fleet, a.ids[index]
+        found = [
+            f"{robots([a.ids[each] for each in shape])} are at rest in another shape"
+            for shape in self._shapes
+            if index in shape
+        ]
+        said = recording.robots[robot].status.at(t)
+        told = said[1] if said is not None else ""
+        if told:
+            found.append(told)
+        held = held_by(recording, robot, t - LOOK_S, t)
+        keepers = [name for name in held if name not in _LIMITS]
+        keepers += [name for name in self._before(index) if name not in held]
+        keepers = [f"{name}{self._silence(name)}" for name in keepers if f"{name} " not in f"{told} "]
+        if keepers:
+            found.append(f"held up by {' and '.join(keepers)}")
+        limits = [_LIMITS[name] for name in held if name in _LIMITS]
+        if limits:
+            found.append(f"at the limit of {' and of '.join(limits)}")
+        most_mps, fast_mps = fleet.control.max_speed_mps, self.place_speed(index)
+        if fast_mps > FAST * most_mps:
+            found.append(f"places move at {fast_mps:.2f} m/s and control.max_speed_mps is {most_mps:g}")
+        return found
+
+    def _of_neighbours(self, index: int) -> list[str]:
+        """Those at the other ends of its edges that something keeps, each with the first thing that does."""
+        ends = [each for edge in self._edges if index in edge for each in edge if each != index]
+        kept = [(self._a.ids[other], why) for other in sorted(ends) if (why := self._own(other))]
+        return (
+            [f"held back by {' and '.join(f'robot {robot} ({why[0]})' for robot, why in kept)}"]
+            if kept
+            else []
+        )
+
+    def place_speed(self, index: int) -> float:
+        """Mean speed of a robot's place in the last `LOOK_S`, m/s; 0 without one."""
+        a = self._a
+        first = int(np.searchsorted(a.grid, self._t - LOOK_S))
+        span_s = self._t - float(a.grid[first])
+        moved = norm(a.desired[self._row, index] - a.desired[first, index])
+        return float(moved) / span_s if span_s > 0.0 and np.isfinite(moved) else 0.0
+
+    @cached_property
+    def _near_m(self) -> float:
+        """From where on robots without an edge push each other apart (U1), m."""
+        places = self._a.desired[self._row]
+        members = np.flatnonzero(np.isfinite(places[:, 0])).tolist()
+        offsets = {each: (float(places[each, 0]), float(places[each, 1])) for each in members}
+        avoidance = self._recording.fleet.avoidance
+        if not avoidance.enabled:
+            return 0.0
+        return _NEAR * avoidance_distance(avoidance.distance_m, self._a.safe_m, self._edges, offsets)
+
+    def _before(self, index: int) -> list[str]:
+        """Robots without an edge to this one that it pushes against: on the side of its place."""
+        a, hands = self._a, self._a.hands[self._row]
+        apart = hands - hands[index]
+        ahead = apart @ (a.desired[self._row, index] - hands[index]) > 0.0  # False for NaN
+        close = np.flatnonzero(ahead & (norm(apart) < self._near_m)).tolist()
+        return [
+            f"robot {a.ids[other]}"
+            for other in close
+            if (min(index, other), max(index, other)) not in self._edges
+        ]
+
+    def _silence(self, name: str) -> str:
+        """What is to be said of who holds a robot up: for how long it is silent, if it is a robot and is."""
+        kind, _, number = name.partition(" ")
+        if kind != "robot" or not number.isdigit() or int(number) not in self._recording.robots:
+            return ""
+        times = self._recording.robots[int(number)].status.t
+        heard = times[times <= self._t]
+        silent_s = self._t - float(heard[-1]) if len(heard) else self._t
+        return f" (silent for {silent_s:.0f} s)" if silent_s > SILENT_S else ""
+
+
+def held_by(recording: Recording, robot: int, start_s: float, end_s: float) -> list[str]:
+    """Names of what made the safety filter change what a robot's law asked for in more than a few ticks, most
+    often first: ``robot 3``, an obstacle's, one of `_LIMITS`."""
+    status = recording.robots[robot].status
+    within = np.flatnonzero((status.t > start_s) & (status.t <= end_s))
+    if not len(within):
+        return []
+    first, last = max(int(within[0]) - 1, 0), int(within[-1])
+    counts = Counter(status.counters[last])
+    counts.subtract(status.counters[first])
+    ticks = (float(status.t[last]) - float(status.t[first])) * recording.fleet.fleet.rate_hz
+    start = "filtered."
+    return [
+        name.removeprefix(start)
+        for name, count in counts.most_common()
+        if name.startswith(start) and name != f"{start}any" and count > SHARE * ticks
+    ]
+
+
+def kept_from(recording: Recording, robot: int, start_s: float, end_s: float) -> list[str]:
+    """Those of `held_by` that are robots, obstacles or the geofence."""
+    return [name for name in held_by(recording, robot, start_s, end_s) if name not in _LIMITS]
