@@ -78,12 +78,16 @@ class Attached:
         """None: how a process on another machine has ended is not known here."""
         return ()
 
-    def lacking(self) -> list[str]:
-        return [
-            f"{self.names[process].capitalize()} is gone"
-            + ("." if since_s is None else f" since {since_s:.1f} s.")
-            for process, since_s in self._gone_s.items()
-        ]
+    def lacking(self, members: Collection[int]) -> list[str]:
+        out = []
+        for process, since_s in self._gone_s.items():
+            text = f"{self.names[process].capitalize()} is gone"
+            text += "" if since_s is None else f" since {since_s:.1f} s"
+            if process[0] in members:
+                out.append(f"{text}.")
+            else:
+                self._away.append(f"{text}; it has no place in the formation any more")
+        return out
 
     def carry_out(self, action: Action, pose: Pose | None) -> bool:
         """Nothing is done to processes that are others'."""

@@ -193,7 +193,7 @@ class Drive:
                 return
         self._show()  # how it ended, whenever the last look was
         self._is_over = True
-        for sentence in self._processes.lacking():
+        for sentence in self._processes.lacking(self._fleet_state.members):
             self._fail(sentence)
 
     def _go_on(self) -> bool:

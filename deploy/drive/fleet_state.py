@@ -198,6 +198,11 @@ class FleetState:
         ]
 
     @property
+    def members(self) -> list[int]:
+        """Robots that have a place in the formation now."""
+        return self.watch.members(self.time_s)
+
+    @property
     def without_order(self) -> list[int]:
         """Robots whose agents have not acknowledged the last stop or resume."""
         version = self.operator.order_version

@@ -137,13 +137,17 @@ class Watch:
             robot: self.statuses[robot].state if robot in self.statuses else "" for robot in self._fleet.ids
         }
 
+    def members(self, time_s: float | None) -> list[int]:
+        """Robots that have a place in the formation at this fleet time."""
+        now_ns = self._now_ns(time_s)
+        return [robot for robot in self._fleet.ids if self._reference.is_member(robot, now_ns)]
+
     def picture(self, time_s: float | None) -> Picture:
         """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
         mission = self._known.mission
         duration_s = self._fleet.fleet.duration_s if mission is None else mission.duration_ns / NS_PER_S
         picture = Picture(time_s, duration_s, faults=self._faults(time_s))
-        known = time_s is not None and self._epoch_ns is not None
-        now_ns = (self._epoch_ns or 0) + round((time_s or 0.0) * NS_PER_S) if known else 0
+        now_ns = self._now_ns(time_s)
         picture.nearest = closest(self.hands.values())
         errors: dict[int, float] = {}
         for robot, here in self.hands.items():
@@ -161,6 +165,12 @@ class Watch:
             robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }
         return picture
+
+    def _now_ns(self, time_s: float | None) -> int:
+        """The wall clock at this fleet time; 0 before the epoch is known."""
+        if time_s is None or self._epoch_ns is None:
+            return 0
+        return self._epoch_ns + round(time_s * NS_PER_S)
 
     def _faults(self, time_s: float | None) -> list[str]:
         out = list(self._always)

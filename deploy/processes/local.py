@@ -84,7 +84,7 @@ class Processes:
         """Nothing is to be said of tokens: how its children end is known better (`deploy.drive.drive`)."""
         return []
 
-    def lacking(self) -> list[str]:
+    def lacking(self, members: Collection[int]) -> list[str]:
         """Who is not there at the end: those whose end was planned, or has ended the run."""
         return []
 

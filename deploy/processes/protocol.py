@@ -47,8 +47,8 @@ class FleetProcesses(Protocol):
         """Processes that have ended since the last call without a rule's order, and how."""
         ...
 
-    def lacking(self) -> list[str]:
-        """Sentences for the verdict on a drive that ends now: who is not there."""
+    def lacking(self, members: Collection[int]) -> list[str]:
+        """Sentences for the verdict on a drive that ends now: who is not there of those that have a place."""
         ...
 
     def carry_out(self, action: Action, pose: Pose | None) -> bool:

@@ -15,9 +15,12 @@ from deploy.analysis.balance import rest_shapes
 from deploy.analysis.presence import Flags
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
+from deploy.recording.tables import StatusTable
 
 LOOK_S: Final = 2.0
 """Over so long before a moment it is looked what held a robot."""
+WORDS_S: Final = 5.0
+"""What an agent said so long before a moment may still be why its robot is where it is."""
 SHARE: Final = 0.1
 """Who changed what the law asked for in a smaller share of a robot's ticks than this did not hold it."""
 FAST: Final = 0.8
@@ -68,8 +71,7 @@ class Causes:
             for shape in self._shapes
             if index in shape
         ]
-        said = recording.robots[robot].status.at(t)
-        told = said[1] if said is not None else ""
+        told = _last_words(recording.robots[robot].status, t)
         if told:
             found.append(told)
         held = held_by(recording, robot, t - LOOK_S, t)
@@ -136,6 +138,17 @@ class Causes:
         heard = times[times <= self._t]
         silent_s = self._t - float(heard[-1]) if len(heard) else self._t
         return f" (silent for {silent_s:.0f} s)" if silent_s > SILENT_S else ""
+
+
+def _last_words(status: StatusTable, t: float) -> str:
+    """The reason that an agent gave for its state last, and until when if it gives none any more; empty when
+    it has given none for `WORDS_S`."""
+    rows = np.flatnonzero((status.t > t - WORDS_S) & (status.t <= t)).tolist()
+    for row in reversed(rows):
+        if status.reasons[row]:
+            until = "" if row == rows[-1] else f" until {status.t[row]:.1f} s"
+            return f"{status.reasons[row]}{until}"
+    return ""
 
 
 def held_by(recording: Recording, robot: int, start_s: float, end_s: float) -> list[str]:

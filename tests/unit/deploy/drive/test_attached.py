@@ -31,10 +31,10 @@ def test_who_goes_and_comes_back_is_said_and_warned_of() -> None:
     assert made.look(ALL - {AGENT}, 5.04) == ["5.0 s: gone: robot 2's agent"]
     assert not made.up(*AGENT)
     assert made.look(ALL - {AGENT}, 6.0) == []
-    assert made.lacking() == ["Robot 2's agent is gone since 5.0 s."]
+    assert made.lacking(FLEET.ids) == ["Robot 2's agent is gone since 5.0 s."]
     assert made.look(ALL, 7.25) == ["7.2 s: back: robot 2's agent"]
     assert made.up(*AGENT)
-    assert made.lacking() == []
+    assert made.lacking(FLEET.ids) == []
     assert made.warnings == ["Robot 2's agent was gone from 5.0 s to 7.2 s"]
 
 
@@ -46,7 +46,7 @@ def test_before_the_drive_nobody_is_warned_of() -> None:
     made.look(ALL, -0.1)
     assert made.warnings == []
     made.look(ALL - {AGENT}, None)
-    assert made.lacking() == ["Robot 2's agent is gone."]
+    assert made.lacking(FLEET.ids) == ["Robot 2's agent is gone."]
 
 
 def test_when_all_go_at_once_some_are_named() -> None:
@@ -54,7 +54,14 @@ def test_when_all_go_at_once_some_are_named() -> None:
     (line,) = made.look(frozenset(), 1.0)
     assert line.startswith("1.0 s: gone: robot 1's agent, robot 1's plant, robot 2's agent, ")
     assert line.endswith(f" and {len(ALL) - NAMED_MAX} more")
-    assert len(made.lacking()) == len(ALL)
+    assert len(made.lacking(FLEET.ids)) == len(ALL)
+
+
+def test_who_has_no_place_any_more_is_a_warning() -> None:
+    made = there()
+    made.look(ALL - {AGENT}, 5.0)
+    assert made.lacking([1, 3, 4]) == []
+    assert made.warnings == ["Robot 2's agent is gone since 5.0 s; it has no place in the formation any more"]
 
 
 def test_they_are_left_as_they_are() -> None:

@@ -70,6 +70,20 @@ def test_its_own_words() -> None:
     assert causes(run(*FAR), 1) == []
 
 
+def test_its_own_words_count_for_a_while() -> None:
+    """They may be why it is where it is."""
+    base = run(*FAR)
+    one = base.robots[1]
+
+    def until(t: float) -> list[str]:
+        reasons = ["on its way round post 4" if each <= t else "" for each in one.status.t]
+        data = replace(one, status=replace(one.status, reasons=reasons))
+        return causes(replace(base, robots={**base.robots, 1: data}), 1)
+
+    assert until(4.1) == ["on its way round post 4 until 4.0 s"]
+    assert until(0.9) == []
+
+
 def test_whom_the_safety_filter_kept_it_from() -> None:
     """In more than a tenth of the ticks of the last 2 s; its limits are named by what sets them."""
     filtered = {1: {"any": 10, "robot 3": 8, "post 4": 9, "speed": 5, "robot 2": 0.5}}

@@ -1,0 +1,200 @@
+"""What a run's data do not hold, in words: of the fleet, of its robots, of its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Final
+
+import numpy as np
+
+from agent.supervision.state_machine import State
+from deploy.analysis.analysis import Analysis
+from deploy.analysis.presence import downs
+from deploy.console.wording import robots
+from deploy.recording.recording import Recording
+from deploy.verdict.overload import Stall, stalls
+
+SILENCE_S: Final = 2.0
+"""An agent says its status five times a second; one that said nothing in the last so many is lost."""
+GAP_S: Final = 0.5
+"""Poses missing for longer than this make a run's data incomplete."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time without a pose of one robot; `rule` names the rule that stopped its plant, if one did, `stall`
+    the time at which its machine stood still, if it did."""
+
+    robot: int
+    start_s: float
+    end_s: float
+    rule: str
+    stall: Stall | None
+
+    @property
+    def lasts_s(self) -> float:
+        return self.end_s - self.start_s
+
+
+class Completeness:
+    """What the data of a run lack.
+
+    A robot without a place in the formation at the end (replaced, sent away, in reserve) is nobody whom the
+    formation lacks: what is missing of it is a warning.
+    """
+
+    def __init__(self, recording: Recording, a: Analysis) -> None:
+        self._recording, self._a = recording, a
+        self.members = frozenset(robot for robot in a.ids if self._placed(robot, recording.end_s))
+        """Robots that had a place at the end."""
+        self._gaps = _gaps(recording)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Sentences that fail the verdict."""
+        recording = self._recording
+        out = []
+        if recording.epoch_ns is None:
+            out.append("No mission was recorded: the fleet was never told to start, so it did not drive.")
+        silent = [robot for robot, data in recording.robots.items() if not len(data.body)]
+        if silent:
+            out.append(f"The data are incomplete: no pose of {robots(silent)} was recorded.")
+        mute = [robot for robot, data in recording.robots.items() if not len(data.status)]
+        if mute:
+            verb = "agent of" if len(mute) == 1 else "agents of"
+            out.append(f"The data are incomplete: the {verb} {robots(mute)} never said a word.")
+        if recording.epoch_ns is None:
+            return out
+        longest: dict[int, Gap] = {}
+        for gap in self._gaps:
+            known = longest.get(gap.robot)
+            if self._matters(gap) and (known is None or gap.lasts_s > known.lasts_s):
+                longest[gap.robot] = gap
+        out += [
+            f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to "
+            f"{gap.end_s:.2f} s."
+            for robot, gap in longest.items()
+        ]
+        return [*out, *self._fell_silent(self.members), *_cut_short(recording)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences that fail nothing."""
+        out = []
+        end_s = self._recording.end_s
+        for gap in self._gaps:
+            if self._matters(gap) or gap.stall:
+                continue
+            until = "the end" if gap.end_s >= end_s else f"{gap.end_s:.2f} s"
+            when = f"from {gap.start_s:.2f} s to {until} its place is not known"
+            known = "" if gap.end_s >= end_s else ", and taken from what came before and after"
+            what = f"Robot {gap.robot} had no place in the formation any more"
+            if gap.rule:
+                what = f"Rule '{gap.rule}' stopped robot {gap.robot}'s plant"
+            out.append(f"{what}: {when}{known}.")
+        out += self._fell_silent(frozenset(self._recording.ids) - self.members)
+        for robot in sorted(self.members):
+            for down in downs(self._recording, robot, "agent"):
+                if down.what == "kill" and down.end_s == inf and down.start_s < end_s:
+                    out.append(
+                        f"The agent of robot {robot} was killed at {down.start_s:.1f} s for good, and nobody "
+                        "took its place."
+                    )
+        return out
+
+    def _placed(self, robot: int, t: float) -> bool:
+        """Whether a robot has a place in the formation then."""
+        a = self._a
+        row = min(int(np.searchsorted(a.grid, t)), len(a.grid) - 1)
+        return bool(np.isfinite(a.desired[row, a.ids.index(robot), 0]))
+
+    def _matters(self, gap: Gap) -> bool:
+        """Whether the formation lacked what the gap hides: not, if the robot had no place by its end."""
+        if not self._placed(gap.robot, gap.end_s):
+            return False
+        # A plant that never came back leaves a formation of which nothing is known.
+        return not ((gap.rule or gap.stall) and gap.end_s < self._recording.end_s)
+
+    def _fell_silent(self, among: frozenset[int]) -> list[str]:
+        """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
+        out = []
+        recording = self._recording
+        law = recording.fleet.control.law
+        hint = "" if law is None else f" Its law, {law}, may hang."
+        for robot, data in recording.robots.items():
+            last_s = float(data.status.t[-1]) if len(data.status) else inf
+            silence_s = recording.end_s - last_s
+            ordered = any(
+                down.start_s <= last_s + SILENCE_S and down.end_s > last_s + SILENCE_S
+                for down in downs(recording, robot, "agent")
+            )
+            if robot in among and silence_s > SILENCE_S and not ordered:
+                out.append(
+                    f"The agent of robot {robot} said nothing more from {last_s:.1f} s on, in the last "
+                    f"{silence_s:.1f} s of the drive.{hint}"
+                )
+        return out
+
+
+def last_states(recording: Recording) -> dict[int, tuple[str, str] | None]:
+    """State and reason of each robot when it was to drive no more, though poses may have ended before."""
+    stopped_s = recording.stopped_s
+    until_s = recording.planned_s if stopped_s is None else stopped_s
+    return {robot: data.status.at(until_s) for robot, data in recording.robots.items()}
+
+
+def _cut_short(recording: Recording) -> list[str]:
+    """A sentence if the run ended early, and nobody had planned that."""
+    end_s, planned_s = recording.end_s, recording.planned_s
+    if end_s >= planned_s - GAP_S or _stopped_by_order(recording):
+        return []
+    why = ""
+    if recording.stopped_s is not None and recording.stopped_s <= end_s + GAP_S:
+        why = ": it was stopped"
+    elif all(last and last[0] == State.FAULT.value for last in last_states(recording).values()):
+        why = ": no robot could drive any more"
+    elif recording.interrupted:
+        why = ": it was interrupted"
+    return [f"The run ended after {end_s:.1f} s of the {planned_s:.1f} s that were planned{why}."]
+
+
+def _stopped_by_order(recording: Recording) -> bool:
+    """Whether it ended with a stop of its fleet file."""
+    stopped_s = recording.stopped_s
+    return stopped_s is not None and any(
+        order.kind == "stop" and abs(order.at - stopped_s) < GAP_S for order in recording.fleet.orders
+    )
+
+
+def _gaps(recording: Recording) -> list[Gap]:
+    """Gaps longer than `GAP_S`."""
+    out = []
+    end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
+    stood: Sequence[Stall] = stalls(recording)
+    for robot, data in recording.robots.items():
+        if not len(data.body):
+            continue
+        host = recording.fleet.robot(robot).host or ""
+        times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
+        for k in np.flatnonzero(np.diff(times) > GAP_S).tolist():
+            start_s, stop_s = float(times[k]), float(times[k + 1])
+            asked = [
+                event.rule
+                for event in recording.events
+                if event.robot == robot
+                and event.role == "plant"
+                and event.what in ("kill", "stop")
+                and start_s - GAP_S <= (event.time_ns - epoch_ns) / 1e9 <= stop_s
+            ]
+            stall = [
+                each
+                for each in stood
+                if each.host == host
+                and stop_s - start_s < each.end_s - each.start_s + GAP_S
+                and each.start_s < stop_s
+                and start_s < each.end_s
+            ]
+            out.append(Gap(robot, start_s, stop_s, asked[0] if asked else "", stall[0] if stall else None))
+    return out

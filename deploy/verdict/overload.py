@@ -1,0 +1,102 @@
+"""Whether a machine was too slow for the processes of its robots: skipped ticks, times in which it stood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deploy.analysis.presence import downs
+from deploy.console.wording import robots
+from deploy.recording.recording import Recording
+from deploy.verdict.violations import windows
+
+SKIPPED_SHARE: Final = 0.05
+"""So large a share of a robot's ticks is skipped where its machine, or the law of others, is named."""
+STALL_S: Final = 0.5
+"""A machine of whose robots none sent a pose for longer than this stood still."""
+
+
+class Stall(NamedTuple):
+    """A time in which no robot of a machine sent a pose; `host` is its name in the fleet file, "" without."""
+
+    host: str
+    start_s: float
+    end_s: float
+
+
+def stalls(recording: Recording) -> list[Stall]:
+    """The times in which machines stood still, of those that went on before the end, and had more than one
+    robot: a plant that hangs is no machine."""
+    if recording.mode == "simulate":
+        return []
+    found = []
+    for host, ids in _machines(recording).items():
+        if len(ids) < 2:
+            continue
+        times = np.unique(np.concatenate([recording.robots[robot].body.t for robot in ids]))
+        times = times[: int(np.searchsorted(times, recording.end_s, side="right"))]
+        paused = [down for robot in ids for down in downs(recording, robot, "plant")]
+        for k in np.flatnonzero(np.diff(times) > STALL_S).tolist():
+            stall = Stall(host, float(times[k]), float(times[k + 1]))
+            on_purpose = any(
+                down.start_s < stall.end_s and down.end_s > stall.start_s - STALL_S for down in paused
+            )
+            if stall.end_s > 0.0 and not on_purpose:
+                found.append(stall)
+    return found
+
+
+def warnings(recording: Recording) -> list[str]:
+    """Sentences that name a machine as the cause: nothing of it is the fleet's doing."""
+    out = [
+        f"{_name(stall.host)} stood still from {stall.start_s:.2f} s to {stall.end_s:.2f} s: none of its "
+        "robots sent a pose. That is not the fleet's doing."
+        for stall in stalls(recording)
+    ]
+    if recording.mode == "simulate" or recording.fleet.control.law is not None:
+        return out  # a law of others that is slow is named as such
+    period_ms = 1e3 / recording.fleet.fleet.rate_hz
+    for host, ids in _machines(recording).items():
+        late = [robot for robot in ids if _was_late(recording, robot)]
+        if not late:
+            continue
+        skipped = sum(_skipped(recording, robot) for robot in late)
+        ticks = skipped + sum(len(recording.robots[robot].status.tick_us) for robot in late)
+        took = np.concatenate([recording.robots[robot].status.tick_us for robot in late])
+        takes_ms = float(np.median(took)) / 1e3
+        out.append(
+            f"{_name(host)} was too slow for its processes: {robots(late)} skipped {skipped} of {ticks} "
+            f"ticks, though one takes {takes_ms:.1f} ms of {period_ms:.3g} ms. What came late of that is not "
+            "the fleet's doing: other programs run there, or too many robots at this rate."
+        )
+    return out
+
+
+def _machines(recording: Recording) -> dict[str, list[int]]:
+    """The robots of each machine."""
+    found: dict[str, list[int]] = {}
+    for robot in recording.ids:
+        found.setdefault(recording.fleet.robot(robot).host or "", []).append(robot)
+    return found
+
+
+def _name(host: str) -> str:
+    return f"Host {host}" if host else "The machine that ran the fleet"
+
+
+def _skipped(recording: Recording, robot: int) -> int:
+    return recording.robots[robot].status.totals().get("overruns", 0)
+
+
+def _was_late(recording: Recording, robot: int) -> bool:
+    """Whether a robot's agent skipped many ticks, and nobody had made it late or paused it."""
+    ticks = len(recording.robots[robot].status.tick_us)
+    if not ticks or _skipped(recording, robot) <= SKIPPED_SHARE * ticks:
+        return False
+    on_purpose: Sequence[object] = [
+        *downs(recording, robot, "agent"),
+        *(span for span in windows(recording) if span.rule.tick_jitter),
+    ]
+    return not on_purpose

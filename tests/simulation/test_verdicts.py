@@ -1,0 +1,52 @@
+"""Whole drives in virtual time and what the verdict makes of them."""
+
+from __future__ import annotations
+
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.formation.geometry import resolved
+from deploy.console.data_files import FLEETS
+from deploy.simulate import judged
+from deploy.verdict.run_result import RunResult
+
+DEAD = """
+[[faults.rule]]
+name = "plant"
+robot = 4
+kill = "plant"
+at = "10s"
+[[faults.rule]]
+name = "agent"
+robot = 4
+kill = "agent"
+at = "10s"
+"""
+REPLACED = """
+[[order]]
+at = "12s"
+kind = "replace"
+robot = 4
+by = 7
+"""
+
+
+def driven(more: str) -> RunResult:
+    text = (FLEETS / "reserve.toml").read_text() + more
+    short = ["fleet.duration_s=35", "fleet.rate_hz=20"]
+    return RunResult(judged.drive(resolved(parse_fleet(text, source="reserve", overrides=short))))
+
+
+def test_a_dead_robot_that_was_replaced_is_no_missing_pose() -> None:
+    result = driven(DEAD + REPLACED)
+    assert result.reasons == []
+    assert any("Rule 'plant' stopped robot 4's plant: from " in each for each in result.warnings)
+
+
+def test_a_dead_robot_that_nobody_replaced_is_missed() -> None:
+    assert any("robot 4 sent no pose from " in each for each in driven(DEAD).reasons)
+
+
+def test_a_course_that_is_faster_than_robots_may_drive_fails() -> None:
+    fast = ["trajectory.kind=line", "trajectory.velocity_mps=[3.0, 0.0]", "fleet.duration_s=12"]
+    result = RunResult(judged.drive(resolved(load_fleet(FLEETS / "pair.toml", fast))))
+    (reason,) = [each for each in result.reasons if "from their places at the end" in each]
+    assert reason.endswith("places move at 3.00 m/s and control.max_speed_mps is 1.5.")

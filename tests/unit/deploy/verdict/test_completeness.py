@@ -1,0 +1,83 @@
+"""What the data of a run lack, of robots that have a place in the formation and of others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.formation.geometry import resolve
+from agent.messages.types import Event, PlantState, Status
+from deploy.analysis.analysis import Analysis, analyse
+from deploy.recording.recording import Recording
+from deploy.verdict.completeness import Completeness
+from tests.unit.deploy.judged_run import recorded
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
+
+FLEET = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=8.0, rate_hz=10.0)
+
+
+def dead(at_s: float, kinds: tuple[type, ...] = (PlantState, Status), until_s: float = 99.0) -> Recording:
+    """Robot 2 sends none of these in a time."""
+    sent = messages(FLEET, in_formation(FLEET))
+    return recorded(
+        FLEET,
+        [
+            each
+            for each in sent
+            if not (
+                type(each[2]) in kinds
+                and each[2].robot == 2  # type: ignore[union-attr]
+                and at_s < (each[2].time_ns - EPOCH_NS) / 1e9 < until_s
+            )
+        ],
+    )
+
+
+def without_place(recording: Recording, from_s: float) -> Analysis:
+    """Robot 2 has no place from a time on."""
+    a = analyse(recording, resolve(recording.fleet))
+    desired = a.desired.copy()
+    desired[a.grid >= from_s, 1] = np.nan
+    return replace(a, desired=desired)
+
+
+def test_a_member_that_is_gone_is_missed() -> None:
+    recording = dead(3.05)
+    assert Completeness(recording, analyse(recording, resolve(FLEET))).reasons == [
+        "The data are incomplete: robot 2 sent no pose from 3.00 s to 8.00 s.",
+        "The agent of robot 2 said nothing more from 3.0 s on, in the last 5.0 s of the drive.",
+    ]
+
+
+def test_one_that_was_replaced_or_left_is_not() -> None:
+    recording = dead(3.05)
+    data = Completeness(recording, without_place(recording, 5.0))
+    assert data.reasons == []
+    assert data.members == {1}
+    assert data.warnings == [
+        "Robot 2 had no place in the formation any more: from 3.00 s to the end its place is not known.",
+        "The agent of robot 2 said nothing more from 3.0 s on, in the last 5.0 s of the drive.",
+    ]
+
+
+def test_what_was_missed_while_it_had_a_place_is() -> None:
+    recording = dead(3.05, (PlantState,), 4.45)
+    (reason,) = Completeness(recording, without_place(recording, 6.0)).reasons
+    assert reason == "The data are incomplete: robot 2 sent no pose from 3.00 s to 4.50 s."
+
+
+def event(t: float, what: str) -> Any:
+    return Event(2, 0, EPOCH_NS + round(t * 1e9), "agent", what, "crash")
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_an_agent_that_is_killed_for_good_is_said(back: bool) -> None:
+    events = (event(3.0, "kill"), *([event(5.0, "start")] if back else []))
+    recording = replace(dead(3.05, (Status,), 5.0 if back else 99.0), events=events)
+    data = Completeness(recording, analyse(recording, resolve(FLEET)))
+    said = "The agent of robot 2 was killed at 3.0 s for good, and nobody took its place."
+    assert data.reasons == []
+    assert data.warnings == ([] if back else [said])

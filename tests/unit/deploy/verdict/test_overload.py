@@ -1,0 +1,105 @@
+"""Machines that were too slow for their robots are named as such."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from agent.fleet.fault_rules import FaultsSection, Rule
+from agent.messages.types import Event, PlantState, Status
+from deploy.recording.recording import Recording
+from deploy.verdict.overload import stalls, warnings
+from deploy.verdict.run_result import RunResult
+from tests.unit.deploy.judged_run import PAIR, recorded
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages
+
+SLOW = (
+    "The machine that ran the fleet was too slow for its processes: robots 1 and 2 skipped 60 of 200 ticks, "
+    "though one takes 0.1 ms of 20 ms. What came late of that is not the fleet's doing: other programs run "
+    "there, or too many robots at this rate."
+)
+
+
+def late(skipped: int, mode: str = "run", **fleet: Any) -> Recording:
+    sent = []
+    for received_ns, key, message in messages(PAIR, in_formation(PAIR)):
+        if type(message) is Status:
+            message = message._replace(counters=(("overruns", skipped),))
+        sent.append((received_ns, key, message))
+    recording = recorded(PAIR, sent, mode)
+    return replace(recording, fleet=replace(recording.fleet, **fleet))
+
+
+def test_skipped_ticks_are_the_machines_and_fail_nothing() -> None:
+    recording = late(30)
+    ticks = sum(len(data.status.tick_us) for data in recording.robots.values())
+    assert warnings(recording) == [SLOW.replace("of 200", f"of {ticks + 60}")]
+    result = RunResult(recording)
+    assert result.passed
+    assert warnings(recording)[0] in result.warnings
+    assert warnings(late(3)) == []
+
+
+def test_hosts_are_named() -> None:
+    recording = late(30)
+    robots = tuple(replace(robot, host=f"pi{robot.id}") for robot in recording.fleet.robots)
+    first, second = warnings(replace(recording, fleet=replace(recording.fleet, robots=robots)))
+    assert first.startswith("Host pi1 was too slow for its processes: robot 1 skipped 30 of ")
+    assert second.startswith("Host pi2 was too slow for its processes: robot 2 skipped 30 of ")
+
+
+def test_who_is_made_late_or_is_slow_itself_is_no_matter_of_the_machine() -> None:
+    assert warnings(late(30, "simulate")) == []
+    assert warnings(late(30, control=replace(PAIR.control, law="my:Law"))) == []
+    assert warnings(late(30, faults=FaultsSection(rules=(Rule(tick_jitter=0.005),)))) == []
+    paused = Event(1, 0, EPOCH_NS + 10**9, "agent", "stop", "pause")
+    (text,) = warnings(replace(late(30), events=(paused,)))
+    assert ": robot 2 skipped 30 of " in text
+
+
+def gap(*ids: int, from_s: float = 0.8, until_s: float = 1.4) -> Recording:
+    sent = messages(PAIR, in_formation(PAIR))
+    return recorded(
+        PAIR,
+        [
+            each
+            for each in sent
+            if not (
+                type(each[2]) is PlantState
+                and each[2].robot in ids
+                and from_s < (each[2].time_ns - EPOCH_NS) / 1e9 < until_s
+            )
+        ],
+    )
+
+
+def test_a_machine_that_stood_still_is_named_and_lacks_no_poses() -> None:
+    recording = gap(1, 2)
+    assert [each[1:] for each in stalls(recording)] == [(pytest.approx(0.8), pytest.approx(1.4))]
+    result = RunResult(recording)
+    assert result.passed
+    assert result.warnings == [
+        "The machine that ran the fleet stood still from 0.80 s to 1.40 s: none of its robots sent a pose. "
+        "That is not the fleet's doing."
+    ]
+
+
+def test_one_plant_that_sends_nothing_is_no_machine() -> None:
+    assert stalls(gap(1)) == []
+    assert not RunResult(gap(1)).passed
+    assert stalls(replace(gap(1, 2), mode="simulate")) == []
+
+
+def test_plants_that_are_paused_on_purpose_are_no_machine() -> None:
+    events = tuple(
+        Event(robot, 0, EPOCH_NS + round(t * 1e9), "plant", what, "freeze")
+        for robot in (1, 2)
+        for t, what in ((0.82, "stop"), (1.38, "continue"))
+    )
+    recording = replace(gap(1, 2), events=events)
+    assert stalls(recording) == []
+    assert [each.split(":")[0] for each in RunResult(recording).warnings] == [
+        "Rule 'freeze' stopped robot 1's plant", "Rule 'freeze' stopped robot 2's plant",
+    ]  # fmt: skip
