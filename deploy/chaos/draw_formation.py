@@ -36,11 +36,12 @@ def apart_m(safe_m: float) -> float:
     return max(_APART_MIN_M, APART_FACTOR * safe_m)
 
 
-def draw_shape(dice: Dice, robots: Sequence[int], safe_m: float) -> Shape:
-    """Places and edges for these robots."""
-    spacing = dice.between(1.0, 1.8) * apart_m(safe_m)
+def draw_shape(dice: Dice, robots: Sequence[int], safe_m: float, spacing: float | None = None) -> Shape:
+    """Places and edges for these robots; `spacing`, the least distance of two, is drawn if not given."""
+    if spacing is None:
+        spacing = dice.between(1.0, 1.8) * apart_m(safe_m)
     if dice.chance(0.4):
-        return _lattice(dice, robots, spacing)
+        return draw_lattice(dice, robots, spacing)
     places = _scattered(dice, len(robots), spacing)
     return Shape(dict(zip(robots, places, strict=True)), _connected(dice, robots, places))
 
@@ -56,7 +57,7 @@ def near_shape(shape: Shape, before: Mapping[int, Vector]) -> Shape:
     return Shape(offsets, sorted(edges))
 
 
-def _lattice(dice: Dice, robots: Sequence[int], spacing: float) -> Shape:
+def draw_lattice(dice: Dice, robots: Sequence[int], spacing: float) -> Shape:
     """A piece of a triangular lattice, grown cell by cell: rigid or nearly so."""
     turn = dice.between(0.0, pi)
     cells = [(0, 0)]

@@ -9,6 +9,7 @@ from typing import Final
 
 from agent.supervision.state_machine import TRANSITIONS, State
 from deploy.chaos.dice import Tables
+from deploy.chaos.draw import PROFILES, profile_of
 from deploy.chaos.run import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
 
 NOT_DRAWN: Final[Mapping[str, str]] = {
@@ -42,6 +43,7 @@ class Tally:
     states: Counter[str] = field(default_factory=Counter)
     transitions: Counter[str] = field(default_factory=Counter)
     checked: Counter[str] = field(default_factory=Counter)
+    profiles: Counter[tuple[str, str]] = field(default_factory=Counter)
     ended: Counter[str] = field(default_factory=Counter)
     failed: list[Driven] = field(default_factory=list)
 
@@ -55,6 +57,7 @@ class Tally:
         self.transitions.update(outcome.transitions)
         self.checked.update(outcome.checked)
         self.ended[outcome.ended] += 1
+        self.profiles.update(_of_profile(driven))
         if outcome.violations:
             self.failed.append(driven)
 
@@ -70,6 +73,17 @@ class Tally:
         ]
 
 
+def _of_profile(driven: Driven) -> Iterator[tuple[str, str]]:
+    """What a scenario adds to the table of profiles: (profile, column)."""
+    profile, outcome = profile_of(driven.seed), driven.outcome
+    yield profile, "driven"
+    yield profile, outcome.ended
+    if outcome.violations:
+        yield profile, "failed"
+    for oracle in outcome.oracles:
+        yield profile, oracle
+
+
 def parts(tables: Tables) -> Counter[str]:
     """How many there are of everything that can be drawn."""
     found: Counter[str] = Counter()
@@ -78,9 +92,12 @@ def parts(tables: Tables) -> Counter[str]:
     found["obstacles"] = len(tables.get("obstacle", ()))
     found["geofences"] = "geofence" in tables
     found["dead-man's switches"] = "deadman_s" in tables.get("supervision", {})
+    faults = tables.get("faults", {})
+    for effect in ("delay", "loss"):
+        found[f"fault: {effect} everywhere"] = effect in faults
     for order in tables.get("order", ()):
         found[f"order: {order['kind']}"] += 1
-    for rule in tables.get("faults", {}).get("rule", ()):
+    for rule in faults.get("rule", ()):
         kind, *_ = str(rule.get("name", "rule")).split()
         if kind == "link":
             for effect in ("delay", "loss", "duplicate", "reorder", "corrupt", "slot"):
@@ -88,7 +105,8 @@ def parts(tables: Tables) -> Counter[str]:
         elif kind == "process":
             for what in ("kill", "pause", "restart"):
                 if what in rule:
-                    found[f"fault: {what} {rule[what]}"] += 1
+                    for_good = " for good" * (what == "kill" and "for" not in rule)
+                    found[f"fault: {what} {rule[what]}{for_good}"] += 1
         else:
             found[f"fault: {_FAULTS.get(kind, kind)}"] += 1
     return +found
@@ -100,11 +118,15 @@ _FAULTS: Final = {
     "jitter": "late ticks",
     "dropout": "measurements not taken",
     "range": "links of limited range",
+    "deaf": "deaf one way",
+    "strangers": "never heard",
 }
 
 
 def lines(tally: Tally) -> Iterator[str]:
     """Tables of what was drawn and of what was exercised, for people."""
+    yield "profiles:"
+    yield from _table(tally)
     yield "drawn:"
     yield from _columns(sorted(tally.drawn.items()))
     yield "judged by:"
@@ -120,6 +142,22 @@ def lines(tally: Tally) -> Iterator[str]:
         yield f"never taken: {', '.join(tally.missing)}"
     for name, why in NOT_DRAWN.items():
         yield f"  not drawn: {name} ({why})"
+
+
+def _table(tally: Tally) -> Iterator[str]:
+    """A row for each profile: scenarios, those that failed and by which oracles, and how they ended."""
+    ends = (IN_FORMATION, CAUGHT, SOON, ELSEWHERE)
+    heads = ("scenarios", "failed", *ends)
+    width = max(map(len, PROFILES))
+    yield f"  {'':<{width}}  {'  '.join(heads)}"
+    for profile in PROFILES:
+        counts = {what: count for (name, what), count in tally.profiles.items() if name == profile}
+        if not counts:
+            continue
+        cells = [counts.pop(key, 0) for key in ("driven", "failed", *ends)]
+        row = "  ".join(f"{cell:>{len(head)}}" for head, cell in zip(heads, cells, strict=True))
+        by = ", ".join(f"{oracle} {count}" for oracle, count in sorted(counts.items()) if oracle)
+        yield f"  {profile:<{width}}  {row}{'  ' * bool(by)}{by}"
 
 
 def _columns(items: Sequence[tuple[str, int]], columns: int = 3) -> Iterator[str]:

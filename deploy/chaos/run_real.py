@@ -10,7 +10,8 @@ from pathlib import Path
 
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolved
-from deploy.chaos.draw import draw, name_of
+from deploy.chaos.draw import draw
+from deploy.chaos.profiles.pieces import name_of
 from deploy.chaos.report import Driven
 from deploy.chaos.run import Outcome, judged, scenario_text
 from deploy.console.interrupt import Interrupt

@@ -56,6 +56,11 @@ ORACLES: Final[tuple[Oracle, ...]] = (
         f"{oracles_drive.RECOVERED_S:g} s after the last fault or change all are in formation again.",
         oracles_drive.recovery,
     ),
+    Oracle(
+        "formed",
+        "A fleet to which nothing happens is in formation in the end, and where its course has it.",
+        oracles_drive.formed,
+    ),
     Oracle("errors", "Failing links alone leave no error behind.", oracles_drive.errors),
 )
 

@@ -1,4 +1,4 @@
-"""Oracles of the drive: limits that commands and bodies keep, formation after faults and changes, errors."""
+"""Oracles of the drive: limits that commands and bodies keep, formation at first and after faults, errors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from agent.control.safety_distances import avoidance_distance, barrier_rate
 from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fault_rules import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from agent.fleet.model import Fleet
+from agent.fleet.sections import ControlSection
+from agent.formation.trajectory import maximum_speed
 from agent.links.fault_plan import FaultPlan
 from agent.messages.key_expressions import ROLES
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis, norm
-from deploy.analysis.balance import last_caught_s
+from deploy.analysis.balance import caught, last_caught_s
 from deploy.analysis.clearances import distances
 from deploy.analysis.presence import downs, said
 from deploy.recording.recording import Recording
@@ -32,6 +34,11 @@ RECOVERED_S: Final = 20.0
 """Within so long after the last fault or change all drive in formation again."""
 ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
+LATE_MAX_S: Final = 1.25
+LOST_MAX: Final = 0.5
+PLACE_M: Final = 0.5
+"""Largest distance from its place of a robot in a formation to which nothing happens."""
+_HARSH: Final = ("reorder", "corrupt", "rate", "limit", "slot", "hold", "range")
 _NEAR_SHARE: Final = 1.05
 _EXCUSED: Final = frozenset({State.RELEASED.value})
 _HOLDING: Final = frozenset({State.HOLDING.value})
@@ -174,6 +181,71 @@ def _held_up_s(a: Analysis, fleet: Fleet) -> float:
         for index in range(len(a.ids)):
             held |= distances(boundary, a.hands[:, index]) < least_m
     return float(a.grid[held].max(initial=-inf))
+
+
+def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
+    """A fleet to which nothing happens is in formation in the end, and where its course has it.
+
+    Messages may be late by up to `LATE_MAX_S` and lost up to `LOST_MAX` all the time. Not judged among
+    obstacles, which may be in the way, nor before `formed_by_s`.
+    """
+    rules = (_whole(fleet), *(span.rule for span in windows(recording)))
+    calm = not (recording.events or a.changes or recording.resumes or recording.stopped_s is not None)
+    if (
+        not calm
+        or not all(is_constant(rule) and is_mild(rule) for rule in rules)
+        or not fleet.avoidance.enabled
+    ):
+        return None
+    if fleet.obstacles or fleet.geofence is not None:
+        return None
+    end_s = float(a.grid[-1])
+    error_m = np.nan_to_num(norm(a.hands[[0, -1]] - a.desired[[0, -1]]))  # of those who have a place
+    if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet.control):
+        return None
+    found = []
+    off = np.flatnonzero(a.off[-1])
+    if len(off):
+        column = int(off[np.argmax(np.abs(a.distances[-1] / a.wanted[-1] - 1.0)[off])])
+        i, j = (a.ids[index] for index in a.edges[column])
+        rest = ", at rest in another shape" if caught(a, fleet) else ""
+        message = (
+            f"Robots {i} and {j} were {a.distances[-1, column]:.3f} m apart instead of "
+            f"{a.wanted[-1, column]:.3f} m at the end{rest}, although nothing had happened to the fleet."
+        )
+        found.append(Violation("formed", end_s, message))
+    far = int(error_m[-1].argmax())
+    if error_m[-1, far] > PLACE_M:
+        message = (
+            f"Robot {a.ids[far]} was {error_m[-1, far]:.2f} m from its place at the end, although nothing "
+            "had happened to the fleet."
+        )
+        found.append(Violation("formed", end_s, message))
+    return found
+
+
+def is_mild(rule: Rule) -> bool:
+    """Whether links that suffer this all the time let a formation be taken up."""
+    if rule.given((*PROCESS_FIELDS, *SENSOR_FIELDS)) or rule.partition is not None or rule.topic != "hand":
+        return False
+    if any(getattr(rule, name) is not None for name in _HARSH):
+        return False
+    delays = () if rule.delay is None else (rule.delay.start, rule.delay.end)
+    losses = () if rule.loss is None else (rule.loss.start, rule.loss.end)
+    return all(
+        delay is None or (not delay.trace and delay.mean + delay.jitter <= LATE_MAX_S) for delay in delays
+    ) and all(loss is None or loss.rate <= LOST_MAX for loss in losses)
+
+
+def formed_by_s(way_m: float, course_mps: float, control: ControlSection) -> float:
+    """By when a fleet stands whose farthest robot is `way_m` from its place at the start: s.
+
+    It catches up with a course that does not wait, from rest, with what its greatest speed leaves it,
+    v t = way + u^2/2a, v = V - u and at least V/10, and then has as long as after a fault.
+    """
+    spare = max(control.max_speed_mps - course_mps, 0.1 * control.max_speed_mps)
+    lost_m = 0.5 * min(course_mps, control.max_speed_mps) ** 2 / control.max_acceleration
+    return RECOVERED_S + (way_m + lost_m) / spare
 
 
 def _whole(fleet: Fleet) -> Rule:

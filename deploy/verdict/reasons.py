@@ -45,7 +45,7 @@ def reasons(
     own = sorted([*data.reasons, *states], key=lambda reason: not of_fault(reason))
     found = [*recording.reasons, *own]
     for name, each in violations.items():
-        if name == "recovery" and (states or unsettled):
+        if name in ("recovery", "formed") and (states or unsettled):
             continue  # the same, in words about the end
         found += [violation.message for violation in each or ()]
     return found + unsettled

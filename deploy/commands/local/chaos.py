@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
+from agent.common.wording import show
 from deploy.console.arguments import InputError, describe
 
 if TYPE_CHECKING:
@@ -36,6 +37,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--seed", type=int, default=0, metavar="N", help="first seed (default: 0)")
     sub.add_argument(
         "--count", type=int, default=COUNT, metavar="M", help=f"seeds N to N+M-1 (default: {COUNT})"
+    )
+    sub.add_argument(
+        "--profile", metavar="P", help="only seeds of this profile, the first M from N on (docs/chaos.md)"
     )
     sub.add_argument(
         "--real",
@@ -85,6 +89,7 @@ class Scenarios:
 
 def chaos(options: argparse.Namespace) -> int:
     """Runs the command; returns the exit status."""
+    from deploy.chaos.draw import PROFILES, seeds_of
     from deploy.chaos.report import Tally, conclusion, lines
     from deploy.chaos.run_real import real_results
     from deploy.console.interrupt import Interrupt
@@ -97,7 +102,9 @@ def chaos(options: argparse.Namespace) -> int:
             raise InputError(f"--{name} must be at least {least}, got {value}")
     if options.seed + options.count > SEED_MAX:
         raise InputError(f"--seed must be below {SEED_MAX}, got {options.seed}")
-    seeds = range(options.seed, options.seed + options.count)
+    if options.profile not in (None, *PROFILES):
+        raise InputError(f"--profile must be one of {', '.join(PROFILES)}, got {show(options.profile)}")
+    seeds = seeds_of(options.profile, options.seed, options.count)
     out = Path(options.out)
     if options.write:
         return _write_all(out, seeds)
@@ -126,9 +133,10 @@ def chaos(options: argparse.Namespace) -> int:
     return FAILED if tally.failed else PASSED
 
 
-def _write_all(out: Path, seeds: range) -> int:
+def _write_all(out: Path, seeds: Sequence[int]) -> int:
     """Writes the scenarios as they are drawn."""
-    from deploy.chaos.draw import draw, name_of
+    from deploy.chaos.draw import draw
+    from deploy.chaos.profiles.pieces import name_of
     from deploy.chaos.run import scenario_text
 
     for seed in seeds:
@@ -140,7 +148,7 @@ def _write_all(out: Path, seeds: range) -> int:
 
 def _keep(out: Path, driven: Driven) -> Path:
     """Writes a scenario that failed, the smallest that was found, with what was violated in it."""
-    from deploy.chaos.draw import name_of
+    from deploy.chaos.profiles.pieces import name_of
     from deploy.chaos.run import scenario_text
 
     tables, outcome = driven.small or (driven.tables, driven.outcome)

@@ -242,7 +242,8 @@ def test_when_processes_were_down() -> None:
 
 def test_the_closest_pair_goes_by_the_edges_of_the_time() -> None:
     """Robots 1 and 3 share an edge until 5.5 s; then robot 1 passes by."""
-    recording = run(FLEET, [FIRST, JOIN, LEAVE])
+    fine = replace(FLEET, fleet=replace(FLEET.fleet, rate_hz=50.0))  # between two times it is nowhere
+    recording = run(fine, [FIRST, JOIN, LEAVE])
     body = recording.robots[1].plant
     body["x"][(body.t > 6.99) & (body.t < 7.01)] = 0.6
     a = analysed(recording)

@@ -18,13 +18,13 @@ from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved, start_hands
 from deploy.chaos.dice import Dice
-from deploy.chaos.draw import QUIET_S, draw
+from deploy.chaos.draw import PROFILES, draw, profile_of, seeds_of
 from deploy.chaos.draw_formation import APART_FACTOR
 from deploy.chaos.report import parts
 from deploy.chaos.run import scenario_text
 from deploy.check.check import check
 
-SEEDS = range(60)
+SEEDS = range(100)
 ROOT = Path(__file__).parents[4]
 
 
@@ -74,15 +74,19 @@ def test_starts_and_places_are_well_apart(drawn: dict[int, tuple[dict[str, Any],
                 assert min(each.distance for each in near) > 0.5 * safe_m + 0.3
 
 
-def test_the_end_is_quiet(drawn: dict[int, tuple[dict[str, Any], Fleet]]) -> None:
-    for seed, (_, fleet) in drawn.items():
-        quiet_s = fleet.fleet.duration_s - QUIET_S + 1e-6
-        assert all(order.at < quiet_s - 1.0 or order.kind == "resume" for order in fleet.orders), seed
-        for rule in fleet.faults.rules:
-            lasting = rule.at is None and rule.duration is None
-            for_good = rule.kill is not None and rule.duration is None
-            ends = [end for _, end in rule.windows(fleet.fleet.duration_s)]
-            assert lasting or for_good or rule.restart is not None or max(ends) <= quiet_s, (seed, rule)
+def test_every_profile_is_drawn_about_as_often_as_it_is_to_be() -> None:
+    counts = Counter(profile_of(seed) for seed in range(2000))
+    total = sum(profile.weight for profile in PROFILES.values())
+    assert set(counts) == set(PROFILES)
+    for name, profile in PROFILES.items():
+        assert abs(counts[name] / 2000 - profile.weight / total) < 0.03, name
+
+
+def test_seeds_of_one_profile_are_the_first_that_draw_it() -> None:
+    assert seeds_of(None, 7, 3) == [7, 8, 9]
+    found = seeds_of("fast", 10, 5)
+    assert found == [seed for seed in range(10, found[-1] + 1) if profile_of(seed) == "fast"]
+    assert len(found) == 5
 
 
 def test_everything_is_drawn_in_some(drawn: dict[int, tuple[dict[str, Any], Fleet]]) -> None:
@@ -93,7 +97,8 @@ def test_everything_is_drawn_in_some(drawn: dict[int, tuple[dict[str, Any], Flee
         "robots in reserve", "obstacles", "geofences", "dead-man's switches",
         "order: join", "order: leave", "order: replace", "order: reshape", "order: stop", "order: resume",
         "fault: delay", "fault: loss", "fault: duplicate", "fault: reorder", "fault: corrupt",
-        "fault: partition",
+        "fault: partition", "fault: deaf one way", "fault: never heard", "fault: kill agent for good",
+        "fault: delay everywhere", "fault: loss everywhere",
         "fault: links of limited range", "fault: kill agent", "fault: kill plant", "fault: pause agent",
         "fault: restart agent", "fault: clock skew or drift", "fault: late ticks",
     } <= set(found)  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 from agent.fleet.loading import parse_fleet
 from deploy.chaos import shrink as shrinking
 from deploy.chaos.draw import draw
+from deploy.chaos.profiles.mixed import draw_mixed
 from deploy.chaos.report import parts
 from deploy.chaos.run import Outcome, scenario_text
 from deploy.chaos.shrink import shrink, without_robot
@@ -39,13 +40,13 @@ class Bug:
 
 def small(monkeypatch: pytest.MonkeyPatch, bug: Bug, **options: Any) -> dict[str, Any]:
     monkeypatch.setattr(shrinking, "drive", bug)
-    tables, outcome = shrink(draw(SEED), FAILED, lambda: True, **options)
+    tables, outcome = shrink(draw_mixed(SEED), FAILED, lambda: True, **options)
     assert outcome == FAILED
     return tables
 
 
 def test_what_is_not_needed_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = draw(SEED)
+    before = draw_mixed(SEED)
     robot = before["robot"][2]["id"]
     bug = Bug(f"id = {robot},", 'kind = "stop"')
     tables = small(monkeypatch, bug)
@@ -67,14 +68,14 @@ def test_no_more_is_driven_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None
 def test_another_fault_is_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     other = Outcome((Violation("clearance", 1.0, "into a wall"),))
     monkeypatch.setattr(shrinking, "drive", lambda text, go_on: other)
-    tables, outcome = shrink(draw(SEED), FAILED, lambda: True)
-    assert (tables, outcome) == (draw(SEED), FAILED)
+    tables, outcome = shrink(draw_mixed(SEED), FAILED, lambda: True)
+    assert (tables, outcome) == (draw_mixed(SEED), FAILED)
 
 
 def test_it_stops_when_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shrinking, "drive", Bug())
     with pytest.raises(Abandoned):
-        shrink(draw(SEED), FAILED, lambda: False)
+        shrink(draw_mixed(SEED), FAILED, lambda: False)
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -12,6 +12,7 @@ from agent.fleet.fault_rules import Effect, FaultsSection, Rule
 from agent.fleet.fault_targets import Partition
 from agent.fleet.model import Fleet
 from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection
+from agent.fleet.sections import ControlSection
 from agent.formation.geometry import resolve
 from agent.impairments.impairments import Delay
 from agent.impairments.loss_models import Loss
@@ -32,6 +33,7 @@ from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recording import Recording
 from deploy.verdict.oracles import ORACLES, examine
+from deploy.verdict.oracles_drive import formed_by_s
 from deploy.verdict.violations import Violation
 from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
 from tests.unit.deploy.synthetic_run import Path as Way
@@ -123,6 +125,20 @@ def test_separation_of_a_pair_without_an_edge_whatever_the_law_promises() -> Non
     assert found("separation", bare, *paths) == [
         f"{sentence} With avoidance.enabled = false nothing keeps such pairs apart."
     ]
+
+
+def test_separation_of_a_pair_that_passes_between_two_samples() -> None:
+    slow = make_fleet([(-4.0, 0.1), (4.0, 0.0)], [(1, 2)], duration_s=4.0, rate_hz=2.0)
+
+    def there(t: float) -> tuple[float, float, float]:
+        return -4.3 + 2.0 * t, 0.1, 0.0  # at 2.15 s in the middle, 0.3 m beside it at 2.0 s
+
+    def back(t: float) -> tuple[float, float, float]:
+        return 4.3 - 2.0 * t, 0.0, 0.0
+
+    results = examined(recorded(slow, there, back))
+    (violation,) = results["separation"] or ()
+    assert "came within 0.100 m of each other at 2.00 s" in violation.message
 
 
 def test_who_begins_too_close_is_excused_until_first_apart() -> None:
@@ -537,6 +553,45 @@ def test_recovery_does_not_judge_the_edges_of_who_stands_in_anothers_way() -> No
     assert found("recovery", line, standing(0, 0), off, standing(0.4, 0)) == []  # 1 and 3 share no edge
     near = ObstacleSection(centre_m=(1.0, 1.5), radius_m=0.5)
     assert found("recovery", replace(line, obstacles=(near,)), standing(0, 0), off, standing(2, 0)) == []
+
+
+def late(text: str, **more: Any) -> Fleet:
+    return replace(LONG, faults=FaultsSection(delay=Effect(Delay.parse(text)), **more))
+
+
+def test_a_fleet_to_which_nothing_happens_is_formed() -> None:
+    off = standing(1.06, 0)
+    apart = "Robots 1 and 2 were 1.060 m apart instead of 1.000 m at the end, although nothing had happened"
+    assert found("formed", LONG) == []
+    for calm in (LONG, late("1s"), late("300ms", loss=Effect(Loss.parse("50%")))):
+        (sentence,) = found("formed", calm, standing(0, 0), off) or []
+        assert sentence.startswith(apart), sentence
+    for harsh in (late("2s"), late("0ms", loss=Effect(Loss.parse("60%"))), late("0ms", hold=True)):
+        assert found("formed", harsh, standing(0, 0), off) is None
+    cut = replace(LONG, faults=FaultsSection(rules=(Rule(partition=Partition.parse("1 | 2"), at=3.0),)))
+    assert found("formed", cut, standing(0, 0), off) is None
+    obstacle = ObstacleSection(centre_m=(5.0, 5.0), radius_m=0.5)
+    assert found("formed", replace(LONG, obstacles=(obstacle,)), standing(0, 0), off) is None
+    assert (
+        found("formed", replace(LONG, fleet=replace(LONG.fleet, duration_s=15.0)), standing(0, 0), off)
+        is None
+    )
+
+
+def test_a_formation_beside_its_course_is_not_formed() -> None:
+    assert found("formed", LONG, standing(0, 0.6), standing(1, 0.6)) == [
+        "Robot 1 was 0.60 m from its place at the end, although nothing had happened to the fleet."
+    ]
+    assert found("formed", LONG, standing(0, 0.4), standing(1, 0.4)) == []
+
+
+def test_by_when_a_formation_stands_follows_from_speeds() -> None:
+    control = ControlSection(max_speed_mps=1.5, max_acceleration=2.0)
+    assert formed_by_s(0.0, 0.0, control) == 20.0
+    assert formed_by_s(3.0, 0.0, control) == 22.0
+    assert formed_by_s(3.0, 1.0, control) == pytest.approx(20.0 + 3.25 / 0.5)
+    # One that no robot can follow: the lag grows for ever, and is judged all the same.
+    assert formed_by_s(0.0, 3.0, control) == pytest.approx(20.0 + 0.5625 / 0.15)
 
 
 def test_errors_where_only_links_fail() -> None:

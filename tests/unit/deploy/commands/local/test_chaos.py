@@ -11,9 +11,9 @@ import pytest
 
 from agent.fleet.loading import load_fleet
 from agent.supervision.state_machine import TRANSITIONS
-from deploy.chaos.draw import draw
+from deploy.chaos.draw import draw, seeds_of
 from deploy.chaos.report import NOT_DRAWN, Driven, Tally, conclusion, lines
-from deploy.chaos.run import Outcome, scenario_text
+from deploy.chaos.run import IN_FORMATION, Outcome, scenario_text
 from deploy.cli import main
 from deploy.commands.local import chaos
 from deploy.simulate import worker_pool
@@ -82,6 +82,27 @@ def test_an_end_before_all_are_driven(tmp_path: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().out.splitlines()[-1].startswith("1 scenario, 0 violations")
 
 
+def test_one_profile(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seeds = seeds_of("scale", 10, 2)
+    assert main(["chaos", "--seed", "10", "--count", "2", "--profile", "scale", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^  scale +2 +0 ", said, re.MULTILINE)
+    assert "mixed" not in said
+    assert main(
+        ["chaos", "--seed", "10", "--count", "2", "--profile", "scale", "--write", "--out", str(tmp_path)]
+    ) == 0  # fmt: skip
+    assert {path.name for path in tmp_path.iterdir()} == {f"chaos-{seed}.toml" for seed in seeds}
+
+
+def test_the_table_of_profiles_names_who_failed_by_what() -> None:
+    tally = Tally()
+    one, other = seeds_of("dead", 0, 2)
+    tally.add(Driven(one, draw(one), Outcome((TOO_CLOSE, TOO_CLOSE), ended=IN_FORMATION)))
+    tally.add(Driven(other, draw(other), Outcome(ended=IN_FORMATION)))
+    (row,) = [line for line in lines(tally) if line.startswith("  dead")]
+    assert row.split() == ["dead", "2", "1", "2", "0", "0", "0", "separation", "1"]
+
+
 def test_only_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["chaos", "--seed", "7", "--count", "2", "--out", str(tmp_path), "--write"]) == 0
     for seed in (7, 8):
@@ -94,6 +115,7 @@ def test_only_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     [
         (["--count", "0"], "--count must be at least 1, got 0"),
         (["--seed", "-1"], "--seed must be at least 0, got -1"),
+        (["--profile", "slow"], "--profile must be one of mixed, cut-off"),
         (["--jobs", "0"], "--jobs must be at least 1, got 0"),
         (["--seed", str(2**63)], "--seed must be below"),
     ],

@@ -1,0 +1,1 @@
+"""Kinds of scenarios: each module draws the fleet files of one."""

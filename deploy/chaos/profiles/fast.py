@@ -1,0 +1,86 @@
+"""Scenarios of fast formations whose messages are all late, and many lost, all the time (PURE).
+
+What links do never changes, nothing else fails and nothing is ordered: such a fleet is in formation in the
+end (`deploy.verdict.oracles_drive.formed`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import dist, pi
+from typing import Final
+
+from agent.common.quantities import Vector
+from deploy.chaos.dice import Dice, Tables
+from deploy.chaos.draw_formation import draw_shape
+from deploy.chaos.profiles import pieces
+
+ROBOTS: Final = (2, 8)
+SHARES: Final = (0.4, 0.9)
+"""Least and most of the greatest speed."""
+DELAY_MAX_MS: Final = 1000
+LOSS_MAX: Final = 50.0
+DURATION_S: Final = 45.0
+ERROR_M: Final = 0.7
+"""So far from their places they start, each axis: from rest, behind a course that does not wait."""
+_RATES_HZ: Final = ((15, 2.0), (20, 3.0), (25, 2.0))
+
+
+def draw_fast(seed: int) -> Tables:
+    """The tables of the fleet file of this seed."""
+    dice = Dice("fast", seed)
+    safe_m = dice.between(0.2, 0.35, 2)
+    control = pieces.draw_control(Dice("control", seed))
+    control["max_speed_mps"] = top = dice.between(0.8, 1.5, 2)
+    control["max_acceleration"] = max(control["max_acceleration"], 2.0 * top)
+    control.pop("prediction_horizon_s", None)
+    rate_hz = dice.weighted(_RATES_HZ)
+    ids = list(range(1, dice.whole(*ROBOTS) + 1))
+    shape = draw_shape(Dice("shape", seed), ids, safe_m)
+    reach_m = dice.between(0.1, 0.2, 2)
+    tables: Tables = {
+        "fleet": pieces.fleet(seed, rate_hz, DURATION_S),
+        "formation": pieces.formation(shape, ids, safe_m, assign=True),
+        "control": control,
+        "trajectory": _trajectory(dice, dice.between(*SHARES) * top, control["max_acceleration"]),
+        "robot_defaults": {
+            "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
+        },
+    }  # fmt: skip
+    tables["robot"] = pieces.robots_at(dice, _starts(dice, shape.offsets, safe_m), (), reach_m)
+    tables["faults"] = _links(dice)
+    return tables
+
+
+def _trajectory(dice: Dice, speed: float, acceleration: float) -> Tables:
+    angle = 2.0 * pi * dice.share()
+    if dice.chance(0.7):
+        return pieces.line(speed, angle)
+    radius = max(dice.between(3.0, 8.0), speed**2 / (0.25 * acceleration))
+    return pieces.circle(dice, (0.0, 0.0), round(radius, 2), speed, angle)
+
+
+def _starts(dice: Dice, places: Mapping[int, Vector], safe_m: float) -> dict[int, Vector]:
+    """Near the places, `pieces.START_FACTOR` safe distances from each other."""
+    starts: dict[int, Vector] = {}
+    for robot, (x, y) in places.items():
+        while True:
+            place = x + dice.between(-ERROR_M, ERROR_M), y + dice.between(-ERROR_M, ERROR_M)
+            if all(dist(place, other) > pieces.START_FACTOR * safe_m for other in starts.values()):
+                break
+        starts[robot] = place
+    return starts
+
+
+def _links(dice: Dice) -> Tables:
+    """``[faults]``: for all messages between robots, all the time."""
+    delay_ms = dice.whole(0, DELAY_MAX_MS)
+    faults: Tables = {}
+    if delay_ms:
+        jitter_ms = dice.whole(0, delay_ms // 4)
+        faults["delay"] = (
+            f"{delay_ms}ms" if dice.chance(0.6) or not jitter_ms else f"{delay_ms}ms {jitter_ms}ms"
+        )
+    if dice.chance(0.7):
+        faults["loss"] = f"{dice.between(1.0, LOSS_MAX, 1):g}%"
+    return faults
