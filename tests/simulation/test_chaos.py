@@ -16,16 +16,16 @@ from deploy.chaos.shrink import shrink
 from deploy.console.arguments import fleet_path, fleet_text
 
 SEEDS = (
-    *(1, 3, 4, 7, 10, 14, 16, 20, 21, 23, 24, 25, 26, 30, 37, 38, 39, 40),
-    *(41, 53, 55, 60, 63, 67, 69, 71, 72, 73, 75, 76, 79, 82, 86, 88, 92),
+    *(1, 4, 9, 10, 11, 15, 17, 22, 27, 30, 37, 39, 41, 57, 61, 75, 76, 78, 83, 87, 88, 92, 105, 110, 111),
+    *(112, 115, 117, 130, 140, 143, 144, 155, 156, 163, 165, 166, 168, 171, 172, 176, 177, 180, 181, 184),
 )
-"""Chosen of the first hundred: whatever those do is done by one of these, in a third of the time. Every
-oracle has something to look at; every kind of fault is there, beside every other kind and with every
-transition that come with it; so is every way to end, number of robots and kind of course. `handfast chaos`
-drives more."""
+"""Chosen of the first two hundred: whatever those do is done by one of these, in a quarter of the time. Every
+profile is there with every transition and every kind of course that it comes with, and every way to end; every
+oracle has something to look at; every kind of fault is there, beside every other kind. `handfast chaos` drives
+more."""
 FOUND = sorted((Path(__file__).parent / "chaos").glob("*.toml"))
 """Scenarios that failed, each with a comment on what they brought to light."""
-COVERING = (25, 92)
+COVERING = (41, 156, 176)
 """Seeds of `SEEDS` that together take every transition. `handfast chaos` counts them."""
 
 
@@ -91,5 +91,5 @@ def test_a_fault_of_the_program_is_found_and_made_small(monkeypatch: pytest.Monk
     assert faults_of(scenario_text(small)) == []
 
 
-BROKEN = 2
+BROKEN = 53
 """A seed in which robots without an edge meet."""
