@@ -19,10 +19,10 @@ SEEDS = (
     *(1, 4, 9, 10, 11, 15, 17, 22, 27, 30, 37, 39, 41, 57, 61, 75, 76, 78, 83, 87, 88, 92, 105, 110, 111),
     *(112, 115, 117, 130, 140, 143, 144, 155, 156, 163, 165, 166, 168, 171, 172, 176, 177, 180, 181, 184),
 )
-"""Chosen of the first two hundred: whatever those do is done by one of these, in a quarter of the time. Every
-profile is there with every transition and every kind of course that it comes with, and every way to end; every
-oracle has something to look at; every kind of fault is there, beside every other kind. `handfast chaos` drives
-more."""
+"""Chosen of the first two hundred: whatever those do is done by one of these, in a quarter of the time. Each
+profile is there with every transition and kind of course that it comes with and every way to end; every
+oracle has something to look at; every kind of fault is there, beside every other kind. `handfast chaos`
+drives more."""
 FOUND = sorted((Path(__file__).parent / "chaos").glob("*.toml"))
 """Scenarios that failed, each with a comment on what they brought to light."""
 COVERING = (41, 156, 176)
