@@ -16,6 +16,7 @@ from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
 from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.detour import Blocker, Detour
+from agent.control.gains import gains_of, one_sided
 from agent.control.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
 from agent.control.prediction import Prediction, approach, constraint_decay
 from agent.control.proximity import Proximity
@@ -112,7 +113,8 @@ class Controller:
         self._course_edges: tuple[Edge, ...] = ()
         self.detour: Final = Detour(fleet.period_ns / NS_PER_S)
         self._blockers: list[Blocker] = []
-        self._gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
+        self._gains = gains_of(fleet)
+        self._pushing = one_sided(self._gains)
         self.coupling: Final = COUPLINGS[control.coupling](self._gains, self.peers)
         self._own_law: OwnLaw | None = None
         if control.law is not None:
@@ -263,7 +265,9 @@ class Controller:
             weight = edge.weight * peer.trust
             if weight > 0.0:
                 offset = own.x - other.position[0], own.y - other.position[1]
-                constraint = self._constraint(scene, other, offset, edge.distance, edge.rate, edge.bend)
+                constraint = self._constraint(
+                    scene, other, offset, edge.distance, self._gains, edge.rate, edge.bend
+                )
                 if weight < 1.0:
                     constraint = law.weighted(constraint, weight)
                 scene.constraints.append(Constraint(peer.robot, constraint, other, peer.degree, False))
@@ -281,6 +285,7 @@ class Controller:
         other: Prediction,
         offset: Vector,
         distance: float,
+        gains: law.Gains,
         rate: float = 0.0,
         bend: float = 0.0,
     ) -> law.Edge:
@@ -293,7 +298,7 @@ class Controller:
             away = scale * offset[0], scale * offset[1]
             velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
             navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
-        return law.edge(offset, velocity, navigation, distance, self._safe_distance, self._gains)
+        return law.edge(offset, velocity, navigation, distance, self._safe_distance, gains)
 
     def _keep_away(
         self, scene: _Scene, peer: Peer, time_ns: int, predicted: Prediction | None = None, *, pushes: bool
@@ -311,7 +316,8 @@ class Controller:
         guessed = silent and peer.here
         if pushes and not guessed and rho - doubt < self.proximity.distance:
             scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
-            constraint = self._constraint(scene, other, (dx * scale, dy * scale), self.proximity.distance)
+            offset = dx * scale, dy * scale
+            constraint = self._constraint(scene, other, offset, self.proximity.distance, self._pushing)
             scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         follows = peer.message is not None and peer.message.following
         gap = self._safe_distance + self._margin + doubt
@@ -386,7 +392,7 @@ class Controller:
                         (scene.nx, scene.ny),
                         clearance + band,
                         clearance,
-                        self._gains,
+                        self._pushing,
                     )
                     key = f"{near.name} {near.side}"
                     scene.constraints.append(Constraint(key, constraint, None, 0, True, near.name))

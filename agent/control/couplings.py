@@ -75,7 +75,7 @@ class Joint(Coupling):
     """One sweep a tick towards the joint multipliers of all edges around (J2)."""
 
     def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
-        values, gains = before, self._gains
+        values = before
         edges = {each.key for each in constraints if not each.one_sided}
         for k, each in enumerate(constraints):
             # A robot with an edge that is not quite relied on has two multipliers: the edge's is shared.
@@ -89,7 +89,7 @@ class Joint(Coupling):
             other = each.other
             pull = (cx, cy) if other is None else (cx - other.constraint[0], cy - other.constraint[1])
             degrees = own_degree + (0 if other is None else max(1, each.degree))
-            values[k] = law.multiplier_sweep(each.edge, values[k], pull, degrees, gains)
+            values[k] = law.multiplier_sweep(each.edge, values[k], pull, degrees)
         return values
 
 
@@ -97,10 +97,7 @@ class EdgeByEdge(Coupling):
     """Each edge on its own, as published (33)."""
 
     def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
-        return [
-            law.multiplier_edge(each.edge, self._gains, 1 if each.other is None else 2)
-            for each in constraints
-        ]
+        return [law.multiplier_edge(each.edge, 1 if each.other is None else 2) for each in constraints]
 
 
 class Penalty(Coupling):

@@ -23,13 +23,18 @@ that noise or a fault has put there would be pulled together."""
 class Gains(NamedTuple):
     """k_d of (18), k_2 of (24) and the stiffness k_p of (J1); k_p = 0 is the paper's law.
 
+    An edge whose span is s = d - r_s has k_2 + max(near, far s) / s^2 in the place of k_2 (J4).
+
     relaxation: where rho - r_s is less than this share of d - r_s, phi goes on along its tangent (B1).
+    near, far (1/m): of the softness that follows the span.
     """
 
     kd: float
     k2: float
     kp: float
     relaxation: float = RELAXATION_MIN
+    near: float = 0.0
+    far: float = 0.0
 
 
 class Edge(NamedTuple):
@@ -42,6 +47,7 @@ class Edge(NamedTuple):
         slope: phi' = d phi / d rho, so that a_ij = phi' n^T (10), 1/m.
         rate: phidot (9), 1/s.
         demand: right-hand side of (33) with k_p: -Adot rdot - A F_n - k_d phidot - k_p phi, 1/s^2.
+        softness: its k_2 (J4), 1/m^2.
     """
 
     normal: Vector
@@ -50,6 +56,7 @@ class Edge(NamedTuple):
     slope: float
     rate: float
     demand: float
+    softness: float
 
 
 def edge(
@@ -68,7 +75,7 @@ def edge(
         navigation: F_ni - F_nj, m/s^2.
         distance: wanted distance d, m; above `safe_distance`.
         safe_distance: r_s, m.
-        gains: k_d and k_p, and the relaxation of phi.
+        gains: k_d, k_p and k_2, and the relaxation of phi.
     """
     x, y = offset
     wx, wy = velocity
@@ -88,7 +95,9 @@ def edge(
     drift = across * across / rho - (room >= clearance) * (2.0 * closing * closing / clearance)
     push = nx * fx + ny * fy  # n.(F_ni - F_nj)
     demand = -slope * (drift + push) - gains.kd * rate - gains.kp * phi
-    return Edge((nx, ny), rho, phi, slope, rate, demand)
+    near, far = gains.near, gains.far * span
+    softness = gains.k2 + (near if near > far else far) / (span * span)
+    return Edge((nx, ny), rho, phi, slope, rate, demand, softness)
 
 
 def weighted(e: Edge, weight: float) -> Edge:
@@ -96,18 +105,26 @@ def weighted(e: Edge, weight: float) -> Edge:
 
     Everything is linear in phi, so with a constant weight all that holds of phi holds of it.
     """
-    return Edge(e.normal, e.distance, weight * e.phi, weight * e.slope, weight * e.rate, weight * e.demand)
+    return Edge(
+        e.normal,
+        e.distance,
+        weight * e.phi,
+        weight * e.slope,
+        weight * e.rate,
+        weight * e.demand,
+        e.softness,
+    )
 
 
-def multiplier_edge(e: Edge, gains: Gains, bodies: int = 2) -> float:
+def multiplier_edge(e: Edge, bodies: int = 2) -> float:
     """The multiplier of an edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2.
 
     bodies: how many of its ends can move; 1 at an obstacle.
     """
-    return e.demand / (gains.k2 + bodies * e.slope * e.slope)
+    return e.demand / (e.softness + bodies * e.slope * e.slope)
 
 
-def multiplier_sweep(e: Edge, multiplier: float, constraint: Vector, degrees: float, gains: Gains) -> float:
+def multiplier_sweep(e: Edge, multiplier: float, constraint: Vector, degrees: float) -> float:
     """One damped sweep of an edge towards the joint multipliers of (J2).
 
     lambda <- lambda + (demand - k_2 lambda - phi' n.(F_ci - F_cj)) / (k_2 + phi'^2 (deg_i + deg_j)):
@@ -120,8 +137,8 @@ def multiplier_sweep(e: Edge, multiplier: float, constraint: Vector, degrees: fl
         degrees: deg_i + deg_j.
     """
     pull = e.normal[0] * constraint[0] + e.normal[1] * constraint[1]
-    residual = e.demand - gains.k2 * multiplier - e.slope * pull
-    return multiplier + residual / (gains.k2 + e.slope * e.slope * degrees)
+    residual = e.demand - e.softness * multiplier - e.slope * pull
+    return multiplier + residual / (e.softness + e.slope * e.slope * degrees)
 
 
 def multiplier_penalty(e: Edge, gains: Gains) -> float:

@@ -129,7 +129,15 @@ class ControlSection(Sectioned):
     c1: float = setting(0.4, "Navigation: gain on the position error.", unit="1/s2", gt=0, le=1e4)
     c2: float = setting(0.6, "Navigation: gain on the velocity error.", unit="1/s", gt=0, le=1e4)
     kd: float = setting(1.8, "Damping of an edge's constraint.", unit="1/s", ge=0, le=1e4)
-    k2: float = setting(5.0, "Softness of an edge's constraint.", unit="1/m2", gt=0, le=1e6)
+    k2: float | None = setting(
+        None,
+        "Softness of an edge's constraint. Left out: for each edge by its scale, 4 / (d - r_s)^2, so that "
+        "formations of any size behave alike; more where `max_speed_mps` limits the pull to far places.",
+        unit="1/m2",
+        gt=0,
+        le=1e6,
+        example="5.0",
+    )
     kp: float = setting(
         1.0, "Stiffness of an edge's constraint; 0 is the paper's law.", unit="1/s2", ge=0, le=1e4
     )

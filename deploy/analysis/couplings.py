@@ -7,9 +7,11 @@ Near the formation the law is linear in e = r - r_d, and for every coupling its 
 the constraint matrix of all edges at the formation, phi ~ A e, and u = -K1 e - K2 edot in each mode of these
 symmetric matrices (mu their eigenvalue):
 
-    joint    A^T (k2 + A A^T)^-1 A            K = (1 - mu) (c1, c2) + mu (kp, kd),  0 <= mu < 1
-    edge     A^T (k2 + diag(A A^T))^-1 A      the same, but mu can pass 1: the gap in Theorem 1
+    joint    A^T (K2 + A A^T)^-1 A            K = (1 - mu) (c1, c2) + mu (kp, kd),  0 <= mu < 1
+    edge     A^T (K2 + diag(A A^T))^-1 A      the same, but mu can pass 1: the gap in Theorem 1
     penalty  A^T A                            K = (c1, c2) + mu (kp, kd)
+
+K2 is diagonal: the softness of each edge (J4).
 """
 
 from __future__ import annotations
@@ -22,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.common.errors import Error
-from agent.control.law import Gains
+from agent.control.gains import gains_of
 from agent.fleet.model import Fleet
-from agent.fleet.sections import ControlSection
 from agent.formation.geometry import Geometry
 from deploy.analysis import fleet_law, patience
 from deploy.analysis.fleet_law import Array, Edges
@@ -86,9 +87,9 @@ class FleetCoupling(FleetLaw):
     shares_navigation: ClassVar[bool] = True
     bounded: ClassVar[bool] = False
 
-    def __init__(self, control: ControlSection, safe_distance: float) -> None:
-        self.control, self.safe_distance = control, safe_distance
-        self.gains: Final = Gains(control.kd, control.k2, control.kp, control.relaxation)
+    def __init__(self, fleet: Fleet) -> None:
+        self.control, self.safe_distance = fleet.control, fleet.formation.safe_distance_m
+        self.gains: Final = gains_of(fleet)
 
     def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
         """Multipliers of all edges of a fleet, (m,); where robots reach them by sweeps, exactly."""
@@ -96,7 +97,7 @@ class FleetCoupling(FleetLaw):
 
     def modes(self, geometry: Geometry) -> tuple[Mode, ...]:
         n, control = len(geometry.ids), self.control
-        values = self._eigenvalues(self._jacobian(geometry)).tolist()
+        values = self._eigenvalues(self._jacobian(geometry), self.softness(geometry)).tolist()
         found = []
         for value in [*values, *[0.0] * (2 * n - len(values))][: 2 * n]:
             rest = 1.0 - value if self.shares_navigation else 1.0
@@ -114,10 +115,15 @@ class FleetCoupling(FleetLaw):
         """What the author of a fleet of so many robots should know of this coupling, "" for nothing."""
         return ""
 
-    def _eigenvalues(self, jacobian: Array) -> Array:
-        """mu of the modes in which edges change."""
-        values: Array = np.asarray(np.linalg.svd(jacobian, compute_uv=False) ** 2, dtype=np.float64)
-        return values
+    def _eigenvalues(self, jacobian: Array, softness: Array) -> Array:
+        """mu of the modes in which edges change; `softness`: of each edge, 1/m^2."""
+        return _squares(jacobian)
+
+    def softness(self, geometry: Geometry) -> Array:
+        """Of each edge (J4), (m,), 1/m^2."""
+        gains, span = self.gains, geometry.distances - self.safe_distance
+        found: Array = gains.k2 + np.maximum(gains.near, gains.far * span) / span**2
+        return found
 
     def _jacobian(self, geometry: Geometry) -> Array:
         """A of all edges at the formation, (m, 2n): phi' = 1 / (d - r_s) where rho = d (10)."""
@@ -133,13 +139,13 @@ class Joint(FleetCoupling):
     bounded = True
 
     def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
-        return fleet_law.multipliers_joint(e, i, j, robots, self.gains)
+        return fleet_law.multipliers_joint(e, i, j, robots)
 
     def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
         """Largest |eigenvalue| of the sampled joint law with its multipliers moved by one sweep a tick.
 
         State: e, edot of every robot and the multiplier of every edge, with neighbours predicted exactly.
-        lambda' = lambda + W^-1 (A (c1 e + c2 edot) - kd A edot - kp A e - (k2 + A A^T) lambda), the
+        lambda' = lambda + W^-1 (A (c1 e + c2 edot) - kd A edot - kp A e - (K2 + A A^T) lambda), the
         sweep of `agent.control.law`, and u = -c1 e - c2 edot + A^T lambda'.
         """
         control, jacobian = self.control, self._jacobian(geometry)
@@ -147,12 +153,13 @@ class Joint(FleetCoupling):
         h = 1.0 / rate_hz
         degree = np.bincount(geometry.edges.ravel(), minlength=n2 // 2)
         slope2 = 1.0 / (geometry.distances - self.safe_distance) ** 2
-        gain = 1.0 / (control.k2 + slope2 * degree[geometry.edges].sum(axis=1))
+        softness = self.softness(geometry)
+        gain = 1.0 / (softness + slope2 * degree[geometry.edges].sum(axis=1))
         sweep = np.hstack(
             [
                 (control.c1 - control.kp) * gain[:, None] * jacobian,
                 (control.c2 - control.kd) * gain[:, None] * jacobian,
-                np.eye(m) - gain[:, None] * (control.k2 * np.eye(m) + jacobian @ jacobian.T),
+                np.eye(m) - gain[:, None] * (np.diag(softness) + jacobian @ jacobian.T),
             ]
         )
         force = (
@@ -164,21 +171,21 @@ class Joint(FleetCoupling):
         matrix = np.vstack([hold + 0.5 * h * h * force, velocity + h * force, sweep])
         return float(np.abs(np.linalg.eigvals(matrix)).max())
 
-    def _eigenvalues(self, jacobian: Array) -> Array:
-        values = super()._eigenvalues(jacobian)
-        return values / (self.control.k2 + values)
+    def _eigenvalues(self, jacobian: Array, softness: Array) -> Array:
+        values = _squares(jacobian / np.sqrt(softness)[:, None])
+        return values / (1.0 + values)
 
 
 class EdgeByEdge(FleetCoupling):
     """Each edge on its own, as published (33)."""
 
-    def __init__(self, control: ControlSection, safe_distance: float) -> None:
-        super().__init__(control, safe_distance)
-        self._published = control.kp == 0.0
+    def __init__(self, fleet: Fleet) -> None:
+        super().__init__(fleet)
+        self._published = fleet.control.kp == 0.0
         self.title = "edge by edge, the paper's" if self._published else "edge by edge"
 
     def multipliers(self, e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
-        return fleet_law.multipliers_edge(e, self.gains)
+        return fleet_law.multipliers_edge(e)
 
     def remark(self, robots: int) -> str:
         if robots <= 2:
@@ -190,9 +197,9 @@ class EdgeByEdge(FleetCoupling):
             'out (docs/theory.md). coupling = "joint" is proved'
         )
 
-    def _eigenvalues(self, jacobian: Array) -> Array:
-        weight = self.control.k2 + np.sum(jacobian**2, axis=1)
-        return super()._eigenvalues(jacobian / np.sqrt(weight)[:, None])
+    def _eigenvalues(self, jacobian: Array, softness: Array) -> Array:
+        weight = softness + np.sum(jacobian**2, axis=1)
+        return _squares(jacobian / np.sqrt(weight)[:, None])
 
 
 class Penalty(FleetCoupling):
@@ -221,6 +228,12 @@ COUPLINGS: Final[Mapping[str, type[FleetCoupling]]] = {
 """By their name in `control.coupling`."""
 
 
+def _squares(matrix: Array) -> Array:
+    """The squares of its singular values, (min(m, 2n),)."""
+    values: Array = np.asarray(np.linalg.svd(matrix, compute_uv=False) ** 2, dtype=np.float64)
+    return values
+
+
 _MODES: Final = "modes(cls, fleet, settings)"
 _GIVES: Final = "gives two (k1, k2, shape) for each robot, or None"
 
@@ -244,7 +257,7 @@ def coupling_of(fleet: Fleet) -> FleetCoupling | None:
     """The form of a fleet's coupling for all its robots at once; None for a law of others."""
     if fleet.control.law is not None:
         return None
-    return COUPLINGS[fleet.control.coupling](fleet.control, fleet.formation.safe_distance_m)
+    return COUPLINGS[fleet.control.coupling](fleet)
 
 
 def law_of(fleet: Fleet) -> FleetLaw | None:

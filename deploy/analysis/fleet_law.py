@@ -31,6 +31,7 @@ class Edges(NamedTuple):
     slope: Array
     rate: Array
     demand: Array
+    softness: Array
 
 
 def edges(
@@ -58,25 +59,33 @@ def edges(
     drift = across * across / rho - (room >= clearance) * (2.0 * closing * closing / clearance)
     push = nx * fx + ny * fy
     demand = -slope * (drift + push) - gains.kd * rate - gains.kp * phi
-    return Edges(np.array((nx, ny)), rho, phi, slope, rate, demand)
+    softness = np.broadcast_to(gains.k2 + np.maximum(gains.near, gains.far * span) / span**2, rho.shape)
+    return Edges(np.array((nx, ny)), rho, phi, slope, rate, demand, softness)
 
 
 def weighted(e: Edges, weight: Scalar) -> Edges:
     """The constraints `weight` phi = 0 in the place of phi = 0, weight in 0..1 (W1)."""
-    return Edges(e.normal, e.distance, weight * e.phi, weight * e.slope, weight * e.rate, weight * e.demand)
+    return Edges(
+        e.normal,
+        e.distance,
+        weight * e.phi,
+        weight * e.slope,
+        weight * e.rate,
+        weight * e.demand,
+        e.softness,
+    )
 
 
-def multipliers_edge(e: Edges, gains: Gains, bodies: int = 2) -> Array:
+def multipliers_edge(e: Edges, bodies: int = 2) -> Array:
     """Each edge on its own, (33): lambda = demand / (k_2 + A A^T), A A^T = 2 phi'^2.
 
     bodies: how many of its ends can move; 1 at an obstacle.
     """
-    return e.demand / (gains.k2 + bodies * e.slope * e.slope)
+    found: Array = e.demand / (e.softness + bodies * e.slope * e.slope)
+    return found
 
 
-def multipliers_sweep(
-    e: Edges, multipliers: Array, constraint: Array, degrees: Scalar, gains: Gains
-) -> Array:
+def multipliers_sweep(e: Edges, multipliers: Array, constraint: Array, degrees: Scalar) -> Array:
     """One damped sweep of all edges towards the joint multipliers of (J2).
 
     Args:
@@ -85,8 +94,8 @@ def multipliers_sweep(
         degrees: deg_i + deg_j.
     """
     pull = e.normal[0] * constraint[0] + e.normal[1] * constraint[1]
-    residual = e.demand - gains.k2 * multipliers - e.slope * pull
-    found: Array = multipliers + residual / (gains.k2 + e.slope * e.slope * degrees)
+    residual = e.demand - e.softness * multipliers - e.slope * pull
+    found: Array = multipliers + residual / (e.softness + e.slope * e.slope * degrees)
     return found
 
 
@@ -95,8 +104,8 @@ def multipliers_penalty(e: Edges, gains: Gains) -> Array:
     return -(gains.kp * e.phi + gains.kd * e.rate)
 
 
-def multipliers_joint(e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int, gains: Gains) -> Array:
-    """All multipliers at once, (J2): (k_2 I + A A^T) lambda = demand, solved exactly. Shape (m,).
+def multipliers_joint(e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots: int) -> Array:
+    """All multipliers at once, (J2): (K_2 + A A^T) lambda = demand, solved exactly. Shape (m,).
 
     What the sweeps converge to.
     """
@@ -106,7 +115,7 @@ def multipliers_joint(e: Edges, i: NDArray[np.intp], j: NDArray[np.intp], robots
         jacobian[rows, 2 * i + axis] = e.slope * e.normal[axis]
         jacobian[rows, 2 * j + axis] = -e.slope * e.normal[axis]
     matrix = jacobian @ jacobian.T
-    matrix[rows, rows] += gains.k2
+    matrix[rows, rows] += e.softness
     result: Array = np.asarray(np.linalg.solve(matrix, e.demand), dtype=np.float64)
     return result
 
@@ -136,12 +145,12 @@ def navigation_force(acceleration: Any, error: Any, error_rate: Any, c1: float, 
 
 
 def energy(e: Edges, error: Array, error_rate: Array, c1: float, gains: Gains) -> float:
-    """Lyapunov function (35) with the stiffness term of (J3), for all robots and edges of a fleet.
+    """Lyapunov function (J3) for all robots and edges of a fleet: (35) with stiffness, divided by k_2.
 
-    E = k_2 c_1/2 |e|^2 + k_2/2 |edot|^2 + 1/2 |phidot|^2 + k_p/2 |phi|^2.
+    E = c_1/2 |e|^2 + 1/2 |edot|^2 + sum over edges of (phidot^2 + k_p phi^2)/(2 k_2).
 
     Args:
         error: e = r - r_d of every robot, (2, n), m; error_rate: its derivative, (2, n), m/s.
     """
-    navigation = 0.5 * gains.k2 * (c1 * float(np.sum(error * error)) + float(np.sum(error_rate * error_rate)))
-    return navigation + 0.5 * float(e.rate @ e.rate) + 0.5 * gains.kp * float(e.phi @ e.phi)
+    navigation = c1 * float(np.sum(error * error)) + float(np.sum(error_rate * error_rate))
+    return 0.5 * (navigation + float(np.sum((e.rate * e.rate + gains.kp * e.phi * e.phi) / e.softness)))

@@ -81,7 +81,7 @@ def at_start(fleet: Fleet, geometry: Geometry, coupling: FleetCoupling) -> Start
     i, j = geometry.edges[:, 0], geometry.edges[:, 1]
     n = len(geometry.ids)
     if not len(i):
-        energy = 0.5 * control.k2 * float(control.c1 * np.sum(error**2) + np.sum(rate**2))
+        energy = 0.5 * float(control.c1 * np.sum(error**2) + np.sum(rate**2))
         return Start(np.hypot(*navigation), np.hypot(*error), energy)
     position = error + geometry.offsets.T
     edges = fleet_law.edges(
@@ -100,8 +100,8 @@ def at_start(fleet: Fleet, geometry: Geometry, coupling: FleetCoupling) -> Start
 def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:
     """Least distance (m) that any edge will ever have, by the energy at the start (docs/theory.md).
 
-    |phi| <= sqrt(2 E(0) / kp) for all time, and phi = (rho - d) / (rho - r_s) or its tangent (B1). It
-    holds for a bounded coupling with k_p > 0 while nothing is clipped; None where it says nothing.
+    |phi| <= sqrt(2 E(0) k2 / kp) of each edge for all time, and phi = (rho - d) / (rho - r_s) or its tangent
+    (B1). It holds for a bounded coupling with k_p > 0 while nothing is clipped; None where it says nothing.
     """
     control, safe = fleet.control, fleet.formation.safe_distance_m
     lengths = edge_lengths(start_hands(fleet), geometry.edges)
@@ -110,11 +110,10 @@ def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:
         return None
     if float(lengths.min(initial=inf)) <= safe:
         return None
-    span = float(geometry.distances.min()) - safe
-    phi = sqrt(2.0 * at_start(fleet, geometry, coupling).energy / control.kp)
+    span = geometry.distances - safe
+    softness = coupling.softness(geometry)
+    phi = np.sqrt(2.0 * at_start(fleet, geometry, coupling).energy * softness / control.kp)
     beyond = phi - (1.0 / control.relaxation - 1.0)  # of what phi is where its tangent begins
-    if beyond <= 0.0:
-        least = safe + span / (1.0 + phi)
-    else:
-        least = safe + span * (control.relaxation - control.relaxation**2 * beyond)
+    tangent = control.relaxation - control.relaxation**2 * beyond
+    least = safe + float((span * np.where(beyond <= 0.0, 1.0 / (1.0 + phi), tangent)).min(initial=inf))
     return least if isfinite(least) and least > safe else None

@@ -20,6 +20,7 @@ from deploy.check.loop import check_gains, check_loop, check_saturation
 from deploy.check.orders import check_orders
 from deploy.check.safety import check_safety
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
+from deploy.check.stiffness import check_stiffness
 from deploy.check.vehicles import check_vehicles
 
 __all__ = ["Finding", "check"]
@@ -42,6 +43,7 @@ def check(fleet: Fleet) -> list[Finding]:
         if float(geometry.distances.min(initial=inf)) > fleet.formation.safe_distance_m:
             findings += check_saturation(fleet, geometry)
             findings += check_loop(fleet, geometry)
+            findings += check_stiffness(fleet, geometry)
         if fleet.control.law is not None:
             from deploy.check.own_law import check_own_law  # here: other fleets need none of it
 

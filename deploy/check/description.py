@@ -48,7 +48,7 @@ def describe(fleet: Fleet) -> str:
         lines.append(f"  cannot be driven: {error}")
         return "\n".join(lines)
     lines.append(f"  formation: {_describe_shape(fleet, geometry)}")
-    lines.append(f"  law: {_describe_law(fleet)}")
+    lines.append(f"  law: {_describe_law(fleet, geometry)}")
     lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
     lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
     lines += [f"  {line}" for line in _describe_safety(fleet, geometry)]
@@ -95,7 +95,7 @@ def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:
     return ", ".join(parts)
 
 
-def _describe_law(fleet: Fleet) -> str:
+def _describe_law(fleet: Fleet, geometry: Geometry) -> str:
     control, coupling = fleet.control, coupling_of(fleet)
     if coupling is None:
         settings = [plain(section) for _, section in control.sections]
@@ -104,9 +104,12 @@ def _describe_law(fleet: Fleet) -> str:
             f"{control.law}, a plugin;{own} c1 {control.c1:g}, c2 {control.c2:g}; at most "
             f"{control.max_acceleration:g} m/s2"
         )
+    softness = coupling.softness(geometry) if len(geometry.distances) else np.array([control.k2 or 0.0])
+    least, most = float(softness.min()), float(softness.max())
+    k2 = f"{least:.3g}" if most - least < 1e-3 * most else f"{least:.3g} to {most:.3g}"
     return (
-        f"{coupling.title}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 "
-        f"{control.k2:g}, kp {control.kp:g}; at most {control.max_acceleration:g} m/s2"
+        f"{coupling.title}; c1 {control.c1:g}, c2 {control.c2:g}, kd {control.kd:g}, k2 {k2}, "
+        f"kp {control.kp:g}; at most {control.max_acceleration:g} m/s2"
     )
 
 

@@ -17,8 +17,6 @@ from deploy.console.wording import robots
 
 SWEEP_ROBOTS_MAX: Final = 60
 """Largest fleet whose multiplier sweeps are in the sampled eigenvalues: their matrix grows with n."""
-KP_HIGH: Final = 4.0
-"""k_p above which wrong local minima were measured (facts: 84 % of random starts converged at 4)."""
 
 
 def check_saturation(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
@@ -55,14 +53,6 @@ def check_gains(fleet: Fleet) -> Iterator[Finding]:
             "control.kp",
             "0: nothing pulls an edge back to its distance but navigation, so close pairs creep apart "
             "(measured: 45 % of random starts not settled in 40 s even with the joint law); 1 is the "
-            "measured best",
-        )
-    elif control.kp > KP_HIGH:
-        yield Finding(
-            "warning",
-            "control.kp",
-            f"{control.kp:.4g} is above {KP_HIGH:g}: edges become so stiff against navigation that "
-            "triangles stay folded the wrong way (measured: 16 % of random starts at 4); about 1 is the "
             "measured best",
         )
 

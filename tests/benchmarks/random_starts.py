@@ -1,8 +1,10 @@
-"""The table of random starts: which law keeps six robots apart, and how soon it brings them into formation.
+"""The tables of random starts: which law keeps six robots apart, how soon it brings them into formation, and
+whether the law that is shipped does so at every scale.
 
 Six robots of the delta, uniform in a square, the formation turned at random, slots assigned; the
-whole chain (plants, messages, agents) in virtual time, on all cores. The same starts for every law. Avoidance
-is switched off: it would keep robots apart whatever the law, and here the laws are compared.
+whole chain (plants, messages, agents) in virtual time, on all cores. The same starts for every law. Where
+laws are compared avoidance is switched off: it would keep robots apart whatever the law. Scales are driven
+with every default, the square and the safe distance as large as the formation makes them.
 """
 
 from __future__ import annotations
@@ -13,12 +15,17 @@ from typing import Final
 
 import numpy as np
 
+from agent.fleet.loading import load_fleet
 from deploy.console.arguments import fleet_path, fleet_text
 from deploy.sweep.plan import Question, make_plan
 from deploy.sweep.run import Row
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.rows import drive, share
 
+SCALES_M: Final = (0.3, 0.5, 1.0, 3.0, 10.0)
+"""Lengths of the edges."""
+SAFE_SHARE: Final = 0.22
+"""r_s / d, as the delta has it."""
 LAWS: Final = ("joint", "edge", "paper", "penalty")
 REPAIRED: Final = ("joint", "edge")
 SIDE_M: Final = 4.0
@@ -52,6 +59,40 @@ def of_edges(row: Row, safe_m: float) -> Row:
     return row if nearest is None else replace(row, safe=nearest >= safe_m)
 
 
+def scaled(distance_m: float) -> str:
+    """The text of a fleet file: the delta with edges that long, at rest, and no gain given.
+
+    Speed limits do not grow with it: larger ones have longer.
+    """
+    delta = load_fleet(fleet_path("delta"))
+    places = [[distance_m * x, distance_m * y] for x, y in delta.formation.offsets or ()]
+    robots = "".join(
+        f"[[robot]]\nid = {each.id}\nx_m = {each.x_m}\ny_m = {each.y_m}\n" for each in delta.robots
+    )
+    return (
+        f'[fleet]\nname = "scale"\nduration_s = {20.0 + 2.0 * distance_m}\n[formation]\n'
+        f"edges = {[list(edge) for edge in delta.formation.edges]}\noffsets = {places}\n"
+        f"safe_distance_m = {SAFE_SHARE * distance_m}\n{robots}"
+    )
+
+
+def run_scales(result: Result, count: int) -> None:
+    """Adds the table of scales to `result`."""
+    lines = []
+    for distance_m in SCALES_M:
+        name = f"d = {distance_m:g} m"
+        question = Question(name, scaled(distance_m), None, (), (), count, SIDE_M * distance_m)
+        rows = drive(name, make_plan(question))
+        lines.append(line(name, rows))
+        for what, good in (("settle", "settled"), ("stay safe", "safe")):
+            share_of = 100.0 * sum(getattr(each, good) is True for each in rows) / count
+            result.figures.append(Figure(f"{name}: starts that {what}", share_of, "%", 100.0, at_most=False))
+        bad = [str(each.run) for each in rows if not (each.safe and each.settled)]
+        if bad:
+            result.details.append(f"{name}: runs not safe or not settled: {', '.join(bad[:20])}")
+    result.details += table(("edges", *HEADING), lines)
+
+
 def run(options: Options) -> Result:
     count = options.count or (COUNT_QUICK if options.quick else COUNT)
     path = fleet_path("delta")
@@ -80,5 +121,6 @@ def run(options: Options) -> Result:
         if bad:
             result.details.append(f"{law}: runs not safe or not settled: {', '.join(map(str, bad[:20]))}")
     result.details += table(("law", *HEADING), lines)
-    result.details.append(f"{count} starts each, {SIDE_M:g} m square, {DURATION_S:g} s")
+    run_scales(result, count)
+    result.details.append(f"{count} starts each, {SIDE_M:g} d wide square, {DURATION_S:g} s")
     return result

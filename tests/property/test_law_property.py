@@ -69,6 +69,8 @@ def groups(draw: st.DrawFn, clearance_min: float = 0.05, robots_max: int = ROBOT
             kd=draw(st.sampled_from([0.0, 1.8, 10.0]), label="kd"),
             k2=draw(st.sampled_from([0.5, 5.0, 50.0]), label="k2"),
             kp=draw(st.sampled_from([0.0, 1.0, 4.0]), label="kp"),
+            near=draw(st.sampled_from([0.0, 4.0]), label="near"),
+            far=draw(st.sampled_from([0.0, 5.0]), label="far"),
         ),
         generator.normal(size=2),
     )
@@ -80,10 +82,11 @@ def groups(draw: st.DrawFn, clearance_min: float = 0.05, robots_max: int = ROBOT
 class Sweeper:
     """Every agent's sweeps on a frozen state, and the norm in which they contract.
 
-    With M = k_2 I + A A^T and the sweep's diagonal P, the error becomes (I - P^-1 M) error. Since
+    With M = K_2 + A A^T, K_2 diagonal, and the sweep's diagonal P, the error becomes (I - P^-1 M) error.
+    Since
     x^T A A^T x = sum over robots |sum over its edges of +-a_k x_k|^2 <= sum over robots of
     deg sum |a_k x_k|^2 = sum over edges of phi'^2 (deg_i + deg_j) x_k^2, M <= P: all eigenvalues of
-    P^-1/2 M P^-1/2 lie in [k_2 / max P, 1], and in the norm of P the error shrinks by 1 - k_2 / max P.
+    P^-1/2 M P^-1/2 lie in [min K_2 / P, 1], and in the norm of P the error shrinks by 1 - min K_2 / P.
     """
 
     def __init__(self, g: Group) -> None:
@@ -91,15 +94,15 @@ class Sweeper:
         self.i, self.j = g.graph.T
         degree = np.bincount(g.graph.ravel(), minlength=g.n).astype(float)
         self.degrees = degree[self.i] + degree[self.j]
-        self.weights = g.gains.k2 + self.e.slope**2 * self.degrees
-        self.rate = 1.0 - g.gains.k2 / self.weights.max()
-        self.exact = fleet_law.multipliers_joint(self.e, self.i, self.j, g.n, g.gains)
+        self.weights = self.e.softness + self.e.slope**2 * self.degrees
+        self.rate = 1.0 - float((self.e.softness / self.weights).min())
+        self.exact = fleet_law.multipliers_joint(self.e, self.i, self.j, g.n)
 
     def sweep(self, lam: Floats) -> Floats:
         force = fleet_law.forces(self.e, lam)
         constraint = fleet_law.total_forces(force, self.i, self.j, self.g.n)
         pull = constraint[:, self.i] - constraint[:, self.j]
-        return fleet_law.multipliers_sweep(self.e, lam, pull, self.degrees, self.g.gains)
+        return fleet_law.multipliers_sweep(self.e, lam, pull, self.degrees)
 
     def norm(self, lam: Floats) -> float:
         return sqrt(float(self.weights @ (lam - self.exact) ** 2))
@@ -161,9 +164,7 @@ def test_both_ends_of_an_edge_sweep_to_the_same_multiplier(g: Group):
             g.gains,
         )
         own = fleet_law.forces(e, lam[mine]).sum(axis=1, keepdims=True)
-        swept = fleet_law.multipliers_sweep(
-            e, lam[mine], own - constraint[:, other], sweeper.degrees[mine], g.gains
-        )
+        swept = fleet_law.multipliers_sweep(e, lam[mine], own - constraint[:, other], sweeper.degrees[mine])
         assert np.allclose(swept, together[mine], rtol=1e-9, atol=1e-9)
 
 
@@ -211,30 +212,30 @@ def energy_rate(g: Group, lam: Floats) -> tuple[float, float]:
     v = (g.error_rate + g.reference[:, None]).T.ravel()
     rate = a @ v  # (9)
     rho = np.hypot(*(g.r[:, g.graph[:, 0]] - g.r[:, g.graph[:, 1]]))
-    phi = (rho - g.d) / (rho - RS)
+    phi, softness = (rho - g.d) / (rho - RS), g.edges().softness
     e, e_rate = g.error.T.ravel(), g.error_rate.T.ravel()
     acceleration = -C1 * e - C2 * e_rate + a.T @ lam
     terms = np.concatenate(
         [
-            g.gains.k2 * C1 * e * e_rate,
-            g.gains.k2 * e_rate * acceleration,
-            rate * (a @ acceleration + drift),
-            g.gains.kp * phi * rate,
+            C1 * e * e_rate,
+            e_rate * acceleration,
+            rate * (a @ acceleration + drift) / softness,
+            g.gains.kp * phi * rate / softness,
         ]
     )
     # In the joint law's own terms the sizes of what cancels: the demand and the constraint forces.
-    size = np.abs(terms).sum() + np.abs(rate) @ (np.abs(a) @ np.abs(a.T @ lam) + np.abs(drift))
+    size = np.abs(terms).sum() + (np.abs(rate) / softness) @ (np.abs(a) @ np.abs(a.T @ lam) + np.abs(drift))
     return float(terms.sum()), float(size)
 
 
 def dissipation(g: Group) -> float:
-    """-k_2 c_2 |edot|^2 - k_d |phidot|^2, the right-hand side of (38)."""
+    """-c_2 |edot|^2 - k_d sum phidot^2 / k_2, the right-hand side of (38) divided by k_2."""
     e = g.edges()
-    return -g.gains.k2 * C2 * float(np.sum(g.error_rate**2)) - g.gains.kd * float(e.rate @ e.rate)
+    return -C2 * float(np.sum(g.error_rate**2)) - g.gains.kd * float(np.sum(e.rate**2 / e.softness))
 
 
 def joint(g: Group) -> Floats:
-    return fleet_law.multipliers_joint(g.edges(), *g.graph.T, g.n, g.gains)
+    return fleet_law.multipliers_joint(g.edges(), *g.graph.T, g.n)
 
 
 @given(groups())
@@ -261,7 +262,7 @@ def test_energy_of_the_papers_law_can_grow():
         gains=gains,
         reference=np.zeros(2),
     )
-    per_edge = fleet_law.multipliers_edge(g.edges(), gains)
+    per_edge = fleet_law.multipliers_edge(g.edges())
     grows, size = energy_rate(g, per_edge)
     assert grows > 0.1 * size
     falls, _ = energy_rate(g, joint(g))
@@ -272,7 +273,7 @@ def test_energy_of_the_papers_law_can_grow():
 @given(groups(robots_max=2))
 @settings(max_examples=60)
 def test_energy_of_the_papers_law_falls_for_one_pair_25(g: Group):
-    lost, size = energy_rate(g, fleet_law.multipliers_edge(g.edges(), g.gains))
+    lost, size = energy_rate(g, fleet_law.multipliers_edge(g.edges()))
     assert abs(lost - dissipation(g)) <= 1e-9 * size + 1e-12
 
 
@@ -290,7 +291,7 @@ def test_along_a_solution_energy_never_grows_and_edges_keep_their_bound(g: Group
     def rate(t: float, y: Floats) -> Floats:
         now = at(y, t)
         e = now.edges()
-        lam = fleet_law.multipliers_joint(e, *g.graph.T, n, g.gains)
+        lam = fleet_law.multipliers_joint(e, *g.graph.T, n)
         force = fleet_law.total_forces(fleet_law.forces(e, lam), *g.graph.T, n)
         u = fleet_law.navigation_force(0.0, now.error, now.error_rate, C1, C2) + force
         return np.concatenate([now.error_rate.ravel(), u.ravel()])
@@ -310,7 +311,8 @@ def test_along_a_solution_energy_never_grows_and_edges_keep_their_bound(g: Group
     assert solution.success
     energies = np.array([energy(y, t) for t, y in zip(solution.t, solution.y.T, strict=True)])
     assert np.all(np.diff(energies) <= 1e-6 * first)
-    bound = RS + (g.d - RS) / (1.0 + sqrt(2.0 * first / g.gains.kp))
+    softness = g.edges().softness
+    bound = RS + (g.d - RS) / (1.0 + np.sqrt(2.0 * first * softness / g.gains.kp))
     for t, y in zip(solution.t, solution.y.T, strict=True):
         assert np.all(at(y, t).edges().distance >= bound * (1.0 - 1e-9))
 
@@ -365,9 +367,9 @@ def test_a_one_sided_constraint_never_pulls(g: Group, value: float):
 @given(groups(clearance_min=0.1), st.floats(0.01, 1.0))
 def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: float):
     """With k2 = 0 the constraint force would not know the weight: a constraint holds or does not."""
-    e, stiff = g.edges(), g.gains._replace(k2=0.0)
+    e = g.edges()._replace(softness=np.zeros(len(g.d)))
     faded = fleet_law.weighted(e, weight)
-    full, less = (fleet_law.forces(each, fleet_law.multipliers_edge(each, stiff)) for each in (e, faded))
+    full, less = (fleet_law.forces(each, fleet_law.multipliers_edge(each)) for each in (e, faded))
     assert less == pytest.approx(full, rel=1e-9, abs=1e-12)
     assert faded.normal is e.normal
     assert faded.distance is e.distance
@@ -376,15 +378,15 @@ def test_an_edge_of_less_weight_is_the_same_constraint_scaled(g: Group, weight: 
 @given(groups(clearance_min=0.1))
 def test_an_edge_without_weight_has_no_force(g: Group):
     faded = fleet_law.weighted(g.edges(), 0.0)
-    assert not np.any(fleet_law.forces(faded, fleet_law.multipliers_edge(faded, g.gains)))
+    assert not np.any(fleet_law.forces(faded, fleet_law.multipliers_edge(faded)))
 
 
 @given(groups(clearance_min=0.1))
 def test_an_obstacle_is_a_constraint_of_one_body(g: Group):
     """A A^T = phi'^2 where only one end can move: the same demand, met by one robot alone."""
     e = g.edges()
-    lam = fleet_law.multipliers_edge(e, g.gains, 1)
-    assert lam * (g.gains.k2 + e.slope**2) == pytest.approx(e.demand, rel=1e-9)
+    lam = fleet_law.multipliers_edge(e, 1)
+    assert lam * (e.softness + e.slope**2) == pytest.approx(e.demand, rel=1e-9)
 
 
 @given(groups(clearance_min=0.05), st.integers(0, 2**32 - 1))
@@ -426,10 +428,10 @@ def test_an_agent_finds_for_its_edge_what_the_fleets_form_finds(g: Group, relaxa
     fn = fleet_law.navigation_force(0.0, g.error, g.error_rate, C1, C2)
     generator = np.random.default_rng(seed)
     before, pull = generator.normal(size=len(g.d)), generator.normal(size=(2, len(g.d)))
-    swept = fleet_law.multipliers_sweep(e, before, pull, 5.0, g.gains)
+    swept = fleet_law.multipliers_sweep(e, before, pull, 5.0)
     kinds = {
-        "edge": fleet_law.multipliers_edge(e, g.gains),
-        "body": fleet_law.multipliers_edge(e, g.gains, 1),
+        "edge": fleet_law.multipliers_edge(e),
+        "body": fleet_law.multipliers_edge(e, 1),
         "penalty": fleet_law.multipliers_penalty(e, g.gains),
     }
     for k, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
@@ -440,11 +442,11 @@ def test_an_agent_finds_for_its_edge_what_the_fleets_form_finds(g: Group, relaxa
         assert all(close(one.normal[axis], e.normal[axis, k], 1.0) for axis in (0, 1))
         # What cancels in the demand: its terms may be far larger than their sum.
         size = (abs(one.slope) + 1.0) ** 2 * (hypot(*velocity) + hypot(*navigation) + 1.0) ** 2
-        for name in ("distance", "slope", "phi", "rate", "demand"):
+        for name in ("distance", "slope", "phi", "rate", "demand", "softness"):
             assert close(getattr(one, name), float(getattr(e, name)[k]), size), name
         alone = {
-            "edge": law.multiplier_edge(one, g.gains),
-            "body": law.multiplier_edge(one, g.gains, 1),
+            "edge": law.multiplier_edge(one),
+            "body": law.multiplier_edge(one, 1),
             "penalty": law.multiplier_penalty(one, g.gains),
         }
         for name, multiplier in alone.items():
@@ -452,9 +454,7 @@ def test_an_agent_finds_for_its_edge_what_the_fleets_form_finds(g: Group, relaxa
             force = law.force(one, multiplier)
             wanted = fleet_law.forces(e, kinds[name])[:, k].tolist()
             assert all(close(x, y, size * abs(one.slope)) for x, y in zip(force, wanted, strict=True)), name
-        found = law.multiplier_sweep(
-            one, float(before[k]), (float(pull[0, k]), float(pull[1, k])), 5.0, g.gains
-        )
+        found = law.multiplier_sweep(one, float(before[k]), (float(pull[0, k]), float(pull[1, k])), 5.0)
         assert close(found, float(swept[k]), size)
         assert law.repelling(found) == pytest.approx(
             float(fleet_law.repelling(swept)[k]), rel=ROUNDING, abs=ROUNDING * size

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from agent.common.time import NS_PER_S
-from agent.control import law
+from agent.control.gains import gains_of
 from agent.core import Agent
 from agent.fleet.loading import digest, load_fleet
 from agent.fleet.model import Fleet
@@ -184,7 +184,7 @@ def joint_solution(fleet: Fleet, times: Floats) -> Floats:
     """Hands under the exact joint law in continuous time, which no agent could compute, (k, n, 2), m."""
     geometry, control = resolve(fleet), fleet.control
     n, (i, j) = len(geometry.ids), geometry.edges.T
-    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
+    gains = gains_of(fleet)
     trajectory = make_trajectory(fleet.trajectory)
 
     def rate(t: float, y: Floats) -> Floats:
@@ -200,7 +200,7 @@ def joint_solution(fleet: Fleet, times: Floats) -> Floats:
             fleet.formation.safe_distance_m,
             gains,
         )
-        force = fleet_law.forces(e, fleet_law.multipliers_joint(e, i, j, n, gains))
+        force = fleet_law.forces(e, fleet_law.multipliers_joint(e, i, j, n))
         return np.concatenate([v.ravel(), (fn + fleet_law.total_forces(force, i, j, n)).ravel()])
 
     start = np.concatenate([start_hands(fleet).T.ravel(), np.zeros(2 * n)])

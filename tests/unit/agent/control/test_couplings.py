@@ -44,12 +44,12 @@ def test_each_finds_its_own_multipliers():
         coupling = kind(GAINS, peers())
         found[name] = coupling.force([near, wall])
         assert coupling.shared()[0][0] == 2
-    alone = law.multiplier_edge(near.edge, GAINS), law.multiplier_edge(wall.edge, GAINS, 1)
+    alone = law.multiplier_edge(near.edge), law.multiplier_edge(wall.edge, 1)
     assert found["edge"][0] == law.force(near.edge, alone[0])[0] + law.force(wall.edge, alone[1])[0]
     field = law.multiplier_penalty(near.edge, GAINS), law.multiplier_penalty(wall.edge, GAINS)
     assert found["penalty"][0] == law.force(near.edge, field[0])[0] + law.force(wall.edge, field[1])[0]
-    first = law.multiplier_sweep(near.edge, 0.0, (0.0, 0.0), 3, GAINS)
-    second = law.multiplier_sweep(wall.edge, 0.0, (0.0, 0.0), 2, GAINS)
+    first = law.multiplier_sweep(near.edge, 0.0, (0.0, 0.0), 3)
+    second = law.multiplier_sweep(wall.edge, 0.0, (0.0, 0.0), 2)
     assert found["joint"][0] == law.force(near.edge, first)[0] + law.force(wall.edge, second)[0]
 
 
@@ -69,6 +69,6 @@ def test_the_joint_law_meets_the_others_copy_half_way_and_forgets_at_a_restart()
     joint.force([near])
     pull = (law.force(near.edge, own + 0.5)[0], 0.0)
     ((_, met),) = joint.shared()
-    assert met == pytest.approx(law.multiplier_sweep(near.edge, own + 0.5, pull, 2, GAINS), rel=1e-12)
+    assert met == pytest.approx(law.multiplier_sweep(near.edge, own + 0.5, pull, 2), rel=1e-12)
     joint.restart()
     assert joint.shared() == ()

@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from agent.control import law
+from agent.control.gains import gains_of
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import Analysis, analyse
@@ -44,7 +45,7 @@ def of_coupling(coupling: Any) -> Fleet:
 def balanced(fleet: Fleet) -> float:
     """Distance of the two at which the law's own forces are in balance there, m."""
     control = fleet.control
-    gains = law.Gains(control.kd, control.k2, control.kp, control.relaxation)
+    gains = gains_of(fleet)
 
     def left(apart_m: float) -> float:
         error = 0.5 * apart_m + 1.0
@@ -55,7 +56,7 @@ def balanced(fleet: Fleet) -> float:
         if bodies is None:
             multiplier = law.multiplier_penalty(edge, gains)
         else:
-            multiplier = law.multiplier_edge(edge, gains)
+            multiplier = law.multiplier_edge(edge)
         return 0.5 * push + float(law.force(edge, multiplier)[0])
 
     return float(brentq(left, 0.25, 1.99))

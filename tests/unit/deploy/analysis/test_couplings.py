@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ TRIANGLE = make_fleet([(0.0, 0.0), (1.0, 0.0), (0.5, 0.8)], [(1, 2), (2, 3), (1,
 
 
 def of(name: Any, kp: float = 1.0) -> Any:
-    return COUPLINGS[name](ControlSection(coupling=name, kp=kp), 0.22)
+    return COUPLINGS[name](replace(TRIANGLE, control=ControlSection(coupling=name, kp=kp)))
 
 
 @pytest.mark.parametrize(("name", "most"), [("joint", 1.0), ("edge", 2.0), ("penalty", 1e4)])
@@ -39,7 +40,7 @@ def test_modes_are_two_for_each_robot_and_weak_ones_are_navigation(name: str, mo
 
 def test_only_the_edge_law_overcorrects_and_only_where_edges_share_robots():
     def largest(name: Any, fleet: Fleet) -> float:
-        coupling = COUPLINGS[name](ControlSection(coupling=name, kp=1.4, k2=0.01), 0.22)
+        coupling = COUPLINGS[name](replace(fleet, control=ControlSection(coupling=name, kp=1.4, k2=0.01)))
         return max(mode.k1 - 0.4 for mode in coupling.modes(resolve(fleet)))
 
     assert largest("edge", TRIANGLE) > 1.2
