@@ -470,7 +470,7 @@ def test_the_bound_of_a_description_is_that_of_the_energy_at_the_start():
     """Two robots at rest on a line: E(0) by hand."""
     given = fleet(((-0.35, 0.0), (0.15, 0.0)), ((1, 2),), ((-0.5, 0.0), (0.5, 0.0)), TrajectorySection())
     phi = (0.5 - 1.0) / (0.5 - 0.22)
-    energy = 5.0 * 0.4 / 2 * (0.25**2 + 0.25**2) + 0.5 * phi**2
+    energy = 4.0 / 0.78**2 * 0.4 / 2 * (0.25**2 + 0.25**2) + 0.5 * phi**2
     least = 0.22 + 0.78 / (1.0 + sqrt(2.0 * energy))
     assert f"no edge comes closer than {least:.3g} m" in describe(given)
 
