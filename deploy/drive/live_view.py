@@ -18,8 +18,9 @@ from agent.formation.geometry import Geometry
 from agent.formation.reference import Reference
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
-from agent.messages.types import Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
+from agent.messages.types import Beacon, Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
 from agent.supervision.state_machine import State
+from deploy.analysis.silent_bodies import SilentBodies, SilentBody, in_words
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
 from deploy.drive.news import News
 from deploy.faults.live import Held, shown
@@ -41,6 +42,8 @@ ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
 """Released robots whose reasons are in the line that sums up; of more only the numbers."""
+SILENT_S: Final = 2.0
+"""Who has said nothing for so long is silent; its agent speaks five times a second."""
 FAULTS_MAX: Final = 4
 """Faults that are named; of more only the number is said."""
 
@@ -61,6 +64,8 @@ class Picture:
     robots: Mapping[int, RobotPicture] = field(default_factory=dict)
     faults: Sequence[str] = ()
     """The faults that hold now, in words."""
+    silent: Sequence[SilentBody] = ()
+    """Robots that are not heard, and where they are believed to be."""
 
     @property
     def oldest_ms(self) -> float:
@@ -71,8 +76,9 @@ class Picture:
 @dataclass
 class RobotPicture:
     """One robot: its state and why, its worst distance error (m), the age of its oldest neighbour
-    (ms), its last tick's time (us), the ticks it missed, and what is wrong with clocks in its eyes: of the
-    neighbour whose clock is furthest off, its id and by how much it is ahead (s)."""
+    (ms), its last tick's time (us), the ticks it missed, what is wrong with clocks in its eyes: of the
+    neighbour whose clock is furthest off, its id and by how much it is ahead (s); and how far it is from its
+    place (m)."""
 
     state: str
     reason: str
@@ -81,6 +87,7 @@ class RobotPicture:
     tick_us: int | None
     overruns: int
     clock: tuple[int, float] | None = None
+    off_m: float | None = None
 
 
 class Watch:
@@ -92,6 +99,10 @@ class Watch:
         self._known = Known(fleet, geometry)
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
+        self._silent = SilentBodies()
+        self._heard: set[int] = set()
+        self._heard_s: dict[int, float] = {}
+        """Whose statuses have come since the last picture, and when (fleet time) the last of each had."""
         self._news = News(fleet)
         self._rules = [rule for rule in FaultPlan(fleet).file_rules() if lasts(rule)]
         everywhere = defaults(fleet.faults)
@@ -106,7 +117,10 @@ class Watch:
             _keep_newest(self.hands, message)
         elif type(message) is Status and key == key_expressions.status(name, message.robot):
             if _keep_newest(self.statuses, message):
+                self._heard.add(message.robot)
                 self._news.state(message.robot, message.state, message.reason)
+        elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
+            self._silent.hear(message)
         elif type(message) is PlantState:
             if message.note and message.healthy and message.obeying:
                 self._news.remark(message.robot, message.note)
@@ -126,6 +140,7 @@ class Watch:
         """What its agent said last does not hold any more: the agent is gone."""
         self.statuses.pop(robot, None)
         self.hands.pop(robot, None)
+        self._silent.forget(robot)
 
     def news(self, time_s: float | None) -> list[str]:
         """Sentences for what was ordered and which robots changed their state since the last call."""
@@ -161,9 +176,20 @@ class Watch:
                 pair = min(robot, edge.other), max(robot, edge.other)
                 if picture.worst is None or error > picture.worst[0]:
                     picture.worst = error, *pair
+        if time_s is not None:
+            self._heard_s |= dict.fromkeys(self._heard, time_s)
+            self._heard.clear()
+            picture.silent = self._silent.bodies()
         picture.robots = {
             robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }
+        for robot, about in picture.robots.items():
+            silent_s = (time_s or 0.0) - self._heard_s.get(robot, inf)
+            if silent_s > SILENT_S:
+                about.state, about.reason = "silent", f"has said nothing for {silent_s:.0f} s"
+            place = self._reference.motion(robot, now_ns) if robot in self.hands else None
+            if place is not None:
+                about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
         return picture
 
     def _now_ns(self, time_s: float | None) -> int:
@@ -260,8 +286,8 @@ class Lines(LinesView):
         if self._quiet or picture.time_s is None or picture.time_s < self._due_s:
             return
         self._due_s = (picture.time_s // self._period_s + 1.0) * self._period_s
-        line = faults_line(picture)
-        self.say(f"{picture.time_s:6.1f} s  {summary(picture)}" + (f", {line}" if line else ""))
+        lines = [summary(picture), *in_words(picture.silent), faults_line(picture)]
+        self.say(f"{picture.time_s:6.1f} s  {', '.join(filter(None, lines))}")
 
 
 class Terminal(TerminalView):
@@ -271,7 +297,7 @@ class Terminal(TerminalView):
         super().__init__(stream, transient=True)
 
     def show(self, picture: Picture) -> None:
-        lines = [plain(summary(picture))]
+        lines = [plain(summary(picture)), *(plain(line, "yellow") for line in in_words(picture.silent))]
         if picture.faults:
             lines.append(plain(faults_line(picture), "yellow"))
         self._draw(Group(_bar(picture), *lines, _table(picture)))
@@ -333,7 +359,7 @@ def _bar(picture: Picture) -> Progress:
 
 def _table(picture: Picture) -> Table:
     table = Table(expand=True, pad_edge=False, box=None)
-    for heading in ("robot", "state", "worst edge m", "oldest ms", "tick us", "missed"):
+    for heading in ("robot", "state", "worst edge m", "off place m", "oldest ms", "tick us", "missed"):
         table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
     table.add_column("why", ratio=1, no_wrap=True, overflow="ellipsis")
     rows = sorted(picture.robots.items(), key=lambda item: (item[1].state == State.RUNNING.value, item[0]))
@@ -344,13 +370,14 @@ def _table(picture: Picture) -> Table:
             str(robot),
             plain(about.state or "-", STYLES.get(about.state, "")),
             "-" if about.error_m is None else f"{about.error_m:.3f}",
+            "-" if about.off_m is None else f"{about.off_m:.2f}",
             f"{about.age_ms:.0f}",
             "-" if about.tick_us is None else str(about.tick_us),
             str(about.overruns),
             plain("; ".join(filter(None, (about.reason, _clock(about))))),
         )
     if len(rows) > ROWS_MAX:
-        table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "")
+        table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "", "")
     return table
 
 

@@ -6,7 +6,9 @@ figures and metrics do not depend on which it was.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -48,6 +50,8 @@ from deploy.recording.tables import (
 CLOCK_TOLERANCE_NS: Final = 60_000_000_000
 _RUN_NS_MAX: Final = 12 * 3600 * 10**9
 """A clock that drifts on purpose is accepted for so long after the start; later stamps count as garbage."""
+BEACONS: Final = 32
+"""So many of each robot's last beacons are kept: those of some seconds."""
 _BEACON: Final = TOPICS.index("beacon")
 _OF_ROBOTS: Final = (HandState, PlantState, Wrench, Status, LinkTrace, Checks, Beacon)
 
@@ -114,6 +118,9 @@ class RunData:
                 key_expressions.beacon(prefix, robot): Beacon,
             }
         """Messages that are recorded for people, and of which no table is made."""
+        self._beacons: dict[int, deque[Beacon]] = {robot: deque(maxlen=BEACONS) for robot in self._plant}
+        self._over_ns = inf
+        """When the drive is over, by the last mission."""
         self._traced = {
             key: robot
             for robot in self._plant
@@ -153,6 +160,9 @@ class RunData:
             )
         elif type(message) is Event and key == self._events_key:
             self.events.append(message)
+        elif type(message) is Beacon and self._ignored.get(key) is Beacon:
+            if message.time_ns <= self._over_ns:
+                self._beacons[message.robot].append(message)
         elif self._ignored.get(key) is not type(message):
             self.foreign += 1
 
@@ -169,6 +179,7 @@ class RunData:
             self.foreign += 1
         else:
             self._missions[content] = mission
+            self._over_ns = mission.epoch_ns + mission.duration_ns
 
     def _is_ours(self, key: str, trace: LinkTrace) -> bool:
         return self._traced.get(key) == trace.robot and all(
@@ -228,6 +239,7 @@ class RunData:
             tuple(self.live_faults),
             tuple(self.events),
             tuple(self._resumes.values()),
+            {robot: tuple(beacons) for robot, beacons in self._beacons.items()},
         )
 
     def _first_ns(self) -> int:

@@ -17,6 +17,7 @@ from agent.fleet.model import Fleet
 from agent.formation.points import Floats
 from agent.messages.codec import newer
 from agent.messages.types import (
+    Beacon,
     Event,
     Faults,
     Mission,
@@ -96,6 +97,8 @@ class Recording:
     """What was done to processes on purpose."""
     resumes: Sequence[Resume] = ()
     """Each resume once, as it was first sent."""
+    beacons: Mapping[int, Sequence[Beacon]] = field(default_factory=dict)
+    """The last of each robot within the drive."""
 
     @property
     def ids(self) -> tuple[int, ...]:

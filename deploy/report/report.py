@@ -17,6 +17,8 @@ from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, number, percentile
+from deploy.analysis.silent_bodies import bodies_of
+from deploy.console.wording import robots
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
@@ -182,6 +184,7 @@ def _page(result: RunResult, pictures: dict[str, bytes], folder: Path) -> str:
         _metrics_table(found),
         "<h2>Robots</h2>",
         _robots_table(recording, result.analysis),
+        _silent_table(recording),
         oracle_section.section(recording, found),
         link_section.section(recording, found, pictures.get(link_figure.NAME)),
         "<h2>Forces and timing</h2>",
@@ -245,6 +248,26 @@ def _robots_table(recording: Recording, a: Analysis) -> str:
         )
         rows.append((robot, escape(words), *map(shown, cells)))
     return table(columns, rows)
+
+
+def _silent_table(recording: Recording) -> str:
+    """Robots that were not heard at the end, and where the others believe them to be."""
+    bodies = bodies_of(recording.beacons)
+    if not bodies:
+        return ""
+    rows = [
+        (
+            body.robot,
+            shown(body.silent_s),
+            f"({body.x:.2f}, {body.y:.2f})",
+            shown(body.doubt_m),
+            escape(robots(body.told_by)) if body.told_by else "&ndash;",
+            "by the operator" if body.heard else "by nobody",
+        )
+        for body in bodies
+    ]
+    columns = ("#Robot", "#Silent (s)", "Believed at (m)", "#Give or take (m)", "Not heard by", "Heard")
+    return f"<h2>Robots that are not heard</h2>\n{table(columns, rows)}"
 
 
 def _closest(a: Analysis, index: int) -> float | None:

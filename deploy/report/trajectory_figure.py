@@ -8,10 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis
+from deploy.analysis.silent_bodies import SilentBody, bodies_of
 from deploy.report.plotting import (
     DASHED,
     DOTTED,
@@ -27,6 +29,9 @@ from deploy.report.plotting import (
 )
 from deploy.verdict.run_result import RunResult
 
+HATCH = "////"
+"""Of a body that is only believed to be there."""
+
 
 def trajectories(result: RunResult) -> Figure:
     """The paper's Fig. 3: paths, desired ones dotted, starts as circles, the formation at several times.
@@ -38,6 +43,8 @@ def trajectories(result: RunResult) -> Figure:
     few = len(a.ids) <= LEGEND_MAX
     everything = np.concatenate([a.hands.reshape(-1, 2), a.desired.reshape(-1, 2)])
     everything = everything[np.isfinite(everything).all(axis=1)]
+    bodies = [(body.x, body.y) for body in not_heard(result)]
+    everything = np.concatenate([everything, np.array(bodies).reshape(-1, 2)])
     low, high = view(everything.min(axis=0), everything.max(axis=0), ground)
     margin = 0.06 * max(float((high - low).max()), 0.5)
     low, high = low - margin, high + margin
@@ -61,6 +68,9 @@ def trajectories(result: RunResult) -> Figure:
         axes.plot(*a.desired[:, index].T, linestyle=DOTTED, color=GREY, linewidth=0.7 * width, zorder=2)
         axes.plot(*a.hands[:, index].T, color=color, linewidth=width, alpha=alpha, zorder=3)
     _draw_starts(axes, a.ids, a, few)
+    silent = not_heard(result)
+    for k, body in enumerate(silent):
+        _draw_body(axes, body, result.analysis.safe_m, "not heard, believed there" if k == 0 else "")
     path_color = PALETTE[0] if few else GREY
     axes.plot([], [], color=path_color, linewidth=1.5, label="hand path")
     axes.plot([], [], linestyle=DOTTED, color=GREY, linewidth=1.2, label="desired path")
@@ -70,6 +80,23 @@ def trajectories(result: RunResult) -> Figure:
         axes.plot([], [], color=RED, linewidth=1.1, linestyle=DASHED, label="geofence")
     figure.legend(loc="outside upper left", ncols=4, columnspacing=1.2, handlelength=1.8)
     return figure
+
+
+def not_heard(result: RunResult) -> list[SilentBody]:
+    """The robots that nobody heard at the end."""
+    return [body for body in bodies_of(result.recording.beacons) if not body.heard]
+
+
+def _draw_body(axes: Axes, body: SilentBody, safe_m: float, label: str) -> None:
+    """A body where it is believed to be, as large as it and what is not known of its place."""
+    place, radius = (body.x, body.y), 0.5 * safe_m + body.doubt_m
+    axes.add_patch(
+        Circle(place, radius, facecolor="none", edgecolor=RED, hatch=HATCH, zorder=6.5, label=label)
+    )
+    axes.annotate(
+        f"{body.robot}: silent for {body.silent_s:.0f} s", (body.x, body.y - radius), xytext=(0, -3),
+        textcoords="offset points", ha="center", va="top", fontsize=8, color=RED, zorder=9,
+    )  # fmt: skip
 
 
 def _moments(a: Analysis) -> list[int]:

@@ -8,7 +8,8 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
-from agent.messages.types import Ask, Heartbeat, Message, Status
+from agent.messages.types import Ask, Beacon, Heartbeat, Message, Status
+from deploy.analysis.silent_bodies import SilentBodies
 from deploy.orders.operator import Operator, Order
 from deploy.session.author import author
 from deploy.session.session import INBOX, Session
@@ -23,6 +24,7 @@ class OperatorSession(Session):
     Attributes:
         operator: what has been ordered, and gives orders.
         statuses: what each agent said last.
+        silent: robots that are not heard, once `listen_to_beacons` was called.
 
     Raises:
         agent.runtime.bus.BusError: the bus cannot be opened.
@@ -34,6 +36,7 @@ class OperatorSession(Session):
         name = fleet.fleet.name
         self.operator: Final = Operator(fleet, resolve(fleet))
         self.statuses: dict[int, Status] = {}
+        self.silent: Final = SilentBodies()
         self.author: Final = author()
         for key in self.operator.keys.values():
             self.bus.declare(key)
@@ -45,6 +48,12 @@ class OperatorSession(Session):
         self.operator.hear(key, message)
         if type(message) is Status and key == key_expressions.status(self.fleet.fleet.name, message.robot):
             self.statuses[message.robot] = message
+        elif type(message) is Beacon and key == key_expressions.beacon(self.fleet.fleet.name, message.robot):
+            self.silent.hear(message)
+
+    def listen_to_beacons(self) -> None:
+        """From now on `silent` is told which robots are not heard."""
+        self.bus.subscribe(key_expressions.beacon(self.fleet.fleet.name, "*"), INBOX)
 
     @property
     def agents(self) -> list[int]:

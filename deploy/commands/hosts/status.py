@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         ": its unit, how often it was started again, CPU and memory "
         "(as the host says, over ssh); state of its agent, age of its neighbours' messages (as it says, "
-        "on the bus); version; how its host's clock stands to this one. Exit status: 0 all processes run and "
+        "on the bus); version; how its host's clock stands to this one; robots that are not heard, and where "
+        "the others believe them to be. Exit status: 0 all processes run and "
         "all agents are heard; 1 not all; 2 bad input; 130 after Ctrl-C.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
@@ -50,6 +51,7 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 
 def _status(options: argparse.Namespace) -> int:
     from agent.runtime.bus import BusError
+    from deploy.analysis.silent_bodies import SilentBodies, in_words
     from deploy.hosts import systemd_units
     from deploy.hosts.connection import HostConnection
     from deploy.hosts.jobs import HostJobs
@@ -72,10 +74,12 @@ def _status(options: argparse.Namespace) -> int:
 
         with ExitStack() as stack:
             statuses: dict[int, Status] = {}
-            wait, expected = wait_for, 0
+            wait, expected, silent = wait_for, 0, SilentBodies()
             try:
                 session = stack.enter_context(OperatorSession(fleet))
                 wait, statuses, expected = session.wait, session.statuses, len(fleet.ids)
+                silent = session.silent
+                session.listen_to_beacons()
             except (BusError, InputError) as error:
                 print(f"handfast: agents are not heard, only hosts are asked: {error}", file=sys.stderr)
             jobs = stack.enter_context(HostJobs(fleet, hosts, ask))
@@ -84,7 +88,7 @@ def _status(options: argparse.Namespace) -> int:
                 return interrupt.count > 0 or not jobs.busy
 
             def known() -> bool:
-                return asked() and (interrupt.count > 0 or len(statuses) >= expected)
+                return asked() and (interrupt.count > 0 or len(statuses) >= expected <= silent.senders)
 
             if not wait(known, LISTEN_S):
                 wait(asked, HOSTS_TIMEOUT_S)
@@ -102,8 +106,12 @@ def _status(options: argparse.Namespace) -> int:
         for role in systemd_units.roles(fleet)
     ]
     if options.json:
-        print(json.dumps({"fleet": fleet.fleet.name, "hosts": host_rows(found), "processes": rows}, indent=2))
+        bodies = [body.row for body in silent.bodies()]
+        about = {"fleet": fleet.fleet.name, "hosts": host_rows(found), "processes": rows, "silent": bodies}
+        print(json.dumps(about, indent=2))
     else:
         print_table(rows, found)
+        for line in in_words(silent.bodies()):
+            print(line)
     good = all(row["unit"] == "active" and (row["role"] != "agent" or row["state"]) for row in rows)
     return PASSED if good else FAILED

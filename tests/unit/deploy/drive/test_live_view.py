@@ -14,7 +14,7 @@ from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import Faults, HandState, Mission, Status, Stop
+from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
 from deploy.console.data_files import FLEETS
 from deploy.drive.live_view import Lines, Watch, closest, faults_line, summary
 
@@ -289,3 +289,36 @@ def test_robots_in_reserve_are_shown() -> None:
     told(watched, 9, "standby", "in reserve", 1)
     assert watched.states() == {1: "running", 2: "running", 9: "standby"}
     assert summary(watched.picture(1.0)).endswith("running: 1, 2, standby: 9")
+
+
+def test_a_robot_that_falls_silent_is_shown_so_with_its_body() -> None:
+    """Its last words do not hold any more: the other says where it is."""
+    watched = watch()
+    row = Silent(2, EPOCH_NS, True, 0.6, -0.4, 0.0, 0.0)
+    told(watched, 2, "running", "", 1)
+    for second in range(1, 6):
+        after_ns = second * NS_PER_S
+        told(watched, 1, "degraded", "without robot 2", after_ns)
+        said = Beacon(1, 1, EPOCH_NS + after_ns, True, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,))
+        watched.feed(key_expressions.beacon("pair", 1), said)
+        picture = watched.picture(float(second))
+        silent = second > 3  # its status came with the first of these pictures
+        assert (picture.robots[2].state == "silent") == silent
+    assert picture.robots[2].reason == "has said nothing for 4 s"
+    assert picture.robots[1].state == "degraded"
+    stream = io.StringIO()
+    Lines(stream, quiet=False, period_s=2.0).show(picture)
+    assert (
+        stream.getvalue()
+        .rstrip()
+        .endswith(
+            "degraded: 1, silent: 2, not heard: robot 2 for 5 s, believed at (0.60, -0.40), as robot 1 says"
+        )
+    )
+
+
+def test_how_far_robots_are_from_their_places_is_in_the_table() -> None:
+    watched = watch()
+    watched.feed(key_expressions.hand("pair", 1), at(1, -0.5, 0.3))
+    assert watched.picture(1.0).robots[1].off_m == pytest.approx(0.3)
+    assert watched.picture(1.0).robots[2].off_m is None

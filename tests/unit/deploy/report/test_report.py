@@ -24,7 +24,7 @@ from agent.fleet.sections import TrajectorySection
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.codec import encode
-from agent.messages.types import Mission, Status
+from agent.messages.types import Beacon, Mission, Silent, Status
 from deploy.analysis.analysis import analyse
 from deploy.recording.collector import RunData
 from deploy.recording.recorder import Recorder, RecordingError
@@ -33,7 +33,15 @@ from deploy.report import figures, trajectory_figure
 from deploy.report.report import write_report
 from deploy.report.run_folder import rebuild, write_result
 from deploy.verdict.run_result import RunResult
-from tests.unit.deploy.synthetic_run import Sent, in_formation, make_fleet, messages, standing, triangle
+from tests.unit.deploy.synthetic_run import (
+    EPOCH_NS,
+    Sent,
+    in_formation,
+    make_fleet,
+    messages,
+    standing,
+    triangle,
+)
 
 FLEET = make_fleet(*triangle(3), velocity=(0.5, 0.3), duration_s=3.0, rate_hz=20)
 NAMES = ("trajectories", "distances", "forces", "timing")
@@ -337,3 +345,27 @@ def test_the_figures_are_not_blank(drawn: dict[str, Path]) -> None:
     for path in drawn.values():
         ink = np.asarray(imread(path))[..., :3].min(axis=2) < 0.9
         assert 0.005 < ink.mean() < 0.5
+
+
+def test_robots_that_are_not_heard_are_in_the_table_and_on_the_map(tmp_path: Path) -> None:
+    def beacon(robot: int, t: float, *silent: Silent) -> Sent:
+        ns = EPOCH_NS + round(t * 1e9)
+        said = Beacon(robot, 1, ns, True, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, silent)
+        return ns, key_expressions.beacon(FLEET.fleet.name, robot), said
+
+    row = Silent(2, EPOCH_NS - 9 * 10**9, True, 7.0, 3.0, 0.0, 0.0)
+    sent = [*messages(FLEET, in_formation(FLEET)), beacon(1, 2.0, row), beacon(1, 9.0)]  # long after the end
+    data = RunData(FLEET)
+    for each in sent:
+        data.feed(*each)
+    result = RunResult(data.recording())
+    page = Page(write_report(tmp_path, result).read_text())
+    assert "Robots that are not heard" in page.text
+    assert "(7.00, 3.00)" in page.text
+    (axes,) = trajectory_figure.trajectories(result).axes
+    (body,) = [patch for patch in axes.patches if patch.get_hatch()]
+    assert body.get_center() == (7.0, 3.0)  # type: ignore[attr-defined]
+    assert axes.get_xlim()[1] > 7.0
+    assert "2: silent for 11 s" in [text.get_text() for text in axes.texts]
+    without = RunResult(replace(result.recording, beacons={}))
+    assert "not heard" not in Page(write_report(tmp_path, without).read_text()).text

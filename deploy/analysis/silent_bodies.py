@@ -1,0 +1,125 @@
+"""Robots that are not heard, and where those that hear each other believe them to be: from beacons (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, NamedTuple
+
+from agent.common.time import NS_PER_S
+from agent.messages.types import SILENT_MAX, Beacon, Silent
+from deploy.console.wording import robots
+
+SILENT_NS: Final = 2 * NS_PER_S
+"""Who has sent no beacon for so long is not heard; agents send some five a second."""
+KEPT_NS: Final = 5 * NS_PER_S
+"""What a beacon says of others holds for so long: where they are many, each beacon names some of them."""
+
+
+class SilentBody(NamedTuple):
+    """A robot that is not heard.
+
+    Attributes:
+        robot: its number.
+        silent_s: for how long.
+        x, y: where its hand is believed to be, m (W).
+        doubt_m: how far it may be from there.
+        told_by: the robots that say so; empty where nobody does, and it was only heard no more.
+        heard: whether who collects this hears it all the same: others do not.
+    """
+
+    robot: int
+    silent_s: float
+    x: float
+    y: float
+    doubt_m: float
+    told_by: tuple[int, ...]
+    heard: bool
+
+    def __str__(self) -> str:
+        by = ""
+        if self.told_by:
+            by = f", as {robots(self.told_by)} {'says' if len(self.told_by) == 1 else 'say'}"
+        return f"robot {self.robot} for {self.silent_s:.0f} s, believed at ({self.x:.2f}, {self.y:.2f}){by}"
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {**self._asdict(), "told_by": list(self.told_by)}
+
+
+def place(row: Silent) -> tuple[float, float, float]:
+    """Where a beacon's row believes a robot to be: x, y, and how far it may be from there, m."""
+    return row.x, row.y, 0.0
+
+
+class SilentBodies:
+    """What the beacons of a fleet say of robots that are not heard."""
+
+    def __init__(self) -> None:
+        self._newest: dict[int, Beacon] = {}
+        self._rows: dict[tuple[int, int], tuple[int, Silent]] = {}
+        """By sender and robot: the last row, and when it was sent."""
+
+    def hear(self, beacon: Beacon) -> None:
+        """Takes a beacon; an old one is ignored."""
+        known = self._newest.get(beacon.robot)
+        if known is not None and beacon.time_ns <= known.time_ns:
+            return
+        self._newest[beacon.robot] = beacon
+        if len(beacon.silent) < SILENT_MAX:  # they are all that it knows of
+            self.forget(beacon.robot)
+        for row in beacon.silent:
+            self._rows[beacon.robot, row.robot] = beacon.time_ns, row
+
+    def forget(self, robot: int) -> None:
+        """What a robot said of others does not hold any more."""
+        for sender, other in list(self._rows):
+            if sender == robot:
+                del self._rows[sender, other]
+
+    @property
+    def senders(self) -> int:
+        """How many robots have sent a beacon."""
+        return len(self._newest)
+
+    def bodies(self) -> list[SilentBody]:
+        """All robots that are not heard by somebody who is, in the order of their numbers."""
+        if not self._newest:
+            return []
+        now_ns = max(beacon.time_ns for beacon in self._newest.values())
+        heard = {robot for robot, each in self._newest.items() if now_ns - each.time_ns <= SILENT_NS}
+        told: dict[int, list[tuple[int, int, Silent]]] = {}
+        for (sender, robot), (said_ns, row) in self._rows.items():
+            if sender in heard and said_ns > self._newest[sender].time_ns - KEPT_NS:
+                # By the sender's own clock, which stamped both.
+                told.setdefault(robot, []).append((said_ns - row.time_ns, sender, row))
+        found = []
+        for robot in sorted({*told, *(self._newest.keys() - heard)}):
+            if robot in told:
+                age_ns, _, row = min(told[robot], key=lambda each: each[:2])
+                x, y, doubt_m = place(row)
+            else:
+                own = self._newest[robot]
+                age_ns, x, y, doubt_m = now_ns - own.time_ns, own.x, own.y, own.doubt
+            by = tuple(sorted(sender for _, sender, _ in told.get(robot, ())))
+            found.append(SilentBody(robot, age_ns / NS_PER_S, x, y, doubt_m, by, robot in heard))
+        return found
+
+
+def in_words(bodies: Iterable[SilentBody]) -> list[str]:
+    """Lines for people: each robot that nobody hears, and all at once those that only some do not hear."""
+    bodies = list(bodies)
+    lines = [f"not heard: {body}" for body in bodies if not body.heard]
+    partly = [body for body in bodies if body.heard]
+    if partly:
+        lines.append(f"not heard by all others: {robots([body.robot for body in partly])}")
+    return lines
+
+
+def bodies_of(beacons: Mapping[int, Iterable[Beacon]]) -> list[SilentBody]:
+    """The silent by the beacons of each robot, in their order."""
+    heard = SilentBodies()
+    for each in beacons.values():
+        for beacon in each:
+            heard.hear(beacon)
+    return heard.bodies()

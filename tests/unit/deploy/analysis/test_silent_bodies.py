@@ -1,0 +1,93 @@
+"""Who is not heard, and where it is believed to be."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.common.time import NS_PER_S
+from agent.messages.types import SILENT_MAX, Beacon, Silent
+from deploy.analysis.silent_bodies import SilentBodies, bodies_of, in_words
+from tests.unit.deploy.synthetic_run import EPOCH_NS
+
+
+def ns(t: float) -> int:
+    return EPOCH_NS + round(t * NS_PER_S)
+
+
+def row(robot: int, t: float, x: float = 0.0, y: float = 0.0) -> Silent:
+    return Silent(robot, ns(t), True, x, y, 0.0, 0.0)
+
+
+def beacon(robot: int, t: float, *silent: Silent, x: float = 0.0) -> Beacon:
+    return Beacon(robot, 0, ns(t), True, x, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, silent)
+
+
+def heard(*beacons: Beacon) -> SilentBodies:
+    bodies = SilentBodies()
+    for each in beacons:
+        bodies.hear(each)
+    return bodies
+
+
+def test_a_fleet_that_hears_itself_has_none() -> None:
+    assert heard().bodies() == []
+    assert heard(beacon(1, 5.0), beacon(2, 5.1)).bodies() == []
+
+
+def test_who_was_heard_last_says_where_it_is() -> None:
+    """Robot 6 died at 4 s; robot 2 heard it a second longer than robot 1."""
+    found = heard(
+        beacon(6, 3.0, x=9.0),
+        beacon(1, 80.0, row(6, 3.0, 1.0, 1.0)),
+        beacon(2, 80.1, row(6, 4.0, 2.0, 3.0)),
+    ).bodies()
+    (body,) = found
+    assert (body.robot, body.silent_s, body.x, body.y) == (6, pytest.approx(76.1), 2.0, 3.0)
+    assert (body.told_by, body.heard) == ((1, 2), False)
+    assert in_words(found) == ["not heard: robot 6 for 76 s, believed at (2.00, 3.00), as robots 1 and 2 say"]
+    assert body.row["told_by"] == [1, 2]
+
+
+def test_of_whom_nobody_tells_the_own_last_word_counts() -> None:
+    (body,) = heard(beacon(6, 3.0, x=9.0), beacon(1, 10.0)).bodies()
+    assert (body.robot, body.silent_s, body.x, body.told_by) == (6, 7.0, 9.0, ())
+    assert str(body) == "robot 6 for 7 s, believed at (9.00, 0.00)"
+    assert heard(beacon(6, 9.0), beacon(1, 10.0)).bodies() == []
+
+
+def test_one_that_only_some_do_not_hear_is_told_apart() -> None:
+    found = heard(beacon(1, 10.0, row(2, 7.0)), beacon(2, 10.0, row(1, 7.0))).bodies()
+    assert [(body.robot, body.told_by, body.heard) for body in found] == [(1, (2,), True), (2, (1,), True)]
+    assert in_words(found) == ["not heard by all others: robots 1 and 2"]
+
+
+def test_it_is_over_when_its_sender_hears_it_again() -> None:
+    bodies = heard(beacon(2, 9.9), beacon(1, 10.0, row(2, 7.0)))
+    assert len(bodies.bodies()) == 1
+    bodies.hear(beacon(1, 10.2))
+    assert bodies.bodies() == []
+    bodies.hear(beacon(1, 10.1, row(2, 7.0)))  # late
+    assert bodies.bodies() == []
+
+
+def test_beacons_that_cannot_name_all_add_up_for_a_while() -> None:
+    first = [row(robot, 1.0) for robot in range(10, 10 + SILENT_MAX)]
+    second = [row(robot, 1.0) for robot in range(40, 40 + SILENT_MAX)]
+    bodies = heard(beacon(1, 10.0, *first), beacon(1, 10.2, *second))
+    assert len(bodies.bodies()) == 2 * SILENT_MAX
+    bodies.hear(beacon(1, 15.1, *second))
+    assert len(bodies.bodies()) == SILENT_MAX
+
+
+def test_who_is_silent_itself_or_gone_says_nothing_of_others() -> None:
+    bodies = heard(beacon(1, 10.0, row(2, 5.0)), beacon(3, 20.0))
+    assert [body.robot for body in bodies.bodies()] == [1]
+    bodies = heard(beacon(1, 10.0, row(2, 5.0)), beacon(3, 10.0))
+    bodies.forget(1)
+    assert bodies.bodies() == []
+
+
+def test_of_recorded_beacons() -> None:
+    assert bodies_of({}) == []
+    assert [body.robot for body in bodies_of({1: [beacon(1, 9.0, row(2, 5.0)), beacon(1, 9.2)]})] == []
+    assert [body.robot for body in bodies_of({1: [beacon(1, 9.0, row(2, 5.0))], 2: []})] == [2]
