@@ -8,29 +8,38 @@ forward to that instant; evaluated there, the sampled loop is of second order in
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import ceil, hypot
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
+from agent.control.beliefs import AHEAD_S, DOUBT_MAX
 from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.detour import Blocker, Detour
 from agent.control.gains import gains_of, one_sided
-from agent.control.peers import DOUBT_MAX, UNSURE_NS, Peer, Peers
+from agent.control.lateness import UNSURE_NS
+from agent.control.peers import Peer, Peers
 from agent.control.prediction import Prediction, approach, constraint_decay
 from agent.control.proximity import Proximity
+from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
+from agent.formation.geometry import Geometry, start_hand
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
 from agent.links.ticks import next_tick_ns
+from agent.messages.codec import tag
 from agent.messages.types import Forces, PlantState
 
 if TYPE_CHECKING:
     from agent.control.own_law import OwnLaw
 
+LOOK_PERIOD_NS: Final = NS_PER_S // 10
+"""How often robots that are near are looked for, ns."""
+REFERENCES_MAX: Final = 8
+"""So many missions are remembered, for those who have not heard the latest."""
 TURN_MAX: Final = 0.12
 """rad: further than this a body must not turn within a period."""
 
@@ -107,8 +116,13 @@ class Controller:
             decay=constraint_decay(control.kd, control.kp) if control.law is None else fleet.fleet.rate_hz,
             predict=control.prediction,
             most=control.max_speed_mps if fleet.avoidance.enabled else None,
+            starts={other.id: start_hand(other) for other in fleet.robots if other.id != robot},
+            horizon_s=control.prediction_horizon_s,
+            beacon_ns=fleet.beacon_rounds * fleet.period_ns,
         )
         self.proximity: Final = Proximity(fleet, robot, self.peers)
+        self._references: dict[tuple[int, int], Reference] = {}
+        self.right_of_way: Final = RightOfWay(fleet, robot, self.peers, self.reference, self._references)
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
         self.detour: Final = Detour(fleet.period_ns / NS_PER_S)
@@ -133,11 +147,16 @@ class Controller:
         self._sent: dict[int, tuple[float, float]] = {}
         self._sent_max = ceil(control.plant_timeout_s * NS_PER_S / fleet.period_ns) + 2
         self._planned: Plan | None = None
+        self._due_ns = 0
 
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
         self.reference.take(plan)
-        self.peers.epoch_ns = plan.mission.epoch_ns
+        self._references[plan.mission.version, tag(plan.mission)] = self.reference.frozen()
+        while len(self._references) > REFERENCES_MAX:
+            del self._references[next(iter(self._references))]
+        self.peers.forecast.epoch_ns = plan.mission.epoch_ns
+        self.peers.remove(plan.mission.removed)
 
     def restart(self) -> None:
         """Forgets the multipliers: the robot begins to drive."""
@@ -166,6 +185,20 @@ class Controller:
         if edges is not self._course_edges:
             self._course_edges = edges
             self.edges = tuple((edge, self.peers.get(edge.other)) for edge in edges)
+
+    def look_round(self, now_ns: int, here: hand.Hand, neighbours: Collection[int]) -> bool:
+        """Finds who is near the own hand, and whose way it may be in; True when others are to be listened to.
+
+        A few times a second only.
+
+        Args:
+            neighbours: robots that are listened to anyway.
+        """
+        if now_ns < self._due_ns or not self.proximity.enabled:
+            return False
+        self._due_ns = now_ns + LOOK_PERIOD_NS
+        self.right_of_way.look(now_ns, here)
+        return self.proximity.look(now_ns, here, neighbours)
 
     def drive(self, plant: PlantState, now_ns: int, slower: float = 1.0) -> Drive:
         """The law at the tick `now_ns`. Its numbers may be absurd: look at them before they are sent.
@@ -259,11 +292,10 @@ class Controller:
         """Finds all constraints on the own hand at `time_ns`, and what the safety filter has to keep."""
         own = scene.own
         for edge, peer in self.edges:
-            if peer.message is None:
-                continue
-            other = self.peers.predict(peer, time_ns)
             weight = edge.weight * peer.trust
-            if weight > 0.0:
+            other = None
+            if weight > 0.0 and peer.message is not None:
+                other = self.peers.predict(peer, time_ns)
                 offset = own.x - other.position[0], own.y - other.position[1]
                 constraint = self._constraint(
                     scene, other, offset, edge.distance, self._gains, edge.rate, edge.bend
@@ -274,10 +306,11 @@ class Controller:
             if self.proximity.enabled:
                 self._keep_away(scene, peer, time_ns, other, pushes=weight < 1.0)
         for peer in self.proximity.close:
-            if peer.message is not None:
-                self._keep_away(scene, peer, time_ns, pushes=True)
+            self._keep_away(scene, peer, time_ns, pushes=True)
         if self.proximity.enabled:
             self._keep_clear(scene)
+            if self.right_of_way.keep_out or self.right_of_way.keep_in:
+                scene.planes.extend(self.right_of_way.planes(own))
 
     def _constraint(
         self,
@@ -305,42 +338,26 @@ class Controller:
     ) -> None:
         """One-sided constraint (U1) against a robot at `time_ns`, if it `pushes`, and its half plane (F3)."""
         own, now_ns = scene.own, scene.now_ns
-        other = self.peers.whereabouts(peer, time_ns, own.x, own.y, predicted)
+        message = peer.message
+        if message is None or not peer.is_heard(now_ns):
+            self._keep_from_belief(scene, peer)
+            return
+        other = predicted or self.peers.predict(peer, time_ns)
         dx, dy = own.x - other.position[0], own.y - other.position[1]
         rho = hypot(dx, dy)
         if rho > self.proximity.sensing:
             return
         doubt = peer.doubt(now_ns)
         name = f"robot {peer.robot}"
-        silent = now_ns + peer.clock.used_ns - peer.time_ns >= UNSURE_NS
-        guessed = silent and peer.here
-        if pushes and not guessed and rho - doubt < self.proximity.distance:
+        if pushes and rho - doubt < self.proximity.distance:
             scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
             offset = dx * scale, dy * scale
             constraint = self._constraint(scene, other, offset, self.proximity.distance, self._pushing)
             scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
-        follows = peer.message is not None and peer.message.following
+        age_ns = now_ns + peer.clock.used_ns - peer.time_ns
         gap = self._safe_distance + self._margin + doubt
-        # Where it is, nobody knows: those that are heard come first.
-        rank = safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
-        pushed = other.navigation[0] + other.constraint[0], other.navigation[1] + other.constraint[1]
         if self._own_law is not None:
-            gap += self._unforeseen(now_ns, peer)
-            if silent:
-                # By such a law a crowd may be as dense as can be: what is not known of one robot must not
-                # push the others into each other.
-                rank = safety_filter.UNSURE
-                plane = safety_filter.keep_apart(
-                    name,
-                    (dx, dy),
-                    (own.vx, own.vy),
-                    other.velocity,
-                    self._safe_distance + self._margin,
-                    self._barrier_rate,
-                    alone=True,
-                    other_acceleration=pushed,
-                )
-                scene.planes.append(_only_braking(plane, own) if guessed else plane)
+            gap += self._unforeseen(age_ns / NS_PER_S)
         plane = safety_filter.keep_apart(
             name,
             (dx, dy),
@@ -348,29 +365,54 @@ class Controller:
             other.velocity,
             gap,
             self._barrier_rate,
-            alone=silent or not peer.here or not follows,
-            other_acceleration=pushed,
-            rank=rank,
+            # One that hears nothing of this robot cannot do its part, nor one that may hear too late of it.
+            alone=age_ns >= UNSURE_NS or peer.deaf or not message.following,
+            other_acceleration=(
+                other.navigation[0] + other.constraint[0],
+                other.navigation[1] + other.constraint[1],
+            ),
+            # Where it is, nobody knows: those that are heard come first.
+            rank=safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION,
         )
-        if guessed:
-            # Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops
-            # it, as hard as need be, but must not push it off.
-            plane = _only_braking(plane, own)
-            closing = plane.nx * own.vx + plane.ny * own.vy
-            if rho < gap and closing < LEAVING * hypot(own.vx, own.vy):
+        scene.planes.append(plane)
+
+    def _keep_from_belief(self, scene: _Scene, peer: Peer) -> None:
+        """The half planes against wherever a robot may be that is not heard.
+
+        Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops it, as
+        hard as need be, but must not push it off.
+        """
+        belief = self.peers.belief(peer)
+        if belief is None:
+            return
+        own, name = scene.own, f"robot {peer.robot}"
+        age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
+        velocity, speed = (own.vx, own.vy), hypot(own.vx, own.vy)
+        for disc in belief.discs:
+            if disc.after > age:
+                break
+            offset = own.x - disc.x, own.y - disc.y
+            rho, radius = hypot(*offset), disc.radius_at(age)
+            if rho > self.proximity.sensing + radius:
+                continue
+            gap = self._safe_distance + self._margin + radius
+            rank = safety_filter.UNSURE if radius >= DOUBT_MAX else safety_filter.SEPARATION
+            plane = safety_filter.keep_apart(
+                name, offset, velocity, _AT_REST, gap, self._barrier_rate, alone=True, rank=rank
+            )
+            scene.planes.append(_only_braking(plane, own))
+            if rho < gap and plane.nx * own.vx + plane.ny * own.vy < LEAVING * speed:
                 scene.planes.extend(
                     safety_filter.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank)
                 )
-        scene.planes.append(plane)
 
-    def _unforeseen(self, now_ns: int, peer: Peer) -> float:
-        """How much further to keep from a robot that a law of others drives, m.
+    def _unforeseen(self, age: float) -> float:
+        """How much further to keep from a robot that a law of others drives, m, by the age of its message, s.
 
-        It may have accelerated in any direction since its message: by a t of speed, which the barrier takes a
-        distance of a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away. One that is
-        silent is reckoned with where it may be by then, and this grows no more.
+        It may have accelerated in any direction since: by a t of speed, which the barrier takes a distance of
+        a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away.
         """
-        age = min(max(0, now_ns + peer.clock.used_ns - peer.time_ns), UNSURE_NS) / NS_PER_S
+        age = max(0.0, age)
         return 0.5 * self._acceleration_max * age * (1.0 / self._barrier_rate + 0.5 * age)
 
     def _keep_clear(self, scene: _Scene) -> None:
@@ -430,6 +472,7 @@ class Controller:
         return ux, uy, causes
 
 
+_AT_REST: Final[Vector] = (0.0, 0.0)
 STOP_S: Final = 0.1
 """A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
 LEAVING: Final = 0.5

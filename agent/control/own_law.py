@@ -72,7 +72,7 @@ class OwnLaw:
         """
         x, y, vx, vy, ax, ay = motion
         moment = Moment(
-            (acting_ns - self._peers.epoch_ns) / NS_PER_S,
+            (acting_ns - self._peers.forecast.epoch_ns) / NS_PER_S,
             self._period,
             (own.x, own.y),
             (own.vx, own.vy),

@@ -9,39 +9,27 @@ in that clock: the own one plus its offset, as far as that is proven (`agent.con
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from typing import Final
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
+from agent.control.beliefs import DOUBT_MAX, Belief, said_doubt, stood_between
 from agent.control.clock_offset import ClockOffset
-from agent.control.prediction import Prediction, as_it_came, coasting, following
-from agent.formation.trajectory import Sample
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Silent
+from agent.control.forecast import Forecast, Motion
+from agent.control.lateness import OUTAGE_NS, UNSURE_NS, Lateness
+from agent.control.prediction import Prediction, as_it_came, coasting
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
 
-DOUBT_RATE: Final = 0.15
-"""How fast the position uncertainty of a robot grows that is not heard, m/s: about what another acceleration
-than the predicted one makes of a robot's place in a second."""
-DOUBT_AFTER_S: Final = 0.1
-"""It grows from this age of a robot's last message on."""
-DOUBT_MAX: Final = 0.3
-"""Largest position uncertainty, m: of what a robot says itself, and of what its silence adds."""
-UNSURE_NS: Final = NS_PER_S // 4
-"""A robot that has not been heard for so long may have stopped, and is not trusted to keep a distance."""
-SILENT_NS: Final = NS_PER_S
-"""Beacons name a robot that has been silent for so long,"""
-HEARSAY_NS: Final = 60 * NS_PER_S
-"""and no longer than this."""
-WAY_STEPS: Final = 4
-"""The way of a robot since its last message is taken as so many straight pieces."""
+ELSEWHERE_NS: Final = NS_PER_S
+"""For so long a robot that is heard here is told of to one that has said that it does not hear it."""
+STANDS_S: Final = 1.0
+"""Who hears nobody, or is told by beacons that nobody hears it, stands so long after it is given up."""
 TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
 TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
 _NEVER: Final = -1
-
-Motion = Callable[[int, int], Sample | None]
-"""(robot, wall time ns) -> its desired motion, None for one without a place:
-`agent.formation.reference.Reference.motion`."""
 
 
 class Peer:
@@ -54,6 +42,13 @@ class Peer:
         token: False while its agent's process is seen to be gone.
         here: likewise, but True again only when it has been heard again.
         trust: 0..1, how far an edge to it is trusted.
+        mark: version and tag of the mission that it has acknowledged.
+        deaf: whether it says that it does not hear this robot.
+        lateness: of its messages, as usual.
+        direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
+            others may have told.
+        belief: where it may be as others say, who have heard it last.
+        gone_ns: what it has said until then counts no more: its body has been carried off.
         copy: its copy of the shared multiplier that has come since the last `Peers.take_copy`, if any.
         degree: constraints that act on it.
         ahead_ns: how far its last message was stamped ahead of the own clock if it was refused as
@@ -63,15 +58,20 @@ class Peer:
     """
 
     __slots__ = (
-        "ahead_ns", "clock", "copy", "degree", "delayed", "duplicated", "early", "hand_ns", "here", "lost",
-        "message", "other_version", "received", "robot", "sequence", "time_ns", "token", "trust",
+        "ahead_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns", "duplicated",
+        "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message", "other_version",
+        "received", "robot", "sequence", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
         self.robot = robot
         self.message: HandState | None = None
         self.early: HandState | None = None
-        self.time_ns = self.hand_ns = self.sequence = _NEVER
+        self.time_ns = self.hand_ns = self.direct_ns = self.sequence = self.gone_ns = _NEVER
+        self.belief: Belief | None = None
+        self.deaf = False
+        self.mark = 0, 0
+        self.lateness = Lateness()
         self.clock = ClockOffset(period_ns)
         self.here = self.token = True
         self.trust = 0.0
@@ -88,11 +88,32 @@ class Peer:
         """
         return None if self.hand_ns == _NEVER else now_ns + self.clock.used_ns - self.hand_ns
 
+    @property
+    def forgiven_ns(self) -> int:
+        """How late it is as usual, beyond `UNSURE_NS`."""
+        return self.lateness.forgiven_ns
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether its body has been carried off since it was heard last."""
+        return self.gone_ns >= self.time_ns and self.gone_ns != _NEVER
+
+    def late_ns(self, now_ns: int) -> int:
+        """How long what is known of it has been overdue and a little more: its age, less `forgiven_ns`."""
+        return now_ns + self.clock.used_ns - self.time_ns - self.forgiven_ns
+
+    def direct_late_ns(self, now_ns: int) -> int:
+        """As `late_ns`, of what has come from itself."""
+        return now_ns + self.clock.used_ns - self.direct_ns - self.forgiven_ns
+
+    def is_heard(self, now_ns: int) -> bool:
+        """Whether what is known of it is as new as usual, so that it can be predicted."""
+        return self.here and self.message is not None and self.late_ns(now_ns) < UNSURE_NS
+
     def doubt(self, now_ns: int) -> float:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
         said = 0.0 if self.message is None else min(DOUBT_MAX, self.message.doubt)
-        age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
-        return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
+        return said + said_doubt((now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S)
 
 
 class Peers:
@@ -106,9 +127,12 @@ class Peers:
         decay: of a robot's constraint force, 1/s (`agent.control.prediction.constraint_decay`).
         predict: False takes every message as it came, whatever its age.
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
+        starts: where the hands of all others are until they are heard, m, W.
+        beacon_ns: time between two beacons of one robot.
+        horizon_s: a robot that hears nobody for so long stands.
 
     Attributes:
-        epoch_ns: a message from before is of a robot that stands until then.
+        forecast: how all of them move.
     """
 
     def __init__(
@@ -122,14 +146,23 @@ class Peers:
         decay: float = 0.0,
         predict: bool = True,
         most: float | None = None,
+        starts: Mapping[int, Vector] | None = None,
+        horizon_s: float = 0.0,
+        beacon_ns: int = NS_PER_S // 5,
     ) -> None:
         self._owner = owner
-        self._c1, self._c2 = c1, c2
         self._period_ns = period_ns
-        self._motion = motion
-        self._decay, self._predict, self._most = decay, predict, most
-        self.epoch_ns = 0
-        self._known: dict[int, Peer] = {}
+        self._beacon_ns = beacon_ns
+        self._predict = predict
+        self.forecast: Final = Forecast(c1, c2, motion, decay, most)
+        self._horizon_s = horizon_s
+        self._unheard_elsewhere: dict[int, int] = {}
+        self._told = self._most_unheard = 0
+        self._began_ns = _NEVER
+        self._starts = starts or {}
+        self._known = {robot: Peer(robot, period_ns) for robot in self._starts}
+        self._beliefs: dict[int, tuple[HandState, Belief]] = {}
+        self._strangers: dict[int, HandState] = {}
         self._early: list[Peer] = []
         self._early_beacons: list[tuple[Peer, Beacon]] = []
         self._tick_ns = _NEVER
@@ -147,22 +180,19 @@ class Peers:
         """All robots that something is known of."""
         return self._known.values()
 
-    def forget(self, robot: int) -> None:
-        """Forgets a robot that is not there any more."""
-        if self._known.pop(robot, None) is not None:
-            self._heard = None
-
     # ------------------------------------------------------------------ what comes
 
     def begin(self, now_ns: int) -> None:
         """Begins the tick at `now_ns`, if it has not begun: takes what came too early for the last one."""
         if now_ns > self._tick_ns:
+            if self._tick_ns == _NEVER:
+                self._began_ns = now_ns
             self._tick_ns = now_ns
             if self._early_beacons:
                 beacons, self._early_beacons = self._early_beacons, []
                 for peer, beacon in beacons:
-                    if beacon.time_ns > peer.time_ns and self._known.get(peer.robot) is peer:
-                        self._take_beacon(peer, beacon)
+                    if beacon.time_ns > peer.time_ns:
+                        self._take_beacon(peer, beacon, now_ns)
             if self._early:
                 early, self._early = self._early, []
                 for peer in early:
@@ -214,44 +244,94 @@ class Peers:
 
         One of this tick waits for the next one as well: to a robot whose clock is behind, all are.
         """
-        if beacon.silent:
-            self.accept_silent(beacon, now_ns)
         self.begin(now_ns)
         peer = self.get(beacon.robot)
         if self._from_future(peer, beacon.time_ns, now_ns):
             return "future"
+        if beacon.silent:
+            self._accept_silent(peer, beacon, now_ns)
+        if beacon.time_ns > peer.direct_ns or peer.deaf:
+            peer.deaf = self._owner in beacon.unheard
+            peer.mark = beacon.mission_version, beacon.mission_tag
+            self._most_unheard = max(self._most_unheard, len(beacon.unheard))
+            for robot in beacon.unheard:
+                self._unheard_elsewhere[robot] = now_ns + ELSEWHERE_NS
         if beacon.time_ns <= peer.time_ns:
             return None  # a hand state was quicker
         if beacon.time_ns - peer.clock.used_ns < now_ns:
-            self._take_beacon(peer, beacon)
+            self._take_beacon(peer, beacon, now_ns)
         else:
             self._early_beacons.append((peer, beacon))
         return None
 
-    def accept_silent(self, beacon: Beacon, now_ns: int) -> None:
-        """Takes a beacon's rows about robots that its sender does not hear, where they are news here."""
+    def _accept_silent(self, sender: Peer, beacon: Beacon, now_ns: int) -> None:
+        """Takes a beacon's rows about robots that somebody does not hear, where they are news here."""
         for said in beacon.silent:
-            if said.robot == self._owner or not now_ns - HEARSAY_NS < said.time_ns <= now_ns:
+            if said.robot == self._owner:
                 continue
             peer = self.get(said.robot)
-            if said.time_ns > peer.time_ns:
-                place = said.x, said.y, said.vx, said.vy
-                peer.message = HandState.placed(
-                    said.robot, 0, said.time_ns, said.following, peer.degree, place
-                )
-                peer.time_ns = said.time_ns
+            time_ns = said.time_ns - sender.clock.used_ns + peer.clock.used_ns
+            if time_ns <= max(peer.time_ns, peer.gone_ns) or time_ns > now_ns + peer.clock.used_ns:
+                continue
+            peer.message = HandState.placed(
+                said.robot,
+                0,
+                time_ns,
+                said.following,
+                peer.degree,
+                (said.x, said.y, said.vx, said.vy),
+                said.doubt,
+            )
+            age_ns = beacon.time_ns - said.time_ns
+            lately = said.following and age_ns < self._horizon_s * NS_PER_S
+            way = said.x, said.y, said.to_x, said.to_y, said.doubt
+            peer.belief = None if lately else stood_between(*way)
+            peer.time_ns = time_ns
 
-    def silent(self, now_ns: int, x: float, y: float) -> tuple[Silent, ...]:
-        """Robots that have not been heard for a while: those nearest to (x, y), m, as rows of a beacon."""
-        found = []
+    def given_up(self, now_ns: int) -> tuple[int, ...]:
+        """Robots from which nothing has come, now or since the start, for so long that they are given up."""
+        horizon_ns = round(self._horizon_s * NS_PER_S)
+        return tuple(
+            peer.robot
+            for peer in self._known.values()
+            if now_ns - max(peer.direct_ns - peer.clock.used_ns, self._began_ns) - peer.forgiven_ns
+            > horizon_ns
+        )
+
+    @property
+    def rounds_to_tell(self) -> int:
+        """How many beacons of one robot it takes to tell of all that others do not hear."""
+        return -(-self._most_unheard // SILENT_MAX)
+
+    def silent(self, now_ns: int) -> tuple[Silent, ...]:
+        """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
+        they are too many for one."""
+        elsewhere = self._unheard_elsewhere
+        told = []
         for peer in self._known.values():
             message = peer.message
-            if message is not None and SILENT_NS < now_ns + peer.clock.used_ns - peer.time_ns < HEARSAY_NS:
-                square = _square((message.x, message.y), x, y)
-                found.append((square, Silent(peer.robot, peer.time_ns, message.following, *message.place)))
-        return tuple(silent for _, silent in sorted(found)[:SILENT_MAX])
+            if message is None or peer.is_gone:
+                continue
+            heard = peer.is_heard(now_ns)
+            if heard and not elsewhere.get(peer.robot, 0) > now_ns:
+                continue
+            belief = None if heard else self.belief(peer)
+            here = message.x, message.y
+            way = (*here, message.doubt) if belief is None else belief.straight(*here)
+            time_ns = min(now_ns, peer.time_ns - peer.clock.used_ns)
+            told.append(Silent(peer.robot, time_ns, message.following, *message.place, *way))
+        if len(told) > SILENT_MAX:
+            first = self._told % len(told)
+            self._told = first + SILENT_MAX
+            told = (told[first:] + told[:first])[:SILENT_MAX]
+        return tuple(told)
 
-    def _take_beacon(self, peer: Peer, beacon: Beacon) -> None:
+    def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
+        if beacon.time_ns - peer.hand_ns > OUTAGE_NS:  # else its hand states say how late it is
+            age_ns = now_ns + peer.clock.used_ns - beacon.time_ns
+            gap_ns = None if peer.direct_ns == _NEVER else beacon.time_ns - peer.direct_ns
+            peer.lateness.take(age_ns, gap_ns, self._beacon_ns)
+        peer.direct_ns = max(peer.direct_ns, beacon.time_ns)
         peer.message = HandState.placed(
             beacon.robot,
             beacon.sequence,
@@ -262,6 +342,7 @@ class Peers:
             beacon.doubt,
         )
         peer.time_ns = beacon.time_ns
+        peer.belief = None
         peer.here = peer.token
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
@@ -274,16 +355,20 @@ class Peers:
     def _take(self, peer: Peer, message: HandState, now_ns: int) -> None:
         """Makes `message` the latest hand state of its sender; it is newer than the one before."""
         time_ns, period_ns = message.time_ns, self._period_ns
+        gap_ns = None
         if peer.sequence != _NEVER:
+            gap_ns = time_ns - peer.hand_ns
             # No more can be missing than there was time for, whatever the numbers say: a mission
             # sets them to its rounds, and a sender that starts again begins at 0.
             gap = message.sequence - peer.sequence - 1
             if gap > 0:
-                between = (time_ns - peer.hand_ns + period_ns // 2) // period_ns - 1
+                between = (gap_ns + period_ns // 2) // period_ns - 1
                 peer.lost += max(0, min(gap, between))
         peer.received += 1
-        if now_ns + peer.clock.used_ns - time_ns > 2 * period_ns:
+        age_ns = now_ns + peer.clock.used_ns - time_ns
+        if age_ns > 2 * period_ns:
             peer.delayed += 1
+        peer.lateness.take(age_ns, gap_ns, period_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
@@ -292,9 +377,11 @@ class Peers:
             if robot == self._owner:
                 peer.copy = value
                 break
+        peer.direct_ns = max(peer.direct_ns, time_ns)
         if time_ns >= peer.time_ns:  # of one tick it says more than a beacon
             peer.time_ns = time_ns
             peer.message = message
+            peer.belief = None
             peer.here = peer.token
 
     def present(self, robot: int, here: bool) -> None:
@@ -303,6 +390,13 @@ class Peers:
         peer.token = here
         if not here:
             peer.here = False
+
+    def remove(self, removed: Iterable[Removed]) -> None:
+        """Takes which bodies have been carried off, and when."""
+        for robot, time_ns in removed:
+            if robot != self._owner:
+                peer = self.get(robot)
+                peer.gone_ns = max(peer.gone_ns, time_ns)
 
     def speaks_another_version(self, robot: int, what: str) -> None:
         """A message of a robot was refused for its version; `what` it and this program speak."""
@@ -320,7 +414,7 @@ class Peers:
         copy, peer.copy = peer.copy, None
         return copy
 
-    def unheard(self, robot: int) -> None:
+    def ignore(self, robot: int) -> None:
         """Its hand states are not listened to any more: those that did not come are not lost."""
         peer = self._known.get(robot)
         if peer is not None:
@@ -362,70 +456,35 @@ class Peers:
         if not self._predict:
             return as_it_came(message)
         then_ns = time_ns + peer.clock.used_ns
-        found = self._following(peer, message, then_ns) if message.following and peer.here else None
+        found = self.forecast.following(message, then_ns) if message.following and peer.here else None
         return coasting(message, max(0, then_ns - message.time_ns) * 1e-9) if found is None else found
 
-    def whereabouts(
-        self, peer: Peer, time_ns: int, x: float, y: float, predicted: Prediction | None = None
-    ) -> Prediction:
-        """As `predict`, for one that has to be kept away from at (x, y), m; `predicted`, where that is known.
-
-        One that has not been heard for long may follow its reference, or have stopped since: because it lost
-        its neighbours, was ordered to, or hangs. One whose process seems gone may only be cut off. It
-        is taken to be at the nearest point of its way.
-        """
-        message = peer.message
-        assert message is not None
-        then_ns = time_ns + peer.clock.used_ns
-        age_ns = then_ns - message.time_ns
-        sure = peer.here and age_ns < UNSURE_NS
-        found = None
-        if not sure and self._predict and message.following:
-            found = self._following(peer, message, then_ns)
-        if found is None:
-            return predicted or self.predict(peer, time_ns)
-        after = found
-        nearest, least, share = found.position, _square(found.position, x, y), 1.0
-        for k in range(WAY_STEPS - 1, -1, -1):
-            before = self._following(peer, message, then_ns - age_ns * (WAY_STEPS - k) // WAY_STEPS) or after
-            point, part = _nearest(before.position, after.position, x, y)
-            square = _square(point, x, y)
-            if square < least:
-                nearest, least, share = point, square, part if after is found else 0.0
-            after = before
-        (vx, vy), (nx, ny), (fx, fy) = found.velocity, found.navigation, found.constraint
-        return Prediction(
-            nearest, (share * vx, share * vy), (share * nx, share * ny), (share * fx, share * fy)
-        )
-
-    def _following(self, peer: Peer, message: HandState, then_ns: int) -> Prediction | None:
-        """A robot at a time of its own clock if it follows its reference, None for one without a place."""
-        then = self._motion(peer.robot, then_ns)
-        if then is None:
+    def belief(self, peer: Peer) -> Belief | None:
+        """Where a robot may be that is not heard; None for one whose body has been carried off, or of which
+        nothing is known."""
+        message, robot = peer.message, peer.robot
+        if peer.is_gone:
             return None
-        since_ns = min(max(message.time_ns, self.epoch_ns), then_ns)
-        since = self._motion(peer.robot, since_ns)
-        if since is None:  # it has a place only since its message
-            since = then
-        age = (then_ns - since_ns) * 1e-9
-        return following(message, then, since, age, self._c1, self._c2, self._decay, self._most)
+        if message is None:
+            start = self._starts.get(robot)
+            return None if start is None else stood_between(*start, *start, 0.0)
+        if peer.belief is not None:
+            return peer.belief
+        known = self._beliefs.get(robot)
+        if known is None or known[0] is not message:
+            known = self._beliefs[robot] = (
+                message,
+                self.forecast.stood(message, self._horizon_s + 2.0 * peer.forgiven_ns / NS_PER_S + STANDS_S),
+            )
+        return known[1]
 
-
-def _square(point: tuple[float, float], x: float, y: float) -> float:
-    dx, dy = point[0] - x, point[1] - y
-    return dx * dx + dy * dy
-
-
-def _nearest(
-    a: tuple[float, float], b: tuple[float, float], x: float, y: float
-) -> tuple[tuple[float, float], float]:
-    """The point from `a` to `b` that is nearest to (x, y), and how far along it is, 0..1."""
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    square = dx * dx + dy * dy
-    if square == 0.0:
-        return b, 1.0
-    share = max(0.0, min(1.0, ((x - a[0]) * dx + (y - a[1]) * dy) / square))
-    return (a[0] + share * dx, a[1] + share * dy), share
+    def last_of(self, peer: Peer) -> HandState:
+        """What is known last of a robot; of one that was never heard, that it stands where it starts."""
+        if peer.message is not None:
+            return peer.message
+        at = *self._starts[peer.robot], 0.0, 0.0
+        stranger = HandState.placed(peer.robot, 0, 0, True, 0, at)
+        return self._strangers.setdefault(peer.robot, stranger)
 
 
 def _by_hand(peer: Peer) -> int:

@@ -14,22 +14,17 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.common.time import NS_PER_S
 from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
-from agent.control.peers import UNSURE_NS, Peer, Peers
+from agent.control.peers import Peer, Peers
 from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 
-LOOK_PERIOD_NS: Final = NS_PER_S // 10
-"""How often robots that are near are looked for, ns."""
 AHEAD_S: Final = 0.5
 """A robot that comes closer is listened to so much earlier: beacons and looks take about as long."""
 UNSEEN_M: Final = 4.0
 """Nobody comes near from so far beyond the sensing distance between two beacons."""
 STAY_M: Final = 0.3
 """A robot is listened to until it is so much further away than the sensing distance."""
-GHOST_NS: Final = 60 * NS_PER_S
-"""A robot without a place whose process is gone is taken to stand where it was for so long, and then to have
-been carried off."""
 
 
 class Proximity:
@@ -53,8 +48,6 @@ class Proximity:
         self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
         self.distance = self.sensing = 0.0
-        self._due_ns = 0
-        self._places: Collection[int] = ()
 
     def plan(self, plan: Plan) -> None:
         """Takes the formation that holds from now on."""
@@ -62,7 +55,6 @@ class Proximity:
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )
         self.sensing = sensing_distance(self._fleet, self.distance)
-        self._places = plan.offsets
 
     def look(self, now_ns: int, here: Hand, neighbours: Collection[int]) -> bool:
         """Finds who is close to the own hand; True when these are others than before.
@@ -70,41 +62,43 @@ class Proximity:
         Args:
             neighbours: robots that are listened to anyway.
         """
-        if now_ns < self._due_ns or not self.enabled:
-            return False
-        self._due_ns = now_ns + LOOK_PERIOD_NS
         near = []
-        gone = []
-        far = self.sensing + UNSEEN_M
         for peer in self._peers.known:
-            message = peer.message
-            if message is None or peer.robot in neighbours:
-                continue
-            if peer.token and not -far < message.x - here.x < far:  # most of a large fleet
-                continue
-            age_ns = now_ns + peer.clock.used_ns - peer.time_ns
-            if not peer.token and age_ns > GHOST_NS and peer.robot not in self._places:
-                gone.append(peer.robot)
-                continue
-            ahead_s = min(1.0, max(0.0, age_ns / NS_PER_S)) if message.following else 0.0
-            dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
-            away = hypot(dx, dy)
-            if age_ns > UNSURE_NS or not peer.here:  # it may stand as well
-                away = min(away, hypot(message.x - here.x, message.y - here.y))
-            parting = (dx * (message.vx - here.vx) + dy * (message.vy - here.vy)) / max(away, DISTANCE_MIN)
-            reach = self.sensing + (STAY_M if peer in self.close else 0.0) + peer.doubt(now_ns)
-            if away + min(0.0, parting) * AHEAD_S < reach:
+            if peer.robot not in neighbours and self._is_near(peer, now_ns, here):
                 near.append(peer)
-        for robot in gone:
-            self._peers.forget(robot)
         near.sort(key=_by_id)
         before, self.close = self.close, tuple(near)
         if before == self.close:
             return False
         for peer in before:
             if peer not in self.close:
-                self._peers.unheard(peer.robot)
+                self._peers.ignore(peer.robot)
         return True
+
+    def _is_near(self, peer: Peer, now_ns: int, here: Hand) -> bool:
+        """Whether a robot is within the sensing region, or will be at the next look; wherever it may be."""
+        message = peer.message
+        if message is not None and peer.is_heard(now_ns):
+            far = self.sensing + UNSEEN_M
+            if not -far < message.x - here.x < far:  # most of a large fleet
+                return False
+            age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+            ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
+            dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
+            vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
+        else:
+            belief = self._peers.belief(peer)
+            if belief is None:
+                return False
+            dx, dy, reach = belief.x - here.x, belief.y - here.y, belief.reach
+            far = self.sensing + UNSEEN_M + reach
+            if not -far < dx < far:
+                return False
+            vx = vy = 0.0
+        away = hypot(dx, dy)
+        parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
+        reach += self.sensing + (STAY_M if peer in self.close else 0.0)
+        return away + min(0.0, parting) * AHEAD_S < reach
 
     def fence_distance(self, x: float, y: float) -> float:
         """How far inside the geofence a point is, m, below 0 outside; inf further in than it warns."""

@@ -136,6 +136,11 @@ class Fleet:
     )
 
     @property
+    def beacon_rounds(self) -> int:
+        """Control periods between two beacons of one robot."""
+        return max(1, round(self.fleet.rate_hz / self.avoidance.beacon_hz))
+
+    @property
     def period_ns(self) -> int:
         """One control period, in ns."""
         return round(1e9 / self.fleet.rate_hz)

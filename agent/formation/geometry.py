@@ -23,7 +23,9 @@ from typing import Any
 
 import numpy as np
 
+from agent.common.quantities import Vector
 from agent.fleet.model import Fleet, FormationError
+from agent.fleet.sections import Robot
 from agent.formation.assignment import assign_slots
 from agent.formation.points import Floats, Indices, best_turn, edge_lengths, square_distances
 from agent.formation.realisation import DISTANCE_TOLERANCE, Realisation, realise, worst_edge
@@ -161,13 +163,14 @@ def given_distances(fleet: Fleet) -> Floats | None:
 
 
 def start_hands(fleet: Fleet) -> Floats:
-    """Hand points of the members at the start, (n, 2), W, m: x + L cos, y + L sin, (2)-(3)."""
-    return np.array(
-        [
-            (r.x_m + r.hand_offset_m * cos(r.heading_rad), r.y_m + r.hand_offset_m * sin(r.heading_rad))
-            for r in fleet.members
-        ]
-    ).reshape(-1, 2)
+    """Hand points of the members at the start, (n, 2), W, m."""
+    return np.array([start_hand(robot) for robot in fleet.members]).reshape(-1, 2)
+
+
+def start_hand(robot: Robot) -> Vector:
+    """Hand point of a robot at the start, W, m: x + L cos, y + L sin, (2)-(3)."""
+    reach, heading = robot.hand_offset_m, robot.heading_rad
+    return robot.x_m + reach * cos(heading), robot.y_m + reach * sin(heading)
 
 
 def _refuse_misfit(fleet: Fleet, shape: Realisation, distances: Floats) -> None:

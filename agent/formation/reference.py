@@ -98,7 +98,7 @@ class Reference:
 
     def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
         self.plan: Plan | None = None
-        self._file: Final = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
+        self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
         self._segments = [_Segment(self._file, 0, 0)]
         self._instants: dict[int, _Instant] = {}
 
@@ -122,6 +122,44 @@ class Reference:
                 kept[:2] = [_Segment(kept[1].plan, 0, 0)]
             self._segments = [*kept, _Segment(plan, plan.from_ns, plan.blend_ns)]
         self._instants.clear()
+
+    def frozen(self) -> Reference:
+        """The reference as it is now, whatever missions come."""
+        copy = Reference.__new__(Reference)
+        copy.plan, copy._file = self.plan, self._file
+        copy._segments, copy._instants = self._segments, {}
+        return copy
+
+    def way(self, robot: int, since_ns: int) -> list[Vector]:
+        """Where a member's place goes from a time on, to the end of the mission: points that straight lines
+        join, m; none for a robot without a place. What comes in blends is left out: ask `settled_ns`."""
+        plan = self._segments[-1].plan
+        offset = plan.offsets.get(robot)
+        if offset is None:
+            return []
+        end_ns = max(since_ns, plan.mission.epoch_ns + plan.mission.duration_ns)
+        span = [(time_ns - plan.trajectory_ns) / NS_PER_S for time_ns in (since_ns, end_ns)]
+        return [(x + offset[0], y + offset[1]) for x, y in plan.trajectory.path(*span)]
+
+    @property
+    def settled_ns(self) -> int:
+        """When the last blend that is known of is over."""
+        last = self._segments[-1]
+        return last.begin_ns + last.blend_ns
+
+    def sharing(self, since_ns: int) -> dict[int, set[int]]:
+        """With whom each robot shares an edge, or did at some time from `since_ns` on; all with a place."""
+        first = self._index(since_ns)
+        if first and since_ns - self._segments[first].begin_ns < self._segments[first].blend_ns:
+            first -= 1
+        found: dict[int, set[int]] = {}
+        for segment in self._segments[first:]:
+            for robot in segment.plan.offsets:
+                found.setdefault(robot, set())
+            for i, j in segment.plan.edges:
+                found[i].add(j)
+                found[j].add(i)
+        return found
 
     def active(self, time_ns: int) -> Plan:
         """The plan that is in force; before any mission one of version 0, the fleet file's."""

@@ -31,7 +31,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, hypot, inf, isfinite, sin, sqrt
+from math import ceil, cos, hypot, inf, isfinite, sin, sqrt, tau
 from typing import Final, Protocol
 
 from agent.common.quantities import Vector
@@ -43,6 +43,9 @@ Sample = tuple[float, float, float, float, float, float]
 _PEAK: Final = 1.5  # greatest S'(s), at s = 1/2
 _CUT: Final = 3.0 / 32.0  # integral of S over [0, 1/2]
 _SLOWER: Final = 0.98  # a leg too short for its blends is slowed by this factor until it is not
+_CIRCLE_STEP: Final = 0.1  # rad: the path's points on a circle
+PATH_ERROR: Final = 0.00125  # 1 - cos(_CIRCLE_STEP / 2)
+_BLEND_STEPS: Final = 8  # pieces of the path in a blend
 _SAME: Final = 1e-9  # waypoints nearer than this to the one before are that one, m
 
 
@@ -51,6 +54,13 @@ class Trajectory(Protocol):
 
     def at(self, t: float) -> Sample:
         """Position, velocity and acceleration of the reference at fleet time `t` (s), in W."""
+        ...
+
+    def path(self, since: float, until: float) -> list[Vector]:
+        """Where the reference goes from fleet time `since` to `until` (s): points that straight lines join,
+        m, W. The line is at most `PATH_ERROR` of a circle's radius, or a quarter of the depth of a cut
+        corner, off.
+        """
         ...
 
 
@@ -69,6 +79,9 @@ class _Line:
             return self._rest
         return self._x + self._vx * t, self._y + self._vy * t, self._vx, self._vy, 0.0, 0.0
 
+    def path(self, since: float, until: float) -> list[Vector]:
+        return [self.at(since)[:2], self.at(until)[:2]]
+
 
 class _Hold:
     """At rest, always."""
@@ -80,6 +93,9 @@ class _Hold:
 
     def at(self, t: float) -> Sample:
         return self._rest
+
+    def path(self, since: float, until: float) -> list[Vector]:
+        return [self._rest[:2]]
 
 
 class _Circle:
@@ -105,6 +121,13 @@ class _Circle:
         y = self._radius * sin(angle)
         square = rate * rate
         return self._x + x, self._y + y, -rate * y, rate * x, -square * x, -square * y
+
+    def path(self, since: float, until: float) -> list[Vector]:
+        since = max(0.0, since)
+        turned = min(abs(self._rate) * max(0.0, until - since), tau)
+        count = ceil(turned / _CIRCLE_STEP)
+        step = turned / (abs(self._rate) * max(1, count))
+        return [self.at(since + k * step)[:2] for k in range(count + 1)]
 
 
 class _Waypoints:
@@ -162,6 +185,12 @@ class _Waypoints:
             dvx * bump,
             dvy * bump,
         )
+
+    def path(self, since: float, until: float) -> list[Vector]:
+        times = [since, until]
+        for begin, _, _, _, _, window, _, _ in self._pieces:
+            times += [begin + k * window / _BLEND_STEPS for k in range(_BLEND_STEPS if window else 1)]
+        return [self.at(t)[:2] for t in sorted({min(max(t, since), until) for t in times})]
 
 
 @dataclass(frozen=True, slots=True)

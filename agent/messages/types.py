@@ -9,13 +9,14 @@ A new field goes at the end of its class, with `About.before` for recordings tha
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Annotated, Any, Final, NamedTuple, get_args
 
 from agent.messages.declaration import FLOAT_MAX as FLOAT_MAX
 from agent.messages.declaration import About
 from agent.messages.sequence_numbers import FIRST_ROUND
 
-VERSION: Final = 6
+VERSION: Final = 7
 """Version of the protocol, the first field of every message."""
 BYTES_MAX: Final = 10_240
 """Of any message but a `Mission`."""
@@ -283,6 +284,13 @@ class Distance(NamedTuple):
     distance: Annotated[float, About("Wanted distance of their hand points", "m")]
 
 
+class Removed(NamedTuple):
+    """A robot whose body somebody has carried off: it is nowhere, until it is heard again."""
+
+    robot: Annotated[int, _ROBOT]
+    time_ns: Annotated[int, _TIME.of("When an operator said so, since the Unix epoch")]
+
+
 class Mission(NamedTuple):
     """When the fleet starts and for how long it drives; all that the fleet is to do.
 
@@ -320,6 +328,10 @@ class Mission(NamedTuple):
     edges: Annotated[
         tuple[Distance, ...],
         About("Who keeps which distance from whom; empty: as in the fleet file", before=()),
+    ] = ()
+    removed: Annotated[
+        tuple[Removed, ...],
+        About("Robots whose bodies have been carried off the field", rows=ROBOT_MAX, before=()),
     ] = ()
 
 
@@ -499,15 +511,23 @@ class Event(NamedTuple):
 
 
 class Silent(NamedTuple):
-    """A robot that the sender of a beacon has not heard for a while, as it was then."""
+    """A robot that somebody does not hear: as it was when the sender of a beacon, or whoever told that, heard
+    it last, and where it may be since."""
 
     robot: Annotated[int, _ROBOT]
-    time_ns: Annotated[int, _TIME]
+    time_ns: Annotated[int, _TIME.of("When that was, by the sender's clock, since the Unix epoch")]
     following: Annotated[bool, _FOLLOWING]
     x: Annotated[float, _HAND_X]
     y: Annotated[float, _HAND_Y]
     vx: Annotated[float, _HAND_VX]
     vy: Annotated[float, _HAND_VY]
+    to_x: Annotated[
+        float, About("End of the straight way on which it may be, east", "m", before=itemgetter("x"))
+    ]
+    to_y: Annotated[
+        float, About("End of the straight way on which it may be, north", "m", before=itemgetter("y"))
+    ]
+    doubt: Annotated[float, About("How far to either side of that way it may be", "m", least=0.0, before=0.0)]
 
 
 class Beacon(NamedTuple):
@@ -536,7 +556,11 @@ class Beacon(NamedTuple):
     ]
     silent: Annotated[
         tuple[Silent, ...],
-        About("Robots that it has not heard for a while, as they were when it did", rows=SILENT_MAX),
+        About("Robots that it or somebody else does not hear, in turn where they are many", rows=SILENT_MAX),
+    ] = ()
+    unheard: Annotated[
+        tuple[Annotated[int, _ROBOT], ...],
+        About("Robots from which it hears nothing", rows=ROBOT_MAX, before=()),
     ] = ()
 
     @property

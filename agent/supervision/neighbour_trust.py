@@ -8,6 +8,7 @@ edge comes back as slowly as trust does. It keeps away from whom it does not tru
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -57,7 +58,7 @@ class NeighbourTrust:
             self._edges = controller.edges
             self._neighbours = {peer.robot for _, peer in controller.edges}
             self.changed = True
-        if here is not None and controller.proximity.look(now_ns, here, self._neighbours):
+        if here is not None and controller.look_round(now_ns, here, self._neighbours):
             self.changed = True
         ages_us = []
         share = 1.0
@@ -72,7 +73,8 @@ class NeighbourTrust:
             message = peer.message
             if age is not None:
                 ages_us.append(age // 1000)
-            heard = age is not None and age <= self._horizon_ns and peer.here
+            late = inf if age is None else age - peer.forgiven_ns
+            heard = late <= self._horizon_ns and peer.here
             wanted = heard and message is not None and message.following
             if drives:
                 controller.peers.update_trust(peer, wanted, period_s)
@@ -81,14 +83,14 @@ class NeighbourTrust:
             if edge.weight < BEGUN:
                 continue
             begun += 1
-            silent += not heard
+            silent += not heard or peer.deaf
             if not wanted and edge.weight < 1.0:
                 pass  # as ordered: it leaves, or has only just joined
-            elif not wanted:
+            elif not wanted or peer.deaf:
                 given_up.append(self._why(peer, now_ns, heard=heard))
-            elif age is not None and age > self._slow_ns:
-                late = (age - self._slow_ns) / (self._horizon_ns - self._slow_ns)
-                share = min(share, 1.0 - (1.0 - SLOWEST) * late)
+            elif late > self._slow_ns:
+                gone = (late - self._slow_ns) / (self._horizon_ns - self._slow_ns)
+                share = min(share, 1.0 - (1.0 - SLOWEST) * gone)
                 slow.append(self._why(peer, now_ns, heard=False))
         # It slows down as it has to, and comes back to its speed as slowly as trust does.
         self.slower = min(share, self.slower + period_s / TRUST_GAINED_S) if drives else 1.0
@@ -102,6 +104,7 @@ class NeighbourTrust:
             self.degraded = f"slower: {', '.join(slow)}"
         if drives and controller.detour.round:
             self.degraded = self.degraded or f"on its way round {controller.detour.round}"
+        self.hold = self.hold or controller.right_of_way.hold
         if here is not None and controller.proximity.fence is not None:
             self._look_at_fence(here)
         return ages_us
@@ -112,7 +115,10 @@ class NeighbourTrust:
         silent = [
             self._why(peer, now_ns, heard=False)
             for _, peer in edges
-            if (age := peer.age_ns(now_ns)) is None or age > self._horizon_ns or not peer.here
+            if (age := peer.age_ns(now_ns)) is None
+            or age - peer.forgiven_ns > self._horizon_ns
+            or not peer.here
+            or peer.deaf
         ]
         if not silent or (started and not self._all_needed and len(silent) < len(edges)):
             return self._changed_since(now_ns) if started else ""
@@ -129,7 +135,7 @@ class NeighbourTrust:
             for peer in known
             if peer.message is not None
             and peer.time_ns - peer.clock.used_ns <= self._drove_ns
-            and now_ns + peer.clock.used_ns - peer.time_ns <= self._horizon_ns
+            and peer.late_ns(now_ns) <= self._horizon_ns
         ]
         return f"not heard since it stood: {', '.join(unheard)}" if unheard else ""
 
@@ -146,6 +152,8 @@ class NeighbourTrust:
         if peer.ahead_ns:
             return f"robot {peer.robot} (its clock is {peer.ahead_ns / NS_PER_S:.2f} s ahead)"
         age = peer.age_ns(now_ns)
+        if peer.deaf and age is not None and age - peer.forgiven_ns <= self._horizon_ns:
+            return f"robot {peer.robot} (does not hear this one)"
         if heard:
             return f"robot {peer.robot} (does not follow)"
         if peer.other_version and (age is None or age > self._horizon_ns):

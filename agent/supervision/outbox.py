@@ -44,7 +44,7 @@ class Outbox:
         self._peers, self._relay, self._latch = peers, relay, latch
         self._wrenches = SequenceNumbers(period_ns, phase_ns)
         self._hands = SequenceNumbers(period_ns, phase_ns)
-        self._beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
+        self._beacon_rounds = fleet.beacon_rounds
         self._key_wrench = key_expressions.wrench(name, robot)
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
@@ -111,6 +111,7 @@ class Outbox:
             doubt,
             *self._relay.mission_mark,
             *self._latch.mark,
-            self._peers.silent(now_ns, here.x, here.y),
+            self._peers.silent(now_ns),
+            self._peers.given_up(now_ns),
         )
         return [(self._key_beacon, encode(message))]

@@ -52,8 +52,7 @@ class Situation:
         deadman_s = fleet.supervision.deadman_s
         self._deadman_ns = None if deadman_s is None else round(deadman_s * NS_PER_S)
         self._alone = not controller.proximity.enabled or len(fleet.ids) == 1
-        beacon_rounds = max(1, round(fleet.fleet.rate_hz / fleet.avoidance.beacon_hz))
-        self._listening_ns = LISTEN_ROUNDS * beacon_rounds * fleet.period_ns
+        self._listening_ns = LISTEN_ROUNDS * fleet.beacon_rounds * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
 
@@ -156,7 +155,8 @@ class Situation:
 
     def _listening(self, now_ns: int, started: bool) -> str:
         """Why a robot that comes into a drive must wait: it cannot know yet who is near."""
-        heard = self._alone or not started or now_ns >= (self._listened_ns or 0)
+        told_ns = max(0, self._controller.peers.rounds_to_tell - 1) * self._listening_ns // LISTEN_ROUNDS
+        heard = self._alone or not started or now_ns >= (self._listened_ns or 0) + told_ns
         return "" if heard else "hears who is near"
 
     def _deadman(self, now_ns: int) -> str:

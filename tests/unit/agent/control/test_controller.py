@@ -6,7 +6,7 @@ from math import cos, sin, tau
 
 import pytest
 
-from agent.control.controller import Controller
+from agent.control.controller import LOOK_PERIOD_NS, Controller
 from agent.control.hand import Pose, advance, hand, wrench
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.loading import load_fleet, parse_fleet
@@ -109,10 +109,42 @@ def test_navigation_constraint_and_correction_are_what_the_wrench_does():
     assert (drive.force, drive.torque) == pytest.approx(asked)
 
 
+def test_a_body_on_the_own_way_is_not_driven_through_though_it_was_on_the_same_way():
+    """Its way and the own one are one line, and this robot stands on it: the body is further on."""
+    fleet = parse_fleet(PAIR, source="here")
+    controller = Controller(fleet, resolve(fleet), 1)
+    controller.look(T0)
+    hand_x = fleet.robot(1).hand_offset_m
+    given(controller, 2, hand_x - 0.5, follows=True, speed=0.2)  # on its way to x = 1 it passes this robot
+    now_ns = T0 + 10 * S
+    controller.look(now_ns)
+    plant = PlantState(1, 0, now_ns, *[0.0] * 3, 0.3, 0.0, 0.0, 0.0, True, True, True, "")
+    drive = controller.drive(plant, now_ns)
+    assert "robot 2" in drive.causes
+    assert sum(drive.forces[::2]) < -0.5
+
+
+def test_those_near_are_looked_for_a_few_times_a_second():
+    fleet = parse_fleet(PAIR, source="here")
+    controller = Controller(fleet, resolve(fleet), 1)
+    here = hand(Pose(*[0.0] * 5), 0.1)
+    controller.look(T0)
+    assert not controller.look_round(T0, here, (2,))
+    given(controller, 3, 0.5, follows=True)
+    assert not controller.look_round(T0 + LOOK_PERIOD_NS - 1, here, (2,))
+    assert controller.look_round(T0 + LOOK_PERIOD_NS, here, (2,))
+    alone = Controller(
+        parse_fleet(PAIR, source="here", overrides=["avoidance.enabled=false"]), resolve(fleet), 1
+    )
+    alone.look(T0)
+    given(alone, 3, 0.5, follows=True)
+    assert not alone.look_round(T0, here, (2,))
+
+
 @pytest.mark.parametrize("speed", [0.3, 0.0, -0.3])
 def test_for_silent_robots_it_brakes_and_is_not_driven_away(speed: float):
     """One that may come nearer expects it on its way: off that way nobody knows of it."""
-    fleet = parse_fleet(PAIR, source="here")
+    fleet = parse_fleet(PAIR.replace("[0, 3]]", "[5, 0]]"), source="here")  # robot 3 drives off, if it does
     controller = Controller(fleet, resolve(fleet), 1)
     controller.look(T0)
     hand_x = fleet.robot(1).hand_offset_m

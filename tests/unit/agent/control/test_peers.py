@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import cos, dist, sin
+from typing import Any
 
 import numpy as np
 import pytest
 
+from agent.control.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
+from agent.control.lateness import LATE_MAX_NS, UNSURE_NS
 from agent.control.law import saturation
 from agent.control.peers import (
-    DOUBT_AFTER_S,
-    DOUBT_MAX,
-    DOUBT_RATE,
-    HEARSAY_NS,
     TRUST_GAINED_S,
     TRUST_LOST_S,
-    UNSURE_NS,
     Peers,
 )
 from agent.control.prediction import Prediction, approach, as_it_came, coasting, following, transition
 from agent.formation.trajectory import Sample
 from agent.messages.codec import decode, encode
-from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Silent
+from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
 
 PERIOD = 20_000_000
 S = 1_000_000_000
@@ -70,9 +68,7 @@ def standing(_time_ns: int) -> Sample:
     return 3.0, 4.0, 0.0, 0.0, 0.0, 0.0
 
 
-def peers(
-    reference: Callable[[int], Sample] = circling, epoch_ns: int = T0, **options: bool | float
-) -> Peers:
+def peers(reference: Callable[[int], Sample] = circling, epoch_ns: int = T0, **options: Any) -> Peers:
     def motion(robot: int, time_ns: int) -> Sample | None:
         if robot not in OFFSETS:
             return None
@@ -80,7 +76,7 @@ def peers(
         return x + OFFSETS[robot][0], y + OFFSETS[robot][1], *rest
 
     made = Peers(1, C1, C2, PERIOD, motion, **options)
-    made.epoch_ns = epoch_ns
+    made.forecast.epoch_ns = epoch_ns
     return made
 
 
@@ -298,18 +294,9 @@ def test_counts_of_each():
 
 def test_one_that_is_not_listened_to_any_more_loses_nothing():
     known = heard(peers(), message(2, 0, T0))
-    known.unheard(2)
+    known.ignore(2)
     heard(known, message(2, 200, T0 + 200 * PERIOD), now_ns=T0 + 201 * PERIOD)
     assert total(known, "lost") == 0
-
-
-def test_a_forgotten_robot_is_a_stranger():
-    known = heard(peers(), message(2, 0, T0), message(5, 0, T0))
-    known.forget(2)
-    known.forget(7)  # never known
-    assert [peer.robot for peer in known.known] == [5]
-    heard(known, message(2, 0, T0))  # taken like the first
-    assert known.get(2).received == 1
 
 
 # ---------------------------------------------------------------------- messages of this tick
@@ -566,8 +553,6 @@ def test_what_is_echoed():
     assert said == ((2, 20_000), (9, -80_000))
     heard(known, message(2, 2, T0 + 2 * PERIOD), now_ns=T0 + 3 * PERIOD)
     assert known.heard() is said  # not made anew for every message
-    known.forget(9)
-    assert known.heard() == ((2, 20_000),)
 
 
 def test_no_more_is_echoed_than_a_message_holds():
@@ -635,57 +620,174 @@ def test_equal_clocks_change_no_bit():
         assert predicted(known, robot, T0 + 3 * PERIOD) == predicted(plain, robot, T0 + 3 * PERIOD)
 
 
-def test_who_is_silent_for_long_may_be_anywhere_on_its_way_since():
-    known = heard(peers(), message(2, 5, T0, position=(1.0, 0.0), velocity=(0.5, 0.0)))
+# ---------------------------------------------------------------------- late is not lost
+
+
+def stream(known: Peers, robot: int, count: int, late_ns: int, every: int = 1) -> int:
+    """`count` hand states of a robot that comes every period, or less often, each `late_ns` after its stamp;
+    returns when the last one came."""
+    for k in range(0, count * every, every):
+        stamp = T0 + k * PERIOD
+        assert known.accept(message(robot, k, stamp), stamp + late_ns) is None
+    return stamp + late_ns
+
+
+@pytest.mark.parametrize("late_s", [0.02, 0.3, 0.5, 1.0])
+def test_a_link_that_is_always_late_is_not_silent(late_s: float):
+    known = peers()
+    now = stream(known, 2, 60, round(late_s * S))
+    assert known.get(2).is_heard(now + PERIOD)
+    assert not known.get(2).is_heard(now + UNSURE_NS + PERIOD + round(0.3 * S))
+
+
+def test_what_comes_rarely_is_expected_rarely():
+    often, rarely = peers(), peers()
+    now = {known: stream(known, 2, 60, PERIOD, every) for known, every in ((often, 1), (rarely, 15))}
+    gap = UNSURE_NS + PERIOD
+    assert not often.get(2).is_heard(now[often] + gap)
+    assert rarely.get(2).is_heard(now[rarely] + gap)
+
+
+def test_one_outage_does_not_make_a_link_late():
+    known = peers()
+    now = stream(known, 2, 60, PERIOD)
+    heard(known, message(2, 2000, now + 10 * S), now_ns=now + 10 * S + PERIOD)
+    assert known.get(2).forgiven_ns < S // 2
+    for k in range(1, 30):
+        stamp = now + 10 * S + k * PERIOD
+        heard(known, message(2, 2000 + k, stamp), now_ns=stamp + PERIOD)
+    assert known.get(2).forgiven_ns == 0
+
+
+def test_no_more_than_so_much_is_forgiven():
+    known = peers()
+    stream(known, 2, 60, 9 * S)
+    assert known.get(2).forgiven_ns == LATE_MAX_NS
+
+
+# ---------------------------------------------------------------------- where the silent may be
+
+
+def test_who_is_silent_may_be_anywhere_on_its_way_since():
+    known = heard(peers(horizon_s=1.0), message(2, 5, T0, position=(1.0, 0.0), velocity=(0.5, 0.0)))
     peer = known.get(2)
-    assert peer.message is not None
-    early, late = T0 + UNSURE_NS - 1, T0 + 3 * S
-    assert known.whereabouts(peer, early, -9.0, 2.0) == known.predict(peer, early)
-    goes_on = known.predict(peer, late)
-    found = known.whereabouts(peer, late, *goes_on.position)
-    assert found.position == pytest.approx(goes_on.position)
-    assert found.velocity == pytest.approx(goes_on.velocity)
-    for share in (0.0, 0.2, 0.5, 0.75):  # a way with a bend
-        stood = known.predict(peer, round(T0 + share * 3 * S))
-        found = known.whereabouts(peer, late, *stood.position)
-        assert dist(found.position, stood.position) < 0.1 < dist(stood.position, goes_on.position)
-        assert found.velocity == (0.0, 0.0) or share == 0.75
-    x, y = goes_on.position
-    beyond = x + goes_on.velocity[0], y + goes_on.velocity[1]
-    assert known.whereabouts(peer, late, *beyond).position == pytest.approx(goes_on.position)
+    assert peer.is_heard(T0 + UNSURE_NS - PERIOD)
+    assert not peer.is_heard(T0 + 2 * UNSURE_NS)
+    belief = known.belief(peer)
+    for share in (0.0, 0.2, 0.5, 0.75, 1.0):  # a way with a bend
+        x, y = known.predict(peer, round(T0 + share * 2 * S)).position
+        assert any(dist((x, y), disc[:2]) <= disc.radius_at(share * 2.0) + 0.01 for disc in belief.discs)
+    assert known.belief(peer) is belief  # made once
     peer.here = False  # it brakes, or has only been cut off
-    assert known.whereabouts(peer, late, *goes_on.position).position == pytest.approx(goes_on.position)
-    assert dist(known.predict(peer, late).position, (1.0, 0.0)) < 0.11
+    assert not peer.is_heard(T0 + PERIOD)
+    assert known.belief(peer) is belief
+
+
+def test_who_stood_and_was_not_following_may_have_begun_to():
+    known = heard(peers(standing, horizon_s=1.0), message(2, 5, T0, follows=False))
+    belief = known.belief(known.get(2))
+    assert len(belief.discs) > 1
+    gone = heard(peers(standing, horizon_s=1.0), message(7, 5, T0, follows=False))  # it has no place
+    assert len(gone.belief(gone.get(7)).discs) == 1
+
+
+def test_who_was_driven_by_somebody_else_may_have_been_driven_on():
+    stood = heard(peers(), message(7, 5, T0, follows=False, position=(1.0, 0.0), velocity=(0.0, 0.0)))
+    drove = heard(peers(), message(7, 5, T0, follows=False, position=(1.0, 0.0), velocity=(0.8, 0.0)))
+    (disc,), (wide, *_) = stood.belief(stood.get(7)).discs, drove.belief(drove.get(7)).discs
+    assert wide.radius >= disc.radius + 0.8
+
+
+def test_who_was_never_heard_is_where_it_starts():
+    known = peers(starts={2: (1.5, -2.0)})
+    (disc,) = known.belief(known.get(2)).discs
+    assert disc[:3] == (1.5, -2.0, 0.0)
+    assert known.belief(known.get(7)) is None
+    heard(known, message(2, 5, T0, position=(9.0, 0.0)))
+    assert known.belief(known.get(2)).discs[0].x > 5.0
 
 
 # ---------------------------------------------------------------------- hearsay
 
 
-def test_who_has_not_been_heard_for_a_while_is_told_of_and_taken_for_what_it_was():
-    knows, new = heard(peers(), message(2, 5, T0, position=(1.0, 2.0), velocity=(0.5, 0.0))), peers()
-    assert knows.silent(T0 + S, 0.0, 0.0) == ()
-    rows = knows.silent(T0 + S + 1, 0.0, 0.0)
-    assert rows == ((2, T0, True, 1.0, 2.0, 0.5, 0.0),)
-    new.accept_silent(beacon(3)._replace(silent=tuple(map(Silent._make, rows))), T0 + 2 * S)
-    assert predicted(new, 2, T0).position == (1.0, 2.0)
-    assert predicted(new, 2, T0).velocity == (0.5, 0.0)
-    assert new.get(2).age_ns(T0 + S) is None  # an edge needs hand states
+def told(known: Peers, now_ns: int, sender: int = 3) -> Beacon:
+    """What robot `sender`, who knows what `known` does, says of the silent."""
+    unheard = known.given_up(now_ns)
+    return beacon(sender, now_ns)._replace(silent=known.silent(now_ns), unheard=unheard)
 
 
-def test_hearsay_is_no_news_of_who_was_heard_since_of_oneself_or_of_long_ago():
+def test_who_is_not_heard_is_told_of_for_ever_with_the_way_that_it_may_stand_on():
+    for wait in (S, 3600 * S):
+        knows = heard(peers(horizon_s=0.5), message(2, 5, T0, position=(1.0, 2.0), velocity=(0.5, 0.0)))
+        assert knows.silent(T0 + 2 * PERIOD) == ()
+        new = peers(starts={2: (0.0, 0.0)})
+        (row,) = knows.silent(T0 + wait)
+        assert row[:7] == (2, T0, True, 1.0, 2.0, 0.5, 0.0)
+        assert new.accept_beacon(told(knows, T0 + wait), T0 + wait + PERIOD) is None
+        assert new.get(2).age_ns(T0 + S) is None  # an edge needs hand states
+        assert new.get(2).time_ns == T0
+        for disc in knows.belief(knows.get(2)).discs:
+            there = new.belief(new.get(2)).discs
+            assert any(dist(each[:2], disc[:2]) + disc.radius <= each.radius + 0.3 for each in there)
+        assert new.silent(T0 + wait + S)[0][:7] == row[:7]  # and told on
+
+
+def test_one_deaf_to_a_robot_is_told_of_it_by_those_who_hear_it():
+    hears = heard(peers(), message(2, 5, T0, position=(1.0, 2.0), velocity=(0.5, 0.0)))
+    assert hears.silent(T0 + PERIOD) == ()
+    deaf = beacon(3, T0 + PERIOD)._replace(unheard=(2, 1))
+    assert hears.accept_beacon(deaf, T0 + 2 * PERIOD) is None
+    (row,) = hears.silent(T0 + 2 * PERIOD)
+    assert row == (2, T0, True, 1.0, 2.0, 0.5, 0.0, 1.0, 2.0, 0.0)
+    assert hears.get(3).deaf  # to robot 1, whose peers these are
+    assert hears.accept_beacon(beacon(3, T0 + 5 * PERIOD), T0 + 6 * PERIOD) is None
+    assert not hears.get(3).deaf
+
+
+def test_hearsay_is_no_news_of_who_was_heard_since_nor_of_oneself():
     known = heard(peers(), message(2, 5, T0 + S, position=(1.0, 2.0)), now_ns=T0 + 2 * S)
-    rows = ((2, T0, True, 9.0, 9.0, 0.0, 0.0), (1, T0, True, 9.0, 9.0, 0.0, 0.0))
-    old, future = T0 - HEARSAY_NS, T0 + 3 * S
-    rows += ((4, old, True, 9.0, 9.0, 0.0, 0.0), (5, future, True, 9.0, 9.0, 0.0, 0.0))
-    known.accept_silent(beacon(3)._replace(silent=tuple(map(Silent._make, rows))), T0 + 2 * S)
+    row = (T0, True, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0)
+    future = T0 + 3 * S, *row[1:]
+    rows = (2, *row), (1, *row), (5, *future)
+    said = beacon(3, T0 + 2 * S)._replace(silent=tuple(map(Silent._make, rows)))
+    assert known.accept_beacon(said, T0 + 2 * S + PERIOD) is None
     assert predicted(known, 2, T0 + S).position == (1.0, 2.0)
-    assert {peer.robot for peer in known.known if peer.message is not None} == {2}
+    assert {peer.robot for peer in known.known if peer.message is not None} == {2, 3}
 
 
-def test_of_many_silent_robots_the_nearest_are_told():
+def test_of_many_silent_robots_all_are_told_in_turn():
     known = peers()
-    for robot in range(2, 2 + 2 * SILENT_MAX):
+    robots = range(2, 3 + 2 * SILENT_MAX)
+    for robot in robots:
         heard(known, message(robot, 5, T0, position=(float(robot), 0.0)))
-    rows = known.silent(T0 + 2 * S, 100.0, 0.0)
-    assert [row[0] for row in rows] == list(range(1 + 2 * SILENT_MAX, 1 + SILENT_MAX, -1))
-    assert known.silent(T0 + HEARSAY_NS, 0.0, 0.0) == ()
+    said = {row.robot for _ in range(3) for row in known.silent(T0 + 2 * S)}
+    assert said == set(robots)
+    assert len(known.silent(T0 + 2 * S)) == SILENT_MAX
+    new = peers()
+    assert new.rounds_to_tell == 0
+    assert new.accept_beacon(beacon(3, T0)._replace(unheard=tuple(robots)), T0 + PERIOD) is None
+    assert new.rounds_to_tell == 3
+
+
+def test_a_robot_is_given_up_when_nothing_has_come_from_itself_for_long():
+    known = peers(horizon_s=1.0, starts={2: (0.0, 0.0), 4: (1.0, 0.0)})
+    known.begin(T0)
+    heard(known, message(2, 5, T0 + S), now_ns=T0 + S + PERIOD)
+    assert known.given_up(T0 + S) == ()
+    assert known.given_up(T0 + S + 2 * PERIOD) == (4,)  # never heard since the start
+    assert known.given_up(T0 + 3 * S) == (2, 4)
+
+
+def test_a_body_that_was_carried_off_is_nowhere_until_it_is_heard_again():
+    known = heard(peers(starts={4: (1.0, 0.0)}), message(2, 5, T0))
+    known.remove([Removed(2, T0 + S), Removed(4, T0), Removed(1, T0)])
+    for robot in (2, 4):
+        assert known.get(robot).is_gone
+        assert known.belief(known.get(robot)) is None
+    assert known.silent(T0 + 10 * S) == ()
+    row = Silent(2, T0 + S // 2, True, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0)  # of one who has not heard of it
+    assert known.accept_beacon(beacon(3, T0 + 10 * S)._replace(silent=(row,)), T0 + 11 * S) is None
+    assert known.get(2).is_gone
+    heard(known, message(2, 6, T0 + 2 * S), now_ns=T0 + 2 * S + PERIOD)
+    assert not known.get(2).is_gone
+    assert known.belief(known.get(2)) is not None

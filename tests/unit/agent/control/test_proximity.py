@@ -6,9 +6,11 @@ from math import inf
 
 import pytest
 
+from agent.control.beliefs import DOUBT_MAX
+from agent.control.controller import LOOK_PERIOD_NS
 from agent.control.hand import Hand
-from agent.control.peers import DOUBT_MAX, Peers
-from agent.control.proximity import AHEAD_S, GHOST_NS, LOOK_PERIOD_NS, STAY_M, Proximity
+from agent.control.peers import Peers
+from agent.control.proximity import AHEAD_S, STAY_M, Proximity
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
@@ -80,16 +82,6 @@ def test_who_comes_fast_is_listened_to_earlier():
     assert own.look(HERE._replace(vx=1.0))  # whoever of the two it is that comes
 
 
-def test_it_is_looked_a_few_times_a_second():
-    scene = Scene()
-    assert not scene.look()
-    scene.beacon(1.0)
-    scene.wait(LOOK_PERIOD_NS - 1)
-    assert not scene.look()
-    scene.wait(1)
-    assert scene.look()
-
-
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
     scene = Scene()
     for robot in (7, 3, 2):
@@ -111,11 +103,11 @@ def test_a_robot_that_is_not_heard_for_a_while_is_looked_for_in_a_wider_region()
 
 def test_between_beacons_a_robot_that_drives_goes_on():
     driving, braking = Scene(), Scene()
-    driving.beacon(3.3, vx=-1.0)
-    braking.beacon(3.3, vx=-1.0, follows=False)
+    driving.beacon(2.65, vx=-1.0)
+    braking.beacon(2.65, vx=-1.0, follows=False)
     for scene, close in ((driving, [3]), (braking, [])):
         assert not scene.look()
-        scene.wait(9 * S // 10)
+        scene.wait(S // 5)
         scene.look()
         assert scene.close == close
 
@@ -139,42 +131,22 @@ def test_who_is_not_close_any_more_is_not_expected_to_be_heard():
     assert scene.peers.get(3).lost == 4
 
 
-def test_a_robot_that_left_and_died_stands_where_it_was_until_it_has_been_carried_off():
+@pytest.mark.parametrize("follows", [False, True])
+@pytest.mark.parametrize("here", [False, True])
+def test_nobody_is_forgotten_by_time(follows: bool, here: bool):
     scene = Scene()
-    scene.beacon(1.0)
+    scene.beacon(1.0, follows=follows)
     scene.mission(Mission(2, 0, T0, S, "", robots=((1, 0.0, 0.0), (2, 1.0, 0.0)), edges=((1, 2, 1.0),)))
-    scene.peers.present(3, False)
+    scene.peers.present(3, here)
     for _ in range(5):
         scene.look()
         assert scene.close == [3]
-        scene.wait(GHOST_NS // 5)
-    scene.wait(S)
-    assert scene.look()
-    assert scene.close == []
-    assert not list(scene.peers.known)
+        scene.wait(3600 * S)
 
 
-def test_a_member_that_died_is_never_forgotten():
-    scene = Scene()
-    scene.beacon(1.0)
-    scene.peers.present(3, False)
-    scene.wait(10 * GHOST_NS)
-    scene.look()
-    assert scene.close == [3]
-
-
-def test_a_silent_robot_whose_process_lives_is_never_forgotten():
-    scene = Scene()
-    scene.beacon(1.0, follows=False)
-    scene.wait(10 * GHOST_NS)
-    scene.look()
-    assert scene.close == [3]
-
-
-def test_without_avoidance_nobody_is_close_and_there_are_no_obstacles():
+def test_without_avoidance_there_are_no_obstacles():
     scene = Scene("avoidance.enabled=false")
-    scene.beacon(0.1)
-    assert not scene.look()
+    assert not scene.proximity.enabled
     assert scene.proximity.obstacles == ()
     assert scene.proximity.fence is not None  # whoever leaves the geofence holds nevertheless
 

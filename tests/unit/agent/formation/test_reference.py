@@ -219,3 +219,46 @@ def test_of_many_missions_only_the_latest_are_kept():
         assert x + 1.0 < motion[0] <= x + 4.0 + 1e-9
         assert [edge.other for edge in made.edges(2, time_ns)] == [1, 3]
     assert made.motion(2, at(plans[-1], 1.0))[0] == pytest.approx(FIRST.reference(at(plans[-1], 1))[0] + 4.0)
+
+
+# ---------------------------------------------------------------------- ways
+
+
+def test_the_way_of_a_place_goes_to_the_end_of_the_mission():
+    made = reference(FIRST)
+    end_ns = FIRST.mission.epoch_ns + FIRST.mission.duration_ns
+    assert made.way(2, EPOCH + S) == [
+        pytest.approx(made.motion(2, time_ns)[:2]) for time_ns in (EPOCH + S, end_ns)
+    ]
+    assert made.way(7, EPOCH + S) == []
+    assert made.settled_ns == 0
+
+
+def test_of_several_missions_the_last_says_where_it_ends():
+    larger = changed(LARGER)
+    made = reference(FIRST, larger)
+    assert made.settled_ns == larger.from_ns + larger.blend_ns
+    end_ns = larger.mission.epoch_ns + larger.mission.duration_ns
+    assert made.way(2, made.settled_ns)[-1] == pytest.approx(made.motion(2, end_ns)[:2])
+
+
+def test_a_frozen_reference_heeds_no_later_mission():
+    larger = changed(LARGER)
+    made, without = reference(FIRST), reference(FIRST)
+    frozen = made.frozen()
+    made.take(larger)
+    later = at(larger, 2.0)
+    assert frozen.motion(2, later) == without.motion(2, later) != made.motion(2, later)
+    assert frozen.plan is FIRST
+
+
+def test_who_shares_an_edge_while_one_formation_blends_into_another():
+    left = changed(LEAVE)
+    made = reference(FIRST, left)
+    before, blending, after_ns = left.from_ns - 1, at(left, 0.5), at(left, 1.0)
+    assert 2 in made.sharing(before)[1]
+    assert 2 in made.sharing(blending)[1]
+    assert 2 not in made.sharing(after_ns)
+    assert made.sharing(after_ns)[1] == {j for i, j in left.edges if i == 1} | {
+        i for i, j in left.edges if j == 1
+    }

@@ -7,6 +7,7 @@ from math import hypot, pi, sqrt
 
 import pytest
 
+from agent.control.lanes import Lane
 from agent.fleet.sections import TrajectorySection
 from agent.formation.trajectory import (
     corner_distances,
@@ -172,3 +173,24 @@ def test_a_bad_section_names_the_field(section: TrajectorySection, field: str):
         make_trajectory(section)
     with pytest.raises(ValueError, match=rf"trajectory\.{field}"):
         duration(section)
+
+
+@pytest.mark.parametrize("section", [LINE, HOLD, CIRCLE, CORNER], ids=lambda section: section.kind)
+@pytest.mark.parametrize(("since", "until"), [(-2.0, 40.0), (3.0, 9.0), (8.0, 8.5), (500.0, 600.0)])
+def test_the_path_is_where_the_reference_goes_and_nowhere_else(
+    section: TrajectorySection, since: float, until: float
+):
+    trajectory = make_trajectory(section)
+    path = trajectory.path(since, until)
+    lane = Lane(path)
+    for k in range(201):
+        x, y = trajectory.at(since + (until - since) * k / 200)[:2]
+        assert lane.distance(x, y) < 0.01
+    went = Lane([trajectory.at(since + (until - since) * k / 2000)[:2] for k in range(2001)])
+    assert all(went.distance(x, y) < 0.02 for x, y in path)
+
+
+def test_the_path_of_many_rounds_is_one_round():
+    path = make_trajectory(CIRCLE).path(0.0, 1e7)
+    assert len(path) < 100
+    assert path[0] == pytest.approx(path[-1], abs=1e-6)

@@ -26,6 +26,7 @@ from agent.messages.types import (
     MISSION_BYTES_MAX,
     NEIGHBOURS_MAX,
     OWN_MAX,
+    ROBOT_MAX,
     RULES_MAX,
     SILENT_MAX,
     TEXT_MAX,
@@ -64,7 +65,7 @@ MISSION = Mission(
     2, 10**18, 10**18 + 5, 30 * 10**9, "0123456789abcdef",
     from_ns=10**18 + 7, blend_ns=2 * 10**9, note="robot 3 has joined", trajectory_ns=10**18 + 6,
     trajectory=(("kind", "waypoints"), ("waypoints_m", ((0.0, 1.0), (2.5, -1))), ("loop", True)),
-    robots=((1, 0.0, -1.5), (3, 2.0, 0.25)), edges=((1, 3, 2.5),),
+    robots=((1, 0.0, -1.5), (3, 2.0, 0.25)), edges=((1, 3, 2.5),), removed=((6, 10**18 - 9),),
 )  # fmt: skip
 STOP = Stop(2, 10**18, "by the operator")
 STATUS = Status(
@@ -87,8 +88,11 @@ TRACE = LinkTrace(3, 11, 10**18, (ENTRY, (3, 1, 9, 10**18, 33, -1), (3, 2, 9, 10
 EVENT = Event(3, 12, 10**18, "plant", EVENTS[2], "pause at noon")
 RESUME = Resume(5, 10**18, (3, 9999, 1))
 LINE = ("gps", "warning", "fix 3D, 7 satellites", "wait for more")
-SILENT = (4, 10**18 - 5, True, 1.5, -2.5, 0.0, 0.25), (5, 10**17, False, 0.0, 0.0, 0.0, 0.0)
-BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 0.5, 2, 7, 6, -1, SILENT)
+SILENT = (
+    (4, 10**18 - 5, True, 1.5, -2.5, 0.0, 0.25, 2.5, -2.5, 0.5),
+    (5, 10**17, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+BEACON = Beacon(3, 14, 10**18, True, 1.5, -2.0, 0.25, -0.125, 0.5, 2, 7, 6, -1, SILENT, (4, 5, 9999))
 HEARTBEAT = Heartbeat(10**18, "Ada@bench")
 ASK = Ask(10**18, "Ada@bench")
 CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED"), ("link", "ok", "", "")))
@@ -236,37 +240,44 @@ def test_without_its_checksum_a_message_is_refused_for_that():
         assert reason(junk) == "checksum"
 
 
+def test_a_program_of_version_6_is_named_as_such():
+    """Its beacons did not say from whom they hear nothing, nor where the silent may be since."""
+    with pytest.raises(Malformed, match="version 6, this program speaks 7") as caught:
+        decode(packed(6, 11, *BEACON[:-2], [row[:-3] for row in BEACON.silent]))
+    assert caught.value.reason == "version"
+
+
 def test_a_program_of_version_5_is_named_as_such():
     """It told orders again on operators' keys."""
-    with pytest.raises(Malformed, match="version 5, this program speaks 6") as caught:
+    with pytest.raises(Malformed, match="version 5, this program speaks 7") as caught:
         decode(packed(5, 0, *HAND))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_4_is_named_as_such():
     """Its hand states had no correction."""
-    with pytest.raises(Malformed, match="version 4, this program speaks 6") as caught:
+    with pytest.raises(Malformed, match="version 4, this program speaks 7") as caught:
         decode(packed(4, 0, *HAND[:13], *HAND[16:]))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_3_is_named_as_such():
     """Its hand states had no `degree` either."""
-    with pytest.raises(Malformed, match="version 3, this program speaks 6") as caught:
+    with pytest.raises(Malformed, match="version 3, this program speaks 7") as caught:
         decode(packed(3, 0, *HAND[:4], *HAND[5:13], *HAND[16:]))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_2_is_named_as_such():
     """Its plant states had no `obeying`."""
-    with pytest.raises(Malformed, match="version 2, this program speaks 6") as caught:
+    with pytest.raises(Malformed, match="version 2, this program speaks 7") as caught:
         decode(packed(2, 1, *PLANT[:-2], PLANT.note))
     assert caught.value.reason == "version"
 
 
 def test_a_program_of_version_1_is_named_as_such():
     """It sent the array alone."""
-    with pytest.raises(Malformed, match="version 1, this program speaks 6") as caught:
+    with pytest.raises(Malformed, match="version 1, this program speaks 7") as caught:
         decode(msgpack.packb([1, 0, *HAND[:-1]]))
     assert caught.value.reason == "version"
     assert reason(msgpack.packb([1, 4, 2, 10**18, "by the operator"])) == "version"
@@ -348,7 +359,7 @@ def test_single_precision_is_taken():
     assert decode(sealed(payload + b"\xc2")) == Wrench(3, 9, 0, 0.5, -2.0, False)
 
 
-@pytest.mark.parametrize("version", [0, 1, 2, 3, 4, 5, 7, -1, 255, 2**63, 2.0, "2", None, [2]])
+@pytest.mark.parametrize("version", [0, 1, 2, 3, 4, 5, 6, 8, -1, 255, 2**63, 2.0, "2", None, [2]])
 def test_other_versions(version: object):
     assert reason(packed(version, 0, *HAND)) == "version"
 
@@ -428,9 +439,12 @@ def test_absurd_numbers_whose_sum_overflows():
         changed(BEACON, time_ns=-1),
         changed(BEACON, mission_version=-2),
         changed(BEACON, stop_version=TIME_NS_MAX),
-        changed(BEACON, silent=((0, 1, True, 0.0, 0.0, 0.0, 0.0),)),
-        changed(BEACON, silent=((2, -1, True, 0.0, 0.0, 0.0, 0.0),)),
-        changed(BEACON, silent=((2, 1, True, 0.0, 0.0, 0.0, 0.0),) * (SILENT_MAX + 1)),
+        changed(BEACON, silent=((0, 1, True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)),
+        changed(BEACON, silent=((2, -1, True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)),
+        changed(BEACON, silent=((2, 1, True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),) * (SILENT_MAX + 1)),
+        changed(BEACON, silent=((2, 1, True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -0.1),)),
+        changed(BEACON, unheard=(0,)),
+        changed(BEACON, unheard=(ROBOT_MAX + 1,)),
         changed(HEARTBEAT, time_ns=-1),
         changed(ASK, time_ns=TIME_NS_MAX),
         changed(STOP, version=-1),

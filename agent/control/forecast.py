@@ -1,0 +1,113 @@
+"""Where the other robots go from a message on, if they do as they are to (PURE).
+
+One step of it is in `agent.control.prediction`, exact for a pull whose direction does not change. Longer ways
+are made of such steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import islice
+from math import ceil, hypot
+from typing import Final
+
+from agent.common.quantities import Vector
+from agent.common.time import NS_PER_S
+from agent.control.beliefs import DOUBT_MAX, Belief, stood_on
+from agent.control.lanes import Lane
+from agent.control.prediction import Prediction, coasting, following
+from agent.formation.reference import Reference
+from agent.formation.trajectory import Sample
+from agent.messages.types import HandState
+
+DRIVEN_MAX: Final = 1.0
+"""m: so far from its last word, and no further than it drives in a second, is a robot looked for that
+somebody else drove."""
+STEP_S: Final = 0.1
+"""Between two places of the way on which a robot is looked for."""
+LANE_STEP_S: Final = 0.5
+LANE_STEPS_MAX: Final = 120
+"""The way to its place is followed in so many such steps at most;"""
+AT_PLACE: Final = 0.1
+"""m: nearer than this it is there."""
+
+Motion = Callable[[int, int], Sample | None]
+"""(robot, wall time ns) -> its desired motion, None for one without a place:
+`agent.formation.reference.Reference.motion`."""
+
+
+class Forecast:
+    """How the robots of a fleet move.
+
+    Args:
+        c1, c2: navigation gains (21) of all.
+        motion: desired motion of every robot.
+        decay: of a robot's constraint force, 1/s (`agent.control.prediction.constraint_decay`).
+        most: speed limit of all (m/s) by which they make for their places (N1), None without one.
+
+    Attributes:
+        epoch_ns: a message from before is of a robot that stands until then.
+    """
+
+    def __init__(self, c1: float, c2: float, motion: Motion, decay: float, most: float | None) -> None:
+        self._c1, self._c2, self._motion, self._decay, self._most = c1, c2, motion, decay, most
+        self.epoch_ns = 0
+
+    def following(self, message: HandState, then_ns: int, motion: Motion | None = None) -> Prediction | None:
+        """A robot at a time of its own clock if it follows its reference, None for one without a place."""
+        motion = motion or self._motion
+        then = motion(message.robot, then_ns)
+        if then is None:
+            return None
+        since_ns = min(max(message.time_ns, self.epoch_ns), then_ns)
+        since = motion(message.robot, since_ns)
+        if since is None:  # it has a place only since its message
+            since = then
+        age = (then_ns - since_ns) * 1e-9
+        return following(message, then, since, age, self._c1, self._c2, self._decay, self._most)
+
+    def stood(self, message: HandState, until: float) -> Belief:
+        """Where a robot may stand that has not been heard since a message, and drove on for `until` s at
+        most.
+
+        One that stood then may have been about to drive; whoever has its body may drive it on, as long as it
+        was not seen to stand.
+        """
+        doubt = min(DOUBT_MAX, message.doubt)
+        if not message.following:
+            doubt += min(DRIVEN_MAX, hypot(message.vx, message.vy))
+        points = [(0.0, message.x, message.y)]
+        onward = islice(self._onward(message, STEP_S, self._motion), ceil(until / STEP_S))
+        points += [((k + 1) * STEP_S, x, y) for k, (x, y) in enumerate(onward)]
+        return stood_on(points, doubt)
+
+    def lane(self, message: HandState, reference: Reference) -> Lane:
+        """The way of a robot from its message on, to the end of the mission, if it follows `reference` and
+        nothing turns it aside."""
+        robot, time_ns = message.robot, max(message.time_ns, self.epoch_ns)
+        points = [(message.x, message.y)]
+        if reference.motion(robot, time_ns) is None:
+            return Lane(points)
+        step_ns = round(LANE_STEP_S * NS_PER_S)
+        message = message._replace(time_ns=time_ns)
+        for point in islice(self._onward(message, LANE_STEP_S, reference.motion), LANE_STEPS_MAX):
+            points.append(point)
+            time_ns += step_ns
+            place = reference.motion(robot, time_ns)
+            if place is None:
+                return Lane(points)
+            left = hypot(place[0] - point[0], place[1] - point[1])
+            if time_ns > reference.settled_ns and left < AT_PLACE:
+                break
+        return Lane(points + reference.way(robot, time_ns))
+
+    def _onward(self, message: HandState, step_s: float, motion: Motion) -> Iterator[Vector]:
+        """Where a robot is every `step_s` after a message, if it follows from then on; one without a place
+        brakes."""
+        step_ns = round(step_s * NS_PER_S)
+        while True:
+            then_ns = message.time_ns + step_ns
+            found = self.following(message, then_ns, motion) or coasting(message, step_s)
+            yield found.position
+            place = *found.position, *found.velocity
+            message = HandState.placed(message.robot, 0, then_ns, True, 0, place)

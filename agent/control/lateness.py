@@ -1,0 +1,75 @@
+"""How late a robot's messages usually are: what is late as always is not silent (PURE).
+
+Two things make what is known of a robot old. Its messages take their time: of that the mean and the mean
+deviation are kept, as for a timer of retransmission (RFC 6298). And some do not come: of that the share p of
+messages that are missed before one comes, and how many are missed in a row, b + 1 on average. With
+
+    q = b / (1 + b),    k = ln(p / `RARE`) / ln(1 / q)
+
+more than k in a row are missed once in 1 / `RARE` messages, if losses come as they came. Independent losses
+have q = p, which is the least; bursts a larger q.
+"""
+
+from __future__ import annotations
+
+from math import log
+from typing import Final
+
+from agent.common.time import NS_PER_S
+
+UNSURE_NS: Final = NS_PER_S // 4
+"""A robot that is late by so much may have stopped: it is looked for where it may stand."""
+LATE_MAX_NS: Final = 2 * NS_PER_S
+"""No more than this is forgiven a link for being late as usual."""
+RARE: Final = 1e-5
+OUTAGE_NS: Final = NS_PER_S // 2
+OUTAGE_PERIODS: Final = 12
+"""Longer than either of these nothing came: that is an outage, and says nothing of what is usual."""
+_SHARE_WEIGHT: Final = 1.0 / 64.0
+_BURST_WEIGHT: Final = 1.0 / 8.0
+
+
+class Lateness:
+    """What is usual on the link from one robot.
+
+    Attributes:
+        forgiven_ns: how old what is known of it usually gets, beyond `UNSURE_NS`.
+    """
+
+    __slots__ = ("_burst", "_expected_ns", "_missed", "_scatter_ns", "_share", "_usual_ns", "forgiven_ns")
+
+    def __init__(self) -> None:
+        self.forgiven_ns = 0
+        self._usual_ns = self._scatter_ns = -1
+        self._expected_ns = 0
+        self._missed, self._share, self._burst = 0.0, 0.0, 0.0
+
+    def take(self, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
+        """Takes a message.
+
+        Args:
+            age_ns: its age when it was taken.
+            gap_ns: between its stamp and that of the one before, None where that was not awaited.
+            expected_ns: between two messages.
+        """
+        if self._usual_ns < 0:
+            self._usual_ns, self._scatter_ns = max(0, age_ns), max(0, age_ns) >> 1
+        else:
+            off_ns = age_ns - self._usual_ns
+            self._usual_ns += off_ns >> 3
+            self._scatter_ns += (abs(off_ns) - self._scatter_ns) >> 2
+        if gap_ns is not None and gap_ns < max(OUTAGE_NS, OUTAGE_PERIODS * expected_ns):
+            missed = max(0, (gap_ns + (expected_ns >> 1)) // expected_ns - 1)
+            self._share += _SHARE_WEIGHT * ((missed > 0) - self._share)
+            if missed:
+                self._burst += _BURST_WEIGHT * (missed - 1 - self._burst)
+        self._expected_ns = expected_ns
+        allowed_ns = self._usual_ns + 4 * self._scatter_ns + self._run_ns() - UNSURE_NS
+        self.forgiven_ns = max(0, min(allowed_ns, LATE_MAX_NS))
+
+    def _run_ns(self) -> int:
+        """Longest time without a message that is to be expected."""
+        if self._share <= RARE:
+            return self._expected_ns
+        tail = max(self._share, self._burst / (1.0 + self._burst))
+        return round(self._expected_ns * (1.0 + max(1.0, log(self._share / RARE) / -log(tail))))

@@ -1,0 +1,77 @@
+"""Where a robot goes from a message on: step by step, to its place, and along its reference to the end."""
+
+from __future__ import annotations
+
+from math import dist
+
+import pytest
+
+from agent.control.forecast import DRIVEN_MAX, Forecast
+from agent.fleet.loading import parse_fleet
+from agent.formation.geometry import resolve
+from agent.formation.mission_plan import plan_of
+from agent.formation.reference import Reference
+from agent.messages.types import HandState, Mission
+
+FLEET = """
+robot = [
+  { id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 5, y_m = 5 }, { id = 3, x_m = 0, y_m = 5, reserve = true },
+]
+fleet = { name = "pair" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [0, 2]], safe_distance_m = 0.2 }
+trajectory = { kind = "waypoints", waypoints_m = [[0, 0], [10, 0], [10, 10]], speed_mps = 0.5 }
+"""
+S = 1_000_000_000
+T0 = 1000 * S
+
+
+def scene() -> tuple[Forecast, Reference]:
+    fleet = parse_fleet(FLEET, source="here")
+    geometry = resolve(fleet)
+    reference = Reference(fleet, geometry)
+    reference.take(plan_of(Mission(1, 0, T0, 60 * S, ""), fleet, geometry))
+    forecast = Forecast(0.4, 0.9, reference.motion, 0.5, 1.0)
+    forecast.epoch_ns = T0
+    return forecast, reference
+
+
+def at(x: float, y: float, robot: int = 2, speed: float = 0.0, follows: bool = True) -> HandState:
+    return HandState.placed(robot, 0, T0, follows, 0, (x, y, speed, 0.0))
+
+
+def test_a_robot_far_from_its_place_does_not_go_beyond_it():
+    """In one step the pull at the start would carry it through."""
+    forecast, reference = scene()
+    belief = forecast.stood(at(-6.0, 2.0), 20.0)
+    place = reference.motion(2, T0 + 20 * S)
+    assert max(disc.x for disc in belief.discs) < place[0] + 0.5
+    assert dist(belief.discs[-1][:2], place[:2]) < 2.5
+
+
+def test_the_lane_goes_to_the_place_and_on_along_all_corners_to_the_end_of_the_mission():
+    forecast, reference = scene()
+    lane = forecast.lane(at(-3.0, -3.0), reference)
+    for t in (20, 25, 30, 35, 41, 45, 60):
+        assert lane.distance(*reference.motion(2, T0 + t * S)[:2]) < 0.1
+    assert lane.distance(-3.0, -3.0) == 0.0
+    assert lane.distance(10.0, 12.0) < 0.01
+    assert lane.distance(10.0, 14.0) > 1.9  # it ends there
+    assert lane.distance(0.0, -3.0) > 1.0
+
+
+def test_who_has_no_place_stands_and_one_that_brakes_rolls_out():
+    forecast, reference = scene()
+    assert forecast.lane(at(1.0, 1.0, robot=3), reference).distance(4.0, 5.0) == pytest.approx(5.0)
+    (disc,) = forecast.stood(at(1.0, 1.0, robot=3), 3.0).discs
+    assert disc.radius < 0.01
+    moving = forecast.stood(at(1.0, 1.0, robot=3, speed=0.4, follows=False), 3.0)
+    assert moving.discs[-1].radius >= 0.4
+    fast = forecast.stood(at(1.0, 1.0, robot=3, speed=9.0, follows=False), 3.0)
+    assert DRIVEN_MAX <= fast.discs[0].radius < DRIVEN_MAX + 0.5
+
+
+def test_before_the_epoch_nobody_sets_out():
+    forecast, _ = scene()
+    waits = at(-6.0, 2.0)._replace(time_ns=T0 - 10 * S)
+    (disc,) = forecast.stood(waits, 5.0).discs
+    assert disc[:2] == pytest.approx((-6.0, 2.0), abs=0.01)

@@ -1,0 +1,70 @@
+"""How late a link usually is: what is late as always is not silent, what is later is."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from agent.control.lateness import LATE_MAX_NS, OUTAGE_PERIODS, UNSURE_NS, Lateness
+
+S = 1_000_000_000
+
+
+def alarms(lateness: Lateness, loss: float, hz: int, delay_s: float, seconds: int, seed: int = 1) -> int:
+    """How often in so long a drive a robot that loses messages independently would be taken to be silent."""
+    dice, period_ns = Random(seed), S // hz
+    last = found = 0
+    for k in range(1, hz * seconds):
+        if dice.random() >= loss:
+            gap_ns = (k - last) * period_ns
+            found += gap_ns + delay_s * S > lateness.forgiven_ns + UNSURE_NS
+            lateness.take(round(delay_s * S), gap_ns, period_ns)
+            last = k
+    return found
+
+
+@pytest.mark.parametrize("delay_s", [0.02, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("loss", [0.0, 0.1, 0.3, 0.5])
+def test_losses_and_delays_as_usual_are_no_silence(loss: float, delay_s: float):
+    lateness = Lateness()
+    alarms(lateness, loss, 25, delay_s, 20)  # learns
+    assert alarms(lateness, loss, 25, delay_s, 600, seed=2) <= 5
+    assert lateness.forgiven_ns <= LATE_MAX_NS
+
+
+def test_on_a_good_link_nothing_is_forgiven():
+    lateness = Lateness()
+    alarms(lateness, 0.0, 50, 0.02, 10)
+    assert lateness.forgiven_ns == 0
+    alarms(lateness, 0.02, 50, 0.02, 100)
+    assert lateness.forgiven_ns < S // 20
+
+
+def test_an_outage_says_nothing_of_what_is_usual():
+    lateness = Lateness()
+    alarms(lateness, 0.0, 50, 0.02, 10)
+    for _ in range(20):
+        lateness.take(S // 50, 5 * S, S // 50)
+    assert lateness.forgiven_ns == 0
+    slow = Lateness()
+    for _ in range(40):
+        slow.take(S // 10, OUTAGE_PERIODS * S, S)
+    assert slow.forgiven_ns < S
+
+
+def test_a_link_that_gets_better_is_forgiven_less():
+    lateness = Lateness()
+    alarms(lateness, 0.5, 25, 0.5, 30)
+    assert lateness.forgiven_ns > S // 2
+    alarms(lateness, 0.0, 25, 0.02, 60)
+    assert lateness.forgiven_ns == 0
+
+
+def test_the_first_message_is_taken_for_what_it_is():
+    lateness = Lateness()
+    lateness.take(S // 2, None, S // 50)
+    assert S // 2 < lateness.forgiven_ns + UNSURE_NS < 2 * S
+    ahead = Lateness()
+    ahead.take(-S, None, S // 50)  # of a clock that is ahead
+    assert ahead.forgiven_ns == 0

@@ -1,0 +1,195 @@
+"""Who goes on and who waits where robots that cannot hear each other may meet."""
+
+from __future__ import annotations
+
+from math import hypot
+
+import pytest
+
+from agent.control.hand import Hand
+from agent.control.peers import Peers
+from agent.control.right_of_way import GAINED_NS, LANE_SHARE, RightOfWay
+from agent.fleet.loading import parse_fleet
+from agent.formation.geometry import resolve, start_hand
+from agent.formation.mission_plan import plan_of
+from agent.formation.reference import Reference
+from agent.messages.types import Beacon, Mission
+
+SAFE = 0.2
+FLEET = """
+robot = [
+  { id = 1, x_m = -6, y_m = 0, hand_offset_m = 0.1 }, { id = 2, x_m = -6, y_m = 1.5, hand_offset_m = 0.1 },
+  { id = 3, x_m = 6, y_m = 1.5, hand_offset_m = 0.1 }, { id = 4, x_m = 6, y_m = 0, hand_offset_m = 0.1 },
+  { id = 5, x_m = 0, y_m = 9, hand_offset_m = 0.1, reserve = true },
+]
+fleet = { name = "across" }
+formation = { edges = [[1, 2], [2, 3], [3, 4]], offsets = [[6, 0], [6, 1.5], [-6, 1.5], [-6, 0]], \
+safe_distance_m = 0.2 }
+control = { prediction_horizon_s = 1.0 }
+"""
+S = 1_000_000_000
+T0 = 1000 * S
+PERIOD = 20_000_000
+
+
+class Scene:
+    """Robot `robot` at its start, all others heard there at the epoch, standing ready."""
+
+    def __init__(self, robot: int, *overrides: str) -> None:
+        self.fleet = parse_fleet(FLEET, source="here", overrides=overrides)
+        self.robot, self.now = robot, T0
+        geometry = resolve(self.fleet)
+        self.reference = Reference(self.fleet, geometry)
+        self.reference.take(plan_of(Mission(1, 0, T0, 60 * S, ""), self.fleet, geometry))
+        control = self.fleet.control
+        self.starts = {each.id: start_hand(each) for each in self.fleet.robots}
+        self.peers = Peers(
+            robot, control.c1, control.c2, PERIOD, self.reference.motion,
+            decay=0.5, most=control.max_speed_mps,
+            starts={other: at for other, at in self.starts.items() if other != robot},
+            horizon_s=control.prediction_horizon_s,
+        )  # fmt: skip
+        self.peers.forecast.epoch_ns = T0
+        self.peers.begin(T0)
+        self.way = RightOfWay(self.fleet, robot, self.peers, self.reference, {})
+        self.here = Hand(*self.starts[robot], 0.0, 0.0)
+        self.hear(2, 1, 3, 4, 5)
+
+    def hear(self, *robots: int, unheard: tuple[int, ...] = ()) -> None:
+        for robot in robots:
+            if robot != self.robot:
+                told = Beacon(
+                    robot, 0, self.now, True, *self.starts[robot], 0.0, 0.0, 0.0, 1, 0, -1, -1, (), unheard
+                )
+                assert self.peers.accept_beacon(told, self.now + PERIOD) is None
+
+    def run(self, seconds: float, *robots: int, unheard: tuple[int, ...] = ()) -> None:
+        """Only `robots` are heard from now on, who say from whom they hear nothing."""
+        for _ in range(round(seconds / 0.1)):
+            self.now += S // 10
+            self.hear(*robots, unheard=unheard)
+            self.way.look(self.now + PERIOD, self.here)
+
+    def move(self, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> None:
+        self.here = Hand(x, y, vx, vy)
+
+    @property
+    def names(self) -> list[str]:
+        return [each.name for each in self.way.keep_out]
+
+    def floor(self, nx: float, ny: float) -> float:
+        """Least acceleration along (nx, ny) that the planes demand."""
+        planes = list(self.way.planes(self.here))
+        return max((p.least for p in planes if p.nx * nx + p.ny * ny > 0.99), default=-9.0)
+
+
+def test_while_all_are_heard_nothing_is_looked_at():
+    scene = Scene(4)
+    scene.run(5.0, 1, 2, 3, 5)
+    assert (scene.way.hold, scene.way.keep_out, scene.way.keep_in) == ("", (), ())
+    assert list(scene.way.planes(scene.here)) == []
+
+
+def test_one_silent_robot_alone_cannot_drive_and_has_no_lane():
+    """Nobody who shares an edge with it says that it hears it: it stands."""
+    scene = Scene(4)
+    scene.run(5.0, 1, 3, 5)
+    assert (scene.way.hold, scene.names, scene.way.keep_in) == ("", [], ())
+
+
+@pytest.mark.parametrize(("robot", "heard"), [(1, (2, 5)), (4, (3, 5)), (1, (2,)), (4, (3,))])
+def test_more_than_half_or_the_half_with_the_lowest_id_go_on(robot: int, heard: tuple[int, ...]):
+    """Of five robots, one in reserve: three are more than half. Of four, two are half."""
+    scene = Scene(robot)
+    if len(heard) == 1:
+        scene.peers.get(5).gone_ns = T0 + 100 * S  # there are four
+    scene.run(5.0, *heard)
+    goes_on = len(heard) == 2 or robot == 1
+    if goes_on:
+        assert scene.way.hold == ""
+        assert scene.names == []
+        assert scene.way.keep_in
+    else:
+        assert scene.way.hold.startswith("on the lane of robot 1, which has the right of way (silent for ")
+
+
+def test_who_has_no_right_of_way_stays_out_of_the_lanes_of_the_others_and_in_its_own():
+    scene = Scene(3)
+    scene.peers.get(5).gone_ns = T0 + 100 * S
+    scene.move(6.0, 3.2)
+    scene.run(5.0, 4)
+    assert scene.way.hold == ""
+    assert scene.names == ["lane of robot 2"]
+    assert scene.way.keep_in
+    apart = (LANE_SHARE + 1.0) * SAFE + scene.fleet.avoidance.margin_m
+    scene.move(5.0, 1.5 + apart + 0.05, 0.0, -0.5)
+    scene.run(0.1, 4)
+    assert scene.floor(0.0, 1.0) > 0.5  # it is braked
+    scene.move(5.0, 1.5 + apart - 0.02)
+    scene.run(0.1, 4)
+    assert "on the lane" not in scene.way.hold
+    scene.move(5.0, 1.5 + 0.1)
+    scene.run(0.1, 4)
+    assert "on the lane of robot 2" in scene.way.hold
+
+
+def test_outside_its_lane_who_has_the_right_of_way_keeps_out_of_the_others():
+    scene = Scene(1)
+    scene.run(0.2, 2, 5)
+    scene.move(-2.0, 5.5)  # far from the line along which it drives
+    scene.run(5.0, 2, 5)
+    assert scene.way.hold == ""
+    assert "lane of robot 3" not in scene.names
+    scene.move(-2.0, 2.4)
+    scene.run(0.1, 2, 5)
+    assert "lane of robot 3" in scene.names
+    scene.move(-2.0, 1.6)
+    scene.run(0.1, 2, 5)
+    assert scene.way.hold.startswith("on the lane of robot 3 (silent for ")
+
+
+def test_at_the_edge_of_its_lane_it_is_braked():
+    scene = Scene(4)
+    scene.peers.get(5).gone_ns = T0 + 100 * S
+    scene.move(6.0, -1.6)
+    scene.run(0.2, 3)
+    scene.run(4.0, 3)
+    own = scene.way.keep_in
+    assert own
+    half = LANE_SHARE * SAFE
+    run = own[0]
+    scene.move(6.0 - 0.0, -1.6 - half + 0.01, 0.0, -0.4)
+    scene.run(0.1, 3)
+    assert hypot(run.x - 6.0, run.y + 1.6) < 20.0
+    assert scene.floor(0.0, 1.0) > 0.5
+
+
+def test_whom_the_others_do_not_hear_is_not_counted():
+    """Robots 2 and 5 are heard, but hear nothing of robot 4."""
+    scene = Scene(4)
+    scene.run(5.0, 2, 5, unheard=(4,))
+    assert scene.way.hold.startswith("on the lane of robot 1")
+
+
+def test_the_right_of_way_that_is_gained_begins_later():
+    scene = Scene(4)
+    scene.run(5.0, 3)
+    assert scene.way.hold
+    scene.run(GAINED_NS / S - 0.2, 3, 5)
+    assert scene.way.hold
+    scene.run(0.5, 3, 5)
+    assert scene.way.hold == ""
+
+
+def test_heard_again_all_is_as_it_was():
+    scene = Scene(4)
+    scene.run(5.0, 3)
+    assert scene.way.hold
+    scene.run(0.1, 1, 2, 3, 5)
+    assert (scene.way.hold, scene.names, scene.way.keep_in) == ("", [], ())
+
+
+def test_without_edges_any_silent_robot_may_be_driving():
+    scene = Scene(4, "formation.edges=[]")
+    scene.run(5.0, 2, 3)
+    assert scene.way.keep_in or scene.names or scene.way.hold
