@@ -32,7 +32,8 @@ class Row:
         reason: the first of the verdict's reasons, one line, empty when it passed.
         safe: the oracle `separation` found nothing: no two robots came below the safe distance; None when
             not known.
-        settled: every edge was within 5 % of its distance at the end; None when not known.
+        settled: every edge was within 5 % of its distance at the end, and every robot at its place, or soon
+            there (`deploy.verdict.tracking`); None when not known.
         numbers: by the names of `deploy.verdict.metrics.columns`, those that are known.
         wall_s: real time that it took.
     """
@@ -83,7 +84,7 @@ def execute(plan: Plan, run: int, go_on: Callable[[], bool] = lambda: True) -> R
             PASSED if result.passed else FAILED,
             next(iter(result.reasons), ""),
             None if separation is None else not separation,
-            result.analysis.settling_s is not None,
+            result.analysis.settling_s is not None and not result.tracking.reasons,
             {name: float(value) for name, value in numbers.items() if value is not None},
             time.perf_counter() - begun,
         )

@@ -272,6 +272,16 @@ def test_robots_without_an_edge_count_as_well(monkeypatch: pytest.MonkeyPatch) -
     assert execute(make_plan(ask(overrides=(SHORT, "avoidance.enabled=false"))), 0).safe is False
 
 
+def test_a_formation_far_behind_its_course_has_not_settled() -> None:
+    fast = ("trajectory.kind=line", "trajectory.velocity_mps=[3.0, 0.0]", "fleet.duration_s=8")
+    there = [
+        f"robot.{k}.{axis}={v}" for k, x in ((1, -0.6), (2, 0.4)) for axis, v in (("x_m", x), ("y_m", 0))
+    ]
+    row = execute(make_plan(ask(fleet="pair", overrides=(*fast, *there, "robot.2.heading_rad=0"))), 0)
+    assert row.numbers["final_distance_error_m"] < 0.05, "by its edges it has"
+    assert (row.safe, row.settled, row.good, row.verdict) == (True, False, False, FAILED)
+
+
 def test_a_run_that_raises_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("some\nthing")
