@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import hypot
 from typing import Any, Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from agent.messages.types import SILENT_MAX, Beacon, Silent
+from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
 from deploy.console.wording import robots
 
 SILENT_NS: Final = 2 * NS_PER_S
 """Who has sent no beacon for so long is not heard; agents send some five a second."""
+SHOWN_M: Final = 0.05
+"""Ways and doubts that are smaller are left out of words."""
 KEPT_NS: Final = 5 * NS_PER_S
 """What a beacon says of others holds for so long: where they are many, each beacon names some of them."""
 
@@ -21,35 +24,40 @@ class SilentBody(NamedTuple):
     Attributes:
         robot: its number.
         silent_s: for how long.
-        x, y: where its hand is believed to be, m (W).
-        doubt_m: how far it may be from there.
-        told_by: the robots that say so; empty where nobody does, and it was only heard no more.
-        heard: whether who collects this hears it all the same: others do not.
+        x, y, to_x, to_y: ends of the straight way on which its hand is believed to be, m (W).
+        doubt_m: how far it may be to either side of that.
+        told_by: the robots that do not hear it; empty where nobody says so.
+        heard: whether who collects this hears it all the same.
     """
 
     robot: int
     silent_s: float
     x: float
     y: float
+    to_x: float
+    to_y: float
     doubt_m: float
     told_by: tuple[int, ...]
     heard: bool
 
+    @property
+    def where(self) -> str:
+        """Where it is believed to be, in words."""
+        text = f"at ({self.x:.2f}, {self.y:.2f})"
+        if hypot(self.to_x - self.x, self.to_y - self.y) > SHOWN_M:
+            text = f"between ({self.x:.2f}, {self.y:.2f}) and ({self.to_x:.2f}, {self.to_y:.2f})"
+        return text + (f", give or take {self.doubt_m:.2f} m" if self.doubt_m > SHOWN_M else "")
+
     def __str__(self) -> str:
         by = ""
         if self.told_by:
-            by = f", as {robots(self.told_by)} {'says' if len(self.told_by) == 1 else 'say'}"
-        return f"robot {self.robot} for {self.silent_s:.0f} s, believed at ({self.x:.2f}, {self.y:.2f}){by}"
+            by = f" (not by {robots(self.told_by)})"
+        return f"robot {self.robot} for {self.silent_s:.0f} s{by}, believed {self.where}"
 
     @property
     def row(self) -> dict[str, Any]:
         """As JSON values."""
         return {**self._asdict(), "told_by": list(self.told_by)}
-
-
-def place(row: Silent) -> tuple[float, float, float]:
-    """Where a beacon's row believes a robot to be: x, y, and how far it may be from there, m."""
-    return row.x, row.y, 0.0
 
 
 class SilentBodies:
@@ -82,27 +90,42 @@ class SilentBodies:
         """How many robots have sent a beacon."""
         return len(self._newest)
 
-    def bodies(self) -> list[SilentBody]:
-        """All robots that are not heard by somebody who is, in the order of their numbers."""
+    def bodies(self, removed: Iterable[Removed] = ()) -> list[SilentBody]:
+        """All robots that somebody who is heard does not hear, in the order of their numbers.
+
+        Args:
+            removed: whose bodies somebody has carried off the field.
+        """
         if not self._newest:
             return []
         now_ns = max(beacon.time_ns for beacon in self._newest.values())
         heard = {robot for robot, each in self._newest.items() if now_ns - each.time_ns <= SILENT_NS}
+        deaf: dict[int, list[int]] = {}
+        for sender in sorted(heard):
+            for robot in self._newest[sender].unheard:
+                deaf.setdefault(robot, []).append(sender)
         told: dict[int, list[tuple[int, int, Silent]]] = {}
         for (sender, robot), (said_ns, row) in self._rows.items():
             if sender in heard and said_ns > self._newest[sender].time_ns - KEPT_NS:
                 # By the sender's own clock, which stamped both.
                 told.setdefault(robot, []).append((said_ns - row.time_ns, sender, row))
+        gone = {
+            each.robot
+            for each in removed
+            if each.robot not in self._newest or self._newest[each.robot].time_ns <= each.time_ns
+        }
         found = []
-        for robot in sorted({*told, *(self._newest.keys() - heard)}):
+        for robot in sorted({*deaf, *(told.keys() - heard), *(self._newest.keys() - heard)} - gone):
             if robot in told:
                 age_ns, _, row = min(told[robot], key=lambda each: each[:2])
-                x, y, doubt_m = place(row)
-            else:
+                way = row.x, row.y, row.to_x, row.to_y, row.doubt
+            elif robot in self._newest:
                 own = self._newest[robot]
-                age_ns, x, y, doubt_m = now_ns - own.time_ns, own.x, own.y, own.doubt
-            by = tuple(sorted(sender for _, sender, _ in told.get(robot, ())))
-            found.append(SilentBody(robot, age_ns / NS_PER_S, x, y, doubt_m, by, robot in heard))
+                age_ns, way = now_ns - own.time_ns, (own.x, own.y, own.x, own.y, own.doubt)
+            else:
+                continue  # it was never heard: nothing is known but what the fleet file says
+            by = tuple(deaf.get(robot, ()))
+            found.append(SilentBody(robot, age_ns / NS_PER_S, *way, by, robot in heard))
         return found
 
 
@@ -116,10 +139,10 @@ def in_words(bodies: Iterable[SilentBody]) -> list[str]:
     return lines
 
 
-def bodies_of(beacons: Mapping[int, Iterable[Beacon]]) -> list[SilentBody]:
-    """The silent by the beacons of each robot, in their order."""
+def bodies_of(beacons: Mapping[int, Iterable[Beacon]], removed: Iterable[Removed] = ()) -> list[SilentBody]:
+    """The silent by the beacons of each robot, in their order; `removed` as for `SilentBodies.bodies`."""
     heard = SilentBodies()
     for each in beacons.values():
         for beacon in each:
             heard.hear(beacon)
-    return heard.bodies()
+    return heard.bodies(removed)

@@ -435,6 +435,15 @@ def _stationary(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 # --- processes and clocks ---------------------------------------------------------------------
 
 
+def _what_follows(fleet: Fleet, rule: Rule) -> str:
+    """What becomes of a drive of which a robot's process is killed for good."""
+    if rule.kill != "agent":
+        return "its place is not known, and the verdict fails unless another robot takes its place"
+    if fleet.supervision.silence == "hold":
+        return "its neighbours hold (brake), and the verdict fails"
+    return "it stands where it braked, and the others go on without it"
+
+
 def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Finding]:
     for each in rules:
         rule = each.rule
@@ -446,8 +455,8 @@ def _processes(fleet: Fleet, rules: Sequence[_Rule], end: float) -> Iterator[Fin
                 "warning",
                 f"{each.place}.kill",
                 f"{_named(each)}: what is killed of {who} at {each.times[-1][0]:g} s is not started again "
-                f"before the run's end at {end:g} s: neighbours hold (brake), and the verdict fails; give a "
-                "for to have it back",
+                f"before the run's end at {end:g} s: {_what_follows(fleet, rule)}; give a for to have "
+                "it back",
             )
         if rule.pause is not None and rule.duration is not None and each.times[-1][0] + rule.duration > end:
             yield Finding(

@@ -179,7 +179,7 @@ class Watch:
         if time_s is not None:
             self._heard_s |= dict.fromkeys(self._heard, time_s)
             self._heard.clear()
-            picture.silent = self._silent.bodies()
+            picture.silent = self._silent.bodies(mission.removed if mission else ())
         picture.robots = {
             robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }

@@ -17,13 +17,13 @@ from agent.runtime.version import handfast_version
 from agent.supervision.state_machine import State
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, number, percentile
-from deploy.analysis.silent_bodies import bodies_of
 from deploy.console.wording import robots
 from deploy.recording.recorder import RecordingError
 from deploy.recording.recording import Recording
 from deploy.recording.run_files import FLEET_FILE, RECORDING_FILE, REPORT_FILE
 from deploy.report import fault_strip, figures, link_figure, link_section, oracle_section
 from deploy.report.html import CSS, bullets, figure, shown, table
+from deploy.report.trajectory_figure import silent_bodies
 from deploy.verdict import metrics
 from deploy.verdict.run_result import RunResult
 
@@ -252,21 +252,20 @@ def _robots_table(recording: Recording, a: Analysis) -> str:
 
 def _silent_table(recording: Recording) -> str:
     """Robots that were not heard at the end, and where the others believe them to be."""
-    bodies = bodies_of(recording.beacons)
+    bodies = silent_bodies(recording)
     if not bodies:
         return ""
     rows = [
         (
             body.robot,
             shown(body.silent_s),
-            f"({body.x:.2f}, {body.y:.2f})",
-            shown(body.doubt_m),
+            body.where,
             escape(robots(body.told_by)) if body.told_by else "&ndash;",
             "by the operator" if body.heard else "by nobody",
         )
         for body in bodies
     ]
-    columns = ("#Robot", "#Silent (s)", "Believed at (m)", "#Give or take (m)", "Not heard by", "Heard")
+    columns = ("#Robot", "#Silent (s)", "Believed (m)", "Not heard by", "Heard")
     return f"<h2>Robots that are not heard</h2>\n{table(columns, rows)}"
 
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Polygon
 
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.silent_bodies import SilentBody, bodies_of
+from deploy.recording.recording import Recording
 from deploy.report.plotting import (
     DASHED,
     DOTTED,
@@ -29,7 +32,8 @@ from deploy.report.plotting import (
 )
 from deploy.verdict.run_result import RunResult
 
-HATCH = "////"
+HALF_CORNERS: Final = 24
+HATCH: Final = "////"
 """Of a body that is only believed to be there."""
 
 
@@ -43,7 +47,8 @@ def trajectories(result: RunResult) -> Figure:
     few = len(a.ids) <= LEGEND_MAX
     everything = np.concatenate([a.hands.reshape(-1, 2), a.desired.reshape(-1, 2)])
     everything = everything[np.isfinite(everything).all(axis=1)]
-    bodies = [(body.x, body.y) for body in not_heard(result)]
+    silent = _not_heard(result)
+    bodies = [end for body in silent for end in ((body.x, body.y), (body.to_x, body.to_y))]
     everything = np.concatenate([everything, np.array(bodies).reshape(-1, 2)])
     low, high = view(everything.min(axis=0), everything.max(axis=0), ground)
     margin = 0.06 * max(float((high - low).max()), 0.5)
@@ -68,7 +73,6 @@ def trajectories(result: RunResult) -> Figure:
         axes.plot(*a.desired[:, index].T, linestyle=DOTTED, color=GREY, linewidth=0.7 * width, zorder=2)
         axes.plot(*a.hands[:, index].T, color=color, linewidth=width, alpha=alpha, zorder=3)
     _draw_starts(axes, a.ids, a, few)
-    silent = not_heard(result)
     for k, body in enumerate(silent):
         _draw_body(axes, body, result.analysis.safe_m, "not heard, believed there" if k == 0 else "")
     path_color = PALETTE[0] if few else GREY
@@ -82,19 +86,27 @@ def trajectories(result: RunResult) -> Figure:
     return figure
 
 
-def not_heard(result: RunResult) -> list[SilentBody]:
+def silent_bodies(recording: Recording) -> list[SilentBody]:
+    """The robots that somebody did not hear at the end."""
+    mission = recording.mission
+    return bodies_of(recording.beacons, mission.removed if mission else ())
+
+
+def _not_heard(result: RunResult) -> list[SilentBody]:
     """The robots that nobody heard at the end."""
-    return [body for body in bodies_of(result.recording.beacons) if not body.heard]
+    return [body for body in silent_bodies(result.recording) if not body.heard]
 
 
 def _draw_body(axes: Axes, body: SilentBody, safe_m: float, label: str) -> None:
     """A body where it is believed to be, as large as it and what is not known of its place."""
-    place, radius = (body.x, body.y), 0.5 * safe_m + body.doubt_m
-    axes.add_patch(
-        Circle(place, radius, facecolor="none", edgecolor=RED, hatch=HATCH, zorder=6.5, label=label)
-    )
+    radius = 0.5 * safe_m + body.doubt_m
+    turn = np.linspace(0.5, 1.5, HALF_CORNERS) * np.pi + np.arctan2(body.to_y - body.y, body.to_x - body.x)
+    back = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    outline = np.concatenate([np.array([body.x, body.y]) + back, np.array([body.to_x, body.to_y]) - back])
+    axes.add_patch(Polygon(outline, facecolor="none", edgecolor=RED, hatch=HATCH, zorder=6.5, label=label))
+    x, y = min((body.x, body.y), (body.to_x, body.to_y), key=itemgetter(1))
     axes.annotate(
-        f"{body.robot}: silent for {body.silent_s:.0f} s", (body.x, body.y - radius), xytext=(0, -3),
+        f"{body.robot}: silent for {body.silent_s:.0f} s", (x, y - radius), xytext=(0, -3),
         textcoords="offset points", ha="center", va="top", fontsize=8, color=RED, zorder=9,
     )  # fmt: skip
 

@@ -74,11 +74,12 @@ def _status(options: argparse.Namespace) -> int:
 
         with ExitStack() as stack:
             statuses: dict[int, Status] = {}
-            wait, expected, silent = wait_for, 0, SilentBodies()
+            wait, expected = wait_for, 0
+            silent, operator = SilentBodies(), None
             try:
                 session = stack.enter_context(OperatorSession(fleet))
                 wait, statuses, expected = session.wait, session.statuses, len(fleet.ids)
-                silent = session.silent
+                silent, operator = session.silent, session.operator
                 session.listen_to_beacons()
             except (BusError, InputError) as error:
                 print(f"handfast: agents are not heard, only hosts are asked: {error}", file=sys.stderr)
@@ -105,13 +106,19 @@ def _status(options: argparse.Namespace) -> int:
         for robot in jobs.rows[host.name].robots
         for role in systemd_units.roles(fleet)
     ]
+    mission = None if operator is None else operator.mission
+    bodies = silent.bodies(mission.removed if mission else ())
     if options.json:
-        bodies = [body.row for body in silent.bodies()]
-        about = {"fleet": fleet.fleet.name, "hosts": host_rows(found), "processes": rows, "silent": bodies}
+        about = {
+            "fleet": fleet.fleet.name,
+            "hosts": host_rows(found),
+            "processes": rows,
+            "silent": [body.row for body in bodies],
+        }
         print(json.dumps(about, indent=2))
     else:
         print_table(rows, found)
-        for line in in_words(silent.bodies()):
+        for line in in_words(bodies):
             print(line)
     good = all(row["unit"] == "active" and (row["role"] != "agent" or row["state"]) for row in rows)
     return PASSED if good else FAILED

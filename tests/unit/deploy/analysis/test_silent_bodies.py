@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.messages.types import SILENT_MAX, Beacon, Silent
+from agent.messages.types import SILENT_MAX, Beacon, Removed, Silent
 from deploy.analysis.silent_bodies import SilentBodies, bodies_of, in_words
 from tests.unit.deploy.synthetic_run import EPOCH_NS
 
@@ -14,12 +14,16 @@ def ns(t: float) -> int:
     return EPOCH_NS + round(t * NS_PER_S)
 
 
-def row(robot: int, t: float, x: float = 0.0, y: float = 0.0) -> Silent:
-    return Silent(robot, ns(t), True, x, y, 0.0, 0.0)
+def row(robot: int, t: float, x: float = 0.0, y: float = 0.0, to_x: float | None = None) -> Silent:
+    return Silent(robot, ns(t), True, x, y, 0.0, 0.0, x if to_x is None else to_x, y, 0.3)
 
 
-def beacon(robot: int, t: float, *silent: Silent, x: float = 0.0) -> Beacon:
-    return Beacon(robot, 0, ns(t), True, x, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, silent)
+def beacon(
+    robot: int, t: float, *silent: Silent, x: float = 0.0, unheard: tuple[int, ...] | None = None
+) -> Beacon:
+    """Of a robot that does not hear whom it names, unless others are given."""
+    deaf_to = tuple(each.robot for each in silent) if unheard is None else unheard
+    return Beacon(robot, 0, ns(t), True, x, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, silent, deaf_to)
 
 
 def heard(*beacons: Beacon) -> SilentBodies:
@@ -44,7 +48,9 @@ def test_who_was_heard_last_says_where_it_is() -> None:
     (body,) = found
     assert (body.robot, body.silent_s, body.x, body.y) == (6, pytest.approx(76.1), 2.0, 3.0)
     assert (body.told_by, body.heard) == ((1, 2), False)
-    assert in_words(found) == ["not heard: robot 6 for 76 s, believed at (2.00, 3.00), as robots 1 and 2 say"]
+    assert in_words(found) == [
+        "not heard: robot 6 for 76 s (not by robots 1 and 2), believed at (2.00, 3.00), give or take 0.30 m"
+    ]
     assert body.row["told_by"] == [1, 2]
 
 
@@ -59,6 +65,30 @@ def test_one_that_only_some_do_not_hear_is_told_apart() -> None:
     found = heard(beacon(1, 10.0, row(2, 7.0)), beacon(2, 10.0, row(1, 7.0))).bodies()
     assert [(body.robot, body.told_by, body.heard) for body in found] == [(1, (2,), True), (2, (1,), True)]
     assert in_words(found) == ["not heard by all others: robots 1 and 2"]
+
+
+def test_what_others_pass_on_of_one_that_they_hear_is_no_silence() -> None:
+    """Robot 1 tells robot 3, which does not hear robot 2, where that is."""
+    found = heard(
+        beacon(1, 10.0, row(2, 9.9), unheard=()), beacon(2, 10.0), beacon(3, 10.0, unheard=(2,))
+    ).bodies()
+    assert [(body.robot, body.told_by, body.heard) for body in found] == [(2, (3,), True)]
+    assert heard(beacon(1, 10.0, row(2, 9.9), unheard=()), beacon(2, 10.0)).bodies() == []
+
+
+def test_a_way_on_which_it_may_be_is_told_with_both_ends() -> None:
+    (body,) = heard(beacon(1, 10.0, row(2, 5.0, 1.0, 1.0, to_x=4.0))).bodies()
+    assert body.where == "between (1.00, 1.00) and (4.00, 1.00), give or take 0.30 m"
+
+
+def test_a_body_that_was_carried_off_is_nowhere_until_it_is_heard_again() -> None:
+    bodies = heard(beacon(6, 3.0), beacon(1, 10.0, row(6, 3.0)))
+    assert [body.robot for body in bodies.bodies([Removed(6, ns(2.0))])] == [6], "it was heard since"
+    assert bodies.bodies([Removed(6, ns(5.0))]) == []
+
+
+def test_one_that_was_never_heard_is_nowhere_but_where_the_file_says() -> None:
+    assert heard(beacon(1, 10.0, unheard=(2,))).bodies() == []
 
 
 def test_it_is_over_when_its_sender_hears_it_again() -> None:

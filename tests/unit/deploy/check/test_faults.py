@@ -250,6 +250,9 @@ def test_processes_that_do_not_come_back() -> None:
     killed = one(rule('name = "x"', "robot = 3", 'kill = "agent"', "at = 20"))
     assert (killed.level, killed.place) == ("warning", "faults.rule[1].kill")
     assert "robot 3 at 20 s is not started again before the run's end at 30 s" in killed.message
+    assert "the others go on without it" in killed.message
+    plant = one(rule("robot = 3", 'kill = "plant"', "at = 20"))
+    assert "the verdict fails unless another robot takes its place" in plant.message
     assert found(rule("robot = 3", 'kill = "agent"', "at = 20", "for = 1")) == []
     paused = one(rule("robot = 3", 'pause = "plant"', "at = 29", "for = 2"))
     assert paused.place == "faults.rule[1].pause"

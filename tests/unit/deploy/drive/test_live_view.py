@@ -294,12 +294,12 @@ def test_robots_in_reserve_are_shown() -> None:
 def test_a_robot_that_falls_silent_is_shown_so_with_its_body() -> None:
     """Its last words do not hold any more: the other says where it is."""
     watched = watch()
-    row = Silent(2, EPOCH_NS, True, 0.6, -0.4, 0.0, 0.0)
+    row = Silent(2, EPOCH_NS, True, 0.6, -0.4, 0.0, 0.0, 0.6, -0.4, 0.0)
     told(watched, 2, "running", "", 1)
     for second in range(1, 6):
         after_ns = second * NS_PER_S
         told(watched, 1, "degraded", "without robot 2", after_ns)
-        said = Beacon(1, 1, EPOCH_NS + after_ns, True, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,))
+        said = Beacon(1, 1, EPOCH_NS + after_ns, True, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,), (2,))
         watched.feed(key_expressions.beacon("pair", 1), said)
         picture = watched.picture(float(second))
         silent = second > 3  # its status came with the first of these pictures
@@ -312,7 +312,7 @@ def test_a_robot_that_falls_silent_is_shown_so_with_its_body() -> None:
         stream.getvalue()
         .rstrip()
         .endswith(
-            "degraded: 1, silent: 2, not heard: robot 2 for 5 s, believed at (0.60, -0.40), as robot 1 says"
+            "degraded: 1, silent: 2, not heard: robot 2 for 5 s (not by robot 1), believed at (0.60, -0.40)"
         )
     )
 

@@ -350,10 +350,10 @@ def test_the_figures_are_not_blank(drawn: dict[str, Path]) -> None:
 def test_robots_that_are_not_heard_are_in_the_table_and_on_the_map(tmp_path: Path) -> None:
     def beacon(robot: int, t: float, *silent: Silent) -> Sent:
         ns = EPOCH_NS + round(t * 1e9)
-        said = Beacon(robot, 1, ns, True, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, silent)
+        said = Beacon(robot, 1, ns, True, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0, -1, -1, silent, (2,))
         return ns, key_expressions.beacon(FLEET.fleet.name, robot), said
 
-    row = Silent(2, EPOCH_NS - 9 * 10**9, True, 7.0, 3.0, 0.0, 0.0)
+    row = Silent(2, EPOCH_NS - 9 * 10**9, True, 7.0, 3.0, 0.0, 0.0, 7.5, 3.0, 0.2)
     sent = [*messages(FLEET, in_formation(FLEET)), beacon(1, 2.0, row), beacon(1, 9.0)]  # long after the end
     data = RunData(FLEET)
     for each in sent:
@@ -361,11 +361,13 @@ def test_robots_that_are_not_heard_are_in_the_table_and_on_the_map(tmp_path: Pat
     result = RunResult(data.recording())
     page = Page(write_report(tmp_path, result).read_text())
     assert "Robots that are not heard" in page.text
-    assert "(7.00, 3.00)" in page.text
+    assert "between (7.00, 3.00) and (7.50, 3.00), give or take 0.20 m" in page.text
     (axes,) = trajectory_figure.trajectories(result).axes
     (body,) = [patch for patch in axes.patches if patch.get_hatch()]
-    assert body.get_center() == (7.0, 3.0)  # type: ignore[attr-defined]
-    assert axes.get_xlim()[1] > 7.0
+    low, high = body.get_path().get_extents().get_points()
+    radius = 0.2 + 0.5 * FLEET.formation.safe_distance_m
+    assert [*low, *high] == pytest.approx([7 - radius, 3 - radius, 7.5 + radius, 3 + radius], abs=0.01)
+    assert axes.get_xlim()[1] > 7.5
     assert "2: silent for 11 s" in [text.get_text() for text in axes.texts]
     without = RunResult(replace(result.recording, beacons={}))
     assert "not heard" not in Page(write_report(tmp_path, without).read_text()).text
