@@ -21,7 +21,7 @@ from agent.control.detour import Blocker, Detour
 from agent.control.gains import gains_of, one_sided
 from agent.control.lateness import UNSURE_NS
 from agent.control.peers import Peer, Peers
-from agent.control.prediction import Prediction, approach, constraint_decay
+from agent.control.prediction import Prediction, constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import barrier_rate
@@ -216,13 +216,12 @@ class Controller:
         assert motion is not None  # a robot without a place does not drive
         x, y, vx, vy, ax, ay = motion
         ex, ey = own.x - x, own.y - y
-        share = 1.0
         if self.proximity.enabled:
-            share = law.saturation(ex, ey, self._c1, self._c2, approach(vx, vy, ex, ey, self._speed_max))
-        nx = law.navigation_force(ax, share * ex, own.vx - vx, self._c1, self._c2)
-        ny = law.navigation_force(ay, share * ey, own.vy - vy, self._c1, self._c2)
+            ex, ey = law.acting_error((ex, ey), (vx, vy), self._c1, self._c2, self._speed_max)
+        nx = law.navigation_force(ax, ex, own.vx - vx, self._c1, self._c2)
+        ny = law.navigation_force(ay, ey, own.vy - vy, self._c1, self._c2)
         # (21) aims at this velocity: F_n = rddot_d + c_2 (wanted - v).
-        pull = share * self._c1 / self._c2
+        pull = self._c1 / self._c2
         wanted = vx - pull * ex, vy - pull * ey
         turned = self.detour.velocity(wanted, (own.vx, own.vy), self._blockers)
         gx, gy = nx, ny
@@ -467,7 +466,7 @@ class Controller:
         planes += safety_filter.limit_actuators(
             body, self._mass, self._inertia, self._reach, self._force_max, self._torque_max
         )
-        planes += safety_filter.limit_turning(body, self._reach, self._yaw_rate_max, 2.0 * self._barrier_rate)
+        planes += safety_filter.limit_turning(body, self._reach, self._yaw_rate_max, self._barrier_rate)
         ux, uy, causes, _ = safety_filter.project(ux, uy, planes, self._acceleration_max)
         return ux, uy, causes
 

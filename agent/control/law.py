@@ -20,6 +20,10 @@ RELAXATION_MIN: Final = 1e-3
 that noise or a fault has put there would be pulled together."""
 
 
+APPROACH_SHARE: Final = 0.25
+"""A robot makes for its place with at least this share of its speed limit, however fast the formation is."""
+
+
 class Gains(NamedTuple):
     """k_d of (18), k_2 of (24) and the stiffness k_p of (J1); k_p = 0 is the paper's law.
 
@@ -165,12 +169,23 @@ def navigation_force(acceleration: float, error: float, error_rate: float, c1: f
     return acceleration - c1 * error - c2 * error_rate
 
 
-def saturation(error_x: float, error_y: float, c1: float, c2: float, most: float) -> float:
-    """Share of c_1 e that acts, so that a robot makes for its place at no more than `most` m/s (N1).
+def acting_error(error: Vector, place_velocity: Vector, c1: float, c2: float, most: float) -> Vector:
+    """The error that acts in (21), so that a robot makes for its place at no more than `most` m/s (N1).
 
-    -c_1 e - c_2 edot drives edot to -(c_1/c_2) e: that is what is limited. 1 near the place, where (21)
+    -c_1 e - c_2 edot drives the robot's velocity to v_d - (c_1/c_2) e: that is cut to the circle of `most`,
+    or of what reaches a place that drives as fast itself. So c_1 times what acts is the gradient of a convex
+    function of e, whatever the place's velocity v_d. `error` itself, and no copy, near the place, where (21)
     holds.
     """
-    wanted = c1 * (error_x * error_x + error_y * error_y) ** 0.5
-    limit = c2 * most
-    return 1.0 if wanted <= limit else limit / wanted
+    x, y = error
+    vx, vy = place_velocity
+    pull = c1 / c2
+    wx, wy = vx - pull * x, vy - pull * y
+    wanted = (wx * wx + wy * wy) ** 0.5
+    if wanted <= most:
+        return error
+    most = max(most, (vx * vx + vy * vy) ** 0.5 + APPROACH_SHARE * most)
+    if wanted <= most:
+        return error
+    share = most / wanted
+    return (vx - share * wx) / pull, (vy - share * wy) / pull

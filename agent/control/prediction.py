@@ -7,19 +7,16 @@ error does it is carried forward exactly over the age of its message (docs/theor
 from __future__ import annotations
 
 from functools import lru_cache
-from math import cos, exp, expm1, hypot, sin, sqrt
+from math import cos, exp, expm1, sin, sqrt
 from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
-from agent.control.law import saturation
+from agent.control.law import acting_error
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
 
 BRAKING_TIME_S: Final = 0.2
 """A robot that brakes is taken to lose its speed with this time constant."""
-
-APPROACH_SHARE: Final = 0.25
-"""A robot makes for its place with at least this share of its speed limit, however fast the formation is."""
 
 Transition = tuple[float, float, float, float, float, float, float]
 """What `transition` returns: (a11, a12, a21, a22, b1, b2, remains)."""
@@ -69,19 +66,6 @@ def transition(c1: float, c2: float, decay: float, age: float) -> Transition:
     return a11, s, -c1 * s, a22, b1, b2, remains
 
 
-def approach(vx: float, vy: float, ex: float, ey: float, most: float) -> float:
-    """How fast a robot may make for a place that moves with (vx, vy), from the error (ex, ey) off it (N1).
-
-    The largest speed relative to the place, along -e, with which its own speed is at most `most` (all m/s).
-    """
-    away = hypot(ex, ey)
-    if away == 0.0:
-        return most
-    along = -(vx * ex + vy * ey) / away
-    room = along * along + most * most - vx * vx - vy * vy
-    return max(APPROACH_SHARE * most, sqrt(room) - along if room > 0.0 else 0.0)
-
-
 class Prediction(NamedTuple):
     """One robot at one instant, vectors (x, y) in W.
 
@@ -121,9 +105,9 @@ def following(
     x1, y1, vx1, vy1, ax1, ay1 = then
     ex, ey, edot_x, edot_y = message.x - x0, message.y - y0, message.vx - vx0, message.vy - vy0
     if most is not None:
-        share = saturation(ex, ey, c1, c2, approach(vx1, vy1, ex, ey, most))
-        if share < 1.0:
-            return _approaching(message, then, (ex, ey), (edot_x, edot_y), age, c1, c2, decay, share)
+        acting = acting_error(error := (ex, ey), (vx1, vy1), c1, c2, most)
+        if acting is not error:
+            return _approaching(message, then, error, (edot_x, edot_y), age, c1, c2, decay, acting)
     force_x, force_y = fx + gx, fy + gy
     new_x, new_y = a11 * ex + a12 * edot_x + b1 * force_x, a11 * ey + a12 * edot_y + b1 * force_y
     new_vx, new_vy = a21 * ex + a22 * edot_x + b2 * force_x, a21 * ey + a22 * edot_y + b2 * force_y
@@ -147,11 +131,11 @@ def _approaching(
     c1: float,
     c2: float,
     decay: float,
-    share: float,
+    acting: Vector,
 ) -> Prediction:
-    """As `following`, of one that is too far from its place for (21): its pull `share` c1 e is constant (N1).
+    """As `following`, of one that is too far from its place for (21): its pull c1 `acting` is constant (N1).
 
-    edot' = -share c1 e(0) - c2 edot + F_c exp(-decay t), exactly; the pull's direction is that at the start.
+    edot' = -c1 acting - c2 edot + F_c exp(-decay t), exactly; the pull is that at the start.
     """
     if (
         abs(c2 - decay) < 1e-5 * c2
@@ -168,9 +152,9 @@ def _approaching(
         (message.constraint_x, message.correction_x),
         (message.constraint_y, message.correction_y),
     )
-    for e, edot, (constraint, correction) in zip(error, rate, forces, strict=True):
+    for e, edot, pull, (constraint, correction) in zip(error, rate, acting, forces, strict=True):
         force = constraint + correction
-        aim = -share * c1 * e / c2
+        aim = -c1 * pull / c2
         speed = aim + (edot - aim) * slowed + force * of_speed
         places.append(e + aim * age + (edot - aim) * rise + force * of_place)
         speeds.append(speed)

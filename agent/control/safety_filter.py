@@ -9,7 +9,7 @@ whose place is only supposed, then speed.
 
 from __future__ import annotations
 
-from math import cos, hypot, inf, sin, sqrt
+from math import cos, exp, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN
@@ -62,6 +62,7 @@ def keep_apart(
     gap: float,
     rate: float,
     *,
+    growth: float = 0.0,
     alone: bool = False,
     other_acceleration: tuple[float, float] = (0.0, 0.0),
     rank: int = SEPARATION,
@@ -73,6 +74,8 @@ def keep_apart(
         velocity, other_velocity: of the own and the other's hand, m/s.
         gap: the distance to keep, m: r_s, a margin, and what is uncertain of the other's place.
         rate: p, 1/s; the same for all robots.
+        growth: how fast the gap grows, m/s. The other knows nothing of it, so the own robot makes up for all
+            of it, beyond what braking gives if need be (U2).
         alone: the other does not do its part: it brakes, is silent, or is no robot of ours.
         other_acceleration: what the other is known to do meanwhile, m/s^2; only counts if `alone`, and
             only as far as it brings the two together.
@@ -102,6 +105,7 @@ def keep_apart(
     if alone:
         push = nx * other_acceleration[0] + ny * other_acceleration[1]
         least = max(least, both + max(push, 0.0))
+    least += 2.0 * rate * growth
     return HalfPlane(nx, ny, least, cause, rank)
 
 
@@ -167,19 +171,49 @@ def limit_actuators(
     return planes
 
 
+def turning_limit(speed: float, reach: float, most: float, rate: float) -> tuple[float, float]:
+    """How fast a body may turn at a speed (m/s, along its heading), rad/s, and its derivative by that, (F9).
+
+    `most`, but less for one that drives backwards faster than p L: to brake makes such a body swing round,
+    and from this limit it swings up to `most` and no further.
+    """
+    backwards = -speed / (rate * reach)
+    if backwards <= 1.0:
+        return most, 0.0
+    swing = most * exp(1.0 - backwards)
+    return swing * backwards, swing * (backwards - 1.0) / (rate * reach)
+
+
 def limit_turning(
     pose: Pose, reach: float, most: float, rate: float, cause: str = "turning"
 ) -> tuple[HalfPlane, ...]:
-    """Keeps the yaw rate within `most` (rad/s), (F9): L wdot = u . (-sin, cos) - v w.
+    """Keeps the yaw rate within `turning_limit`, (F9): L wdot = u . (-sin, cos) - v w.
 
     A force that is held for a period while the body turns far points elsewhere at its end: what is asked of
-    the hand is then not what it does.
+    the hand is then not what it does. u = -p v of the hand meets both planes while the yaw rate is within.
+
+    Args:
+        reach: of the hand, L, m.
+        most: rad/s.
+        rate: p, 1/s; the yaw rate may come to its limit at twice that.
     """
     c, s = cos(pose.heading), sin(pose.heading)
-    bias = pose.speed * pose.yaw_rate
+    speed, turn = pose.speed, pose.yaw_rate
+    limit, slope = turning_limit(speed, reach, most, rate)
+    slope *= reach  # wdot <= 2 p (W - w) + W' vdot, with vdot = u . (cos, sin) + L w^2
+    drift = reach * slope * turn * turn
+    left = speed * turn + 2.0 * rate * reach * (limit - turn) + drift
+    right = -speed * turn + 2.0 * rate * reach * (limit + turn) + drift
+    # Whatever turn braking takes away may be taken away.
+    braking, slowing = rate * reach * turn, slope * rate * speed
+    if turn > 0.0:
+        right = max(right, slowing + braking)
+    elif turn < 0.0:
+        left = max(left, slowing - braking)
+    size = hypot(1.0, slope)
     return (
-        HalfPlane(-s, c, bias - rate * reach * (most + pose.yaw_rate), cause, BODY),
-        HalfPlane(s, -c, -bias - rate * reach * (most - pose.yaw_rate), cause, BODY),
+        HalfPlane((s + slope * c) / size, (slope * s - c) / size, -left / size, cause, BODY),
+        HalfPlane((slope * c - s) / size, (slope * s + c) / size, -right / size, cause, BODY),
     )
 
 

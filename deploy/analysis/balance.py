@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.control import law
-from agent.control.prediction import approach
 from agent.fleet.model import Fleet
 from deploy.analysis import fleet_law
 from deploy.analysis.analysis import Analysis
@@ -91,11 +90,11 @@ def _forces(
     error = np.nan_to_num((a.hands[row] - a.desired[row]).T)
     before = a.desired[_lately(a, row)][0]
     vx, vy = np.nan_to_num((a.desired[row] - before).T / STILL_S)
-    shares = [
-        law.saturation(x, y, control.c1, control.c2, approach(u, v, x, y, control.max_speed_mps))
+    acting = [
+        law.acting_error((x, y), (u, v), control.c1, control.c2, control.max_speed_mps)
         for x, y, u, v in zip(*error.tolist(), vx.tolist(), vy.tolist(), strict=True)
     ]
-    navigation = -control.c1 * np.array(shares) * error
+    navigation = -control.c1 * np.array(acting).T
     columns = np.flatnonzero(a.counts[row])
     i, j = a.edges[columns].T
     edges = fleet_law.edges(

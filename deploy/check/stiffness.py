@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from agent.control.gains import FOLD, SOFTNESS
-from agent.control.prediction import APPROACH_SHARE
+from agent.control.law import APPROACH_SHARE
 from agent.fleet.model import Fleet
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry

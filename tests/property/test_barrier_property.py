@@ -7,10 +7,12 @@ from math import cos, dist, hypot, isfinite, pi, sin, sqrt
 from random import Random
 from typing import NamedTuple
 
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from agent.control.boundaries import Circle, Polygon
+from agent.control.hand import Pose, hand
 from agent.control.safety_filter import (
     BODY,
     SEPARATION,
@@ -19,7 +21,9 @@ from agent.control.safety_filter import (
     keep_apart,
     keep_clear,
     limit_speed,
+    limit_turning,
     project,
+    turning_limit,
 )
 
 MOST = 5.0
@@ -289,3 +293,109 @@ def test_one_that_does_nothing_about_it_is_kept_away_from_by_the_other_alone(see
             wy + PERIOD * ay,
         )
         assert hypot(x - ox, y - oy) > SAFE
+
+
+# ---------------------------------------------------------------------- all that the last stage has to keep
+
+
+class Bodies(NamedTuple):
+    """Bodies in an admissible state, by their poses; and p (1/s), L (m), V_max (m/s), W (rad/s)."""
+
+    poses: list[Pose]
+    rate: float
+    reach: float
+    fastest: float
+    turning: float
+
+
+def admissible(seed):
+    """Bodies close together: as fast towards each other, and turning as fast, as (F1), (F6), (F9) admit."""
+    draw = Random(seed)
+    rate, reach = draw.uniform(0.5, 4.0), draw.choice((0.05, 0.1, 0.3))
+    fastest, turning = draw.uniform(0.2, MOST / rate), draw.choice((1.2, 3.0, 6.0))
+    places: list[tuple[float, float]] = []
+    while len(places) < 5:
+        place = draw.uniform(-0.7, 0.7), draw.uniform(-0.7, 0.7)
+        if all(dist(place, other) > SAFE + MARGIN for other in places):
+            places.append(place)
+    poses = []
+    for x, y in places:
+        heading, speed = draw.uniform(-pi, pi), draw.choice((-1.0, 1.0)) * fastest * draw.random() ** 0.3
+        limit, _ = turning_limit(speed, reach, turning, rate)
+        turn = (
+            min(limit, sqrt(fastest**2 - speed**2) / reach) * draw.choice((-1.0, 1.0)) * draw.random() ** 0.2
+        )
+        poses.append(Pose(x - reach * cos(heading), y - reach * sin(heading), heading, speed, turn))
+    # The share of these speeds that every barrier admits. Slower robots may turn as fast at least.
+    share = 1.0
+    hands = [hand(pose, reach) for pose in poses]
+    for one, other in combinations(hands, 2):
+        dx, dy = one.x - other.x, one.y - other.y
+        rho = hypot(dx, dy)
+        closing = -(dx * (one.vx - other.vx) + dy * (one.vy - other.vy)) / rho
+        share = min(share, rate * (rho - SAFE - MARGIN) / max(closing, 1e-9))
+    poses = [pose._replace(speed=share * pose.speed, yaw_rate=share * pose.yaw_rate) for pose in poses]
+    return Bodies(poses, rate, reach, fastest, turning)
+
+
+def last_stage(bodies, robot):
+    """The half planes of one of them, as `Controller` makes them."""
+    own = hand(bodies.poses[robot], bodies.reach)
+    planes = list(limit_speed(own.vx, own.vy, bodies.fastest, bodies.rate))
+    planes += limit_turning(bodies.poses[robot], bodies.reach, bodies.turning, bodies.rate)
+    for index, pose in enumerate(bodies.poses):
+        if index != robot:
+            other = hand(pose, bodies.reach)
+            away = own.x - other.x, own.y - other.y
+            planes.append(keep_apart("peer", away, own[2:], other[2:], SAFE + MARGIN, bodies.rate))
+    return own, planes
+
+
+def test_in_every_admissible_state_all_that_the_last_stage_keeps_can_be_kept():
+    """By braking: u = -p v is in every half plane, whatever the robot asks for, and needs no rank."""
+    states = 0
+    for seed in range(2100):
+        bodies = admissible(seed)
+        for robot in range(len(bodies.poses)):
+            states += 1
+            own, planes = last_stage(bodies, robot)
+            ux, uy = -bodies.rate * own.vx, -bodies.rate * own.vy
+            assert hypot(ux, uy) <= MOST + 1e-9
+            assert all(p.nx * ux + p.ny * uy >= p.least - 1e-6 for p in planes), (seed, robot)
+            assert project(9.0, -7.0, planes, MOST).violation < 1e-6
+    assert states > 10_000
+
+
+def test_a_plain_limit_of_the_yaw_rate_contradicts_separation():
+    """What (F9) must not be: |L wdot + 2 p L w| <= 2 p L W, whatever the speed."""
+    missed = 0
+    for seed in range(2100):
+        bodies = admissible(seed)
+        for robot, pose in enumerate(bodies.poses):
+            own, planes = last_stage(bodies, robot)
+            c, s = cos(pose.heading), sin(pose.heading)
+            bias, most = pose.speed * pose.yaw_rate, 2.0 * bodies.rate * bodies.reach
+            planes[:] = [p for p in planes if p.cause != "turning"] + [
+                HalfPlane(-s, c, bias - most * (bodies.turning + pose.yaw_rate), "turning", BODY),
+                HalfPlane(s, -c, -bias - most * (bodies.turning - pose.yaw_rate), "turning", BODY),
+            ]
+            missed += project(-bodies.rate * own.vx, -bodies.rate * own.vy, planes, MOST).violation > 1e-3
+    assert missed > 5
+
+
+@given(SEEDS, st.floats(0.0, 0.15))
+def test_a_gap_that_grows_is_kept_up_with(seed, growth):
+    """rho >= gap(t) of a robot that stands, as long as the filter finds room, (U2): h' counts the growth."""
+    draw = Random(seed)
+    gap, speed = SAFE + MARGIN, 0.0
+    rho = gap + growth / RATE + draw.uniform(0.0, 0.5)
+    closing = draw.uniform(0.0, min(SPEED_MOST, RATE * (rho - gap) - growth))  # g = h' + p h >= 0
+    x, speed = rho, -closing
+    for _ in range(400):
+        plane_ = keep_apart("peer", (x, 0.0), (speed, 0.0), (0.0, 0.0), gap, RATE, growth=growth, alone=True)
+        u = project(-9.0, 0.0, [plane_], MOST)
+        assert u.violation == 0.0
+        x, speed = x + PERIOD * speed + 0.5 * PERIOD * PERIOD * u.ux, speed + PERIOD * u.ux
+        gap += PERIOD * growth
+        assert x > gap - 0.002 - 0.1 * MARGIN  # sampled
+    assert speed == pytest.approx(growth, abs=0.02)  # it is driven off as fast as the gap grows

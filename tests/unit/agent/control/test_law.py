@@ -56,5 +56,23 @@ def test_a_one_sided_multiplier_never_pulls() -> None:
 
 def test_navigation_is_cut_far_from_the_place_only() -> None:
     assert law.navigation_force(0.3, 2.0, -1.0, 0.4, 0.6) == pytest.approx(0.3 - 0.8 + 0.6)
-    assert law.saturation(0.3, 0.4, 0.4, 0.6, 1.0) == 1.0
-    assert law.saturation(30.0, 40.0, 0.4, 0.6, 1.0) == pytest.approx(0.6 / 20.0)
+    near, far = (0.3, 0.4), (30.0, 40.0)
+    assert law.acting_error(near, (0.0, 0.0), 0.4, 0.6, 1.0) is near
+    assert law.acting_error(far, (0.0, 0.0), 0.4, 0.6, 1.0) == pytest.approx((0.6 / 20 * 30, 0.6 / 20 * 40))
+
+
+@pytest.mark.parametrize(
+    ("error", "place", "wanted"),
+    [
+        ((-30.0, -40.0), (0.3, 0.4), (1.2, 1.6)),  # it is behind its place
+        ((30.0, 40.0), (0.3, 0.4), (-1.2, -1.6)),  # its place comes to it
+        ((9e9, 0.0), (0.0, 0.5), (-2.0, 0.0)),  # straight to it from far away, wherever that drives
+        ((-30.0, 0.0), (5.0, 0.0), (5.5, 0.0)),  # it still arrives
+        ((0.0, 0.0), (5.0, 0.0), (5.0, 0.0)),
+    ],
+)
+def test_far_from_its_place_a_robot_makes_for_it_at_its_limit(
+    error: tuple[float, float], place: tuple[float, float], wanted: tuple[float, float]
+) -> None:
+    x, y = law.acting_error(error, place, 0.4, 0.6, 2.0)
+    assert (place[0] - 0.4 / 0.6 * x, place[1] - 0.4 / 0.6 * y) == pytest.approx(wanted, abs=1e-9)

@@ -11,13 +11,13 @@ import pytest
 
 from agent.control.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
 from agent.control.lateness import LATE_MAX_NS, UNSURE_NS
-from agent.control.law import saturation
+from agent.control.law import acting_error
 from agent.control.peers import (
     TRUST_GAINED_S,
     TRUST_LOST_S,
     Peers,
 )
-from agent.control.prediction import Prediction, approach, as_it_came, coasting, following, transition
+from agent.control.prediction import Prediction, as_it_came, coasting, following, transition
 from agent.formation.trajectory import Sample
 from agent.messages.codec import decode, encode
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
@@ -120,8 +120,8 @@ def test_a_robot_far_from_its_place_makes_for_it_no_faster_than_it_may():
     said = message(2, 0, T0, position=(30.0, 4.0))
     for known in (near, far):
         heard(known, said)
-    share = saturation(27.0, 0.5, C1, C2, approach(0.0, 0.0, 27.0, 0.5, 1.0))
-    assert predicted(near, 2, T0).navigation == pytest.approx((-C1 * share * 27.0, -C1 * share * 0.5))
+    x, y = acting_error((27.0, 0.5), (0.0, 0.0), C1, C2, 1.0)
+    assert predicted(near, 2, T0).navigation == pytest.approx((-C1 * x, -C1 * y))
     assert predicted(far, 2, T0).navigation == pytest.approx((-C1 * 27.0, -C1 * 0.5))
 
 

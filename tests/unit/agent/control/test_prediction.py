@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from agent.control.law import navigation_force, saturation
+from agent.control.law import acting_error, navigation_force
 from agent.control.prediction import (
-    APPROACH_SHARE,
     BRAKING_TIME_S,
     Prediction,
-    approach,
     as_it_came,
     coasting,
     constraint_decay,
@@ -64,12 +62,9 @@ def solved(
     def forces(t: float, y: Floats) -> tuple[Floats, Floats]:
         place = np.array(motion(t))
         e = y[:2] - place[:2]
-        share = 1.0
         if most is not None:
-            share = saturation(
-                float(e[0]), float(e[1]), C1, C2, approach(place[2], place[3], float(e[0]), float(e[1]), most)
-            )
-        navigation = navigation_force(place[4:], share * e, y[2:] - place[2:4], C1, C2)
+            e = np.array(acting_error((e[0], e[1]), (place[2], place[3]), C1, C2, most))
+        navigation = navigation_force(place[4:], e, y[2:] - place[2:4], C1, C2)
         remains = exp(-decay * t)
         return np.asarray(navigation) + remains * np.array(said[13:15]), remains * np.array(said[11:13])
 
@@ -233,20 +228,12 @@ def test_any_decay_of_a_far_robots_constraint_force_is_solved(decay: float):
 
 @pytest.mark.parametrize("age", [0.02, 0.2, 0.5])
 def test_where_the_speed_limit_begins_to_count_there_is_no_step_to_speak_of(age: float):
-    border = C2 * approach(0.5, 0.0, 1.0, 0.0, MOST) / C1
+    border = C2 * (MOST - 0.5) / C1
     near, far = (
         predicted(message((-border * share, 0.0), (1.2, 0.3)), straight, age, DECAY, MOST)
         for share in (1.0 - 1e-9, 1.0 + 1e-9)
     )
     assert gap(near, far) <= C1 * hypot(0.7, 0.3) * age**3 / 6.0
-
-
-def test_how_fast_a_robot_makes_for_its_place():
-    assert approach(0.0, 0.0, 1.0, 0.0, 2.0) == 2.0
-    assert approach(0.3, 0.4, -3.0, -4.0, 2.0) == pytest.approx(1.5)  # it is behind its place
-    assert approach(0.3, 0.4, 3.0, 4.0, 2.0) == pytest.approx(2.5)  # its place comes to it
-    assert approach(0.5, 0.0, 0.0, 1.0, 2.0) == pytest.approx((4.0 - 0.25) ** 0.5)
-    assert approach(5.0, 0.0, -1.0, 0.0, 2.0) == APPROACH_SHARE * 2.0  # it still arrives
 
 
 # ---------------------------------------------------------------------- one that does not

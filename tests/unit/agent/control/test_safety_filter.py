@@ -6,7 +6,7 @@ from math import cos, hypot, pi, sin, sqrt
 
 import pytest
 
-from agent.control.hand import Pose, wrench
+from agent.control.hand import Pose, advance, hand, wrench
 from agent.control.safety_filter import (
     BODY,
     LEAST_MAX,
@@ -20,6 +20,7 @@ from agent.control.safety_filter import (
     limit_speed,
     limit_turning,
     project,
+    turning_limit,
 )
 
 RATE = 3.0
@@ -241,19 +242,49 @@ def test_planes_that_are_the_same_or_say_nothing_do_no_harm():
     assert project(-4.0, 0.5, [empty], 5.0) == (-4.0, 0.5, (), 0.0)
 
 
+@pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.8])
 @pytest.mark.parametrize(("yaw_rate", "turns"), [(0.0, 4.0), (3.9, 4.0), (-5.0, 4.0)])
-def test_the_yaw_rate_stays_within_its_limit(yaw_rate: float, turns: float) -> None:
-    """At the limit nothing more is allowed; beyond it the planes ask for less; reverse drives swing round."""
-    reach, rate, dt = 0.1, 6.0, 1e-3
-    pose = Pose(0.0, 0.0, 0.7, -1.0, yaw_rate)
+def test_the_yaw_rate_comes_to_its_limit_and_no_further(yaw_rate: float, turns: float, speed: float) -> None:
+    """Asked to turn as hard as can be at a speed that is kept; one that drives backwards swings round."""
+    reach, rate, dt = 0.1, 3.0, 1e-3
+    pose = Pose(0.0, 0.0, 0.7, speed, yaw_rate)
+    began, _ = turning_limit(speed, reach, turns, rate)
     for _ in range(3000):
-        planes = list(limit_turning(pose, reach, turns, rate))
-        ux, uy, _, _ = project(-30.0 * sin(pose.heading), 30.0 * cos(pose.heading), planes, 50.0)
-        across = -sin(pose.heading) * ux + cos(pose.heading) * uy
-        spin = (across - pose.speed * pose.yaw_rate) / reach
-        pose = pose._replace(heading=pose.heading + dt * pose.yaw_rate, yaw_rate=pose.yaw_rate + dt * spin)
-        assert pose.yaw_rate <= turns + 1e-6
-    assert pose.yaw_rate == pytest.approx(turns, abs=0.02)
+        c, s = cos(pose.heading), sin(pose.heading)
+        along = -reach * pose.yaw_rate**2 + 9.0 * (speed - pose.speed)
+        wanted = along * c - 30.0 * s, along * s + 30.0 * c
+        ux, uy, _, _ = project(*wanted, list(limit_turning(pose, reach, turns, rate)), 50.0)
+        pose = advance(pose, *wrench(ux, uy, pose, 1.0, 1.0, reach), 1.0, 1.0, dt)
+        limit, _ = turning_limit(pose.speed, reach, turns, rate)
+        beyond = max(0.0, yaw_rate - began)  # of its limit, at first
+        assert pose.yaw_rate <= limit + beyond + 2e-3 * turns
+    assert pose.yaw_rate == pytest.approx(limit, abs=0.02 * turns)
+
+
+def test_a_body_that_brakes_from_a_fast_drive_backwards_swings_round_no_faster_than_it_may() -> None:
+    reach, rate, dt, turns = 0.1, 3.0, 1e-4, 4.0
+    limit, slope = turning_limit(-1.0, reach, turns, rate)
+    assert slope == pytest.approx(
+        (turning_limit(-1.0 + 1e-6, reach, turns, rate)[0] - limit) / 1e-6, rel=1e-4
+    )
+    pose, most = Pose(0.0, 0.0, 0.0, -1.0, limit), 0.0
+    for _ in range(20000):
+        here = hand(pose, reach)
+        ux, uy = -rate * here.vx, -rate * here.vy
+        assert all(p.nx * ux + p.ny * uy >= p.least - 1e-2 for p in limit_turning(pose, reach, turns, rate))
+        pose = advance(pose, *wrench(ux, uy, pose, 1.0, 1.0, reach), 1.0, 1.0, dt)
+        most = max(most, pose.yaw_rate)
+    assert limit < 0.5 * turns
+    assert 2.0 * limit < most <= turns * 1.001
+
+
+def test_a_gap_that_grows_asks_for_as_much_more_as_keeps_up_with_it() -> None:
+    """h' = n.w - growth, of which the own robot gives all that the growth asks for."""
+    given = ("robot 2", (1.0, 0.0), (-0.5, 0.0), (0.2, 0.1), 0.5, 3.0)
+    for alone in (False, True):
+        still, grows = keep_apart(*given, alone=alone), keep_apart(*given, alone=alone, growth=0.15)
+        assert grows.least - still.least == pytest.approx(2.0 * 3.0 * 0.15)
+        assert (grows.nx, grows.ny) == (still.nx, still.ny)
 
 
 def test_separation_from_a_robot_that_is_known_comes_before_one_that_may_be_anywhere() -> None:

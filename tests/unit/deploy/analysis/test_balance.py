@@ -49,8 +49,8 @@ def balanced(fleet: Fleet) -> float:
 
     def left(apart_m: float) -> float:
         error = 0.5 * apart_m + 1.0
-        share = law.saturation(error, 0.0, control.c1, control.c2, control.max_speed_mps)
-        push = -2.0 * control.c1 * share * error
+        acting = law.acting_error((error, 0.0), (0.0, 0.0), control.c1, control.c2, control.max_speed_mps)
+        push = -2.0 * control.c1 * acting[0]
         edge = law.edge((apart_m, 0.0), (0.0, 0.0), (push, 0.0), 2.0, fleet.formation.safe_distance_m, gains)
         bodies = {"joint": 2, "edge": 2}.get(control.coupling)
         if bodies is None:
