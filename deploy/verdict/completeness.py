@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf
+from math import hypot, inf
 from typing import Final
 
 import numpy as np
@@ -14,7 +13,7 @@ from deploy.analysis.analysis import Analysis
 from deploy.analysis.presence import downs
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
-from deploy.verdict.overload import Stall, stalls
+from deploy.verdict.overload import Stall, late_robots, stalls
 
 SILENCE_S: Final = 2.0
 """An agent says its status five times a second; one that said nothing in the last so many is lost."""
@@ -24,14 +23,22 @@ GAP_S: Final = 0.5
 
 @dataclass(frozen=True)
 class Gap:
-    """A time without a pose of one robot; `rule` names the rule that stopped its plant, if one did, `stall`
-    the time at which its machine stood still, if it did."""
+    """A time without a pose of one robot.
+
+    Attributes:
+        rule: names the rule that stopped its plant, if one did.
+        stall: when its machine stood still, if it did.
+        is_late: whether its machine was too slow (`deploy.verdict.overload`).
+        moved_m: how far apart the poses before and after it are, m; inf where one is missing.
+    """
 
     robot: int
     start_s: float
     end_s: float
     rule: str
     stall: Stall | None
+    is_late: bool
+    moved_m: float
 
     @property
     def lasts_s(self) -> float:
@@ -74,7 +81,7 @@ class Completeness:
                 longest[gap.robot] = gap
         out += [
             f"The data are incomplete: robot {robot} sent no pose from {gap.start_s:.2f} s to "
-            f"{gap.end_s:.2f} s."
+            f"{gap.end_s:.2f} s{', for its machine was too slow' if gap.is_late else ''}."
             for robot, gap in longest.items()
         ]
         return [*out, *self._fell_silent(self.members), *_cut_short(recording)]
@@ -86,6 +93,12 @@ class Completeness:
         end_s = self._recording.end_s
         for gap in self._gaps:
             if self._matters(gap) or gap.stall:
+                continue
+            if gap.is_late and not gap.rule and self._placed(gap.robot, gap.end_s):
+                out.append(
+                    f"Robot {gap.robot} sent no pose from {gap.start_s:.2f} s to {gap.end_s:.2f} s, for its "
+                    f"machine was too slow: it moved {gap.moved_m:.2f} m meanwhile."
+                )
                 continue
             until = "the end" if gap.end_s >= end_s else f"{gap.end_s:.2f} s"
             when = f"from {gap.start_s:.2f} s to {until} its place is not known"
@@ -114,8 +127,11 @@ class Completeness:
         """Whether the formation lacked what the gap hides: not, if the robot had no place by its end."""
         if not self._placed(gap.robot, gap.end_s):
             return False
-        # A plant that never came back leaves a formation of which nothing is known.
-        return not ((gap.rule or gap.stall) and gap.end_s < self._recording.end_s)
+        # A plant that never came back leaves a formation of which nothing is known, and what a machine hides
+        # may be what it broke.
+        hidden = gap.stall or gap.is_late
+        known = gap.rule or (hidden and gap.moved_m <= self._a.safe_m)
+        return not (known and gap.end_s < self._recording.end_s)
 
     def _fell_silent(self, among: frozenset[int]) -> list[str]:
         """Sentences for agents that said nothing more to the end, though nobody had stopped them."""
@@ -172,7 +188,7 @@ def _gaps(recording: Recording) -> list[Gap]:
     """Gaps longer than `GAP_S`."""
     out = []
     end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
-    stood: Sequence[Stall] = stalls(recording)
+    stood, late = stalls(recording), late_robots(recording)
     for robot, data in recording.robots.items():
         if not len(data.body):
             continue
@@ -196,5 +212,10 @@ def _gaps(recording: Recording) -> list[Gap]:
                 and each.start_s < stop_s
                 and start_s < each.end_s
             ]
-            out.append(Gap(robot, start_s, stop_s, asked[0] if asked else "", stall[0] if stall else None))
+            after = int(np.searchsorted(data.body.t, 0.5 * (start_s + stop_s)))
+            moved_m = inf
+            if 0 < after < len(data.body):
+                moved_m = hypot(*(float(np.diff(data.body[axis][after - 1 : after + 1])[0]) for axis in "xy"))
+            rule = asked[0] if asked else ""
+            out.append(Gap(robot, start_s, stop_s, rule, next(iter(stall), None), robot in late, moved_m))
     return out

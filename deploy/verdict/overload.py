@@ -55,11 +55,10 @@ def warnings(recording: Recording) -> list[str]:
         "robots sent a pose. That is not the fleet's doing."
         for stall in stalls(recording)
     ]
-    if recording.mode == "simulate" or recording.fleet.control.law is not None:
-        return out  # a law of others that is slow is named as such
+    slow = late_robots(recording)  # a law of others that is slow is named as such
     period_ms = 1e3 / recording.fleet.fleet.rate_hz
     for host, ids in _machines(recording).items():
-        late = [robot for robot in ids if _was_late(recording, robot)]
+        late = [robot for robot in ids if robot in slow]
         if not late:
             continue
         skipped = sum(_skipped(recording, robot) for robot in late)
@@ -72,6 +71,13 @@ def warnings(recording: Recording) -> list[str]:
             "the fleet's doing: other programs run there, or too many robots at this rate."
         )
     return out
+
+
+def late_robots(recording: Recording) -> frozenset[int]:
+    """The robots whose agents skipped many ticks, though nobody had made them late: their machines did."""
+    if recording.mode == "simulate" or recording.fleet.control.law is not None:
+        return frozenset()
+    return frozenset(robot for robot in recording.ids if _was_late(recording, robot))
 
 
 def _machines(recording: Recording) -> dict[str, list[int]]:

@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 
 from agent.fleet.fault_rules import FaultsSection, Rule
+from agent.fleet.model import Fleet
 from agent.messages.types import Event, PlantState, Status
 from deploy.recording.recording import Recording
 from deploy.verdict.overload import stalls, warnings
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import PAIR, recorded
-from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, messages
+from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
 
 SLOW = (
     "The machine that ran the fleet was too slow for its processes: robots 1 and 2 skipped 60 of 200 ticks, "
@@ -59,10 +60,17 @@ def test_who_is_made_late_or_is_slow_itself_is_no_matter_of_the_machine() -> Non
     assert ": robot 2 skipped 30 of " in text
 
 
-def gap(*ids: int, from_s: float = 0.8, until_s: float = 1.4) -> Recording:
-    sent = messages(PAIR, in_formation(PAIR))
+def gap(
+    *ids: int, from_s: float = 0.8, until_s: float = 1.4, fleet: Fleet = PAIR, skipped: int = 0
+) -> Recording:
+    sent = [
+        (received_ns, key, message._replace(counters=(("overruns", skipped),)))
+        if type(message) is Status
+        else (received_ns, key, message)
+        for received_ns, key, message in messages(fleet, in_formation(fleet))
+    ]
     return recorded(
-        PAIR,
+        fleet,
         [
             each
             for each in sent
@@ -103,3 +111,22 @@ def test_plants_that_are_paused_on_purpose_are_no_machine() -> None:
     assert [each.split(":")[0] for each in RunResult(recording).warnings] == [
         "Rule 'freeze' stopped robot 1's plant", "Rule 'freeze' stopped robot 2's plant",
     ]  # fmt: skip
+
+
+def moving(speed_mps: float) -> Fleet:
+    return make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], velocity=(speed_mps, 0.0))
+
+
+def test_poses_that_a_slow_machine_lost_are_a_warning_where_nothing_can_have_happened() -> None:
+    result = RunResult(gap(1, fleet=moving(0.1), skipped=30))
+    assert result.passed
+    assert any("for its machine was too slow: it moved 0.06 m meanwhile." in each for each in result.warnings)
+    (reason,) = RunResult(gap(1, fleet=moving(0.1))).reasons
+    assert reason == "The data are incomplete: robot 1 sent no pose from 0.80 s to 1.40 s."
+    (reason,) = RunResult(gap(1, fleet=moving(1.0), skipped=30)).reasons
+    assert reason.endswith("to 1.40 s, for its machine was too slow.")
+
+
+def test_what_a_machine_that_stood_still_hides_may_be_what_it_broke() -> None:
+    assert not RunResult(gap(1, 2, fleet=moving(1.0))).passed
+    assert RunResult(gap(1, 2, fleet=moving(0.1))).passed
