@@ -39,6 +39,7 @@ GAINED_NS: Final = 3 * NS_PER_S
 given it up, or is known."""
 REMEMBERED_S: Final = 5.0
 LOOKS_PER_S: Final = 10
+LANES_PER_LOOK: Final = 4
 
 Mark = tuple[int, int]
 """Of a mission, as beacons have it: version and tag."""
@@ -102,13 +103,15 @@ class RightOfWay:
             self._lanes.clear()
             return
         own = self._find_own_lane(movers)
+        made = self._make_lanes(movers)
+        if made < len(movers):
+            self.hold = f"works out the ways of {len(movers)} silent robots"
         out = []
         x, y = here.x, here.y
         is_in = own.distance(x, y) <= self._half_width
         must_keep_in = not has_way
-        for peer in movers:
-            lane = self._lane(peer)
-            near = lane.near(x, y, self._within)
+        for peer in movers[:made]:
+            near = self._lanes[peer.robot][1].near(x, y, self._within)
             if not near:
                 continue
             if has_way and is_in and peer.direct_ns >= 0:
@@ -183,13 +186,20 @@ class RightOfWay:
         """What a robot follows, as far as both know."""
         return self._references.get(peer.mark, self._reference)
 
-    def _lane(self, peer: Peer) -> Lane:
-        message = self._peers.last_of(peer)
-        known = self._lanes.get(peer.robot)
-        if known is None or known[0] is not message:
-            lane = self._peers.forecast.lane(message, self._known_to(peer))
-            known = self._lanes[peer.robot] = message, lane
-        return known[1]
+    def _make_lanes(self, movers: list[Peer]) -> int:
+        """Makes lanes that are not known yet, no more than a tick has time for; returns of how many, from the
+        first on, they are known."""
+        made = 0
+        for count, peer in enumerate(movers):
+            message = self._peers.last_of(peer)
+            known = self._lanes.get(peer.robot)
+            if known is None or known[0] is not message:
+                if made == LANES_PER_LOOK:
+                    return count
+                made += 1
+                lane = self._peers.forecast.lane(message, self._known_to(peer))
+                self._lanes[peer.robot] = message, lane
+        return len(movers)
 
     def _find_own_lane(self, movers: list[Peer]) -> Lane:
         """The own lane as those know it who heard this robot until they were given up."""

@@ -101,6 +101,7 @@ class Reference:
         self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
         self._segments = [_Segment(self._file, 0, 0)]
         self._instants: dict[int, _Instant] = {}
+        self._shared: tuple[list[_Segment], dict[int, set[int]]] = [], {}
 
     def take(self, plan: Plan) -> None:
         """Takes a plan over at its time, instead of all that was to be taken over then or later.
@@ -127,7 +128,7 @@ class Reference:
         """The reference as it is now, whatever missions come."""
         copy = Reference.__new__(Reference)
         copy.plan, copy._file = self.plan, self._file
-        copy._segments, copy._instants = self._segments, {}
+        copy._segments, copy._instants, copy._shared = self._segments, {}, ([], {})
         return copy
 
     def way(self, robot: int, since_ns: int) -> list[Vector]:
@@ -147,18 +148,22 @@ class Reference:
         last = self._segments[-1]
         return last.begin_ns + last.blend_ns
 
-    def sharing(self, since_ns: int) -> dict[int, set[int]]:
+    def sharing(self, since_ns: int) -> Mapping[int, set[int]]:
         """With whom each robot shares an edge, or did at some time from `since_ns` on; all with a place."""
         first = self._index(since_ns)
         if first and since_ns - self._segments[first].begin_ns < self._segments[first].blend_ns:
             first -= 1
+        segments = self._segments[first:]
+        if segments == self._shared[0]:
+            return self._shared[1]
         found: dict[int, set[int]] = {}
-        for segment in self._segments[first:]:
+        for segment in segments:
             for robot in segment.plan.offsets:
                 found.setdefault(robot, set())
             for i, j in segment.plan.edges:
                 found[i].add(j)
                 found[j].add(i)
+        self._shared = segments, found
         return found
 
     def active(self, time_ns: int) -> Plan:

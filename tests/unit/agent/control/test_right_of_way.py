@@ -35,8 +35,8 @@ PERIOD = 20_000_000
 class Scene:
     """Robot `robot` at its start, all others heard there at the epoch, standing ready."""
 
-    def __init__(self, robot: int, *overrides: str) -> None:
-        self.fleet = parse_fleet(FLEET, source="here", overrides=overrides)
+    def __init__(self, robot: int, *overrides: str, text: str = FLEET) -> None:
+        self.fleet = parse_fleet(text, source="here", overrides=overrides)
         self.robot, self.now = robot, T0
         geometry = resolve(self.fleet)
         self.reference = Reference(self.fleet, geometry)
@@ -53,7 +53,7 @@ class Scene:
         self.peers.begin(T0)
         self.way = RightOfWay(self.fleet, robot, self.peers, self.reference, {})
         self.here = Hand(*self.starts[robot], 0.0, 0.0)
-        self.hear(2, 1, 3, 4, 5)
+        self.hear(*self.starts)
 
     def hear(self, *robots: int, unheard: tuple[int, ...] = ()) -> None:
         for robot in robots:
@@ -193,3 +193,22 @@ def test_without_edges_any_silent_robot_may_be_driving():
     scene = Scene(4, "formation.edges=[]")
     scene.run(5.0, 2, 3)
     assert scene.way.keep_in or scene.names or scene.way.hold
+
+
+def test_of_many_silent_robots_the_lanes_are_made_by_and_by():
+    places = ", ".join(f"[{k}, 0]" for k in range(12))
+    robots = ", ".join(f"{{ id = {k + 1}, x_m = {k}, y_m = {k % 3} }}" for k in range(12))
+    text = f"""
+robot = [{robots}]
+fleet = {{ name = "many" }}
+formation = {{ edges = [], offsets = [{places}], safe_distance_m = 0.2 }}
+control = {{ prediction_horizon_s = 1.0 }}
+"""
+    scene = Scene(1, text=text)
+    holds = []
+    for _ in range(30):
+        scene.run(0.1)
+        holds.append(scene.way.hold)
+    assert holds.count("works out the ways of 11 silent robots") == 2  # four at a time
+    assert holds[0] == ""
+    assert "works out" not in holds[-1]
