@@ -357,6 +357,10 @@ class Controller:
         gap = self._safe_distance + self._margin + doubt
         if self._own_law is not None:
             gap += self._unforeseen(age_ns / NS_PER_S)
+        late = age_ns >= UNSURE_NS
+        # What it does meanwhile is known only while its message is new.
+        (nx, ny), (cx, cy) = other.navigation, other.constraint
+        pushed = _AT_REST if late else (nx + cx, ny + cy)
         plane = safety_filter.keep_apart(
             name,
             (dx, dy),
@@ -365,11 +369,8 @@ class Controller:
             gap,
             self._barrier_rate,
             # One that hears nothing of this robot cannot do its part, nor one that may hear too late of it.
-            alone=age_ns >= UNSURE_NS or peer.deaf or not message.following,
-            other_acceleration=(
-                other.navigation[0] + other.constraint[0],
-                other.navigation[1] + other.constraint[1],
-            ),
+            alone=late or peer.deaf or not message.following,
+            other_acceleration=pushed,
             # Where it is, nobody knows: those that are heard come first.
             rank=safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION,
         )
