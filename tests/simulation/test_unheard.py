@@ -1,7 +1,7 @@
-"""Robots that nobody hears: scenes in which others once drove through them, and twenty variations of each kind.
+"""Robots that nobody hears: scenes in which others once drove through them, and variations of each kind.
 
-What is asked is the same in all: no two bodies, living, dead or silent, come nearer to each other than the safe
-distance. Every variation failed on code that believed a silent robot in one place, and forgot it with time.
+What is asked is the same in all: no two bodies, living, dead or silent, come nearer to each other than the
+safe distance. Every variation failed on code that believed a silent robot in one place, and forgot it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,9 @@ import pytest
 
 from agent.common.quantities import Vector
 from agent.fleet.loading import parse_fleet
-from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
-from deploy.analysis.balance import caught
 from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.run import scenario_text
-from deploy.check.check import check
 from deploy.simulate.judged import drive
 from deploy.verdict.run_result import RunResult
 
@@ -82,8 +79,8 @@ class Layout:
         trajectory: Tables | None = None,
         rate_hz: float = RATE_HZ,
     ) -> Tables:
-        """A fleet file. `starts` of hands and `places` in the own frame, `edges` by index; who has no place is in
-        reserve."""
+        """A fleet file. `starts` of hands and `places` in the own frame, `edges` by index; who has no place
+        is in reserve."""
         reach = 0.15 if rate_hz > 15.0 else 0.25
         robots = []
         for index, (x, y) in enumerate(starts):
@@ -136,7 +133,7 @@ def _chain(count: int) -> list[tuple[int, int]]:
 
 
 def cut_off(number: int) -> Tables:
-    """Two groups exchange their places and are cut off before they sense each other; the first of each meet."""
+    """Two groups exchange their places and are cut off before they sense each other; the first ones meet."""
     dice = Dice("cut off out of sensing range", number)
     mine, theirs = dice.whole(2, 3), dice.whole(2, 4)
     layout = Layout(dice, mine + theirs)
@@ -207,8 +204,8 @@ DELTA_EDGES: Final = [(0, 1), (0, 2), (1, 2), (1, 3), (1, 4), (2, 4), (2, 5), (3
 
 
 def old_way(number: int) -> Tables:
-    """A delta drives to and fro along its last row; the one at the end of the row dies, and comes to lie on the way
-    of the others, that is its own old way. Along an axis: there they come back to the same line to the bit."""
+    """A delta drives to and fro along its last row; the one at the end of the row dies, and comes to lie on
+    the way of the others, that is its own old way. Along an axis they come back to the same line exactly."""
     return old_way_of(OLD_WAYS[number])
 
 
