@@ -19,9 +19,12 @@ from agent.formation.reference import Reference
 from agent.links.fault_plan import FaultPlan
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
-from agent.supervision.state_machine import State
+from agent.supervision.state_machine import DRIVING_NAMES, State
+from deploy.analysis.places import AT_PLACE
 from deploy.analysis.silent_bodies import SilentBodies, SilentBody, in_words
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
+from deploy.console.wording import some
+from deploy.drive.lagging import Lagging
 from deploy.drive.news import News
 from deploy.faults.live import Held, shown
 from deploy.faults.wording import defaults, held, lasts, words
@@ -41,7 +44,7 @@ STYLES: Final = {
 ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
-"""Released robots whose reasons are in the line that sums up; of more only the numbers."""
+"""Robots that are released, or lag, whose reasons are in the line that sums up; of more only the numbers."""
 SILENT_S: Final = 2.0
 """Who has said nothing for so long is silent; its agent speaks five times a second."""
 FAULTS_MAX: Final = 4
@@ -64,6 +67,8 @@ class Picture:
     robots: Mapping[int, RobotPicture] = field(default_factory=dict)
     faults: Sequence[str] = ()
     """The faults that hold now, in words."""
+    lagging: Sequence[int] = ()
+    """Robots that drive, are not at their places and do not come nearer, the farthest first."""
     silent: Sequence[SilentBody] = ()
     """Robots that are not heard, and where they are believed to be."""
 
@@ -99,6 +104,7 @@ class Watch:
         self._known = Known(fleet, geometry)
         self.hands: dict[int, HandState] = {}
         self.statuses: dict[int, Status] = {}
+        self._lagging = Lagging()
         self._silent = SilentBodies()
         self._heard: set[int] = set()
         self._heard_s: dict[int, float] = {}
@@ -165,8 +171,10 @@ class Watch:
         now_ns = self._now_ns(time_s)
         picture.nearest = closest(self.hands.values())
         errors: dict[int, float] = {}
+        least_m = inf
         for robot, here in self.hands.items():
             for edge in self._reference.edges(robot, now_ns):
+                least_m = min(least_m, edge.distance)
                 there = self.hands.get(edge.other)
                 if there is None or edge.weight < 1.0:
                     continue
@@ -190,6 +198,13 @@ class Watch:
             place = self._reference.motion(robot, now_ns) if robot in self.hands else None
             if place is not None:
                 about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
+        if time_s is not None and least_m < inf:
+            driving = {
+                robot: about.off_m
+                for robot, about in picture.robots.items()
+                if about.off_m is not None and about.state in DRIVING_NAMES
+            }
+            picture.lagging = self._lagging.look(time_s, driving, AT_PLACE * least_m)
         return picture
 
     def _now_ns(self, time_s: float | None) -> int:
@@ -321,12 +336,26 @@ def summary(picture: Picture) -> str:
         elif len(states) == 1:
             shown = []
         parts.append(f"{state}: {', '.join(shown)}" if shown else f"all {state}")
+    if picture.lagging:
+        parts.append(f"off place: {_lags(picture)}")
     # Both of a pair see it: the one whose clock is behind says it.
     ahead = {robot: about for robot, about in picture.robots.items() if about.clock and about.clock[1] > 0.0}
     if ahead:
         robot, about = max(ahead.items(), key=lambda item: item[1].clock[1] if item[1].clock else 0.0)
         parts.append(f"{_clock(about)} of robot {robot}'s")
     return ", ".join(parts)
+
+
+def _lags(picture: Picture) -> str:
+    """Who lags, how far each is from its place, and what it says of that; of many only the numbers."""
+    robots = {robot: picture.robots[robot] for robot in picture.lagging}
+    if len(robots) > REASONS_MAX:
+        most_m = max(about.off_m or 0.0 for about in robots.values())
+        return f"{some(sorted(robots))} by up to {most_m:.2f} m"
+    return ", ".join(
+        f"{robot} by {about.off_m:.2f} m" + (f" ({about.reason})" if about.reason else "")
+        for robot, about in robots.items()
+    )
 
 
 def faults_line(picture: Picture) -> str:

@@ -322,3 +322,16 @@ def test_how_far_robots_are_from_their_places_is_in_the_table() -> None:
     watched.feed(key_expressions.hand("pair", 1), at(1, -0.5, 0.3))
     assert watched.picture(1.0).robots[1].off_m == pytest.approx(0.3)
     assert watched.picture(1.0).robots[2].off_m is None
+
+
+def test_robots_that_lag_are_named_with_what_they_say_of_it() -> None:
+    watched = watch()
+    for second in range(1, 6):
+        told(watched, 1, "degraded", "held up by robot 6 (silent for 75 s)", second * NS_PER_S)
+        told(watched, 2, "running", "", second * NS_PER_S)
+        for robot, x in ((1, -0.5), (2, 0.5)):
+            hand = at(robot, x, 0.3 * robot)._replace(time_ns=EPOCH_NS + second * NS_PER_S)
+            watched.feed(key_expressions.hand("pair", robot), hand)
+        picture = watched.picture(float(second))
+    assert picture.lagging == [2, 1]
+    assert "off place: 2 by 0.60 m, 1 by 0.30 m (held up by robot 6 (silent for 75 s))" in summary(picture)
