@@ -17,7 +17,7 @@ from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
 from agent.control.beliefs import AHEAD_S, DOUBT_MAX
 from agent.control.couplings import COUPLINGS, Constraint
-from agent.control.detour import Blocker, Detour
+from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of, one_sided
 from agent.control.lateness import UNSURE_NS
 from agent.control.peers import Peer, Peers
@@ -125,8 +125,10 @@ class Controller:
         self.right_of_way: Final = RightOfWay(fleet, robot, self.peers, self.reference, self._references)
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
-        self.detour: Final = Detour(fleet.period_ns / NS_PER_S)
-        self._blockers: list[Blocker] = []
+        # Who lets go of its edges needs something else that keeps it off the others.
+        bound = fleet.avoidance.enabled and control.law is None
+        self.detour: Final = Detour(fleet.period_ns / NS_PER_S, control.c2, bound=bound)
+        self._hold = NOTHING
         self._gains = gains_of(fleet)
         self._pushing = one_sided(self._gains)
         self.coupling: Final = COUPLINGS[control.coupling](self._gains, self.peers)
@@ -163,7 +165,7 @@ class Controller:
         self.coupling.restart()
         if self._own_law is not None:
             self._own_law.restart()
-        self._blockers.clear()
+        self._hold = NOTHING
         self.detour.reset()
 
     def acts_from_ns(self, now_ns: int) -> int:
@@ -223,7 +225,7 @@ class Controller:
         # (21) aims at this velocity: F_n = rddot_d + c_2 (wanted - v).
         pull = self._c1 / self._c2
         wanted = vx - pull * ex, vy - pull * ey
-        turned = self.detour.velocity(wanted, (own.vx, own.vy), self._blockers)
+        turned = self.detour.velocity(wanted, (own.vx, own.vy), self._hold, (vx, vy))
         gx, gy = nx, ny
         if turned is not None:
             # Round corners c_2 would be too slow: the wall is lost, and with it the way.
@@ -238,11 +240,6 @@ class Controller:
             ux, uy = self._own_law.acceleration(now_ns, acting_ns, own, (gx, gy), motion, self.edges)
             cx, cy = ux - gx, uy - gy
             numbers = self._own_law.numbers
-        self._blockers = [
-            Blocker(each.edge.normal[0], each.edge.normal[1], each.name, each.other is None)
-            for each in scene.constraints
-            if each.one_sided
-        ]
         ux, uy = gx + cx, gy + cy
         causes: tuple[str, ...] = ()
         if self.proximity.enabled:
@@ -251,6 +248,7 @@ class Controller:
             size = hypot(ux, uy)
             if size > self._acceleration_max:
                 ux, uy = ux * self._acceleration_max / size, uy * self._acceleration_max / size
+        self._hold = self._held(scene, ux, uy, causes) if self.detour.looks else NOTHING
         force, torque = hand.wrench(ux, uy, body, self._mass, self._inertia, self._reach)
         force, torque = _within(force, self._force_max), _within(torque, self._torque_max)
         correction = ux - nx - cx, uy - ny - cy
@@ -285,13 +283,50 @@ class Controller:
             boundary_ns += self._period_ns
         return hand.advance(pose, force, torque, self._mass, self._inertia, (time_ns - since_ns) / NS_PER_S)
 
+    def _held(self, scene: _Scene, ux: float, uy: float, causes: tuple[str, ...]) -> Hold:
+        """What keeps the own hand from what it wants, where (ux, uy) is what came of it."""
+        now_ns = scene.now_ns
+        moving, astray = set(), set()
+        near = SPEED_MIN * self._c2 / self._c1
+        for peer in (*(peer for _, peer in self.edges), *self.proximity.close):
+            message = peer.message
+            if message is None or not message.following or not peer.here:
+                continue
+            if peer.late_ns(now_ns) < STANDS_NS:
+                moving.add(f"robot {peer.robot}")
+                place = self.reference.motion(peer.robot, now_ns)
+                if place and hypot(message.x - place[0], message.y - place[1]) > near:
+                    astray.add(peer.robot)
+        lanes = {"own lane", *(each.name for each in self.right_of_way.keep_out)}
+        blockers: list[Blocker] = []
+        waits: list[Blocker] = []
+        robots: list[tuple[int, Vector]] = []
+        x = y = 0.0
+        for each in scene.constraints:
+            nx, ny = each.edge.normal
+            if each.one_sided:
+                blockers.append(Blocker(nx, ny, each.name, each.name not in moving))
+            else:
+                size = each.edge.slope * self.coupling.multiplier(each.key)
+                x, y = x + size * nx, y + size * ny
+                robots.append((int(each.key), (size * nx, size * ny)))
+        names = set()
+        for plane in scene.planes:
+            if plane.rank in KEEPING_AWAY:
+                names.add(plane.cause)
+                if plane.nx * ux + plane.ny * uy < plane.least + ACTIVE and (plane.nx or plane.ny):
+                    blocker = Blocker(plane.nx, plane.ny, plane.cause, plane.cause not in moving)
+                    (waits if plane.cause in lanes else blockers).append(blocker)
+        limits = tuple(cause for cause in causes if cause not in names)
+        return Hold(blockers, waits, (x, y), robots, frozenset(astray), limits)
+
     # ------------------------------------------------------------------ constraints
 
     def _look_round(self, scene: _Scene, time_ns: int) -> None:
         """Finds all constraints on the own hand at `time_ns`, and what the safety filter has to keep."""
         own = scene.own
         for edge, peer in self.edges:
-            weight = edge.weight * peer.trust
+            weight = edge.weight * peer.trust * self.detour.grip
             other = None
             if weight > 0.0 and peer.message is not None:
                 other = self.peers.predict(peer, time_ns)
@@ -473,6 +508,11 @@ class Controller:
 
 
 _AT_REST: Final[Vector] = (0.0, 0.0)
+STANDS_NS: Final = 2 * NS_PER_S
+"""Whoever is silent for so long longer than usual is gone round as what stands still."""
+KEEPING_AWAY: Final = (safety_filter.SEPARATION, safety_filter.UNSURE)
+ACTIVE: Final = 1e-3
+"""m/s^2: a half plane that leaves no more than this is what stops a robot."""
 STOP_S: Final = 0.1
 """A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
 LEAVING: Final = 0.5

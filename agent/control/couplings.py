@@ -56,6 +56,10 @@ class Coupling:
         self._multipliers = {each.key: value for each, value in zip(constraints, values, strict=True)}
         return _total(constraints, values)
 
+    def multiplier(self, key: Key) -> float:
+        """Own copy of the multiplier of a constraint, 0 of one that does not act."""
+        return self._multipliers.get(key, 0.0)
+
     def shared(self) -> tuple[tuple[int, float], ...]:
         """Own copies of lambda that others have copies of: ``(robot, lambda)``, one for each robot."""
         known = self._multipliers

@@ -23,7 +23,7 @@ STAYS_TICKS = 25
 REACH = 0.1
 FLEET = """
 fleet.name = "bench"
-formation = {{ edges = [], offsets = [{places}], safe_distance_m = 0.22, assign = false }}
+formation = {{ edges = [{edges}], offsets = [{places}], safe_distance_m = 0.22, assign = false }}
 trajectory = {{ kind = "line", start_m = [0.0, 0.0], velocity_mps = [{velocity[0]}, {velocity[1]}] }}
 avoidance = {{ distance_m = 0.61 }}
 obstacle = [{obstacles}]
@@ -41,10 +41,15 @@ class Drive(NamedTuple):
 
 
 def fleet_of(
-    starts: Sequence[Point], places: Sequence[Point], velocity: Point, obstacles: Sequence[str]
+    starts: Sequence[Point],
+    places: Sequence[Point],
+    velocity: Point,
+    obstacles: Sequence[str],
+    edges: Sequence[tuple[int, int]] = (),
 ) -> Fleet:
-    """Robots whose hand points start at `starts`, without edges."""
+    """Robots whose hand points start at `starts`; without `edges` they share none."""
     text = FLEET.format(
+        edges=", ".join(f"[{i}, {j}]" for i, j in edges),
         places=", ".join(f"[{x!r}, {y!r}]" for x, y in places),
         velocity=velocity,
         obstacles=", ".join(obstacles),
@@ -69,7 +74,10 @@ class _Robot:
         state = PlantState(robot, count, tick_ns, *self.pose, *self.acts, True, True, True, "")
         here = controller.hand_at(state, now_ns)
         controller.look(now_ns)
-        controller.proximity.look(now_ns, here, ())
+        neighbours = {peer.robot for _, peer in controller.edges}
+        for _, peer in controller.edges:
+            peer.trust = 1.0 if peer.message is not None else 0.0
+        controller.proximity.look(now_ns, here, neighbours)
         drive = controller.drive(state, now_ns)
         controller.sent(now_ns, drive.force, drive.torque)
         self.asked = drive.force, drive.torque

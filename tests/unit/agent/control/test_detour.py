@@ -8,33 +8,48 @@ from math import inf, isfinite, nan
 import pytest
 
 from agent.control.detour import (
+    CAUGHT_S,
     FREE_S,
+    HELD_S,
     KEEPS_S,
+    LET_GO_S,
+    LOOSE_S,
+    PATIENCE_LOOSE_S,
     PATIENCE_S,
     PATIENCE_WITH_ROBOTS_S,
+    PULLS,
     ROUND_S,
     SPEED_MIN,
+    TAKE_HOLD_S,
     Blocker,
     Detour,
+    Hold,
 )
 
-PERIOD = 0.02
+PERIOD, RATE = 0.02, 0.6
 EAST, STILL = (0.5, 0.0), (0.0, 0.0)
 WALL = Blocker(-1.0, 0.0, "wall", True)
 NORTH_WALL, SOUTH_WALL = Blocker(0.0, -1.0, "north", True), Blocker(0.0, 1.0, "south", True)
 ROBOT = Blocker(-1.0, 0.0, "robot 7", False)
 
 
-def run(detour, seconds, blockers, wanted=EAST, own=STILL):
-    """What it says after so many seconds of the same."""
+NOBODY: frozenset[int] = frozenset()
+PULLS_WEST = [(3, (-0.2, 0.0)), (2, (-0.1, 0.1)), (5, (0.0, -0.1))]
+BALANCED = Hold([], [], (-RATE * 0.5, 0.0), PULLS_WEST, NOBODY, ())
+"""Edges that take all of what drives it east."""
+
+
+def run(detour, seconds, blockers, wanted=EAST, own=STILL, place=STILL):
+    """What it says after so many seconds of the same; `blockers` or all that holds it."""
+    hold = blockers if isinstance(blockers, Hold) else Hold(blockers, [], STILL, [], NOBODY, ())
     given = None
     for _ in range(round(seconds / PERIOD)):
-        given = detour.velocity(wanted, own, blockers)
+        given = detour.velocity(wanted, own, hold, place)
     return given
 
 
 def blocked(blockers, wanted=EAST):
-    detour = Detour(PERIOD)
+    detour = Detour(PERIOD, RATE)
     run(detour, 5.0, blockers, wanted)
     assert detour.round
     return detour
@@ -42,7 +57,7 @@ def blocked(blockers, wanted=EAST):
 
 @pytest.mark.parametrize(("blocker", "patience"), [(WALL, PATIENCE_S), (ROBOT, PATIENCE_WITH_ROBOTS_S)])
 def test_it_begins_after_it_has_been_held_up_for_a_while(blocker, patience):
-    detour = Detour(PERIOD)
+    detour = Detour(PERIOD, RATE)
     assert run(detour, patience - 3 * PERIOD, [blocker]) is None
     assert run(detour, 4 * PERIOD, [blocker]) is not None
     assert (detour.round, detour.fixed) == (blocker.name, blocker.fixed)
@@ -55,13 +70,13 @@ def test_what_does_not_hold_it_up_is_left_alone():
         ([WALL], EAST, EAST),  # it gets on all the same
         ([WALL], STILL, (0.9 * SPEED_MIN, 0.0)),  # it is about there
     ):
-        detour = Detour(PERIOD)
+        detour = Detour(PERIOD, RATE)
         assert run(detour, 10.0, blockers, wanted, own) is None
         assert detour.round == ""
 
 
 def test_it_is_not_held_up_for_good_if_it_gets_on_in_between():
-    detour = Detour(PERIOD)
+    detour = Detour(PERIOD, RATE)
     for _ in range(5):
         assert run(detour, 0.9 * PATIENCE_S, [WALL]) is None
         assert run(detour, PERIOD, [WALL], own=EAST) is None
@@ -112,6 +127,23 @@ def test_round_a_robot_it_leaves_as_soon_as_the_direct_way_is_free():
     assert run(detour, FREE_S + PERIOD, [beside]) is None
 
 
+@pytest.mark.parametrize(("rightwards", "side"), [(0.0, -1.0), (0.4, -1.0), (0.9, 1.0), (-0.9, -1.0)])
+def test_robots_keep_to_the_right_of_each_other_unless_one_is_well_beside(rightwards, side):
+    other = Blocker(-((1.0 - rightwards**2) ** 0.5), rightwards, "robot 7", False)
+    _, y = run(blocked([other]), PERIOD, [other])
+    assert side * y > 0.0
+    wall = other._replace(fixed=True)
+    _, y = run(blocked([wall]), PERIOD, [wall])
+    assert (y > 0.0) is (rightwards > 0.0)
+
+
+def test_of_whom_it_meets_on_its_way_round_another_robot_it_keeps_to_the_right_again():
+    beside = Blocker(-0.4, 0.9, "robot 7", False)
+    detour = blocked([beside])  # on the left
+    _, y = run(detour, 1.0, [ROBOT._replace(name="robot 8")])
+    assert y < 0.0
+
+
 def test_held_up_again_soon_after_it_keeps_the_side_but_not_for_ever():
     northwards = (0.4, 0.3)
     for pause, keeps in ((0.5 * KEEPS_S, True), (KEEPS_S + 1.0, False)):
@@ -127,9 +159,9 @@ def test_held_up_again_soon_after_it_keeps_the_side_but_not_for_ever():
 
 
 def test_it_tries_the_sides_in_turn_for_longer_and_longer():
-    detour, sides = Detour(PERIOD), []
+    detour, sides = Detour(PERIOD, RATE), []
     for _ in range(round(8.0 * ROUND_S / PERIOD)):
-        given = detour.velocity(EAST, STILL, [WALL])
+        given = run(detour, PERIOD, [WALL])
         if given is not None:
             sides.append(given[1] > 0.0)
     turns = [k for k in range(1, len(sides)) if sides[k] != sides[k - 1]]
@@ -148,14 +180,160 @@ def test_a_robot_that_ceases_to_drive_is_on_no_detour():
     detour = blocked([WALL])
     detour.reset()
     assert detour.round == ""
-    assert detour.velocity(EAST, STILL, [WALL]) is None
+    assert run(detour, PERIOD, [WALL]) is None
 
 
 @pytest.mark.parametrize("absurd", [nan, inf, 1e300])
 def test_absurd_numbers_pass_through_without_harm(absurd):
     detour = blocked([WALL])
-    detour.velocity((absurd, 0.0), STILL, [WALL])
-    detour.velocity(EAST, (absurd, absurd), [WALL])
+    run(detour, PERIOD, [WALL], (absurd, 0.0))
+    run(detour, PERIOD, [WALL], EAST, (absurd, absurd))
     detour.reset()
     given = run(detour, 2.0, [WALL])
     assert all(isfinite(value) for value in given)
+
+
+def test_robots_are_passed_as_seen_from_the_formation_and_walls_from_the_ground():
+    # Its place is beside it, and both drive east; what is in between drives east as well.
+    wanted, place, beside = (0.4, 0.3), (0.4, 0.0), (0.0, -1.0)
+    for fixed in (False, True):
+        detour = Detour(PERIOD, RATE)
+        given = run(detour, 6.0, [Blocker(*beside, "it", fixed)], wanted, place, place)
+        assert (detour.round == "it") is not fixed  # along a wall it gets on
+        if given is not None:
+            assert given[1] < 0.3
+            assert abs(given[0] - 0.4) == pytest.approx(0.3, abs=0.05)
+
+
+def test_robots_that_it_meets_on_its_way_round_a_wall_do_not_count_as_turns():
+    detour, around = blocked([WALL]), [(-1.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0)]
+    for _ in range(3):
+        for x, y in around:
+            run(detour, 0.5, [WALL, Blocker(x, y, "robot 7", False)])
+    run(detour, 1.2 + FREE_S, [])  # as far as it has turned away along the wall alone
+    assert detour.round == ""
+
+
+def test_a_wall_that_is_not_found_again_within_a_turn_is_no_wall():
+    detour = blocked([WALL])
+    for _ in range(3):  # the cup's corners, three times over
+        for x, y in ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)):
+            run(detour, 1.0, [Blocker(x, y, "wall", True)])
+    run(detour, 4.0, [])
+    assert detour.round
+    run(detour, 1.0, [])
+    assert detour.round == ""
+
+
+# ---------------------------------------------------------------------- wrong rest points
+
+
+def test_a_robot_that_its_edges_hold_in_balance_lets_go_of_them_until_it_is_near_its_place():
+    detour = Detour(PERIOD, RATE)
+    run(detour, CAUGHT_S - 3 * PERIOD, BALANCED)
+    assert (detour.grip, detour.held) == (1.0, "")
+    run(detour, LET_GO_S + 5 * PERIOD, BALANCED)
+    assert detour.grip == 0.0
+    assert detour.held == "on its way out of a wrong rest point with robots 2, 3"
+    run(detour, 3.0, [], own=EAST)
+    assert detour.grip == 0.0
+    run(detour, 0.5 * TAKE_HOLD_S, [], (0.9 * SPEED_MIN, 0.0))
+    assert detour.grip == pytest.approx(0.5, abs=0.05)
+    assert detour.held == ""
+    run(detour, TAKE_HOLD_S, [], (0.9 * SPEED_MIN, 0.0))
+    assert detour.grip == 1.0
+
+
+def test_at_its_place_it_waits_for_those_with_whom_it_was_caught_but_not_for_ever():
+    """Whose edges would draw it off again, so that each was at its place in turn."""
+    for astray, waits in ((2, True), (5, False)):
+        detour = Detour(PERIOD, RATE)
+        run(detour, CAUGHT_S + 1.0, BALANCED)
+        off = Hold([], [], STILL, [], frozenset({astray}), ())
+        run(detour, 10.0, off, (0.9 * SPEED_MIN, 0.0))
+        assert (detour.grip == 0.0) is waits
+        run(detour, TAKE_HOLD_S, [], (0.9 * SPEED_MIN, 0.0))
+        assert detour.grip == pytest.approx(1.0, abs=0.05)
+    detour = Detour(PERIOD, RATE)
+    run(detour, CAUGHT_S + 1.0, BALANCED)
+    run(detour, LOOSE_S + TAKE_HOLD_S, off._replace(astray=frozenset({2})), (0.9 * SPEED_MIN, 0.0))
+    assert detour.grip == 1.0
+
+
+def test_edges_that_do_not_hold_it_are_kept():
+    weak = BALANCED._replace(pull=(-0.9 * PULLS * RATE * 0.5, 0.0))
+    for hold, own, wanted in (
+        (weak, STILL, EAST),
+        (BALANCED, EAST, EAST),  # it gets on
+        (BALANCED, STILL, (0.9 * SPEED_MIN, 0.0)),  # it is about there
+        (BALANCED._replace(pull=(RATE, 0.0)), STILL, EAST),
+    ):
+        detour = Detour(PERIOD, RATE)
+        run(detour, 10.0, hold, wanted, own)
+        assert detour.grip == 1.0
+        assert "rest point" not in detour.held
+
+
+def test_without_a_safety_filter_it_keeps_them_and_says_what_it_is_caught_in():
+    detour = Detour(PERIOD, RATE, bound=False)
+    run(detour, 20.0, BALANCED)
+    assert (detour.grip, detour.held) == (1.0, "caught in a wrong rest point with robots 2, 3")
+
+
+def test_in_a_formation_that_moves_a_wrong_rest_point_moves_as_well():
+    detour, place = Detour(PERIOD, RATE), (0.0, 2.0)
+    run(detour, CAUGHT_S + LET_GO_S + 5 * PERIOD, BALANCED, (0.5, 2.0), place, place)
+    assert detour.grip == 0.0
+
+
+def test_it_takes_its_edges_back_when_it_does_not_come_near_and_tries_again_for_longer():
+    detour, loose = Detour(PERIOD, RATE), []
+    for _ in range(round(100.0 / PERIOD)):
+        run(detour, PERIOD, BALANCED)
+        loose.append(detour.grip == 0.0)
+    ends = [k for k in range(1, len(loose)) if loose[k] != loose[k - 1]]
+    took = [(b - a) * PERIOD for a, b in zip(ends[::2], ends[1::2], strict=False)]
+    assert took == pytest.approx([LOOSE_S - LET_GO_S, 2.0 * LOOSE_S - LET_GO_S], abs=0.2)
+
+
+def test_whom_it_meets_once_it_is_loose_it_goes_round_at_once():
+    detour = Detour(PERIOD, RATE)
+    run(detour, CAUGHT_S + 1.0, BALANCED)
+    run(detour, PATIENCE_LOOSE_S + 2 * PERIOD, [ROBOT])
+    assert detour.round == "robot 7"
+
+
+# ---------------------------------------------------------------------- what it says
+
+
+@pytest.mark.parametrize(
+    ("hold", "held"),
+    [
+        (Hold([], [ROBOT], STILL, [], NOBODY, ()), "held up by robot 7"),
+        (Hold([], [], STILL, [], NOBODY, ("speed",)), "held back by its limit of speed"),
+        (Hold([], [], STILL, [], NOBODY, ("a", "b")), "held back by its limit of a and b"),
+        (Hold([], [], STILL, [], NOBODY, ()), ""),
+    ],
+)
+def test_it_says_what_holds_it(hold, held):
+    detour = Detour(PERIOD, RATE)
+    run(detour, HELD_S - 3 * PERIOD, hold)
+    assert detour.held == ""
+    run(detour, 5 * PERIOD, hold)
+    assert detour.held == held
+    run(detour, HELD_S + 3 * PERIOD, [], own=EAST)
+    assert detour.held == ""
+
+
+def test_a_lane_is_not_gone_round():
+    detour = Detour(PERIOD, RATE)
+    assert run(detour, 30.0, Hold([], [ROBOT], STILL, [], NOBODY, ())) is None
+    assert detour.round == ""
+
+
+def test_it_says_round_what_it_goes():
+    detour = blocked([WALL])
+    run(detour, PERIOD, [WALL])
+    assert detour.held == "on its way round wall"
+    run(detour, PERIOD, [], STILL)
+    assert detour.held == ""
