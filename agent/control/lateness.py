@@ -27,6 +27,9 @@ OUTAGE_PERIODS: Final = 12
 """Longer than either of these nothing came: that is an outage, and says nothing of what is usual."""
 _SHARE_WEIGHT: Final = 1.0 / 64.0
 _BURST_WEIGHT: Final = 1.0 / 8.0
+_HEEDED: Final = 1e-3
+IN_TIME_NS: Final = NS_PER_S // 10
+"""A message that is no older, and before which none is missed, is in time."""
 
 
 class Lateness:
@@ -34,15 +37,17 @@ class Lateness:
 
     Attributes:
         forgiven_ns: how old what is known of it usually gets, beyond `UNSURE_NS`.
+        heeds: whether a message that comes in time has anything to say.
     """
 
-    __slots__ = ("_burst", "_expected_ns", "_missed", "_scatter_ns", "_share", "_usual_ns", "forgiven_ns")
+    __slots__ = ("_burst", "_expected_ns", "_scatter_ns", "_share", "_usual_ns", "forgiven_ns", "heeds")
 
     def __init__(self) -> None:
         self.forgiven_ns = 0
         self._usual_ns = self._scatter_ns = -1
         self._expected_ns = 0
-        self._missed, self._share, self._burst = 0.0, 0.0, 0.0
+        self._share = self._burst = 0.0
+        self.heeds = True
 
     def take(self, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
         """Takes a message.
@@ -66,6 +71,7 @@ class Lateness:
         self._expected_ns = expected_ns
         allowed_ns = self._usual_ns + 4 * self._scatter_ns + self._run_ns() - UNSURE_NS
         self.forgiven_ns = max(0, min(allowed_ns, LATE_MAX_NS))
+        self.heeds = allowed_ns > 0 or self._share > _HEEDED
 
     def _run_ns(self) -> int:
         """Longest time without a message that is to be expected."""

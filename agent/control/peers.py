@@ -14,10 +14,10 @@ from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
-from agent.control.beliefs import DOUBT_MAX, Belief, said_doubt, stood_between
+from agent.control.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, stood_between
 from agent.control.clock_offset import ClockOffset
 from agent.control.forecast import Forecast, Motion
-from agent.control.lateness import OUTAGE_NS, UNSURE_NS, Lateness
+from agent.control.lateness import IN_TIME_NS, OUTAGE_NS, UNSURE_NS, Lateness
 from agent.control.prediction import Prediction, as_it_came, coasting
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
 
@@ -113,7 +113,8 @@ class Peer:
     def doubt(self, now_ns: int) -> float:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
         said = 0.0 if self.message is None else min(DOUBT_MAX, self.message.doubt)
-        return said + said_doubt((now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S)
+        age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
+        return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
 
 
 class Peers:
@@ -368,7 +369,8 @@ class Peers:
         age_ns = now_ns + peer.clock.used_ns - time_ns
         if age_ns > 2 * period_ns:
             peer.delayed += 1
-        peer.lateness.take(age_ns, gap_ns, period_ns)
+        if peer.lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
+            peer.lateness.take(age_ns, gap_ns, period_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
