@@ -15,7 +15,7 @@ from deploy.console.wording import robots
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics, overload
 from deploy.verdict.completeness import Completeness, last_states
-from deploy.verdict.oracles_drive import RECOVERED_S, last_trouble_s
+from deploy.verdict.oracles_drive import RECOVERED_S
 from deploy.verdict.overload import SKIPPED_SHARE
 from deploy.verdict.tracking import Tracking
 from deploy.verdict.violations import Violation
@@ -140,7 +140,7 @@ def _unsettled(recording: Recording, a: Analysis, tracking: Tracking) -> list[st
     if not tracking.off:  # else that is said of them
         told = [(a.ids[index], tracking.causes.of(index)) for index in a.edges[worst].tolist()]
         why = "".join(f" Robot {robot}: {'; '.join(each)}." for robot, each in told if each)
-    last_s = last_trouble_s(recording, a)
+    last_s = tracking.last_trouble_s
     if last_s is not None and last_s + RECOVERED_S > recording.end_s:
         why += f" The last fault or change was at {last_s:.1f} s."
     others = {1: "", 2: " One other edge was off as well."}.get(

@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from agent.fleet.fault_rules import ACTION_FIELDS
 from agent.formation.points import Floats
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis
@@ -27,6 +28,7 @@ from deploy.analysis.presence import Flags, downs, said
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
 from deploy.verdict.causes import LOOK_S, Causes, kept_from
+from deploy.verdict.completeness import last_states
 from deploy.verdict.oracles_drive import RECOVERED_S
 from deploy.verdict.violations import REACTION_S, is_constant, windows
 
@@ -36,6 +38,8 @@ LONG_S: Final = 10.0
 """Who was off its place for longer than this in mid-drive fell behind."""
 FIRST_S: Final = 5.0
 """A course may begin at full speed: who is off its place from so early on has not been there yet."""
+_DROVE: Final = DRIVING_NAMES | {State.STOPPING.value, State.STOPPED.value}
+"""States in which a drive ends for who drove until then."""
 _START_S: Final = 0.5
 """What is over so soon after the start has not happened to a fleet that drove."""
 
@@ -134,8 +138,8 @@ class Tracking:
         troubles = [each for each in self._troubles if each[1] + RECOVERED_S >= end_s]
         for index in candidates:
             robot = a.ids[index]
-            state = recording.robots[robot].status.at(end_s)
-            if state is not None and state[0] not in DRIVING_NAMES:
+            state, last = recording.robots[robot].status.at(end_s), last_states(recording)[robot]
+            if (state and state[0] not in DRIVING_NAMES) or (last and last[0] not in _DROVE):
                 continue  # which is said in its own words
             since_s = float(a.grid[_stretches(self._far[:, index])[-1][0]])
             never = since_s <= FIRST_S
@@ -183,6 +187,11 @@ class Tracking:
             )
         return out
 
+    @property
+    def last_trouble_s(self) -> float | None:
+        """When what happened to the fleet last was over; None when nothing did."""
+        return max((until_s for _, until_s in self._troubles), default=None)
+
     @cached_property
     def _troubles(self) -> list[tuple[float, float]]:
         """Times (start, end) in which something happened to the fleet: faults that do not always hold,
@@ -190,8 +199,12 @@ class Tracking:
         recording, a = self._recording, self._a
         end_s = recording.end_s
         found = [(settled.change.t_s, settled.change.t_s) for settled in a.changes]
-        spans = [span for span in windows(recording) if not is_constant(span.rule)]
-        found += [(span.start_s, min(span.end_s, end_s)) for span in spans]
+        found += [
+            (span.start_s, min(span.end_s, end_s))
+            for span in windows(recording)
+            # What is killed for good is a fault of one moment, which the process's own times tell.
+            if not is_constant(span.rule) and not span.rule.given(ACTION_FIELDS)
+        ]
         for index, robot in enumerate(recording.ids):
             found += [(start, min(end, end_s)) for start, end in recording.halts(robot)]
             lost = [down for role in ("agent", "plant") for down in downs(recording, robot, role)]

@@ -118,6 +118,13 @@ def test_what_follows_a_fault_may_take_its_time(rule: Rule, excused: bool) -> No
     assert (len(warnings) == 1) == excused
 
 
+def test_what_is_killed_for_good_is_a_fault_of_one_moment() -> None:
+    """Though its rule lasts to the end."""
+    kill = Rule(robot=1, kill="agent", at=20.0)
+    reasons, _ = verdict(run(pair((0.0, 0.0), 60.0, kill), lambda t: 0.5 if t > 21.0 else 0.0))
+    assert [each for each in reasons if "from their places" in each]
+
+
 def test_a_fault_excuses_nobody_from_a_course_that_is_too_fast() -> None:
     fleet = pair((0.0, 3.0), 60.0, noisy(0.0, 60.0), noisy(45.0, 10.0))
     reasons, _ = verdict(run(fleet, lambda t: 1.5 * max(t - 46.0, 0.0)))
