@@ -26,6 +26,7 @@ from agent import core
 from agent.control import law, safety_filter
 from agent.control.peers import Peers
 from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.links import ingress
 from agent.messages.codec import decode, encode
@@ -134,9 +135,12 @@ class Probe:
         return timed
 
 
-def probe(duration_s: float, *, sleep_s: float = 0.0, stages: bool = False) -> Probe:
-    """Drives the delta for a while and times the agent of `ROBOT`."""
-    fleet = resolved(load_fleet(fleet_path("delta"), [f"fleet.duration_s={duration_s}"]))
+def probe(
+    duration_s: float, *, sleep_s: float = 0.0, stages: bool = False, fleet: Fleet | None = None
+) -> Probe:
+    """Drives the delta, or another fleet, for a while and times the agent of `ROBOT`."""
+    if fleet is None:
+        fleet = resolved(load_fleet(fleet_path("delta"), [f"fleet.duration_s={duration_s}"]))
     probe = Probe(sleep_s)
     replaced: list[tuple[Any, str, Any]] = []
     try:
