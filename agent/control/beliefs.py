@@ -72,6 +72,11 @@ def said_doubt(age: float) -> float:
     return min(DOUBT_MAX, DOUBT_RATE * max(0.0, age - DOUBT_AFTER_S))
 
 
+def growth(age: float) -> float:
+    """How fast that grows, m/s."""
+    return DOUBT_RATE if 0.0 < age - DOUBT_AFTER_S < DOUBT_MAX / DOUBT_RATE else 0.0
+
+
 def stood_on(way: Sequence[tuple[float, float, float]], doubt: float) -> Belief:
     """The belief of a robot that goes on along `way` to its end at most, and stands.
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
-from agent.control.beliefs import AHEAD_S, DOUBT_MAX
+from agent.control.beliefs import AHEAD_S, DOUBT_MAX, growth
 from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of, one_sided
@@ -422,7 +422,7 @@ class Controller:
             return
         own, name = scene.own, f"robot {peer.robot}"
         age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
-        velocity, speed = (own.vx, own.vy), hypot(own.vx, own.vy)
+        velocity, speed, growing = (own.vx, own.vy), hypot(own.vx, own.vy), growth(age)
         for disc in belief.discs:
             if disc.after > age:
                 break
@@ -433,7 +433,15 @@ class Controller:
             gap = self._safe_distance + self._margin + radius
             rank = safety_filter.UNSURE if radius >= DOUBT_MAX else safety_filter.SEPARATION
             plane = safety_filter.keep_apart(
-                name, offset, velocity, _AT_REST, gap, self._barrier_rate, alone=True, rank=rank
+                name,
+                offset,
+                velocity,
+                _AT_REST,
+                gap,
+                self._barrier_rate,
+                alone=True,
+                rank=rank,
+                growth=growing,
             )
             scene.planes.append(_only_braking(plane, own))
             if rho < gap and plane.nx * own.vx + plane.ny * own.vy < LEAVING * speed:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.beliefs import DISCS_MAX, DOUBT_MAX, STRETCH, said_doubt, stood_between, stood_on
+from agent.control.beliefs import DISCS_MAX, DOUBT_MAX, STRETCH, growth, said_doubt, stood_between, stood_on
 
 Row = tuple[float, float, float]
 
@@ -79,3 +79,5 @@ def test_discs_grow_with_the_age_and_stay_bounded():
     assert 0.2 < disc.radius_at(1.0) < disc.radius_at(2.0) < 0.2 + DOUBT_MAX
     assert disc.radius_at(1e9) == pytest.approx(0.2 + DOUBT_MAX)
     assert said_doubt(0.0) == 0.0
+    for age in (0.0, 0.05, 0.5, 1.9, 2.2, 60.0):
+        assert growth(age) == pytest.approx((said_doubt(age + 1e-6) - said_doubt(age)) / 1e-6, abs=1e-6)
