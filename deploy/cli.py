@@ -77,6 +77,7 @@ COMMANDS: Final = (
     Command("join", "running.join", "give a robot in reserve a place in a running fleet's formation"),
     Command("leave", "running.leave", "take a robot out of a running fleet's formation"),
     Command("replace", "running.replace", "give a robot's place and edges to one in reserve"),
+    Command("remove", "running.remove", "say that the body of a silent robot has been carried off the field"),
     Command("reshape", "running.reshape", "give a running fleet another formation or trajectory"),
     Command(
         "heartbeat",

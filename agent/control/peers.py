@@ -164,6 +164,7 @@ class Peers:
         self._known = {robot: Peer(robot, period_ns) for robot in self._starts}
         self._beliefs: dict[int, tuple[HandState, Belief]] = {}
         self._strangers: dict[int, HandState] = {}
+        self._removed: dict[int, int] = {}
         self._early: list[Peer] = []
         self._early_beacons: list[tuple[Peer, Beacon]] = []
         self._tick_ns = _NEVER
@@ -345,6 +346,8 @@ class Peers:
         peer.time_ns = beacon.time_ns
         peer.belief = None
         peer.here = peer.token
+        if peer.gone_ns >= beacon.time_ns:  # it is there, though its clock be behind the operator's
+            peer.gone_ns = beacon.time_ns - 1
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
         # A clock that was behind and has been set must not be refused for what it was.
@@ -385,6 +388,8 @@ class Peers:
             peer.message = message
             peer.belief = None
             peer.here = peer.token
+            if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
+                peer.gone_ns = time_ns - 1
 
     def present(self, robot: int, here: bool) -> None:
         """Takes a change of presence: the process of a robot's agent came (`here`) or went."""
@@ -394,9 +399,10 @@ class Peers:
             peer.here = False
 
     def remove(self, removed: Iterable[Removed]) -> None:
-        """Takes which bodies have been carried off, and when."""
+        """Takes which bodies have been carried off, and when: each row once, for missions repeat them."""
         for robot, time_ns in removed:
-            if robot != self._owner:
+            if robot != self._owner and time_ns > self._removed.get(robot, _NEVER):
+                self._removed[robot] = time_ns
                 peer = self.get(robot)
                 peer.gone_ns = max(peer.gone_ns, time_ns)
 

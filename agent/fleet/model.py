@@ -98,7 +98,7 @@ class Fleet:
         default=(),
         metadata=about(
             "What the operator does during the drive, at given times. By hand: `handfast join`, `leave`, "
-            "`replace`, `reshape`, `stop`, `resume`.",
+            "`replace`, `remove`, `reshape`, `stop`, `resume`.",
             key="order",
         ),
     )

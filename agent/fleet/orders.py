@@ -1,6 +1,7 @@
 """``[[order]]`` of a fleet file: what its operator does at times of the drive; its checks (PURE).
 
-The same can be ordered by hand: ``handfast join``, ``leave``, ``replace``, ``reshape``, ``stop``, ``resume``.
+The same can be ordered by hand: ``handfast join``, ``leave``, ``replace``, ``remove``, ``reshape``, ``stop``,
+``resume``.
 Whether an order can be carried out depends on those before it: `deploy.orders.mission_editing` says so.
 """
 
@@ -18,12 +19,13 @@ from agent.common.wording import example, show
 from agent.fleet.sections import TrajectorySection
 from agent.fleet.trajectory_checks import check_trajectory
 
-Kind = Literal["join", "leave", "replace", "reshape", "stop", "resume"]
+Kind = Literal["join", "leave", "replace", "remove", "reshape", "stop", "resume"]
 
 ORDER_FIELDS: Final[Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "join": (("robot", "edges"), ("distance_m", "offset_m", "over_s")),
     "leave": (("robot",), ("over_s",)),
     "replace": (("robot", "by"), ("over_s",)),
+    "remove": (("robots",), ()),
     "reshape": ((), ("formation", "trajectory", "scale", "over_s")),
     "stop": ((), ("reason",)),
     "resume": ((), ("robots",)),
@@ -68,8 +70,8 @@ class OrderSection:
     )
     kind: Kind = field(
         metadata=about(
-            "What is ordered: `join`, `leave`, `replace`, `reshape`, `stop` or `resume`. Fields of other "
-            "kinds are errors.",
+            "What is ordered: `join`, `leave`, `replace`, `remove`, `reshape`, `stop` or `resume`. Fields of "
+            "other kinds are errors.",
             example='"leave"',
         )
     )
@@ -133,7 +135,8 @@ class OrderSection:
     reason: str = setting("", "`stop`: why, for people.", example='"a person on the field"')
     robots: tuple[int, ...] | None = setting(
         None,
-        "`resume`: who may drive again; left out: all.",
+        "`remove`: whose bodies have been carried off the field; `resume`: who may drive again, left out: "
+        "all.",
         ge=1,
         le=9999,
         example="[1, 2]",
@@ -161,6 +164,8 @@ def check_orders(
         if order.get("robot") is not None and order.get("robot") == order.get("by"):
             reader.add(f"{place}.by", f"{show(order['by'])} is the robot that it is to replace")
         _check_join(order, place, reader)
+        if order.get("kind") == "remove":
+            _check_removed(order.get("robots"), f"{place}.robots", reader)
         _check_shape(order.get("formation"), f"{place}.formation", reader)
         if order.get("trajectory") is not None:
             inside = given.get("trajectory")
@@ -217,6 +222,14 @@ def _check_join(order: Mapping[str, Any], place: str, reader: Reader) -> None:
             f"{place}.distance_m",
             f"must be one number or one per edge, got {len(distance)} for {len(edges)} edges",
         )
+
+
+def _check_removed(robots: Sequence[int | None] | None, place: str, reader: Reader) -> None:
+    if robots is not None and not robots:
+        reader.add(place, "names no robot: write for example robots = [7]")
+    for k, robot in enumerate(robots or (), 1):
+        if robot is not None and robots is not None and robot in robots[: k - 1]:
+            reader.add(f"{place}[{k}]", f"robot {show(robot)} is given twice")
 
 
 def _check_shape(shape: Mapping[str, Any] | None, place: str, reader: Reader) -> None:

@@ -14,6 +14,7 @@ from agent.formation.geometry import Geometry
 from agent.formation.points import Floats
 from deploy.analysis.desired import MissionChange, desired
 from deploy.analysis.presence import Flags, away, downs
+from deploy.analysis.removals import carried_off
 from deploy.analysis.stability import SETTLED
 from deploy.recording.recording import Recording
 
@@ -54,7 +55,7 @@ class Analysis:
     """A run on one grid of k times, for n robots (all of them) and m edges (all that were ever in force).
 
     `hands` and `desired` (k, n, 2) m; `distances`, `wanted` (k, m) m. NaN where a robot sent no pose at all,
-    has no place, or an edge is not in force.
+    had been carried off, has no place, or an edge is not in force.
     """
 
     ids: tuple[int, ...]
@@ -142,6 +143,7 @@ def analyse(recording: Recording, geometry: Geometry) -> Analysis:
     grid = recording.grid
     hands = recording.hand_positions(grid)
     _fill_downs(recording, grid, hands)
+    hands[carried_off(recording, grid)] = np.nan
     wish = desired(recording, geometry, grid)
     edges, wanted = wish.edges, wish.wanted
     distances = norm(hands[:, edges[:, 0]] - hands[:, edges[:, 1]])

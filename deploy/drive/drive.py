@@ -309,7 +309,7 @@ class Drive:
         now_ns, due_ns = self._clock.now_ns(), epoch_ns + round(order.at * NS_PER_S)
         try:
             given_ns = due_ns if now_ns - due_ns < ORDER_LATE_NS else now_ns
-            self._fleet_state.say(self._operator.give(order, given_ns))
+            self._fleet_state.say(self._operator.give(order, given_ns, self._fleet_state.heard))
         except OrderError as error:
             self._fail(refused(order, error))
 

@@ -10,7 +10,7 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import Ask, Heartbeat, Message, PlantState, Status
+from agent.messages.types import Ask, Beacon, Heartbeat, Message, PlantState, Status
 from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
@@ -19,7 +19,7 @@ from deploy.drive.live_view import Watch, fleet_time_s
 from deploy.drive.readiness import in_words, is_ready, waits
 from deploy.drive.vehicle_checks import VehicleChecks
 from deploy.faults.process_actions import Process
-from deploy.orders.operator import Operator, Order
+from deploy.orders.operator import HEARD_NS, Operator, Order
 from deploy.processes.protocol import FleetProcesses
 from deploy.recording.recorder import RecordingError
 from deploy.session.author import author
@@ -61,6 +61,8 @@ class FleetState:
         self.states: dict[int, PlantState] = {}
         self._truths: dict[int, PlantState] = {}
         """Where each simulated body really was last, for those that measure with noise."""
+        self._heard_ns: dict[int, int] = {}
+        """When each agent was heard last."""
         self._refused: dict[int, int] = {}
         """How many missions for other fleet files each agent had refused before this one was given."""
         self._again_due_ns = self._ask_due_ns = 0
@@ -86,6 +88,20 @@ class FleetState:
                 self.operator.hear(key, message)
                 self.checks.feed(now_ns, key, message)
                 self._locate(key, message)
+                self._note(now_ns, key, message)
+
+    def _note(self, now_ns: int, key: str, message: Message) -> None:
+        name = self.fleet.fleet.name
+        if (type(message) is Status and key == key_expressions.status(name, message.robot)) or (
+            type(message) is Beacon and key == key_expressions.beacon(name, message.robot)
+        ):
+            self._heard_ns[message.robot] = now_ns
+
+    @property
+    def heard(self) -> set[int]:
+        """The robots whose agents have said something lately."""
+        now_ns = self.clock.now_ns()
+        return {robot for robot, at_ns in self._heard_ns.items() if now_ns - at_ns < HEARD_NS}
 
     def record(self, now_ns: int, key: str, payload: bytes) -> Message | None:
         """Keeps one message; raises as `collect`."""

@@ -169,7 +169,13 @@ class Watch:
         duration_s = self._fleet.fleet.duration_s if mission is None else mission.duration_ns / NS_PER_S
         picture = Picture(time_s, duration_s, faults=self._faults(time_s))
         now_ns = self._now_ns(time_s)
-        picture.nearest = closest(self.hands.values())
+        removed = mission.removed if mission else ()
+        gone = {
+            robot
+            for robot, since_ns in removed
+            if robot not in self.hands or self.hands[robot].time_ns <= since_ns
+        }
+        picture.nearest = closest(hand for robot, hand in self.hands.items() if robot not in gone)
         errors: dict[int, float] = {}
         least_m = inf
         for robot, here in self.hands.items():
@@ -187,14 +193,15 @@ class Watch:
         if time_s is not None:
             self._heard_s |= dict.fromkeys(self._heard, time_s)
             self._heard.clear()
-            picture.silent = self._silent.bodies(mission.removed if mission else ())
+            picture.silent = self._silent.bodies(removed)
         picture.robots = {
             robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
         }
         for robot, about in picture.robots.items():
             silent_s = (time_s or 0.0) - self._heard_s.get(robot, inf)
             if silent_s > SILENT_S:
-                about.state, about.reason = "silent", f"has said nothing for {silent_s:.0f} s"
+                carried = ", and its body has been removed" if robot in gone else ""
+                about.state, about.reason = "silent", f"has said nothing for {silent_s:.0f} s{carried}"
             place = self._reference.motion(robot, now_ns) if robot in self.hands else None
             if place is not None:
                 about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])

@@ -8,7 +8,7 @@ Lengths in m, W; times in ns of the wall clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import dist
 from typing import Final
@@ -27,7 +27,7 @@ from agent.formation.mission_plan import Edges, Plan, PlanError, mission_parts, 
 from agent.formation.realisation import DISTANCE_TOLERANCE, realise_near, worst_edge
 from agent.links.ticks import next_tick_ns
 from agent.messages.codec import decode, encode
-from agent.messages.types import Distance, Mission, Place, clipped
+from agent.messages.types import Distance, Mission, Place, Removed, clipped
 from agent.messages.validation import Malformed
 from deploy.orders.blend_time import blend_ns_for
 from deploy.orders.trilateration import place_apart
@@ -55,10 +55,29 @@ def first_mission(fleet: Fleet, version: int, now_ns: int, epoch_ns: int, durati
     return Mission(version, now_ns, epoch_ns, duration_ns, digest(fleet))
 
 
+def must_be_known(order: OrderSection, plan: Plan) -> tuple[int, ...]:
+    """Robots on whose being heard, or not, it depends whether an order can be carried out."""
+    if order.kind == "remove":
+        return order.robots or ()
+    newcomer = _newcomer(order)
+    return (newcomer,) if newcomer is not None and newcomer in dict(plan.mission.removed) else ()
+
+
+def _newcomer(order: OrderSection) -> int | None:
+    """Who is to get a place."""
+    return {"join": order.robot, "replace": order.by}.get(order.kind)
+
+
 def ordered(
-    order: OrderSection, plan: Plan, fleet: Fleet, now_ns: int, version: int, lead_ns: int = LEAD_NS
+    order: OrderSection,
+    plan: Plan,
+    fleet: Fleet,
+    now_ns: int,
+    version: int,
+    lead_ns: int = LEAD_NS,
+    heard: Collection[int] | None = None,
 ) -> Mission:
-    """The mission after an order to join, leave, replace or reshape.
+    """The mission after an order to join, leave, replace, remove or reshape.
 
     It is taken over on the first tick of the fleet after `lead_ns`, though never before the latest one is.
     What is ordered before the drive begins holds from its begin.
@@ -67,6 +86,7 @@ def ordered(
         order: its fields for its kind are looked at (`agent.fleet.orders.ORDER_FIELDS`); `at` is not.
         plan: the latest.
         version: of the new mission, greater than any that is known.
+        heard: the robots that are heard at the moment; None where nobody can tell, as before a drive.
 
     Raises:
         OrderError: it cannot be carried out.
@@ -77,6 +97,8 @@ def ordered(
     for name in ORDER_FIELDS[order.kind][0]:
         if getattr(order, name) is None:
             raise OrderError(f"{order.kind} needs {name}")
+    if heard is not None:
+        _refuse_by_ear(order, plan, heard)
     before = plan.mission
     from_ns = next_tick_ns(now_ns + lead_ns, fleet.period_ns, 0)
     if from_ns <= before.epoch_ns:
@@ -100,6 +122,7 @@ def ordered(
         trajectory_parts(section),
         tuple(Place(robot, *change.offsets[robot]) for robot in fleet.ids if robot in change.offsets),
         tuple(Distance(*edge) for edge in change.edges),
+        _removed(order, before, now_ns),
     )
     try:
         after = written_plan(mission, fleet)
@@ -159,15 +182,60 @@ def _join(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
     return _Change(offsets=offsets, edges=edges, note=f"robot {robot} joins ({joined})")
 
 
+def _refuse_by_ear(order: OrderSection, plan: Plan, heard: Collection[int]) -> None:
+    """Raises an `OrderError` for the body of a robot that is there, and a place for one that is not."""
+    named = must_be_known(order, plan)
+    loud = [robot for robot in named if robot in heard]
+    if order.kind == "remove" and loud:
+        who = f"robots {_listed(loud)} are" if len(loud) > 1 else f"robot {loud[0]} is"
+        raise OrderError(f"{who} heard: only the body of one that is silent can be removed")
+    if order.kind != "remove" and named and not loud:
+        raise OrderError(f"robot {named[0]} has been removed, and is not heard: start its agent again first")
+
+
+def _removed(order: OrderSection, before: Mission, now_ns: int) -> tuple[Removed, ...]:
+    """The rows of bodies that are gone, after an order that is given now.
+
+    One who gets a place again is there. Agents take the latest time of a robot, so a later order has a later
+    one, whoever's clock it is by.
+    """
+    known = dict(before.removed)
+    if order.kind == "remove":
+        known |= {robot: max(now_ns, known.get(robot, 0) + 1) for robot in order.robots or ()}
+    return tuple(Removed(robot, since) for robot, since in sorted(known.items()) if robot != _newcomer(order))
+
+
 def _leave(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
     robot = order.robot
     assert robot is not None
     _refuse_stranger(robot, plan, fleet)
     if len(plan.members) == 1:
         raise OrderError(f"robot {robot} is the last one in the formation: stop the fleet instead")
-    offsets = {other: place for other, place in plan.offsets.items() if other != robot}
-    edges = [(i, j, distance) for (i, j), distance in plan.edges.items() if robot not in (i, j)]
-    note = f"robot {robot} leaves"
+    return _without([robot], f"robot {robot} leaves", plan)
+
+
+def _remove(order: OrderSection, plan: Plan, fleet: Fleet) -> _Change:
+    robots = order.robots
+    assert robots is not None
+    if not robots:
+        raise OrderError("remove names no robot")
+    for robot in robots:
+        _refuse_unknown(robot, fleet)
+    who = f"robots {_listed(robots)}" if len(robots) > 1 else f"robot {robots[0]}"
+    if set(plan.members) <= set(robots):
+        raise OrderError(
+            f"without {who} nobody is left in the formation: let another take a place first (replace, join), "
+            "or stop the fleet instead"
+        )
+    return _without(robots, f"{who} {'have' if len(robots) > 1 else 'has'} been removed", plan)
+
+
+def _without(robots: Sequence[int], note: str, plan: Plan) -> _Change:
+    """The formation without these robots, as far as they are in it."""
+    offsets = {other: place for other, place in plan.offsets.items() if other not in robots}
+    edges = [
+        (i, j, distance) for (i, j), distance in plan.edges.items() if i not in robots and j not in robots
+    ]
     parts = _parts(offsets, edges)
     if parts > _parts(plan.offsets, mission_parts(plan)[1]):
         note += f"; the formation graph falls into {parts} parts"
@@ -309,5 +377,6 @@ _KINDS: Final[Mapping[str, Callable[[OrderSection, Plan, Fleet], _Change]]] = {
     "join": _join,
     "leave": _leave,
     "replace": _replace,
+    "remove": _remove,
     "reshape": _reshape,
 }

@@ -26,6 +26,7 @@ class Ordering:
 
     def __init__(self, mission: Mission, ids: Sequence[int]) -> None:
         self._mission, self._ids = mission, ids
+        self._removed = {robot for robot, _ in mission.removed}
         self._agents: Sequence[int] = ()
         self._statuses: Mapping[int, Status] = {}
         self._newest: Mission | None = None
@@ -49,9 +50,10 @@ class Ordering:
 
     @property
     def done(self) -> bool:
-        """Whether every robot of the fleet has acknowledged it."""
+        """Whether every robot of the fleet has acknowledged it, but for those that have been removed."""
         return not self.overruled and all(
-            robot in self._agents and self.has_acknowledged(robot) for robot in self._ids
+            self.has_acknowledged(robot) if robot in self._agents else robot in self._removed
+            for robot in self._ids
         )
 
     def outcomes(self) -> list[str]:
@@ -64,6 +66,8 @@ class Ordering:
         return [f"robot {robot}: {self._outcome(robot)}" for robot in self._ids]
 
     def _outcome(self, robot: int) -> str:
+        if robot not in self._agents and robot in self._removed:
+            return "has been removed"
         if robot not in self._agents:
             return "its agent is not there; the others will relay it"
         if self.has_acknowledged(robot):

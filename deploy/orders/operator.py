@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final
 
 from agent.fleet.model import Fleet
@@ -35,6 +35,8 @@ from deploy.orders.mission_editing import OrderError, first_mission, ordered
 from deploy.orders.versions import can_be
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
+HEARD_NS: Final = 2_000_000_000
+"""Who has said something within so long is heard; agents say their status five times a second."""
 NO_MISSION: Final = "the fleet has no mission yet: nothing can be changed before it drives"
 
 Order = Mission | Stop | Resume
@@ -177,8 +179,11 @@ class Operator(Known):
         self._take(mission)
         return mission
 
-    def give(self, order: OrderSection, now_ns: int) -> Order:
+    def give(self, order: OrderSection, now_ns: int, heard: Collection[int] | None = None) -> Order:
         """The message that carries out an order which is given now.
+
+        Args:
+            heard: the robots that are heard (`HEARD_NS`); None where nobody can tell, as before a drive.
 
         Raises:
             OrderError: it cannot be carried out; the text is one sentence that says why.
@@ -189,7 +194,7 @@ class Operator(Known):
             return self.order_resume(now_ns, order.robots or ())
         if self.plan is None:
             raise OrderError(NO_MISSION)
-        mission = ordered(order, self.plan, self.fleet, now_ns, self._next_mission(now_ns))
+        mission = ordered(order, self.plan, self.fleet, now_ns, self._next_mission(now_ns), heard=heard)
         self._take(mission)
         return mission
 

@@ -26,9 +26,10 @@ OPTIONS: Final = {
     "offset_m": "--offset",
     "over_s": "--over",
     "scale": "--scale",
+    "robots": "--robot",
 }
 """The option that gives each field of an order."""
-_ARRAYS: Final = ("edges", "offset_m")
+_ARRAYS: Final = ("edges", "offset_m", "robots")
 
 
 def order_of_options(

@@ -25,6 +25,7 @@ class OperatorSession(Session):
         operator: what has been ordered, and gives orders.
         statuses: what each agent said last.
         silent: robots that are not heard, once `listen_to_beacons` was called.
+        heard: robots whose agents have said something.
 
     Raises:
         agent.runtime.bus.BusError: the bus cannot be opened.
@@ -37,6 +38,7 @@ class OperatorSession(Session):
         self.operator: Final = Operator(fleet, resolve(fleet))
         self.statuses: dict[int, Status] = {}
         self.silent: Final = SilentBodies()
+        self.heard: Final[set[int]] = set()
         self.author: Final = author()
         for key in self.operator.keys.values():
             self.bus.declare(key)
@@ -48,8 +50,10 @@ class OperatorSession(Session):
         self.operator.hear(key, message)
         if type(message) is Status and key == key_expressions.status(self.fleet.fleet.name, message.robot):
             self.statuses[message.robot] = message
+            self.heard.add(message.robot)
         elif type(message) is Beacon and key == key_expressions.beacon(self.fleet.fleet.name, message.robot):
             self.silent.hear(message)
+            self.heard.add(message.robot)
 
     def listen_to_beacons(self) -> None:
         """From now on `silent` is told which robots are not heard."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
+from agent.common.time import NS_PER_S
 from agent.fleet.orders import OrderSection
 from agent.formation.mission_plan import Plan
 from agent.messages.types import Message, Mission
 from deploy.inventory.running import NoAnswerError
+from deploy.orders.mission_editing import must_be_known
 from deploy.orders.mission_outcome import Ordering
-from deploy.orders.operator import NO_MISSION
+from deploy.orders.operator import HEARD_NS, NO_MISSION
 from deploy.session.operator_session import OperatorSession
 
 TAKE_S: Final = 3.0
@@ -43,7 +45,8 @@ class OrderSession(OperatorSession):
         operator = self.operator
         if operator.plan is None:
             raise NoAnswerError(NO_MISSION)
-        mission = operator.give(make(operator.plan), self.now_ns())
+        order = make(operator.plan)
+        mission = operator.give(order, self.now_ns(), self._listened(must_be_known(order, operator.plan)))
         assert type(mission) is Mission
         ordering = Ordering(mission, self.fleet.ids)
 
@@ -61,3 +64,10 @@ class OrderSession(OperatorSession):
             self.until(lambda: self._answers > 0, self.say_ask, CONFIRM_S)
             look()
         return mission, ordering
+
+    def _listened(self, robots: Collection[int]) -> set[int]:
+        """Who is heard, after it was listened to these robots for long enough, if there are any."""
+        if robots:
+            self.listen_to_beacons()
+            self.wait(lambda: not self.heard.isdisjoint(robots), HEARD_NS / NS_PER_S)
+        return self.heard

@@ -35,7 +35,7 @@ from agent.supervision.state_machine import State
 from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
 from deploy.orders.mission_editing import OrderError
-from deploy.orders.operator import HEARTBEAT_PERIOD_NS, Operator, Order, refused
+from deploy.orders.operator import HEARD_NS, HEARTBEAT_PERIOD_NS, Operator, Order, refused
 from deploy.simulate import hangs
 from deploy.simulate.bodies import Bodies
 from plant.node import PlantNode
@@ -112,6 +112,7 @@ class _Host:
 
     Attributes:
         due_ns: true time of its next tick.
+        ticked_ns: true time of its last one, below 0 before the first.
         life: counts up when ticks that were planned do not come: it was killed or paused.
     """
 
@@ -119,6 +120,7 @@ class _Host:
         self.rings: dict[str, Ring] = {}
         self._bus = bus
         self.life = 0
+        self.ticked_ns = -1
         self.up = self.paused = False
         self._wrong = local
         self.start(node, now_ns)
@@ -174,6 +176,7 @@ class _Host:
     def tick(self, true_ns: int) -> list[Outgoing]:
         """One round of `agent.runtime.process.loop`."""
         node, ticks = self.node, self._ticks
+        self.ticked_ns = true_ns
         now_ns, missed = ticks.take(self._local.local_ns(true_ns))
         while self._changes and self._changes[0][0] <= true_ns:
             node.present(*self._changes.popleft()[1:])
@@ -376,7 +379,13 @@ class Simulation:
         Raises:
             deploy.orders.mission_editing.OrderError: it cannot be carried out.
         """
-        self._say(self._operator.give(order, self.now_ns))
+        self._say(self._operator.give(order, self.now_ns, self._heard))
+
+    @property
+    def _heard(self) -> set[int]:
+        """The robots whose agents have said something lately: each does in every tick."""
+        ticked = {robot: self._hosts[self._order[robot, "agent"]].ticked_ns for robot in self.fleet.ids}
+        return {robot for robot, at_ns in ticked.items() if at_ns >= 0 and self.now_ns - at_ns < HEARD_NS}
 
     def _carry_order_out(self, order: OrderSection) -> None:
         try:

@@ -32,6 +32,7 @@ BY_OTHERS: Final = {
         deploy/commands/running/join
         deploy/commands/running/leave
         deploy/commands/running/orders
+        deploy/commands/running/remove
         deploy/commands/running/replace
         deploy/commands/running/reshape
         deploy/commands/running/resume

@@ -36,6 +36,7 @@ from agent.messages.types import (
     Message,
     Mission,
     PlantState,
+    Removed,
     Resume,
     Status,
     Stop,
@@ -180,7 +181,9 @@ def orders(fleet: Fleet, now_ns: int, at_ns: int) -> dict[str, bytes]:
     name, version = fleet.fleet.name, now_ns // 1_000 + 3_600_000_000
     said: dict[str, Message] = {
         key_expressions.stop(name): Stop(version, at_ns, "attack"),
-        key_expressions.mission(name): Mission(version, at_ns, now_ns, 1, digest(fleet), note="attack"),
+        key_expressions.mission(name): Mission(
+            version, at_ns, now_ns, 1, digest(fleet), note="attack", removed=(Removed(TAKEN, at_ns),)
+        ),
         key_expressions.resume(name): Resume(version + 1, at_ns, ()),
         key_expressions.faults(name): Faults(version, at_ns, "attack", at_ns, 600 * NS_PER_S, CUT),
         key_expressions.heartbeat(name): Heartbeat(at_ns, "attack"),

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from agent.messages import key_expressions
 from agent.messages.codec import encode
-from agent.messages.types import Ask, Mission, Status
+from agent.messages.types import Ask, Beacon, Mission, Status
+from deploy.console.data_files import FLEETS
 from deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import BUSY, Command, measured, no_trouble_in_logs, wait_for
@@ -86,6 +87,47 @@ def test_orders_to_a_run_from_other_processes(tmp_path: Path) -> None:
     assert states == dict.fromkeys((2, 3, 4, 5, 6, 7), "running") | {1: "standby"}
 
 
+REMOVALS = """
+[[order]]
+at = 3
+kind = "remove"
+robots = [7]
+[[order]]
+at = 6
+kind = "remove"
+robots = [7]
+[[faults.rule]]
+robot = 7
+kill = "agent"
+at = 2
+[[faults.rule]]
+robot = 7
+kill = "plant"
+at = 2
+"""
+
+
+def test_a_run_removes_whom_it_has_not_heard_for_long(tmp_path: Path) -> None:
+    """The robot dies at 2 s: at 3 s it has only just been heard."""
+    text = (FLEETS / "reserve.toml").read_text() + REMOVALS
+    (tmp_path / "removals.toml").write_text(text)
+    name = f"fleet.name=t-{secrets.token_hex(4)}"
+    arguments = ("run", "removals.toml", "--set", name, "--duration", "10", "--out", "out", "--no-report")
+    with Command(tmp_path, *arguments, *NETWORK, *BUSY) as run:
+        assert run.wait(90.0) == 1, run.told()
+    folder = tmp_path / "out"
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert (
+        "The order at 3 s (remove) was not given: robot 7 is heard: only the body of one that is silent can "
+        "be removed."
+    ) in metrics["verdict"]["reasons"]
+    assert not any("at 6 s" in reason for reason in metrics["verdict"]["reasons"])
+    recording = read_run(folder)
+    assert [row.robot for row in recording.missions[-1].removed] == [7]
+    last = {robot: data.status.mission_versions[-1] for robot, data in recording.robots.items()}
+    assert [robot for robot in last if last[robot] == recording.missions[-1].version] == [1, 2, 3, 4, 5, 6]
+
+
 def test_no_coordinator(tmp_path: Path) -> None:
     """Who gave an order is killed as soon as one agent has it: all get it, and so does who starts again."""
     with all_ready(triangle(), tmp_path / "r") as fleet:
@@ -109,6 +151,49 @@ def test_no_coordinator(tmp_path: Path) -> None:
         assert status.mission_version == mission.version
         fleet.wait(lambda: fleet.states() == dict.fromkeys(everybody, "running"), "all four drive on")
         assert agreed(fleet) == mission
+        assert not fleet.died()
+        no_trouble_in_logs(fleet.folder)
+
+
+def test_a_body_is_removed_and_comes_back(tmp_path: Path) -> None:
+    """Only once its robot is silent; nobody tells of it any more, and it is there again when it is heard."""
+    with all_ready(triangle(), tmp_path / "r") as fleet:
+        fleet.drive()
+        with fleet.command("remove", "--robot", "3") as refused:
+            assert refused.wait() == 2, refused.told()
+            assert refused.err == (
+                "handfast: cannot be done: robot 3 is heard: only the body of one that is silent can be "
+                "removed\n"
+            )
+        for role in key_expressions.ROLES:
+            fleet.signal(3, role, signal.SIGKILL)
+            fleet.processes[3, role].wait()
+
+        def telling() -> list[int]:
+            """Who has told last of robot 3 as silent."""
+            last = {robot: [*fleet.said(Beacon, robot)][-1] for robot in (1, 2, 4)}
+            return [robot for robot, beacon in last.items() if 3 in [row.robot for row in beacon.silent]]
+
+        fleet.wait(lambda: telling() == [1, 2, 4], "all tell of the silent one")
+        status, out = fleet.told_by("remove", "--robot", "3")
+        assert status == 0, out
+        assert out.startswith("robot 3 has been removed: at "), out
+        assert out.count(": acknowledged\n") == 3, out
+        assert "robot 3: has been removed\n" in out
+        fleet.wait(lambda: telling() == [], "nobody tells of it")
+        status, out = fleet.told_by("join", "--robot", "3", "--edges", "1,2")
+        assert (status, out) == (2, "")
+
+        started_ns = time.time_ns()
+        for role in key_expressions.ROLES:
+            fleet.start(3, role)
+        fleet.first(started_ns, Status, 3, lambda m: m.state == "standby", "it is back, without a place")
+        status, out = fleet.told_by("join", "--robot", "3", "--edges", "1,2")
+        assert status == 0, out
+        mission = agreed(fleet)
+        assert mission.note == "robot 3 joins (edges to 1 and 2)"
+        assert mission.removed == ()
+        fleet.wait(lambda: fleet.states()[3] == "running", "it drives again")
         assert not fleet.died()
         no_trouble_in_logs(fleet.folder)
 

@@ -30,10 +30,23 @@ def order_arguments(parser: argparse.ArgumentParser, command: Callable[[argparse
 
 
 def field(
-    parser: argparse.ArgumentParser, key: str, metavar: str, text: str, *, required: bool = False
+    parser: argparse.ArgumentParser,
+    key: str,
+    metavar: str,
+    text: str,
+    *,
+    required: bool = False,
+    repeated: bool = False,
 ) -> None:
-    """Adds the option for a field of an order."""
-    parser.add_argument(OPTIONS[key], dest=f"order.{key}", metavar=metavar, help=text, required=required)
+    """Adds the option for a field of an order; one that is `repeated` may be given many times."""
+    parser.add_argument(
+        OPTIONS[key],
+        dest=f"order.{key}",
+        metavar=metavar,
+        help=text,
+        required=required,
+        action="append" if repeated else "store",
+    )
 
 
 def over(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +57,7 @@ def over(parser: argparse.ArgumentParser) -> None:
 def given_fields(options: argparse.Namespace) -> dict[str, str]:
     """The fields of the order that the options give, by name."""
     return {
-        name.removeprefix("order."): value
+        name.removeprefix("order."): ",".join(value) if isinstance(value, list) else value
         for name, value in vars(options).items()
         if name.startswith("order.") and value is not None
     }

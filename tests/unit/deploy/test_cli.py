@@ -75,6 +75,7 @@ def test_a_fleet_of_simulated_robots_has_nothing_to_check(capsys: pytest.Capture
         ("join", "--robot", "7", "--edges", "3,5"),
         ("leave", "--robot", "4"),
         ("replace", "--robot", "3", "--by", "7"),
+        ("remove", "--robot", "3", "--robot", "7"),
         ("reshape", "--scale", "1.5"),
         ("heartbeat",),
     ],

@@ -791,3 +791,21 @@ def test_a_body_that_was_carried_off_is_nowhere_until_it_is_heard_again():
     heard(known, message(2, 6, T0 + 2 * S), now_ns=T0 + 2 * S + PERIOD)
     assert not known.get(2).is_gone
     assert known.belief(known.get(2)) is not None
+    known.remove([Removed(2, T0 + 3 * S)])  # a second time
+    assert known.get(2).is_gone
+
+
+@pytest.mark.parametrize("by", ["hand state", "beacon"])
+def test_who_is_heard_is_there_though_its_clock_be_behind_the_operators(by: str):
+    """Later missions say again what the first one said: that takes nobody away a second time."""
+    known = heard(peers(), message(2, 5, T0))
+    removed = [Removed(2, T0 + 60 * S)]
+    known.remove(removed)
+    assert known.get(2).is_gone
+    if by == "beacon":
+        assert known.accept_beacon(beacon(2, T0 + S), T0 + S + PERIOD) is None
+    else:
+        heard(known, message(2, 6, T0 + S), now_ns=T0 + S + PERIOD)
+    assert not known.get(2).is_gone
+    known.remove(removed)
+    assert not known.get(2).is_gone

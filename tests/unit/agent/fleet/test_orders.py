@@ -125,10 +125,24 @@ def test_every_field_belongs_to_a_kind():
             ["order[1].robots[2]: there is no robot 5; ids are 1, 2, 3, 4, 7, 8"],
         ),
         (
+            'kind = "remove"',
+            ['order[1].robots: is missing: kind = "remove" needs it, for example robots = [1, 2]'],
+        ),
+        ('kind = "remove"\nrobots = []', ["order[1].robots: names no robot: write for example robots = [7]"]),
+        (
+            'kind = "remove"\nrobots = [4, 9, 4]\nrobot = 1',
+            [
+                'order[1].robot: is used by kind = "join" and kind = "leave" and kind = "replace" only, but '
+                'here kind = "remove": leave it out',
+                "order[1].robots[2]: there is no robot 9; ids are 1, 2, 3, 4, 7, 8",
+                "order[1].robots[3]: robot 4 is given twice",
+            ],
+        ),
+        (
             'kind = "hop"',
             [
-                'order[1].kind: must be one of "join", "leave", "replace", "reshape", "stop", "resume", '
-                'got "hop"'
+                'order[1].kind: must be one of "join", "leave", "replace", "remove", "reshape", "stop", '
+                '"resume", got "hop"'
             ],
         ),
         ('kind = "leave"\nrobot = "one"', ['order[1].robot: must be a whole number, such as 7, got "one"']),

@@ -24,6 +24,7 @@ ORDERS = {
         "d",
         trajectory=(("kind", "hold"), ("start_m", (0.0, 1.5))),
         robots=((1, 0.0, 2.5),),
+        removed=((6, TIME_NS),),
     ),
     key_expressions.stop(FLEET): Stop(2, TIME_NS, "why"),
     key_expressions.resume(FLEET): Resume(3, TIME_NS, (1, 2)),

@@ -232,6 +232,27 @@ def test_an_agent_that_is_gone_says_nothing_until_it_is_back() -> None:
     assert watched.states() == {1: "", 2: "ready"}
 
 
+def test_a_body_that_was_removed_is_near_nobody_until_its_robot_is_heard() -> None:
+    watched = watch()
+    told(watched, 2, "running", "", 1)
+    for robot in (1, 2):
+        watched.feed(key_expressions.hand("pair", robot), hand(robot, 0.1 * robot, 0.0))
+    assert watched.picture(1.0).nearest is not None
+    since_ns = watched.hands[2].time_ns
+    mission = Mission(
+        9, since_ns, since_ns + 1, NS_PER_S, digest(fleet()), note="robot 2 has been removed",
+        robots=((1, 0.0, 0.0),), removed=((2, since_ns),),
+    )  # fmt: skip
+    watched.feed(key_expressions.mission("pair"), mission)
+    assert watched.news(5.0)[0] == "5.0 s: robot 2 has been removed"
+    picture = watched.picture(5.0)
+    assert picture.nearest is None
+    assert picture.robots[2].reason == "has said nothing for 4 s, and its body has been removed"
+    watched.feed(key_expressions.hand("pair", 2), hand(2, 0.2, 0.0)._replace(time_ns=since_ns + 1))
+    assert watched.picture(5.0).nearest is not None
+    assert watched.picture(5.0).robots[2].reason == "has said nothing for 4 s"
+
+
 def test_orders_of_anybody_are_news_once() -> None:
     watched = watch()
     stop = Stop(7, EPOCH_NS, "a person")

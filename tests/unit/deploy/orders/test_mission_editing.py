@@ -16,8 +16,9 @@ from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts
 from agent.formation.reference import Reference
 from agent.messages.codec import decode, encode, newer
+from agent.messages.types import Removed
 from deploy.orders.blend_time import BLEND_MAX_S, blend_ns_for
-from deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, ordered
+from deploy.orders.mission_editing import LEAD_NS, OrderError, first_mission, must_be_known, ordered
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
 FLEET = square()
@@ -226,6 +227,117 @@ def test_who_replaces_another_takes_its_place_and_edges():
     assert refused(order("replace", robot=3, by=1)) == "robot 1 has a place in the formation already"
     assert refused(order("replace", robot=3, by=3)) == "robot 3 has a place in the formation already"
     assert refused(order("replace", robot=3)) == "replace needs by"
+
+
+# --- remove -----------------------------------------------------------------------------------
+
+
+def rows(plan: Plan) -> dict[int, float]:
+    """Who has been removed, and when, s after the epoch."""
+    return {robot: (time_ns - EPOCH) / S for robot, time_ns in plan.mission.removed}
+
+
+def test_a_body_that_is_removed_loses_its_place_as_who_leaves_does():
+    mission, plan = after(order("remove", robots=(2,)), FIRST, FLEET, at_s=10.0)
+    left = plan_after(order("leave", robot=2))
+    assert (plan.members, plan.offsets, plan.edges) == (left.members, left.offsets, left.edges)
+    assert mission.note == "robot 2 has been removed"
+    assert mission.removed == (Removed(2, EPOCH + 10 * S),)
+
+
+def test_a_body_without_a_place_is_removed_and_nothing_else_changes():
+    mission, plan = after(order("remove", robots=(8, 7)), FIRST, FLEET, at_s=10.0)
+    assert (plan.members, plan.offsets, plan.edges) == (FIRST.members, FIRST.offsets, FIRST.edges)
+    assert plan.trajectory_ns == FIRST.trajectory_ns
+    assert mission.note == "robots 8 and 7 have been removed"
+    assert rows(plan) == {7: 10.0, 8: 10.0}
+
+
+def test_earlier_removals_are_kept_and_a_second_one_has_its_own_time():
+    plan = plan_after(order("remove", robots=(7, 8)), at_s=10.0)
+    plan = plan_after(order("remove", robots=(2,)), plan, at_s=20.0)
+    assert rows(plan) == {2: 20.0, 7: 10.0, 8: 10.0}
+    plan = plan_after(order("remove", robots=(7,)), plan, at_s=30.0)
+    assert rows(plan) == {2: 20.0, 7: 30.0, 8: 10.0}
+    early = plan_after(order("remove", robots=(7,)), plan, at_s=29.0)  # of an operator whose clock is behind
+    assert rows(early)[7] > 30.0
+
+
+def test_other_orders_keep_who_was_removed():
+    plan = plan_after(order("remove", robots=(8, 2)), at_s=10.0)
+    for what in (
+        order("join", robot=7, edges=(3,), distance_m=1.0),
+        order("leave", robot=7),
+        order("replace", robot=3, by=7),
+        order("reshape", scale=1.5),
+    ):
+        plan = plan_after(what, plan, at_s=20.0)
+        assert rows(plan) == {2: 10.0, 8: 10.0}
+
+
+@pytest.mark.parametrize(
+    "what",
+    [order("join", robot=2, edges=(1,), distance_m=1.0), order("replace", robot=3, by=2)],
+    ids=["join", "replace"],
+)
+def test_who_was_removed_gets_a_place_again_once_it_is_heard(what: OrderSection):
+    plan = plan_after(order("remove", robots=(8, 2)), at_s=10.0)
+    with pytest.raises(OrderError) as caught:
+        ordered(what, plan, FLEET, EPOCH + 20 * S, 9, heard=(1, 3, 4, 7))
+    assert str(caught.value) == ("robot 2 has been removed, and is not heard: start its agent again first")
+    assert must_be_known(what, plan) == (2,)
+    assert must_be_known(what, FIRST) == ()
+    back = ordered(what, plan, FLEET, EPOCH + 20 * S, 9, heard=(1, 2, 3, 4, 7))
+    assert back.removed == (Removed(8, EPOCH + 10 * S),)
+    assert ordered(what, plan, FLEET, EPOCH + 20 * S, 9).removed == back.removed  # before the drive
+
+
+@pytest.mark.parametrize(
+    ("robots", "said"),
+    [
+        ((2,), "robot 2 is heard: only the body of one that is silent can be removed"),
+        ((2, 3, 8), "robots 2 and 3 are heard: only the body of one that is silent can be removed"),
+        ((8,), None),
+        ((4, 7), None),
+    ],
+)
+def test_only_the_silent_are_removed(robots: tuple[int, ...], said: str | None):
+    what = order("remove", robots=robots)
+    assert must_be_known(what, FIRST) == robots
+    if said is None:
+        assert ordered(what, FIRST, FLEET, EPOCH, 9, heard=(1, 2, 3)).removed
+        return
+    with pytest.raises(OrderError) as caught:
+        ordered(what, FIRST, FLEET, EPOCH, 9, heard=(1, 2, 3))
+    assert str(caught.value) == said
+
+
+def test_others_leave_and_join_whoever_is_heard():
+    for what in (order("leave", robot=2), order("join", robot=7, edges=(1,)), order("reshape", scale=2.0)):
+        assert ordered(what, FIRST, FLEET, EPOCH, 9, heard=()).note
+
+
+def test_who_cannot_be_removed_is_told_why():
+    assert refused(order("remove", robots=(9,))) == (
+        "robot 9 is not in the fleet: its ids are 1, 2, 3, 4, 7, 8"
+    )
+    assert refused(order("remove", robots=())) == "remove names no robot"
+    assert refused(order("remove")) == "remove needs robots"
+    assert refused(order("remove", robots=(1, 2, 3, 4, 7))) == (
+        "without robots 1, 2, 3, 4 and 7 nobody is left in the formation: let another take a place first "
+        "(replace, join), or stop the fleet instead"
+    )
+    alone = FIRST
+    for robot in (1, 2, 3):
+        alone = plan_after(order("remove", robots=(robot,)), alone)
+    assert refused(order("remove", robots=(4,)), alone).startswith("without robot 4 nobody is left")
+    assert plan_after(order("remove", robots=(7,)), alone).members == (4,)
+
+
+def test_a_removal_that_cuts_the_graph_says_so():
+    cut = plan_after(order("reshape", formation=ShapeSection(edges=((1, 2), (2, 3), (3, 4)))))
+    mission, _ = after(order("remove", robots=(3,)), cut, FLEET)
+    assert mission.note == "robot 3 has been removed; the formation graph falls into 2 parts"
 
 
 # --- reshape ----------------------------------------------------------------------------------

@@ -44,6 +44,20 @@ def test_who_is_not_there_is_named_and_not_waited_for() -> None:
     assert not made.look([], {}, MISSION), "nobody is there as yet"
 
 
+def test_who_was_removed_is_not_waited_for_unless_it_is_there() -> None:
+    removed, _ = after(order("remove", robots=(3,)), first_plan(FLEET), FLEET, 4.0, 60)
+    there = [robot for robot in FLEET.ids if robot != 3]
+    made = Ordering(removed, FLEET.ids)
+    assert made.look(there, statuses(60, r3=1), removed)
+    assert made.done
+    assert made.outcomes()[2] == "robot 3: has been removed"
+    assert not made.look(FLEET.ids, statuses(60, r3=1), removed), "it is back, and has not taken it"
+    assert not made.done
+    assert made.outcomes()[2] == "robot 3: has not taken it: running"
+    made.look([robot for robot in there if robot != 4], statuses(60), removed)
+    assert not made.done
+
+
 def test_a_greater_version_was_quicker() -> None:
     made = Ordering(MISSION, FLEET.ids)
     assert made.look(FLEET.ids, statuses(r2=MISSION.version + 1), MISSION)

@@ -37,9 +37,17 @@ def test_leave_and_replace() -> None:
     assert order_of_options("replace", {"robot": "3", "by": "7"}, IDS) == order("replace", robot=3, by=7)
 
 
+def test_remove_takes_one_robot_or_many() -> None:
+    assert order_of_options("remove", {"robots": "4"}, IDS) == order("remove", robots=(4,))
+    assert order_of_options("remove", {"robots": "4,7"}, IDS) == order("remove", robots=(4, 7))
+
+
 @pytest.mark.parametrize(
     ("kind", "given", "says"),
     [
+        ("remove", {"robots": "9"}, "--robot[1]: there is no robot 9; ids are 1, 2, 3, 4, 7, 8"),
+        ("remove", {"robots": "4,4"}, "--robot[2]: robot 4 is given twice"),
+        ("remove", {"robots": "x"}, "--robot"),
         ("leave", {"robot": "9"}, "--robot: there is no robot 9; ids are 1, 2, 3, 4, 7, 8"),
         ("leave", {"robot": "x"}, '--robot: must be a whole number, such as 7, got "x"'),
         ("join", {"robot": "7", "edges": "2,2"}, "--edges[2]: robot 2 is given twice"),
