@@ -26,6 +26,8 @@ DOUBT_AFTER_S: Final = 0.1
 """It grows from this age of a robot's last message on."""
 DOUBT_MAX: Final = 0.3
 """Largest position uncertainty, m: of what a robot says itself, and of what its silence adds."""
+STANDS_S: Final = 1.0
+"""Who hears nobody, or is told by beacons that nobody hears it, stands so long after it is given up."""
 DISCS_MAX: Final = 8
 """Discs of one robot at most."""
 STRETCH: Final = 0.25
@@ -75,6 +77,15 @@ def said_doubt(age: float) -> float:
 def growth(age: float) -> float:
     """How fast that grows, m/s."""
     return DOUBT_RATE if 0.0 < age - DOUBT_AFTER_S < DOUBT_MAX / DOUBT_RATE else 0.0
+
+
+def stands_after(horizon_s: float, forgiven_s: float) -> float:
+    """T_s (S1): so long after its last message, s, a robot stands whose edge neighbours all tell of it.
+
+    They give it up after `horizon_s` and what is `forgiven_s` to a link; it stands for want of those it does
+    not hear, which may have fallen silent for it as late as that.
+    """
+    return 2.0 * (horizon_s + forgiven_s) + STANDS_S
 
 
 def stood_on(way: Sequence[tuple[float, float, float]], doubt: float) -> Belief:

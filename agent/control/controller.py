@@ -3,7 +3,7 @@
 Pure. It knows when a wrench acts: the plant takes it at its next tick and holds it for a period. So
 the law is evaluated for the middle of that interval, with the own body and every other robot carried
 forward to that instant; evaluated there, the sampled loop is of second order in the period
-(docs/theory.md, S1).
+(docs/theory.md, P2).
 """
 
 from __future__ import annotations

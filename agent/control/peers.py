@@ -14,7 +14,14 @@ from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
-from agent.control.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE, Belief, stood_between
+from agent.control.beliefs import (
+    DOUBT_AFTER_S,
+    DOUBT_MAX,
+    DOUBT_RATE,
+    Belief,
+    stands_after,
+    stood_between,
+)
 from agent.control.clock_offset import ClockOffset
 from agent.control.forecast import Forecast, Motion
 from agent.control.lateness import IN_TIME_NS, OUTAGE_NS, UNSURE_NS, Lateness
@@ -23,8 +30,6 @@ from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beac
 
 ELSEWHERE_NS: Final = NS_PER_S
 """For so long a robot that is heard here is told of to one that has said that it does not hear it."""
-STANDS_S: Final = 1.0
-"""Who hears nobody, or is told by beacons that nobody hears it, stands so long after it is given up."""
 TRUST_LOST_S: Final = 0.5
 """Trust falls from 1 to 0 within this time: an edge to a robot that is given up loses its force."""
 TRUST_GAINED_S: Final = 1.5
@@ -482,7 +487,7 @@ class Peers:
         if known is None or known[0] is not message:
             known = self._beliefs[robot] = (
                 message,
-                self.forecast.stood(message, self._horizon_s + 2.0 * peer.forgiven_ns / NS_PER_S + STANDS_S),
+                self.forecast.stood(message, stands_after(self._horizon_s, peer.forgiven_ns / NS_PER_S)),
             )
         return known[1]
 

@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.beliefs import DISCS_MAX, DOUBT_MAX, STRETCH, growth, said_doubt, stood_between, stood_on
+from agent.control.beliefs import (
+    DISCS_MAX,
+    DOUBT_MAX,
+    STRETCH,
+    growth,
+    said_doubt,
+    stands_after,
+    stood_between,
+    stood_on,
+)
 
 Row = tuple[float, float, float]
 
@@ -81,3 +90,11 @@ def test_discs_grow_with_the_age_and_stay_bounded():
     assert said_doubt(0.0) == 0.0
     for age in (0.0, 0.05, 0.5, 1.9, 2.2, 60.0):
         assert growth(age) == pytest.approx((said_doubt(age + 1e-6) - said_doubt(age)) / 1e-6, abs=1e-6)
+
+
+def test_a_robot_that_is_cut_off_one_way_first_and_then_the_other_stands_in_time() -> None:
+    """Its beacons end, and just before the others' could tell it so theirs do: it waits once more."""
+    horizon, forgiven, beacon, braking = 2.0, 0.4, 0.2, 0.3
+    given_up = horizon + forgiven
+    told = given_up + beacon  # by when it would have heard that it is not heard
+    assert told + given_up + braking <= stands_after(horizon, forgiven)
