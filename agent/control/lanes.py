@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import hypot
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
+from agent.common.quantities import DISTANCE_MIN, Vector
 
 RUN: Final = 6
 """Pieces in one run."""
@@ -71,7 +71,7 @@ def offset(run: Run, x: float, y: float) -> Vector:
 
 def _cut(a: Vector, b: Vector, points: Sequence[Vector]) -> list[tuple[float, float, float, float, float]]:
     length = hypot(b[0] - a[0], b[1] - a[1])
-    if length == 0.0:
+    if length < DISTANCE_MIN:
         return []
     count = min(int(length / LENGTH_MAX) + 1, max(1, PIECES_MAX // len(points)))
     dx, dy = (b[0] - a[0]) / count, (b[1] - a[1]) / count

@@ -51,3 +51,8 @@ def test_a_way_that_goes_nowhere_is_a_place():
         assert lane.distance(4.0, 6.0) == pytest.approx(5.0)
         (run,) = lane.near(1.0, 2.0, 0.1)
         assert offset(run, 1.0, 2.0) == (0.0, 0.0)
+
+
+def test_pieces_too_short_to_have_a_direction_are_none() -> None:
+    assert Lane([(0.0, 0.0), (1e-200, 0.0)]).distance(3.0, 4.0) == 5.0
+    assert Lane([(0.0, 0.0), (1e-200, 0.0), (6.0, 0.0)]).distance(3.0, 4.0) == 4.0
