@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -47,6 +48,7 @@ REASONS_MAX: Final = 3
 """Robots that are released, or lag, whose reasons are in the line that sums up; of more only the numbers."""
 SILENT_S: Final = 2.0
 """Who has said nothing for so long is silent; its agent speaks five times a second."""
+_LAST_NAME: Final = re.compile(r"robot \d+$")
 FAULTS_MAX: Final = 4
 """Faults that are named; of more only the number is said."""
 
@@ -356,11 +358,18 @@ def summary(picture: Picture) -> str:
 def _lags(picture: Picture) -> str:
     """Who lags, how far each is from its place, and what it says of that; of many only the numbers."""
     robots = {robot: picture.robots[robot] for robot in picture.lagging}
+    silent_s = {f"robot {body.robot}": body.silent_s for body in picture.silent}
+
+    def why(about: RobotPicture) -> str:
+        named = _LAST_NAME.search(about.reason)
+        since_s = silent_s.get(named[0]) if named else None
+        return about.reason + (f", silent for {since_s:.0f} s" if since_s is not None else "")
+
     if len(robots) > REASONS_MAX:
         most_m = max(about.off_m or 0.0 for about in robots.values())
         return f"{some(sorted(robots))} by up to {most_m:.2f} m"
     return ", ".join(
-        f"{robot} by {about.off_m:.2f} m" + (f" ({about.reason})" if about.reason else "")
+        f"{robot} by {about.off_m:.2f} m" + (f" ({why(about)})" if about.reason else "")
         for robot, about in robots.items()
     )
 

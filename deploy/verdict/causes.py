@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from functools import cached_property
@@ -28,6 +29,7 @@ FAST: Final = 0.8
 SILENT_S: Final = 2.0
 """A robot that has said nothing for so long is silent; its agent speaks five times a second."""
 _NEAR: Final = 1.05
+_LAST_NAME: Final = re.compile(r"robot \d+$")
 _LIMITS: Final[Mapping[str, str]] = {
     "speed": "control.max_speed_mps",
     "actuators": "max_force_n or max_torque_nm",
@@ -73,14 +75,15 @@ class Causes:
         ]
         told = _last_words(recording.robots[robot].status, t)
         if told:
-            found.append(told)
+            named = _LAST_NAME.search(told)
+            found.append(told + (self._silence(named[0]) if named else ""))
         held = held_by(recording, robot, t - LOOK_S, t)
         keepers = [name for name in held if name not in _LIMITS]
         keepers += [name for name in self._before(index) if name not in held]
         keepers = [f"{name}{self._silence(name)}" for name in keepers if f"{name} " not in f"{told} "]
         if keepers:
             found.append(f"held up by {' and '.join(keepers)}")
-        limits = [_LIMITS[name] for name in held if name in _LIMITS]
+        limits = [said for name, said in _LIMITS.items() if name in held and name not in told]
         if limits:
             found.append(f"at the limit of {' and of '.join(limits)}")
         most_mps, fast_mps = fleet.control.max_speed_mps, self.place_speed(index)

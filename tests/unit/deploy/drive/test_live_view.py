@@ -15,6 +15,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
+from deploy.analysis.silent_bodies import SilentBody
 from deploy.console.data_files import FLEETS
 from deploy.drive.live_view import Lines, Watch, closest, faults_line, summary
 
@@ -348,11 +349,13 @@ def test_how_far_robots_are_from_their_places_is_in_the_table() -> None:
 def test_robots_that_lag_are_named_with_what_they_say_of_it() -> None:
     watched = watch()
     for second in range(1, 6):
-        told(watched, 1, "degraded", "held up by robot 6 (silent for 75 s)", second * NS_PER_S)
+        told(watched, 1, "degraded", "held up by robot 2", second * NS_PER_S)
         told(watched, 2, "running", "", second * NS_PER_S)
         for robot, x in ((1, -0.5), (2, 0.5)):
             hand = at(robot, x, 0.3 * robot)._replace(time_ns=EPOCH_NS + second * NS_PER_S)
             watched.feed(key_expressions.hand("pair", robot), hand)
         picture = watched.picture(float(second))
     assert picture.lagging == [2, 1]
-    assert "off place: 2 by 0.60 m, 1 by 0.30 m (held up by robot 6 (silent for 75 s))" in summary(picture)
+    assert "off place: 2 by 0.60 m, 1 by 0.30 m (held up by robot 2)" in summary(picture)
+    picture.silent = [SilentBody(2, 75.0, 0.0, 0.0, 0.0, 0.0, 0.0, (1,), True)]
+    assert "1 by 0.30 m (held up by robot 2, silent for 75 s)" in summary(picture)

@@ -96,8 +96,16 @@ def test_whom_the_safety_filter_kept_it_from() -> None:
 def test_who_is_named_in_its_own_words_is_not_said_twice() -> None:
     recording = run(*FAR, filtered={1: {"robot 3": 8}}, reasons={1: "on its way round robot 3"})
     assert causes(recording, 1) == ["on its way round robot 3"]
+    recording = run(*FAR, filtered={1: {"speed": 8}}, reasons={1: "held back by its limit of speed"})
+    assert causes(recording, 1) == ["held back by its limit of speed"]
     recording = run(*FAR, filtered={1: {"robot 3": 8}}, reasons={1: "on its way round robot 30"})
     assert causes(recording, 1) == ["on its way round robot 30", "held up by robot 3"]
+
+
+def test_how_long_whom_it_names_is_silent_is_added() -> None:
+    reasons = {1: "held up by robot 3"}
+    assert causes(run(*FAR, reasons=reasons), 1) == ["held up by robot 3"]
+    assert causes(run(*FAR, reasons=reasons, silent=3), 1) == ["held up by robot 3 (silent for 4 s)"]
 
 
 def test_a_robot_that_stands_before_it_and_how_long_that_is_silent() -> None:
