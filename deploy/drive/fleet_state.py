@@ -15,9 +15,9 @@ from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
 from deploy.console.wording import robots
-from deploy.drive.live_view import Watch, fleet_time_s
 from deploy.drive.readiness import in_words, is_ready, waits
 from deploy.drive.vehicle_checks import VehicleChecks
+from deploy.drive.watch import Watch, fleet_time_s
 from deploy.faults.process_actions import Process
 from deploy.orders.operator import HEARD_NS, Operator, Order
 from deploy.processes.protocol import FleetProcesses

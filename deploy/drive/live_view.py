@@ -1,35 +1,20 @@
-"""The live view of a fleet: what its robots say, summed up a few times a second."""
+"""The live view of a fleet: a table on a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from math import hypot, inf, isinf
-from typing import Final, Protocol, TextIO, TypeVar
+from typing import Final, Protocol, TextIO
 
 from rich.console import Group
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from agent.common.time import NS_PER_S
-from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
-from agent.formation.reference import Reference
-from agent.links.fault_plan import FaultPlan
-from agent.messages import key_expressions
-from agent.messages.types import Beacon, Faults, HandState, Message, Mission, PlantState, Resume, Status, Stop
-from agent.supervision.state_machine import DRIVING_NAMES, State
-from deploy.analysis.places import AT_PLACE
-from deploy.analysis.silent_bodies import SilentBodies, SilentBody, in_words
+from agent.supervision.state_machine import State
+from deploy.analysis.silent_bodies import in_words
 from deploy.console.views import LinesView, Speaker, TerminalView, plain
 from deploy.console.wording import some
-from deploy.drive.lagging import Lagging
-from deploy.drive.news import News
-from deploy.faults.live import Held, shown
-from deploy.faults.wording import defaults, held, lasts, words
-from deploy.orders.operator import Known
+from deploy.drive.watch import Picture, RobotPicture
 
 STYLES: Final = {
     State.RUNNING.value: "green",
@@ -46,237 +31,9 @@ ROWS_MAX: Final = 24
 """Robots shown one by one in a terminal; of a larger fleet, those in trouble first."""
 REASONS_MAX: Final = 3
 """Robots that are released, or lag, whose reasons are in the line that sums up; of more only the numbers."""
-SILENT_S: Final = 2.0
-"""Who has said nothing for so long is silent; its agent speaks five times a second."""
 _LAST_NAME: Final = re.compile(r"robot \d+$")
 FAULTS_MAX: Final = 4
 """Faults that are named; of more only the number is said."""
-
-
-@dataclass
-class Picture:
-    """The fleet at one moment.
-
-    time_s is fleet time, negative before the epoch and None before it is set. Distances in m.
-    """
-
-    time_s: float | None
-    duration_s: float
-    nearest: tuple[float, int, int] | None = None
-    """Closest of any two robots: distance, and the two."""
-    worst: tuple[float, int, int] | None = None
-    """Edge that is furthest from its wanted distance: error, and the two robots."""
-    robots: Mapping[int, RobotPicture] = field(default_factory=dict)
-    faults: Sequence[str] = ()
-    """The faults that hold now, in words."""
-    lagging: Sequence[int] = ()
-    """Robots that drive, are not at their places and do not come nearer, the farthest first."""
-    silent: Sequence[SilentBody] = ()
-    """Robots that are not heard, and where they are believed to be."""
-
-    @property
-    def oldest_ms(self) -> float:
-        """Age of the oldest message that any robot acts on, ms."""
-        return max((robot.age_ms for robot in self.robots.values()), default=0.0)
-
-
-@dataclass
-class RobotPicture:
-    """One robot: its state and why, its worst distance error (m), the age of its oldest neighbour
-    (ms), its last tick's time (us), the ticks it missed, what is wrong with clocks in its eyes: of the
-    neighbour whose clock is furthest off, its id and by how much it is ahead (s); and how far it is from its
-    place (m)."""
-
-    state: str
-    reason: str
-    error_m: float | None
-    age_ms: float
-    tick_us: int | None
-    overruns: int
-    clock: tuple[int, float] | None = None
-    off_m: float | None = None
-
-
-class Watch:
-    """Keeps the latest hand state and status of every robot: `picture` sums up, `news` says what changed."""
-
-    def __init__(self, fleet: Fleet, geometry: Geometry) -> None:
-        self._fleet = fleet
-        self._reference = Reference(fleet, geometry)
-        self._known = Known(fleet, geometry)
-        self.hands: dict[int, HandState] = {}
-        self.statuses: dict[int, Status] = {}
-        self._lagging = Lagging()
-        self._silent = SilentBodies()
-        self._heard: set[int] = set()
-        self._heard_s: dict[int, float] = {}
-        """Whose statuses have come since the last picture, and when (fleet time) the last of each had."""
-        self._news = News(fleet)
-        self._rules = [rule for rule in FaultPlan(fleet).file_rules() if lasts(rule)]
-        everywhere = defaults(fleet.faults)
-        self._always = () if everywhere is None else (words(everywhere),)
-        self._held = Held(fleet)
-        self._epoch_ns: int | None = None
-
-    def feed(self, key: str, message: Message) -> None:
-        """Takes a message that came on `key`; one on another robot's key, or an old one, is ignored."""
-        name = self._fleet.fleet.name
-        if type(message) is HandState and key == key_expressions.hand(name, message.robot):
-            _keep_newest(self.hands, message)
-        elif type(message) is Status and key == key_expressions.status(name, message.robot):
-            if _keep_newest(self.statuses, message):
-                self._heard.add(message.robot)
-                self._news.state(message.robot, message.state, message.reason)
-        elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
-            self._silent.hear(message)
-        elif type(message) is PlantState:
-            if message.note and message.healthy and message.obeying:
-                self._news.remark(message.robot, message.note)
-        elif type(message) is Faults:
-            self._held.feed(key, message)
-        elif type(message) is Mission or type(message) is Stop or type(message) is Resume:
-            self._follow(key, message)
-
-    def _follow(self, key: str, message: Mission | Stop | Resume) -> None:
-        if self._known.hear(key, message):
-            self._news.order(message)
-            if type(message) is Mission and self._known.plan is not None:
-                self._reference.take(self._known.plan)
-                self._epoch_ns = message.epoch_ns
-
-    def forget(self, robot: int) -> None:
-        """What its agent said last does not hold any more: the agent is gone."""
-        self.statuses.pop(robot, None)
-        self.hands.pop(robot, None)
-        self._silent.forget(robot)
-
-    def news(self, time_s: float | None) -> list[str]:
-        """Sentences for what was ordered and which robots changed their state since the last call."""
-        return self._news.sentences(time_s)
-
-    def states(self) -> dict[int, str]:
-        """Every robot's state, "" of one that has said nothing yet."""
-        return {
-            robot: self.statuses[robot].state if robot in self.statuses else "" for robot in self._fleet.ids
-        }
-
-    def members(self, time_s: float | None) -> list[int]:
-        """Robots that have a place in the formation at this fleet time."""
-        now_ns = self._now_ns(time_s)
-        return [robot for robot in self._fleet.ids if self._reference.is_member(robot, now_ns)]
-
-    def picture(self, time_s: float | None) -> Picture:
-        """The fleet now; `time_s` is the fleet time, None before the epoch is set."""
-        mission = self._known.mission
-        duration_s = self._fleet.fleet.duration_s if mission is None else mission.duration_ns / NS_PER_S
-        picture = Picture(time_s, duration_s, faults=self._faults(time_s))
-        now_ns = self._now_ns(time_s)
-        removed = mission.removed if mission else ()
-        gone = {
-            robot
-            for robot, since_ns in removed
-            if robot not in self.hands or self.hands[robot].time_ns <= since_ns
-        }
-        picture.nearest = closest(hand for robot, hand in self.hands.items() if robot not in gone)
-        errors: dict[int, float] = {}
-        least_m = inf
-        for robot, here in self.hands.items():
-            for edge in self._reference.edges(robot, now_ns):
-                least_m = min(least_m, edge.distance)
-                there = self.hands.get(edge.other)
-                if there is None or edge.weight < 1.0:
-                    continue
-                distance = hypot(here.x - there.x, here.y - there.y)
-                error = abs(distance - edge.distance)
-                errors[robot] = max(error, errors.get(robot, 0.0))
-                pair = min(robot, edge.other), max(robot, edge.other)
-                if picture.worst is None or error > picture.worst[0]:
-                    picture.worst = error, *pair
-        if time_s is not None:
-            self._heard_s |= dict.fromkeys(self._heard, time_s)
-            self._heard.clear()
-            picture.silent = self._silent.bodies(removed)
-        picture.robots = {
-            robot: self._robot(self.statuses.get(robot), errors.get(robot)) for robot in self._fleet.ids
-        }
-        for robot, about in picture.robots.items():
-            silent_s = (time_s or 0.0) - self._heard_s.get(robot, inf)
-            if silent_s > SILENT_S:
-                carried = ", and its body has been removed" if robot in gone else ""
-                about.state, about.reason = "silent", f"has said nothing for {silent_s:.0f} s{carried}"
-            place = self._reference.motion(robot, now_ns) if robot in self.hands else None
-            if place is not None:
-                about.off_m = hypot(self.hands[robot].x - place[0], self.hands[robot].y - place[1])
-        if time_s is not None and least_m < inf:
-            driving = {
-                robot: about.off_m
-                for robot, about in picture.robots.items()
-                if about.off_m is not None and about.state in DRIVING_NAMES
-            }
-            picture.lagging = self._lagging.look(time_s, driving, AT_PLACE * least_m)
-        return picture
-
-    def _now_ns(self, time_s: float | None) -> int:
-        """The wall clock at this fleet time; 0 before the epoch is known."""
-        if time_s is None or self._epoch_ns is None:
-            return 0
-        return self._epoch_ns + round(time_s * NS_PER_S)
-
-    def _faults(self, time_s: float | None) -> list[str]:
-        out = list(self._always)
-        for rule, until_s in held(self._rules, -1.0 if time_s is None else time_s):
-            out.append(rule.name if isinf(until_s) else f"{rule.name} until {until_s:.1f} s")
-        if self._epoch_ns is not None and time_s is not None:
-            now_ns = self._epoch_ns + round(time_s * NS_PER_S)
-            out += shown(self._held.sets(now_ns), now_ns)
-        return out
-
-    def _robot(self, status: Status | None, error: float | None) -> RobotPicture:
-        if status is None:
-            return RobotPicture("", "nothing heard yet", None, 0.0, None, 0)
-        limit_us = self._fleet.control.clock_skew_max_s * 1e6
-        # Beyond the limit for sure: the estimate is off by its error at most.
-        off = [
-            (robot, offset_us / 1e6)
-            for robot, *_, offset_us, error_us in status.neighbours
-            if error_us >= 0 and abs(offset_us) - error_us > limit_us
-        ]
-        return RobotPicture(
-            status.state,
-            status.reason,
-            error,
-            max((neighbour[1] for neighbour in status.neighbours), default=0) / 1e3,
-            max(status.tick_us, default=None),
-            dict(status.counters).get("overruns", 0),
-            max(off, key=lambda each: abs(each[1]), default=None),
-        )
-
-
-def closest(hands: Iterable[HandState]) -> tuple[float, int, int] | None:
-    """Distance (m) of the two hands nearest to each other, and the two robots; None without two."""
-    found: tuple[float, int, int] | None = None
-    least_m = inf
-    near: list[HandState] = []
-    for here in sorted(hands, key=lambda hand: hand.x):  # all pairs of a large fleet would take too long
-        near = [there for there in near if here.x - there.x < least_m]
-        for there in near:
-            distance_m = hypot(here.x - there.x, here.y - there.y)
-            if distance_m < least_m:
-                least_m = distance_m
-                found = distance_m, min(here.robot, there.robot), max(here.robot, there.robot)
-        near.append(here)
-    return found
-
-
-S = TypeVar("S", HandState, Status)
-
-
-def _keep_newest(known: dict[int, S], message: S) -> bool:
-    """Whether the message is newer than the one that was known, whose place it then takes."""
-    if message.robot in known and message.time_ns <= known[message.robot].time_ns:
-        return False
-    known[message.robot] = message
-    return True
 
 
 class View(Speaker, Protocol):
@@ -424,8 +181,3 @@ def _table(picture: Picture) -> Table:
     if len(rows) > ROWS_MAX:
         table.add_row("...", f"and {len(rows) - ROWS_MAX} more", "", "", "", "", "", "")
     return table
-
-
-def fleet_time_s(now_ns: int, epoch_ns: int | None) -> float | None:
-    """Seconds since the epoch, None before it is set."""
-    return None if epoch_ns is None else (now_ns - epoch_ns) / NS_PER_S

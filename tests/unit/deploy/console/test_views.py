@@ -13,7 +13,8 @@ import pytest
 
 from deploy.console.views import TerminalView
 from deploy.drive import live_view
-from deploy.drive.live_view import Picture, RobotPicture, make_view
+from deploy.drive.live_view import make_view
+from deploy.drive.watch import Picture, RobotPicture
 from deploy.hosts import view
 from deploy.hosts.view import Row, make_hosts_view
 

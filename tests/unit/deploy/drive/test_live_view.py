@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import io
-from math import dist
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, parse_fleet
@@ -17,7 +14,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Beacon, Faults, HandState, Mission, Silent, Status, Stop
 from deploy.analysis.silent_bodies import SilentBody
 from deploy.console.data_files import FLEETS
-from deploy.drive.live_view import Lines, Watch, closest, faults_line, summary
+from deploy.drive.live_view import Lines, faults_line, summary
+from deploy.drive.watch import Watch
 
 EPOCH_NS = 1_800_000_000 * NS_PER_S
 
@@ -123,18 +121,6 @@ def test_a_clock_that_is_off_is_marked(offset_us: int, error_us: int, says: bool
 
 def at(robot: int, x: float, y: float) -> HandState:
     return HandState.placed(robot, 1, EPOCH_NS, True, 0, (x, y, 0.0, 0.0))
-
-
-@given(st.lists(st.tuples(st.integers(-4, 4), st.integers(-4, 4)), max_size=12))
-def test_the_closest_are_any_two(places: list[tuple[int, int]]) -> None:
-    found = closest([at(robot, 0.1 * x, 0.1 * y) for robot, (x, y) in enumerate(places, 1)])
-    distances = {
-        (i + 1, j + 1): 0.1 * dist(places[i], places[j]) for j in range(len(places)) for i in range(j)
-    }
-    assert (found is None) == (not distances)
-    if found is not None:
-        assert found[0] == pytest.approx(min(distances.values()))
-        assert distances[found[1], found[2]] == pytest.approx(found[0])
 
 
 def test_robots_without_an_edge_are_the_closest_too() -> None:
