@@ -24,7 +24,7 @@ from agent.control.peers import Peer, Peers
 from agent.control.prediction import Prediction, constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
-from agent.control.safety_distances import barrier_rate
+from agent.control.safety_distances import TURN_MAX, TURN_SHARE, acceleration_max, barrier_rate
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hand
 from agent.formation.mission_plan import Plan
@@ -40,8 +40,6 @@ LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often robots that are near are looked for, ns."""
 REFERENCES_MAX: Final = 8
 """So many missions are remembered, for those who have not heard the latest."""
-TURN_MAX: Final = 0.12
-"""rad: further than this a body must not turn within a period."""
 
 
 class Drive(NamedTuple):
@@ -139,11 +137,12 @@ class Controller:
             self._own_law = OwnLaw(fleet, robot, self.peers)
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m
-        self._acceleration_max = control.max_acceleration
+        self._acceleration_max = acceleration_max(fleet)
         self._speed_max = control.max_speed_mps
         self._barrier_rate, self._margin = barrier_rate(fleet), fleet.avoidance.margin_m
         self._mass, self._inertia, self._reach = body.mass_kg, body.inertia_kgm2, body.hand_offset_m
         self._yaw_rate_max = TURN_MAX * NS_PER_S / fleet.period_ns
+        self._turn_quickest = TURN_SHARE * NS_PER_S / fleet.period_ns
         self._force_max, self._torque_max = body.max_force_n, body.max_torque_nm
         # Wrenches by the plant tick that takes them: as many as the oldest state to drive by can lack.
         self._sent: dict[int, tuple[float, float]] = {}
@@ -510,7 +509,9 @@ class Controller:
         planes += safety_filter.limit_actuators(
             body, self._mass, self._inertia, self._reach, self._force_max, self._torque_max
         )
-        planes += safety_filter.limit_turning(body, self._reach, self._yaw_rate_max, self._barrier_rate)
+        planes += safety_filter.limit_turning(
+            body, self._reach, self._yaw_rate_max, self._barrier_rate, quickest=self._turn_quickest
+        )
         ux, uy, causes, _ = safety_filter.project(ux, uy, planes, self._acceleration_max)
         return ux, uy, causes
 

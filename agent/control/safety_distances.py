@@ -15,10 +15,18 @@ _SHARE: Final = 0.9
 """Largest share of what the formation puts between two robots: the rest is for errors of control."""
 _LEAST: Final = 1.05
 """Least d_a / r_s: phi' = 1/(d_a - r_s) must stay finite."""
+SPEED_SHARE: Final = 0.5
+"""Of the speed limit, by which one period may change a velocity at most."""
+TURN_MAX: Final = 0.12
+"""rad: further than this a body must not turn within a period."""
+TURN_SHARE: Final = 0.5
+"""So much of a turn may be taken away within a period."""
 AHEAD_M: Final = 0.9
 """From so much further on than d_a robots are listened to closely, m."""
 _RATE: Final = 3.0
 """1/s: at 50 Hz the sampled filter is far from its limits (docs/theory.md)."""
+RATE_SHARE: Final = 0.25
+"""p by the rate of the loop, at most: the sampled filter, and (F9) at 2 p, then are far from their limits."""
 
 
 def avoidance_distance(
@@ -56,9 +64,21 @@ def least_apart(edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tu
 
 
 def barrier_rate(fleet: Fleet) -> float:
-    """p of the safety filter, 1/s: as given, or the largest up to 3 at which robots can brake by (F4)."""
+    """p of the safety filter, 1/s: as given, or the largest up to 3 at which robots can brake by (F4), and at
+    which the filter is stable as it is sampled."""
     given, control = fleet.avoidance.barrier_rate, fleet.control
-    return min(_RATE, control.max_acceleration / control.max_speed_mps) if given is None else given
+    if given is not None:
+        return given
+    return min(_RATE, control.max_acceleration / control.max_speed_mps, RATE_SHARE * fleet.fleet.rate_hz)
+
+
+def acceleration_max(fleet: Fleet) -> float:
+    """The largest |u|, m/s^2: as given; with the safety filter no more than changes the speed, within a
+    period, by half of its limit, for (F6) looks along the motion alone."""
+    control = fleet.control
+    if not fleet.avoidance.enabled:
+        return control.max_acceleration
+    return min(control.max_acceleration, SPEED_SHARE * control.max_speed_mps * fleet.fleet.rate_hz)
 
 
 def braking_room(fleet: Fleet) -> float:

@@ -26,6 +26,8 @@ LEAST_MAX: Final = 1e6
 """A plane that asks for more than this (m/s^2) is taken to ask for this much."""
 _TOLERANCE: Final = 1e-9
 _PARALLEL: Final = 1e-12
+_ROOM: Final = 1.15
+"""Of the limit of the yaw rate, for one that braking swings up to it: then braking is within `quickest`."""
 _INWARD: Final = 1.0 - 1e-15
 
 
@@ -185,7 +187,7 @@ def turning_limit(speed: float, reach: float, most: float, rate: float) -> tuple
 
 
 def limit_turning(
-    pose: Pose, reach: float, most: float, rate: float, cause: str = "turning"
+    pose: Pose, reach: float, most: float, rate: float, cause: str = "turning", *, quickest: float = inf
 ) -> tuple[HalfPlane, ...]:
     """Keeps the yaw rate within `turning_limit`, (F9): L wdot = u . (-sin, cos) - v w.
 
@@ -196,6 +198,8 @@ def limit_turning(
         reach: of the hand, L, m.
         most: rad/s.
         rate: p, 1/s; the yaw rate may come to its limit at twice that.
+        quickest: the rate at which braking may take a turn away, or bring it to the limit, 1/s: held for a
+            period, a quicker one would turn the body the other way, and faster.
     """
     c, s = cos(pose.heading), sin(pose.heading)
     speed, turn = pose.speed, pose.yaw_rate
@@ -207,13 +211,22 @@ def limit_turning(
     # Whatever turn braking takes away may be taken away.
     braking, slowing = rate * reach * turn, slope * rate * speed
     if turn > 0.0:
-        right = max(right, slowing + braking)
+        right = max(right, min(slowing + braking, (quickest * reach - speed) * turn))
     elif turn < 0.0:
-        left = max(left, slowing - braking)
+        left = max(left, min(slowing - braking, (speed - quickest * reach) * turn))
     size = hypot(1.0, slope)
-    return (
+    planes = (
         HalfPlane((s + slope * c) / size, (slope * s - c) / size, -left / size, cause, BODY),
         HalfPlane((slope * c - s) / size, (slope * s + c) / size, -right / size, cause, BODY),
+    )
+    if slope == 0.0 or quickest == inf:
+        return planes
+    # W' holds here, and one period may bring the body to where it is another one.
+    bias, gain = speed * turn, quickest * reach
+    return (
+        *planes,
+        HalfPlane(s, -c, -bias - gain * (_ROOM * most - turn), cause, BODY),
+        HalfPlane(-s, c, bias - gain * (_ROOM * most + turn), cause, BODY),
     )
 
 

@@ -64,7 +64,7 @@ class AvoidanceSection:
         None,
         "p of the safety filter: the share of what is left of a distance that a robot may close in a second "
         "(docs/theory.md). Left out: 3, or `control.max_acceleration` / `control.max_speed_mps` if that is "
-        "less: braking from full speed takes p times that speed.",
+        "less, for braking from full speed takes p times that speed, or a quarter of `fleet.rate_hz`.",
         unit="1/s",
         gt=0,
         le=100,

@@ -150,7 +150,12 @@ class ControlSection(Sectioned):
         lt=1,
     )
     max_acceleration: float = setting(
-        5.0, "Largest commanded acceleration of the hand point.", unit="m/s2", gt=0, le=1e3
+        5.0,
+        "Largest commanded acceleration of the hand point. With `avoidance.enabled` it is at most half of "
+        "`max_speed_mps` in one period, which counts at low rates.",
+        unit="m/s2",
+        gt=0,
+        le=1e3,
     )
     max_speed_mps: float = setting(
         1.5,

@@ -144,7 +144,9 @@ class Joint(FleetCoupling):
     def sweep_radius(self, geometry: Geometry, rate_hz: float) -> float:
         """Largest |eigenvalue| of the sampled joint law with its multipliers moved by one sweep a tick.
 
-        State: e, edot of every robot and the multiplier of every edge, with neighbours predicted exactly.
+        State: e, edot and the last force of every robot, and the multiplier of every edge, with neighbours
+        predicted exactly. The law sees e and edot in the middle of the period in which its force acts, as the
+        last force would bring them there (P2).
         lambda' = lambda + W^-1 (A (c1 e + c2 edot) - kd A edot - kp A e - (K2 + A A^T) lambda), the
         sweep of `agent.control.law`, and u = -c1 e - c2 edot + A^T lambda'.
         """
@@ -155,20 +157,20 @@ class Joint(FleetCoupling):
         slope2 = 1.0 / (geometry.distances - self.safe_distance) ** 2
         softness = self.softness(geometry)
         gain = 1.0 / (softness + slope2 * degree[geometry.edges].sum(axis=1))
+        place = np.hstack([np.eye(n2), 0.5 * h * np.eye(n2), 0.125 * h * h * np.eye(n2)])
+        speed = np.hstack([np.zeros((n2, n2)), np.eye(n2), 0.5 * h * np.eye(n2)])
         sweep = np.hstack(
             [
-                (control.c1 - control.kp) * gain[:, None] * jacobian,
-                (control.c2 - control.kd) * gain[:, None] * jacobian,
+                gain[:, None]
+                * jacobian
+                @ ((control.c1 - control.kp) * place + (control.c2 - control.kd) * speed),
                 np.eye(m) - gain[:, None] * (np.diag(softness) + jacobian @ jacobian.T),
             ]
         )
-        force = (
-            np.hstack([-control.c1 * np.eye(n2), -control.c2 * np.eye(n2), np.zeros((n2, m))])
-            + jacobian.T @ sweep
-        )
-        hold = np.hstack([np.eye(n2), h * np.eye(n2), np.zeros((n2, m))])
-        velocity = np.hstack([np.zeros((n2, n2)), np.eye(n2), np.zeros((n2, m))])
-        matrix = np.vstack([hold + 0.5 * h * h * force, velocity + h * force, sweep])
+        force = np.hstack([-control.c1 * place - control.c2 * speed, np.zeros((n2, m))]) + jacobian.T @ sweep
+        hold = np.hstack([np.eye(n2), h * np.eye(n2), np.zeros((n2, n2 + m))])
+        velocity = np.hstack([np.zeros((n2, n2)), np.eye(n2), np.zeros((n2, n2 + m))])
+        matrix = np.vstack([hold + 0.5 * h * h * force, velocity + h * force, force, sweep])
         return float(np.abs(np.linalg.eigvals(matrix)).max())
 
     def _eigenvalues(self, jacobian: Array, softness: Array) -> Array:

@@ -12,6 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from agent.common.quantities import Vector
+from agent.control.law import acting_error
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import Floats, edge_lengths
@@ -19,6 +21,7 @@ from agent.formation.trajectory import make_trajectory
 from deploy.analysis import fleet_law
 from deploy.analysis.couplings import FleetCoupling, FleetLaw, Mode, coupling_of
 
+TINY_M: Final = 1e-9
 SETTLED: Final = 0.05
 """Share of its distance within which an edge counts as settled."""
 
@@ -28,16 +31,17 @@ def sampled_radius(mode: Mode, rate_hz: float, *, predicted: bool = True) -> flo
 
     Args:
         rate_hz: of the control loop.
-        predicted: the transport delay of one period is predicted away; else the force that acts is
-            the one computed a period earlier.
+        predicted: the state is carried forward to the middle of the period in which the force acts (P2), by
+            the force before it, which is all that is known then; else the force that acts is the one
+            computed a period earlier.
     """
-    h = 1.0 / rate_hz
+    h, k1, k2 = 1.0 / rate_hz, mode.k1, mode.k2
     if predicted:
-        matrix = np.array(
-            [[1.0 - 0.5 * h * h * mode.k1, h - 0.5 * h * h * mode.k2], [-h * mode.k1, 1.0 - h * mode.k2]]
-        )
+        seen = np.array([k1, 0.5 * h * k1 + k2, 0.125 * h * h * k1 + 0.5 * h * k2])
+        hold = np.array([[1.0, h, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+        matrix = hold - np.outer([0.5 * h * h, h, 1.0], seen)
     else:
-        matrix = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [-mode.k1, -mode.k2, 0.0]])
+        matrix = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [-k1, -k2, 0.0]])
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
@@ -45,14 +49,32 @@ def settling_time(fleet: Fleet, geometry: Geometry, law: FleetLaw) -> float | No
     """Estimate (s) of when every edge is within `SETTLED` of its distance; None when it never is.
 
     From the slowest mode that changes edges, as if all of the largest relative error at the start were
-    in it: right within a factor of two for assigned slots; a formation that must unfold takes longer.
+    in it, after the way that a robot drives at its limit of speed (N1): right within a factor of two for
+    assigned slots; a formation that must unfold takes longer.
     """
     lengths = edge_lengths(start_hands(fleet), geometry.edges)
     error = np.abs(lengths / geometry.distances - 1.0).max(initial=0.0)
     rates = [_decay(mode) for mode in law.modes(geometry) if mode.shape]
     if not rates or error <= SETTLED:
         return 0.0
-    return log(float(error) / SETTLED) / min(rates) if min(rates) > 0.0 else None
+    if min(rates) <= 0.0:
+        return None
+    far = _far(fleet, geometry)
+    return far + log(max(1.0, float(error) / SETTLED)) / min(rates)
+
+
+def _far(fleet: Fleet, geometry: Geometry) -> float:
+    """How long (s) the robot that starts furthest out makes for its place at its limit of speed (N1)."""
+    if not fleet.avoidance.enabled:
+        return 0.0
+    control = fleet.control
+    x, y, vx, vy, _, _ = make_trajectory(fleet.trajectory).at(0.0)
+    error = (start_hands(fleet) - geometry.offsets - (x, y)).T
+    acting = np.hypot(*_acting(fleet, error, (vx, vy)))
+    away = np.hypot(*error)
+    # Far out edot = -(c1/c2) `acting`; the last c2/c1 seconds of that are those of the modes.
+    longest = float(np.max(away / np.maximum(acting, TINY_M), initial=0.0, where=away > TINY_M))
+    return max(0.0, (longest - 1.0) * control.c2 / control.c1)
 
 
 def _decay(mode: Mode) -> float:
@@ -77,7 +99,8 @@ def at_start(fleet: Fleet, geometry: Geometry, coupling: FleetCoupling) -> Start
     x, y, vx, vy, ax, ay = make_trajectory(fleet.trajectory).at(0.0)
     error = (start_hands(fleet) - geometry.offsets - (x, y)).T
     rate = np.broadcast_to(np.array([[-vx], [-vy]]), error.shape)  # the robots start at rest
-    navigation = fleet_law.navigation_force(np.array([[ax], [ay]]), error, rate, control.c1, control.c2)
+    acting = _acting(fleet, error, (vx, vy))
+    navigation = fleet_law.navigation_force(np.array([[ax], [ay]]), acting, rate, control.c1, control.c2)
     i, j = geometry.edges[:, 0], geometry.edges[:, 1]
     n = len(geometry.ids)
     if not len(i):
@@ -95,6 +118,15 @@ def at_start(fleet: Fleet, geometry: Geometry, coupling: FleetCoupling) -> Start
     multipliers = coupling.multipliers(edges, i, j, n)
     total = navigation + fleet_law.total_forces(fleet_law.forces(edges, multipliers), i, j, n)
     return Start(np.hypot(*total), np.hypot(*error), fleet_law.energy(edges, error, rate, control.c1, gains))
+
+
+def _acting(fleet: Fleet, error: Floats, velocity: Vector) -> Floats:
+    """The errors that act (N1), (2, n), m, of robots whose places move with `velocity` (m/s)."""
+    control = fleet.control
+    if not fleet.avoidance.enabled:
+        return error
+    c1, c2, most = control.c1, control.c2, control.max_speed_mps
+    return np.array([acting_error((x, y), velocity, c1, c2, most) for x, y in error.T.tolist()]).T
 
 
 def guaranteed_distance(fleet: Fleet, geometry: Geometry) -> float | None:

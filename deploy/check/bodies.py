@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from agent.control.safety_distances import TURN_MAX
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
@@ -18,6 +19,8 @@ from deploy.check.finding import Finding
 from deploy.console.wording import counted, robots
 
 TURN_PER_TICK_WARN: Final = 0.5
+FAST_SHARE: Final = 0.9
+"""Of the speed limit: a faster trajectory leaves too little to catch up with."""
 TURN_PER_TICK_MAX: Final = 2.0
 """V / (L rate), what a robot driven across its heading turns in one tick, rad.
 
@@ -57,6 +60,7 @@ def check_motion(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
             f"{control.max_acceleration:.4g} m/s2 and leaves little to form up with; "
             f"{_slower(fleet, 0.5 * control.max_acceleration)}",
         )
+    yield from _speed(fleet, speed)
     if ends is not None and 0.0 < ends < fleet.fleet.duration_s:
         yield Finding(
             "info",
@@ -89,6 +93,48 @@ def check_motion(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
     yield from _bodies(fleet, geometry, speed, acceleration)
 
 
+def _speed(fleet: Fleet, speed: float) -> Iterator[Finding]:
+    """The trajectory's speed and turning against the limits that the safety filter keeps, (F6), (F9).
+
+    A formation keeps its directions while it follows its trajectory: all its places move alike.
+    """
+    if not fleet.avoidance.enabled:
+        return
+    section, most = fleet.trajectory, fleet.control.max_speed_mps
+    place = f"trajectory.{'velocity_mps' if section.kind == 'line' else 'speed_mps'}"
+    if speed > most:
+        yield Finding(
+            "error",
+            place,
+            f"{speed:.4g} m/s is faster than control.max_speed_mps = {most:.4g}: all robots fall behind, by "
+            f"{speed - most:.3g} m in every second; take at most {FAST_SHARE * most:.3g} m/s, so that who is "
+            f"late can catch up, or a limit of {1.005 * speed / FAST_SHARE:.3g}",
+        )
+    elif speed > FAST_SHARE * most:
+        yield Finding(
+            "warning",
+            place,
+            f"{speed:.4g} m/s leaves {most - speed:.2g} m/s of control.max_speed_mps = {most:.4g} to catch "
+            f"up with: a robot 1 m behind its place takes {1.0 / (most - speed):.3g} s or more; take at most "
+            f"{FAST_SHARE * most:.3g} m/s, or a higher limit"
+            if speed < most
+            else f"{speed:.4g} m/s is all of control.max_speed_mps: who is behind its place stays behind; "
+            f"take at most {FAST_SHARE * most:.3g} m/s, or a higher limit",
+        )
+    if section.kind != "circle" or section.radius_m is None:
+        return
+    turning, able = speed / section.radius_m, TURN_MAX * fleet.fleet.rate_hz
+    if turning > able:
+        yield Finding(
+            "error",
+            place,
+            f"{speed:.4g} m/s on a circle of {section.radius_m:.4g} m turns by {turning:.3g} rad/s, and at "
+            f"{fleet.fleet.rate_hz:.4g} Hz a body may turn by {able:.3g} rad/s: the robots cannot follow; "
+            f"take at most {0.9 * able * section.radius_m:.3g} m/s, a radius of "
+            f"{speed / (0.9 * able):.3g} m, or {turning / (0.9 * TURN_MAX):.3g} Hz",
+        )
+
+
 def _slower(fleet: Fleet, limit: float) -> str:
     section = fleet.trajectory
     if section.kind == "waypoints":
@@ -117,7 +163,11 @@ def _bodies(fleet: Fleet, geometry: Geometry | None, speed: float, acceleration:
             "well above it",
         )
     approach = _approach_speeds(fleet, geometry)
-    turns = [(speed + approach[row - 1]) / (robot.hand_offset_m * rate) for row, robot in rows]
+    # With avoidance (F9) keeps every turn within a tick small.
+    turns = [
+        0.0 if fleet.avoidance.enabled else (speed + approach[row - 1]) / (robot.hand_offset_m * rate)
+        for row, robot in rows
+    ]
     quick = [row for row, turn in enumerate(turns, 1) if turn > TURN_PER_TICK_WARN]
     if quick:
         row = max(quick, key=lambda row: turns[row - 1])
@@ -172,8 +222,8 @@ def _bodies(fleet: Fleet, geometry: Geometry | None, speed: float, acceleration:
 def _approach_speeds(fleet: Fleet, geometry: Geometry | None) -> Floats:
     """Greatest speed (m/s) that navigation alone gives each robot from its start to its place, (n,).
 
-    From rest at the distance e0: e0 w exp(-z acos(z) / sqrt(1 - z^2)) with w^2 = c1, 2 z w = c2; 0 for robots
-    in reserve.
+    From rest at the distance e0: e0 w exp(-z acos(z) / sqrt(1 - z^2)) with w^2 = c1, 2 z w = c2. For a fleet
+    without avoidance, whose pull no limit cuts (N1); 0 for robots in reserve.
     """
     if geometry is None:
         return np.zeros(len(fleet.robots))

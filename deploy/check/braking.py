@@ -7,12 +7,14 @@ from itertools import combinations
 from math import dist, floor, inf, log10
 from typing import Final
 
-from agent.control.safety_distances import AHEAD_M, barrier_rate, braking_room
+from agent.control.safety_distances import AHEAD_M, RATE_SHARE, barrier_rate, braking_room
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
+from deploy.analysis.couplings import Mode
+from deploy.analysis.stability import sampled_radius
 from deploy.check.finding import Finding
 from deploy.console.wording import robots
 
@@ -30,6 +32,7 @@ def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
     if not fleet.avoidance.enabled:
         return
     rate, control = barrier_rate(fleet), fleet.control
+    yield from _sampled(rate, fleet.fleet.rate_hz)
     needed = rate * control.max_speed_mps
     if needed > control.max_acceleration * (1.0 + _ROUNDING):
         enough = _below(control.max_acceleration / control.max_speed_mps)
@@ -44,6 +47,26 @@ def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
     yield from _bodies(fleet, min(needed, control.max_acceleration))
     yield from _sensing(fleet, distance)
     yield from _lag(fleet)
+
+
+def _sampled(rate: float, rate_hz: float) -> Iterator[Finding]:
+    """p against the rate of the loop: (F1), held, is a mode with p^2 and 2 p; (F9) bears more."""
+    if rate <= RATE_SHARE * rate_hz * (1.0 + _ROUNDING):
+        return
+    radius = sampled_radius(Mode(rate * rate, 2.0 * rate, True), rate_hz)
+    is_stable = radius < 1.0
+    yield Finding(
+        "warning" if is_stable else "error",
+        "avoidance.barrier_rate",
+        f"{rate:.4g} 1/s is {'much' if is_stable else 'too much'} for {rate_hz:.4g} Hz: the safety filter "
+        + (
+            f"and the limit of turning overshoot as they are sampled (largest eigenvalue {radius:.3g})"
+            if is_stable
+            else f"and the limit of turning drive robots to any speed (largest eigenvalue {radius:.3g})"
+        )
+        + f"; take {_below(RATE_SHARE * rate_hz)} 1/s or less, leave it out, or take "
+        f"{rate / RATE_SHARE:.4g} Hz",
+    )
 
 
 def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:

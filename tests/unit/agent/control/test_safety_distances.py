@@ -8,6 +8,7 @@ from math import inf
 import pytest
 
 from agent.control.safety_distances import (
+    acceleration_max,
     avoidance_distance,
     barrier_rate,
     braking_room,
@@ -16,6 +17,7 @@ from agent.control.safety_distances import (
     sensing_distance,
 )
 from agent.control.safety_filter import keep_apart
+from agent.fleet.model import Fleet
 from tests.unit.agent.fleet.fleet_texts import small
 
 LINE = {1: (0.0, 0.0), 2: (1.0, 0.0), 3: (2.0, 0.0)}
@@ -52,6 +54,17 @@ def test_the_rate_of_the_barrier_is_what_every_robot_can_brake_with() -> None:
     slow = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
     assert barrier_rate(small(*slow)) == pytest.approx(0.8)
     assert barrier_rate(small(*slow, "avoidance.barrier_rate=2.5")) == 2.5
+
+
+def test_the_rate_of_the_barrier_and_accelerations_are_what_the_loop_can_carry() -> None:
+    def at(rate_hz: float, *more: str) -> Fleet:
+        waits = [f"control.{each}_s=5" for each in ("plant_timeout", "wrench_timeout", "prediction_horizon")]
+        return small(f"fleet.rate_hz={rate_hz}", *waits, *more)
+
+    assert [barrier_rate(at(rate_hz)) for rate_hz in (100, 12, 4, 1)] == [3.0, 3.0, 1.0, 0.25]
+    assert barrier_rate(at(2, "avoidance.barrier_rate=3")) == 3.0
+    assert [acceleration_max(at(rate_hz)) for rate_hz in (100, 7, 4, 1)] == [5.0, 5.0, 3.0, 0.75]
+    assert acceleration_max(at(4, "avoidance.enabled=false")) == 5.0
 
 
 def test_who_is_near_is_listened_to_in_time_to_brake() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, sin, sqrt
+from math import cos, hypot, inf, pi, sin, sqrt
 
 import pytest
 
@@ -293,3 +293,28 @@ def test_separation_from_a_robot_that_is_known_comes_before_one_that_may_be_anyw
     found = project(0.0, 0.0, [ghost, known], 5.0)
     assert found.ux >= 1.0 - 1e-6
     assert found.violation == pytest.approx(2.0, abs=1e-6)
+
+
+def turned_by(pose: Pose, wanted: tuple[float, float], quickest: float) -> float:
+    """The rate (rad/s^2) at which a body's turn changes, with what `limit_turning` lets pass of `wanted`."""
+    planes = list(limit_turning(pose, 0.1, 0.5, 0.5, quickest=quickest))
+    ux, uy, _, _ = project(*wanted, planes, 50.0)
+    across = -ux * sin(pose.heading) + uy * cos(pose.heading)
+    return (across - pose.speed * pose.yaw_rate) / 0.1
+
+
+def test_a_period_takes_away_no_more_turn_than_there_is() -> None:
+    """Braking turns a body that drives fast forwards by -(p + v/L) omega, 15.5 times its turn in a second."""
+    fast = Pose(0.0, 0.0, 0.3, 1.5, 0.4)
+    braking = -0.5 * 1.5 * cos(0.3) + 0.5 * 0.04 * sin(0.3), -0.5 * 1.5 * sin(0.3) - 0.5 * 0.04 * cos(0.3)
+    assert turned_by(fast, braking, inf) == pytest.approx(-15.5 * 0.4)
+    assert turned_by(fast, braking, 3.0) == pytest.approx(-3.0 * 0.4)
+
+
+def test_a_period_swings_no_body_beyond_the_limit_of_its_turn() -> None:
+    """At rest W_v is W, backwards it is next to nothing: what is left is not to be used up at once."""
+    backwards = Pose(0.0, 0.0, 0.0, -0.12, 0.1)
+    for side in (1.0, -1.0):
+        wanted = 40.0, side * 40.0
+        assert abs(turned_by(backwards, wanted, inf)) > 100.0
+        assert side * turned_by(backwards, wanted, 2.0) <= 2.0 * (1.15 * 0.5 - side * 0.1) + 1e-6

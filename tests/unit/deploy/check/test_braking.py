@@ -44,6 +44,20 @@ def test_a_rate_that_is_given_and_too_high() -> None:
     assert found(small(*SLOW, "avoidance.barrier_rate=2", "avoidance.enabled=false")) == {}
 
 
+def test_a_rate_that_the_loop_cannot_carry() -> None:
+    def at(rate: float) -> Finding | None:
+        fleet = small("control.max_acceleration=50", "fleet.rate_hz=10", f"avoidance.barrier_rate={rate}")
+        return next(iter(check_braking(fleet, 0.6)), None)
+
+    assert at(2.5) is None
+    much, too_much = at(4.0), at(5.0)
+    assert much is not None
+    assert too_much is not None
+    assert (much.level, too_much.level) == ("warning", "error")
+    assert "overshoot as they are sampled (largest eigenvalue 0.81)" in much.message
+    assert "take 2.5 1/s or less, leave it out, or take 20 Hz" in too_much.message
+
+
 @pytest.mark.parametrize(
     ("override", "words"),
     [

@@ -197,13 +197,17 @@ def test_robots_without_an_edge_that_start_close_are_a_warning():
     assert "share no edge" in message
 
 
-def test_far_starts_saturate():
+def bare(given: Fleet) -> Fleet:
+    """Without avoidance: no limit of speed, nor any cut of the pull (N1)."""
+    return replace(given, avoidance=replace(given.avoidance, enabled=False))
+
+
+def test_far_starts_saturate_where_no_limit_cuts_the_pull():
     starts = ((-30.0, 1.4), *STARTS[1:])
-    message = at(
-        check(fleet(starts, body={"hand_offset_m": 2.0}, duration_s=100.0)),
-        "control.max_acceleration",
-        "info",
-    )
+    far = fleet(starts, body={"hand_offset_m": 2.0}, duration_s=100.0)
+    assert check(far) == []
+    assert check(replace(far, control=replace(far.control, c1=1.0, c2=1.5))) == []
+    message = at(check(bare(far)), "control.max_acceleration", "info")
     assert "robot 1, " in message or "robots 1" in message
     assert "clipped at 5 m/s2" in message
 
@@ -289,11 +293,13 @@ def test_sweep_radius_says_how_the_sampled_law_grows(kd: float, stable: bool):
     h, n = 1.0 / rate_hz, len(geometry.ids)
     generator = np.random.default_rng(5)
     error, speed = (1e-5 if stable else 1e-9) * generator.normal(size=(2, n)), np.zeros((2, n))
-    multipliers = np.zeros(len(geometry.edges))
+    multipliers, u = np.zeros(len(geometry.edges)), np.zeros((2, n))
     sizes = []
     ticks = 1800 if stable else 15
     for _ in range(ticks):
-        u, multipliers = commanded(geometry, control, error, speed, multipliers)
+        # (P2): the law sees the middle of its period, as the last force would bring it there.
+        seen = error + 0.5 * h * speed + 0.125 * h * h * u, speed + 0.5 * h * u
+        u, multipliers = commanded(geometry, control, *seen, multipliers)
         error, speed = error + h * speed + 0.5 * h * h * u, speed + h * u
         sizes.append(np.sqrt(np.sum(error**2) + np.sum(speed**2)))
     slope = np.log(sizes[-1] / sizes[ticks // 2]) / (ticks - 1 - ticks // 2)
@@ -301,15 +307,15 @@ def test_sweep_radius_says_how_the_sampled_law_grows(kd: float, stable: bool):
 
 
 def test_sampled_radius_of_known_loops():
-    # Velocity feedback alone: z = 1 - K h, and z^2 - z + K h = 0 with one period of delay.
-    assert sampled_radius(Mode(0.0, 120.0, True), 50.0) == pytest.approx(1.4)
+    # Velocity feedback alone: z^2 + (3 K h/2 - 1) z - K h/2 = 0; z^2 - z + K h = 0 with one period of delay.
+    assert sampled_radius(Mode(0.0, 60.0, True), 50.0) == pytest.approx(0.4 + sqrt(0.76))
     assert sampled_radius(Mode(0.0, 60.0, True), 50.0, predicted=False) == pytest.approx(sqrt(1.2))
     # Slow poles are those of continuous time: exp(s h).
     slow = sampled_radius(Mode(0.02, 0.3, True), 50.0)
     assert slow == pytest.approx(np.exp(-0.1 / 50.0), abs=4e-6)
 
 
-@pytest.mark.parametrize(("kd", "level"), [(10.0, None), (60.0, "warning"), (200.0, "error")])
+@pytest.mark.parametrize(("kd", "level"), [(10.0, None), (40.0, "warning"), (200.0, "error")])
 def test_a_rate_too_slow_for_the_gains(kd: float, level: str | None):
     findings = check(fleet(control={"kd": kd, "c2": 0.6}, duration_s=1e4))
     if level is None:
@@ -385,14 +391,58 @@ def test_the_settling_estimate_is_that_of_the_law_for_two_robots(kd: float):
 
 def test_a_circle_too_fast_for_the_acceleration_limit():
     quick = replace(CIRCLE, radius_m=0.6, speed_mps=1.4)  # 3.27 m/s2
-    assert "65% of" in at(
-        check(fleet(trajectory=quick, body={"hand_offset_m": 0.5})), "trajectory.speed_mps", "warning"
-    )
+    fast = {"max_speed_mps": 4.0}
+    given = fleet(trajectory=quick, control=fast, body={"hand_offset_m": 0.5})
+    assert [each.level for each in check(given) if "65% of control.max_acceleration" in each.message] == [
+        "warning"
+    ]
     too_quick = replace(CIRCLE, radius_m=0.6, speed_mps=1.8)  # 5.4 m/s2
-    message = at(
-        check(fleet(trajectory=too_quick, body={"hand_offset_m": 0.5})), "trajectory.speed_mps", "error"
-    )
+    given = fleet(trajectory=too_quick, control=fast, body={"hand_offset_m": 0.5})
+    (message,) = [each.message for each in check(given) if each.level == "error"]
     assert "take speed_mps = 1.73 or less" in message
+
+
+@pytest.mark.parametrize(
+    ("speed", "level", "words"),
+    [
+        (1.2, None, ""),
+        (1.4, "warning", "leaves 0.1 m/s of control.max_speed_mps = 1.5 to catch up with"),
+        (1.5, "warning", "who is behind its place stays behind"),
+        (3.0, "error", "fall behind, by 1.5 m in every second; take at most 1.35 m/s"),
+    ],
+)
+def test_a_trajectory_faster_than_the_robots(speed: float, level: str | None, words: str):
+    for kind in (
+        TrajectorySection("line", velocity_mps=(0.6 * speed, -0.8 * speed)),
+        replace(WAYPOINTS, waypoints_m=((0.0, 0.0), (90.0, 0.0)), speed_mps=speed),
+        replace(CIRCLE, radius_m=9.0, speed_mps=speed),
+    ):
+        given = fleet(trajectory=kind)
+        found = [each for each in check(given) if "control.max_speed_mps" in each.message]
+        assert levels(found) == ([level] if level else [])
+        assert all(words in each.message for each in found)
+        assert not [each for each in check(bare(given)) if "control.max_speed_mps" in each.message]
+
+
+def test_a_trajectory_that_is_said_to_be_slow_enough_is():
+    line = TrajectorySection("line", velocity_mps=(3.0, 0.0))
+    (message,) = [each.message for each in check(fleet(trajectory=line)) if each.level == "error"]
+    speed = float(message.split("take at most ")[1].split()[0])
+    limit = float(message.split("a limit of ")[1])
+    for better in (
+        fleet(trajectory=replace(line, velocity_mps=(speed, 0.0))),
+        fleet(trajectory=line, control={"max_speed_mps": limit}),
+    ):
+        assert not [each for each in check(better) if "control.max_speed_mps" in each.message]
+
+
+def test_a_circle_that_turns_faster_than_a_body_may():
+    """(F9): 0.12 rad in a period."""
+    slow = fleet(trajectory=replace(CIRCLE, radius_m=0.5, speed_mps=0.4), rate_hz=5.0)
+    message = at(check(slow), "trajectory.speed_mps", "error")
+    assert "turns by 0.8 rad/s, and at 5 Hz a body may turn by 0.6 rad/s" in message
+    assert "at most 0.27 m/s, a radius of 0.741 m, or 7.41 Hz" in message
+    assert not [each for each in check(fleet(trajectory=CIRCLE, rate_hz=5.0)) if "turns" in each.message]
 
 
 def test_a_circle_smaller_than_the_hand_offset():
@@ -414,10 +464,13 @@ def test_legs_too_short_for_the_speed_are_named():
 
 
 @pytest.mark.parametrize(("offset", "level"), [(0.1, None), (0.03, "warning"), (0.005, "error")])
-def test_a_hand_offset_too_small_for_the_speed(offset: float, level: str | None):
-    findings = check(
-        fleet(trajectory=TrajectorySection("line", velocity_mps=(0.6, 0.0)), body={"hand_offset_m": offset})
-    )
+def test_a_hand_offset_too_small_for_the_speed_where_no_limit_keeps_turns_small(
+    offset: float, level: str | None
+):
+    line = TrajectorySection("line", velocity_mps=(0.6, 0.0))
+    given = fleet(trajectory=line, body={"hand_offset_m": offset})
+    assert check(given) == []
+    findings = check(bare(given))
     if level is None:
         assert findings == []
         return
