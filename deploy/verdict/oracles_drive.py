@@ -21,6 +21,7 @@ from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import caught, last_caught_s
 from deploy.analysis.clearances import distances
+from deploy.analysis.places import allowed_m, distances_m
 from deploy.analysis.presence import downs, said
 from deploy.recording.recording import Recording
 from deploy.verdict.violations import Violation, is_constant, lasting, windows
@@ -36,8 +37,6 @@ ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 LATE_MAX_S: Final = 1.25
 LOST_MAX: Final = 0.5
-PLACE_M: Final = 0.5
-"""Largest distance from its place of a robot in a formation to which nothing happens."""
 _HARSH: Final = ("reorder", "corrupt", "rate", "limit", "slot", "hold", "range")
 _NEAR_SHARE: Final = 1.05
 _EXCUSED: Final = frozenset({State.RELEASED.value})
@@ -200,7 +199,7 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     if fleet.obstacles or fleet.geofence is not None:
         return None
     end_s = float(a.grid[-1])
-    error_m = np.nan_to_num(norm(a.hands[[0, -1]] - a.desired[[0, -1]]))  # of those who have a place
+    error_m = np.nan_to_num(distances_m(a)[[0, -1]])  # of those who have a place
     if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet.control):
         return None
     found = []
@@ -215,7 +214,7 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
         )
         found.append(Violation("formed", end_s, message))
     far = int(error_m[-1].argmax())
-    if error_m[-1, far] > PLACE_M:
+    if error_m[-1, far] > allowed_m(a):
         message = (
             f"Robot {a.ids[far]} was {error_m[-1, far]:.2f} m from its place at the end, although nothing "
             "had happened to the fleet."

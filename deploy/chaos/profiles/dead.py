@@ -6,12 +6,13 @@ once or a minute later, and some of them start again and know nothing of all tha
 
 from __future__ import annotations
 
-from math import atan2, cos, pi, sin
+from itertools import combinations
+from math import atan2, cos, dist, pi, sin
 from typing import Final
 
 from agent.common.quantities import Vector
 from deploy.chaos.dice import Dice, Tables
-from deploy.chaos.draw_formation import Shape, draw_shape
+from deploy.chaos.draw_formation import Shape, apart_m, draw_shape
 from deploy.chaos.draw_obstacles import draw_obstacles
 from deploy.chaos.profiles import pieces
 
@@ -51,12 +52,20 @@ def _draw(seed: int, *, restarts: bool) -> Tables:
         dead = {rule["robot"] for rule in rules}
         rules += _restarts(dice, [robot for robot in ids if robot not in dead], last_s)
     duration_s = last_s + AFTER_S
+    trajectory = _trajectory(dice, shape, control["max_speed_mps"], duration_s)
+    rows = Dice("rows", seed)
+    straight = rows.chance(0.4)
+    if straight:
+        shape = _in_rows(rows, places, safe_m)
+        trajectory = _along_rows(rows, control["max_speed_mps"], duration_s)
+        if rows.chance(0.5):  # the dead stay members
+            orders = []
     reach_m = dice.between(0.1, 0.2, 2)
     tables: Tables = {
         "fleet": pieces.fleet(seed, rate_hz, duration_s),
         "formation": pieces.formation(shape, places, safe_m, assign=dice.chance(0.5)),
         "control": control,
-        "trajectory": _trajectory(dice, shape, control["max_speed_mps"], duration_s),
+        "trajectory": trajectory,
         "robot_defaults": {
             "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
         },
@@ -66,6 +75,8 @@ def _draw(seed: int, *, restarts: bool) -> Tables:
     apart = pieces.START_FACTOR * safe_m
     side = max(2.5, 1.2 * shape.span, 2.5 * apart * len(ids) ** 0.5)
     tables["robot"] = pieces.robots_about(Dice("robots", seed), ids, reserve, side, apart, reach_m)
+    if straight and not reserve and rows.chance(0.7):
+        tables["robot"] = pieces.robots_at(Dice("robots", seed), shape.offsets, (), reach_m)
     obstacles = draw_obstacles(Dice("obstacles", seed), tables, pieces.places_of(tables))
     if obstacles and dice.chance(0.3):
         tables["obstacle"] = obstacles[:2]
@@ -146,6 +157,29 @@ def _trajectory(dice: Dice, shape: Shape, speed_max: float, duration_s: float) -
 
 _POINTS_MAX: Final = 8
 _LEG_MIN_M: Final = 0.5
+
+
+def _in_rows(dice: Dice, robots: list[int], safe_m: float) -> Shape:
+    """As people lay formations out: in two rows along the axis, one of them as long as can be made."""
+    spacing = round(dice.between(1.0, 1.8) * apart_m(safe_m), 1)
+    front = min(len(robots), dice.whole(3, 4))
+    points = [(k * spacing, 0.0) for k in range(front)]
+    points += [((k + 0.5) * spacing, 0.866 * spacing) for k in range(len(robots) - front)]
+    offsets = {robot: (round(x, 3), round(y, 3)) for robot, (x, y) in zip(robots, points, strict=True)}
+    edges = [(i, j) for i, j in combinations(robots, 2) if dist(offsets[i], offsets[j]) < 1.01 * spacing]
+    return Shape(offsets, edges)
+
+
+def _along_rows(dice: Dice, speed_max: float, duration_s: float) -> Tables:
+    """To and fro along the axis: the rows come back to the same lines, to the bit."""
+    speed, side = dice.between(0.1, 0.3) * speed_max, 1.0 if dice.chance(0.5) else -1.0
+    points, left_m = [[0.0, 0.0]], speed * duration_s
+    while len(points) < 2 or (left_m > _LEG_MIN_M and len(points) < _POINTS_MAX):
+        x = side * round(dice.between(1.0, 6.0))
+        left_m -= abs(x - points[-1][0])
+        points.append([x, 0.0])
+        side = -side
+    return {"kind": "waypoints", "waypoints_m": points, "speed_mps": round(speed, 3)}
 
 
 def _ahead(place: Vector, angle: float, way: float) -> Vector:

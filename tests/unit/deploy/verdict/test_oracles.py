@@ -582,7 +582,7 @@ def test_a_formation_beside_its_course_is_not_formed() -> None:
     assert found("formed", LONG, standing(0, 0.6), standing(1, 0.6)) == [
         "Robot 1 was 0.60 m from its place at the end, although nothing had happened to the fleet."
     ]
-    assert found("formed", LONG, standing(0, 0.4), standing(1, 0.4)) == []
+    assert found("formed", LONG, standing(0, 0.24), standing(1, 0.24)) == []
 
 
 def test_by_when_a_formation_stands_follows_from_speeds() -> None:

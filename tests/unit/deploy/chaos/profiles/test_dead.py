@@ -51,3 +51,17 @@ def test_who_starts_again_does_so_when_others_have_been_dead_for_long() -> None:
             back_s = rule["at"] + rule.get("for", 0.0)
             assert back_s >= max(dead.values()) + FORGOTTEN_S
             assert rule["at"] > 0.0
+
+
+def test_some_stand_in_rows_and_drive_along_them() -> None:
+    """As people lay fleets out: what comes back comes to the same line, to the bit."""
+    straight = 0
+    for seed in SEEDS:
+        tables = draw_dead(seed)
+        course = tables["trajectory"].get("waypoints_m", ())
+        if course and all(y == 0.0 for _, y in course):
+            straight += 1
+            rows = Counter(y for _, y in tables["formation"]["offsets"])
+            assert max(rows.values()) >= 3
+            assert len(rows) <= 2
+    assert 10 < straight < 40
