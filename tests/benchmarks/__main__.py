@@ -35,6 +35,7 @@ NAMES: Final = (
     "random_starts",
     "membership",
     "crowd",
+    "swaps",
     "step_response",
     "rovers",
     "bridge",

@@ -2,7 +2,8 @@
 
 The whole chain (plants, messages, agents) in virtual time, on all cores. Slots are not assigned, so the
 robots have to cross the whole crowd. Safe means that no two hands, neighbours or not, were ever nearer than
-the safe distance (`deploy.verdict.oracles`). Who did not settle is listed with the reason.
+the safe distance (`deploy.verdict.oracles`). Who did not settle is listed with the reason. Beside them ORCA's
+points on the same starts, which keep no formation (`tests.benchmarks.arrival`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from deploy.simulate import judged
 from deploy.simulate.worker_pool import GoOn
 from deploy.sweep.plan import Plan, Question, make_plan
 from deploy.sweep.run import Row, Runs, execute
+from tests.benchmarks import arrival
 from tests.benchmarks.figures import Figure, Options, Result, table
 from tests.benchmarks.random_starts import HEADING, line
 from tests.benchmarks.rows import results
@@ -86,7 +88,7 @@ def run(options: Options) -> Result:
     count = options.count or (COUNT_QUICK if options.quick else COUNT)
     path = fleet_path("lattice45")
     result = Result()
-    lines = []
+    lines, beside = [], []
     for name, text, overrides in (
         ("free", fleet_text(path), STILL),
         ("ten obstacles", fleet_text(path) + field(), ACROSS),
@@ -102,6 +104,11 @@ def run(options: Options) -> Result:
         settled = sum(each.settled is True for each in rows)
         result.figures.append(Figure(f"{name}: runs that settle", 100.0 * settled / count, "%"))
         result.details += [f"{name}: run {row.run}: {reason}" for row, reason in found if reason]
+        if arrival.has_orca():
+            went = results(f"{name}, ORCA", arrival.Runs(plan.fleet, arrival.orca), count)
+            beside.append(arrival.line(f"{name}, ORCA", went))
     result.details += table(("crowd", *HEADING), lines)
+    if beside:
+        result.details += ["", *table(("crowd", *arrival.HEADING), beside)]
     result.details.append(f"{count} starts each, {SIDE_M:g} m square")
     return result
