@@ -29,6 +29,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hand
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
+from agent.formation.trajectory import Sample
 from agent.links.ticks import next_tick_ns
 from agent.messages.codec import tag
 from agent.messages.types import Forces, PlantState
@@ -96,6 +97,7 @@ class Controller:
         proximity: what must be kept away from besides.
         coupling: its multipliers.
         detour: its way round what blocks it.
+        taken: which body its place is taken by, in words; "" when by none.
         edges: the own edges that count now, with what is known of the robot at the other end.
     """
 
@@ -148,6 +150,7 @@ class Controller:
         self._sent: dict[int, tuple[float, float]] = {}
         self._sent_max = ceil(control.plant_timeout_s * NS_PER_S / fleet.period_ns) + 2
         self._planned: Plan | None = None
+        self.taken = ""
         self._due_ns = 0
 
     def plan(self, plan: Plan) -> None:
@@ -224,7 +227,12 @@ class Controller:
         # (21) aims at this velocity: F_n = rddot_d + c_2 (wanted - v).
         pull = self._c1 / self._c2
         wanted = vx - pull * ex, vy - pull * ey
-        turned = self.detour.velocity(wanted, (own.vx, own.vy), self._hold, (vx, vy))
+        before, turned = self.taken, None
+        self.taken = self._taken(now_ns, own, motion) if before or self.detour.looks else ""
+        if not self.taken:
+            turned = self.detour.velocity(wanted, (own.vx, own.vy), self._hold, (vx, vy))
+        elif not before:
+            self.detour.reset()
         gx, gy = nx, ny
         if turned is not None:
             # Round corners c_2 would be too slow: the wall is lost, and with it the way.
@@ -281,6 +289,24 @@ class Controller:
                 force, torque = sent
             boundary_ns += self._period_ns
         return hand.advance(pose, force, torque, self._mass, self._inertia, (time_ns - since_ns) / NS_PER_S)
+
+    def _taken(self, now_ns: int, own: hand.Hand, motion: Sample) -> str:
+        """Which body lies where the own place is, if that stands and is near: no way round leads there."""
+        x, y, vx, vy, _, _ = motion
+        if hypot(vx, vy) > SPEED_MIN:
+            return ""
+        keep = self._safe_distance + self._margin
+        for peer in (*(peer for _, peer in self.edges), *self.proximity.close):
+            belief = None if peer.is_heard(now_ns) else self.peers.belief(peer)
+            if belief is None or hypot(belief.x - x, belief.y - y) > keep + belief.reach:
+                continue
+            if hypot(own.x - x, own.y - y) < 2.0 * (keep + belief.reach):
+                age = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
+                for disc in belief.discs:
+                    if hypot(disc.x - x, disc.y - y) < keep + disc.radius_at(age):
+                        since = "never heard" if peer.message is None else f"silent for {age:.0f} s"
+                        return f"its place is taken by robot {peer.robot} ({since})"
+        return ""
 
     def _held(self, scene: _Scene, ux: float, uy: float, causes: tuple[str, ...]) -> Hold:
         """What keeps the own hand from what it wants, where (ux, uy) is what came of it."""

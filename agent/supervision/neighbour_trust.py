@@ -102,8 +102,9 @@ class NeighbourTrust:
             self.degraded = f"without {', '.join(given_up)}"
         elif slow:
             self.degraded = f"slower: {', '.join(slow)}"
-        if drives and controller.detour.held:
-            self.degraded = "; ".join(filter(None, (self.degraded, controller.detour.held)))
+        held = controller.taken or controller.detour.held
+        if drives and held:
+            self.degraded = "; ".join(filter(None, (self.degraded, held)))
         self.hold = self.hold or controller.right_of_way.hold
         if here is not None and controller.proximity.fence is not None:
             self._look_at_fence(here)
