@@ -505,7 +505,7 @@ def test_acceleration_is_clipped_in_its_direction():
     pose = Pose(-40.0, 30.0, 0.3, 0.0, 0.0)
 
     def asked(limit: float) -> tuple[float, float]:
-        bench = Bench(f"control.max_acceleration={limit}")
+        bench = Bench(f"control.max_acceleration={limit}", "avoidance.enabled=false")
         bench.pose = pose
         wrench = bench.drive().wrench
         return hand_acceleration(wrench.force, wrench.torque, pose, 10.0, 0.13, 0.1)
