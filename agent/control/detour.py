@@ -57,7 +57,7 @@ HELD_S: Final = 8.0
 """After so long without getting on it is said what holds it."""
 FORGETS: Final = 4.0
 """And so many times sooner it is forgotten when it gets on."""
-CAUGHT_S: Final = 3.0
+CAUGHT_S: Final = 5.0
 """A robot is caught in a wrong rest point after so long."""
 PULLS: Final = 0.3
 """Edges hold a robot when they take this share of what drives it to its place."""

@@ -23,6 +23,7 @@ from math import ceil, hypot
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
+from agent.control.beliefs import DOUBT_MAX
 from agent.control.hand import Hand
 from agent.control.lanes import Lane, Run, offset
 from agent.control.peers import Peer, Peers
@@ -103,6 +104,8 @@ class RightOfWay:
             self._lanes.clear()
             return
         own = self._find_own_lane(movers)
+        if has_way:
+            movers = [peer for peer in movers if not self._stands_on(own, peer)]
         made = self._make_lanes(movers)
         if made < len(movers):
             self.hold = f"works out the ways of {len(movers)} silent robots"
@@ -181,6 +184,16 @@ class RightOfWay:
         return found
 
     # ------------------------------------------------------------------ where
+
+    def _stands_on(self, own: Lane, peer: Peer) -> bool:
+        """Whether a robot without the right of way, wherever it may be, is on the lane of this one, which has
+        it: there it stands, and is a body to be gone round."""
+        belief = self._peers.belief(peer)
+        return (
+            peer.direct_ns >= 0
+            and belief is not None
+            and all(own.distance(x, y) + size + DOUBT_MAX < self._inside for x, y, size, _ in belief.discs)
+        )
 
     def _known_to(self, peer: Peer) -> Reference:
         """What a robot follows, as far as both know."""

@@ -190,9 +190,12 @@ def test_heard_again_all_is_as_it_was():
 
 
 def test_without_edges_any_silent_robot_may_be_driving():
-    scene = Scene(4, "formation.edges=[]")
-    scene.run(5.0, 2, 3)
-    assert scene.way.keep_in or scene.names or scene.way.hold
+    for overrides, names in (((), []), (("formation.edges=[]",), ["lane of robot 1"])):
+        scene = Scene(3, *overrides)
+        scene.run(4.0, 2, 4, 5)
+        scene.move(5.0, 0.9)  # off its own lane
+        scene.run(0.1, 2, 4, 5)
+        assert scene.names == names
 
 
 def test_of_many_silent_robots_the_lanes_are_made_by_and_by():
@@ -212,3 +215,17 @@ control = {{ prediction_horizon_s = 1.0 }}
     assert holds.count("works out the ways of 11 silent robots") == 2  # four at a time
     assert holds[0] == ""
     assert "works out" not in holds[-1]
+
+
+def test_a_body_on_the_lane_of_who_has_the_right_of_way_is_gone_round():
+    """It may be alive, but then it stands: no lane of its own keeps the other from leaving its lane."""
+    scene = Scene(1, "formation.edges=[]")
+    scene.starts[4] = (0.0, 0.05)  # of no use to robot 4 on its own way, y = 0
+    scene.run(0.2, 2, 3, 4, 5)
+    scene.run(5.0, 2, 3, 5)
+    assert (scene.way.hold, scene.names, scene.way.keep_in) == ("", [], ())
+    beside = Scene(1, "formation.edges=[]")
+    beside.starts[4] = (-6.0, 1.0)  # 1 m from the lane of robot 1: it may drive on
+    beside.run(0.2, 2, 3, 4, 5)
+    beside.run(5.0, 2, 3, 5)
+    assert beside.way.keep_in
