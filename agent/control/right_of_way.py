@@ -189,10 +189,11 @@ class RightOfWay:
         """Whether a robot without the right of way, wherever it may be, is on the lane of this one, which has
         it: there it stands, and is a body to be gone round."""
         belief = self._peers.belief(peer)
+        surely = 2.0 * self._inside - self._apart  # though the two may mean lanes that differ a little
         return (
             peer.direct_ns >= 0
             and belief is not None
-            and all(own.distance(x, y) + size + DOUBT_MAX < self._inside for x, y, size, _ in belief.discs)
+            and all(own.distance(x, y) + size + DOUBT_MAX < surely for x, y, size, _ in belief.discs)
         )
 
     def _known_to(self, peer: Peer) -> Reference:

@@ -51,7 +51,8 @@ class Scene:
         )  # fmt: skip
         self.peers.forecast.epoch_ns = T0
         self.peers.begin(T0)
-        self.way = RightOfWay(self.fleet, robot, self.peers, self.reference, {})
+        self.references: dict[tuple[int, int], Reference] = {(1, 0): self.reference.frozen()}
+        self.way = RightOfWay(self.fleet, robot, self.peers, self.reference, self.references)
         self.here = Hand(*self.starts[robot], 0.0, 0.0)
         self.hear(*self.starts)
 
@@ -229,3 +230,25 @@ def test_a_body_on_the_lane_of_who_has_the_right_of_way_is_gone_round():
     beside.run(0.2, 2, 3, 4, 5)
     beside.run(5.0, 2, 3, 5)
     assert beside.way.keep_in
+
+
+def test_lanes_are_those_of_the_mission_that_the_silent_have_acknowledged():
+    """Robots 1 and 2 have another mission meanwhile, of which 3 and 4 have not heard: their old lanes count,
+    and so does the own one, for that is what they keep out of."""
+    scene = Scene(1)
+    scene.run(1.0, 2, 3, 4, 5)
+    robots = ((1, 6.0, 5.0), (2, 6.0, 6.5), (3, -6.0, 6.5), (4, -6.0, 5.0))
+    other = Mission(
+        2, scene.now, T0, 60 * S, "", from_ns=scene.now, robots=robots, edges=((1, 2, 1.5), (3, 4, 1.5))
+    )
+    scene.reference.take(plan_of(other, scene.fleet, resolve(scene.fleet)))
+    scene.run(5.0, 2, 5)
+    assert scene.way.keep_in
+    (run, *_) = scene.way.keep_in
+    assert abs(run.y) < 0.5  # along y = 0, as before, though its place is at (6, 5)
+    scene.move(-2.0, 2.4)
+    scene.run(0.1, 2, 5)
+    assert "lane of robot 3" in scene.names  # at y = 1.5
+    scene.move(-2.0, 5.7)
+    scene.run(0.1, 2, 5)
+    assert (scene.way.hold, scene.names) == ("", [])
