@@ -10,6 +10,8 @@ from agent.formation.points import Floats
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.presence import Flags
 
+LAST_S: Final = 2.0
+"""Who was at its place once in the last so many seconds is not off it."""
 AT_PLACE: Final = 0.25
 """Share of the least distance between two places: who is nearer than that to its own is there."""
 

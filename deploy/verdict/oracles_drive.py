@@ -21,7 +21,7 @@ from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import caught, last_caught_s
 from deploy.analysis.clearances import distances
-from deploy.analysis.places import allowed_m, distances_m
+from deploy.analysis.places import LAST_S, allowed_m, distances_m
 from deploy.analysis.presence import downs, said
 from deploy.recording.recording import Recording
 from deploy.verdict.violations import Violation, is_constant, lasting, windows
@@ -199,7 +199,7 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     if fleet.obstacles or fleet.geofence is not None:
         return None
     end_s = float(a.grid[-1])
-    error_m = np.nan_to_num(distances_m(a)[[0, -1]])  # of those who have a place
+    error_m = np.nan_to_num(distances_m(a))  # of those who have a place
     if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet.control):
         return None
     found = []
@@ -213,10 +213,11 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
             f"{a.wanted[-1, column]:.3f} m at the end{rest}, although nothing had happened to the fleet."
         )
         found.append(Violation("formed", end_s, message))
-    far = int(error_m[-1].argmax())
-    if error_m[-1, far] > allowed_m(a):
+    least_m = error_m[a.grid >= end_s - LAST_S].min(axis=0)
+    far = int(least_m.argmax())
+    if least_m[far] > allowed_m(a):
         message = (
-            f"Robot {a.ids[far]} was {error_m[-1, far]:.2f} m from its place at the end, although nothing "
+            f"Robot {a.ids[far]} was {least_m[far]:.2f} m from its place at the end, although nothing "
             "had happened to the fleet."
         )
         found.append(Violation("formed", end_s, message))

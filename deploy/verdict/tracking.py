@@ -23,7 +23,7 @@ from agent.fleet.fault_rules import ACTION_FIELDS
 from agent.formation.points import Floats
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis
-from deploy.analysis.places import allowed_m, distances_m
+from deploy.analysis.places import LAST_S, allowed_m, distances_m
 from deploy.analysis.presence import Flags, downs, said
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
@@ -32,8 +32,6 @@ from deploy.verdict.completeness import last_states
 from deploy.verdict.oracles_drive import RECOVERED_S
 from deploy.verdict.violations import REACTION_S, is_constant, windows
 
-LAST_S: Final = 2.0
-"""Who was at its place once in the last so many seconds is not off it."""
 LONG_S: Final = 10.0
 """Who was off its place for longer than this in mid-drive fell behind."""
 FIRST_S: Final = 5.0

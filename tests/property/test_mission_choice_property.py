@@ -10,7 +10,7 @@ from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages.codec import encode
 from agent.messages.sequence_numbers import SequenceNumbers
-from agent.messages.types import Mission
+from agent.messages.types import Mission, Removed
 from deploy.orders.operator import Known
 from deploy.recording.collector import RunData
 from plant.node import PlantNode
@@ -35,6 +35,7 @@ MISSIONS = st.builds(
     trajectory_ns=st.just(0),
     edges=st.just(()),
     robots=st.sampled_from([(), ((1, 0.0, 0.0), (2, 3.0, 0.0)), ((99, 0.0, 0.0),)]),
+    removed=st.sampled_from([(), (Removed(1, EPOCH),)]),
 )
 
 

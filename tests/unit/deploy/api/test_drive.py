@@ -68,8 +68,8 @@ def test_progress_that_is_no_function_is_refused() -> None:
 
 def test_errors_of_check_are_refused_unless_said_otherwise() -> None:
     with pytest.raises(Error, match="not started"):
-        simulate("pair", {"control.kp": 5000.0}, duration=1)
-    simulate("pair", {"control.kp": 5000.0}, duration=1, check=False)
+        simulate("pair", {"control.c2": 2000.0}, duration=1)
+    simulate("pair", {"control.c2": 2000.0}, duration=1, check=False)
 
 
 def test_a_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:

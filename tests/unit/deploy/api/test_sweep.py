@@ -100,8 +100,8 @@ def test_nothing_varied_is_one_cell(over: dict[str, Any] | None) -> None:
         ({"seeds": 0}, "^seeds must be a whole number of at least 1, got 0$"),
         ({"workers": "many"}, "^workers must be a whole number of at least 1, got 'many'$"),
         (
-            {"over": {"control.kp": [1.0, 5000.0]}},
-            r"^not started .* with control\.kp=5000\.0, fleet\.rate_hz: ",
+            {"over": {"control.c2": [1.0, 2000.0]}},
+            r"^not started .* with control\.c2=2000\.0, fleet\.rate_hz: ",
         ),
         ({"random_starts": "big"}, r"^random_starts must be True, False or the side .*, got 'big'$"),
         ({"random_starts": -1}, r"^random_starts must be True, False or the side .*, got -1$"),
