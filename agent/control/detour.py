@@ -59,7 +59,7 @@ FORGETS: Final = 4.0
 """And so many times sooner it is forgotten when it gets on."""
 CAUGHT_S: Final = 5.0
 """A robot is caught in a wrong rest point after so long."""
-PULLS: Final = 0.3
+PULLS: Final = 0.7
 """Edges hold a robot when they take this share of what drives it to its place."""
 PARTNERS: Final = 0.1
 """Who takes this share of that is one of those with whom it is caught."""
