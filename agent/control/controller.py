@@ -8,7 +8,7 @@ forward to that instant; evaluated there, the sampled loop is of second order in
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from math import ceil, hypot
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -32,7 +32,7 @@ from agent.formation.reference import Edge, Reference
 from agent.formation.trajectory import Sample
 from agent.links.ticks import next_tick_ns
 from agent.messages.codec import tag
-from agent.messages.types import Forces, PlantState
+from agent.messages.types import Forces, HandState, PlantState
 
 if TYPE_CHECKING:
     from agent.control.own_law import OwnLaw
@@ -193,11 +193,14 @@ class Controller:
     def look_round(self, now_ns: int, here: hand.Hand, neighbours: Collection[int]) -> bool:
         """Finds who is near the own hand, and whose way it may be in; True when others are to be listened to.
 
-        A few times a second only.
+        A few times a second only; but at once when one that stood, and that it goes round, drives again.
 
         Args:
             neighbours: robots that are listened to anyway.
         """
+        detour = self.detour
+        if detour.fixed and any(detour.round == f"robot {peer.robot}" for peer, _ in self._driving(now_ns)):
+            detour.free()
         if now_ns < self._due_ns or not self.proximity.enabled:
             return False
         self._due_ns = now_ns + LOOK_PERIOD_NS
@@ -308,20 +311,23 @@ class Controller:
                         return f"its place is taken by robot {peer.robot} ({since})"
         return ""
 
+    def _driving(self, now_ns: int) -> Iterator[tuple[Peer, HandState]]:
+        """The robots about that follow the law, and go away themselves."""
+        for peer in (*(peer for _, peer in self.edges), *self.proximity.close):
+            message = peer.message
+            if message is not None and message.following and peer.here and peer.late_ns(now_ns) < STANDS_NS:
+                yield peer, message
+
     def _held(self, scene: _Scene, ux: float, uy: float, causes: tuple[str, ...]) -> Hold:
         """What keeps the own hand from what it wants, where (ux, uy) is what came of it."""
         now_ns = scene.now_ns
         moving, astray = set(), set()
         near = SPEED_MIN * self._c2 / self._c1
-        for peer in (*(peer for _, peer in self.edges), *self.proximity.close):
-            message = peer.message
-            if message is None or not message.following or not peer.here:
-                continue
-            if peer.late_ns(now_ns) < STANDS_NS:
-                moving.add(f"robot {peer.robot}")
-                place = self.reference.motion(peer.robot, now_ns)
-                if place and hypot(message.x - place[0], message.y - place[1]) > near:
-                    astray.add(peer.robot)
+        for peer, message in self._driving(now_ns):
+            moving.add(f"robot {peer.robot}")
+            place = self.reference.motion(peer.robot, now_ns)
+            if place and hypot(message.x - place[0], message.y - place[1]) > near:
+                astray.add(peer.robot)
         lanes = {"own lane", *(each.name for each in self.right_of_way.keep_out)}
         blockers: list[Blocker] = []
         waits: list[Blocker] = []

@@ -160,7 +160,7 @@ class Detour:
             if self._loose and hold.astray & self._partners and self._loose_s < self._loose_max_s:
                 # Their edges would draw it off its place again, and next time them off theirs.
                 self._loose_s += self._period_s
-                self._free()
+                self.free()
             elif self.looks or self._held_s:
                 self._arrive()
             return None
@@ -178,16 +178,15 @@ class Detour:
 
     def _arrive(self) -> None:
         """The robot is at its place: it takes hold, and goes round nothing."""
-        self._free()
+        self.free()
         self._caught_s = self._loose_s = 0.0
         self._loose = False
-        self.held = ""
 
-    def _free(self) -> None:
+    def free(self) -> None:
         """Nothing is in its way."""
         self._blocked_s, self._since_s, self._held_s = 0.0, KEEPS_S, 0.0
         self.fixed = self.stalls = False
-        self.round = ""
+        self.round = self.held = ""
 
     # ------------------------------------------------------------------ what holds it
 
@@ -326,7 +325,7 @@ class Detour:
         self._free_s = self._free_s + period_s if free else 0.0
         if self._free_s >= FREE_S or self._lost > tau:  # a whole turn without anything: there is no corner
             self._blocked_s, self._since_s = 0.0, 0.0
-            self.round, self.fixed = "", False
+            self.round, self.held, self.fixed = "", "", False
         if len(followed) < len(blockers):
             passing = self._along(heading, angle, blockers)
             angle = angle if passing is None else passing

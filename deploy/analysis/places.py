@@ -15,6 +15,9 @@ LAST_S: Final = 2.0
 AT_PLACE: Final = 0.25
 """Share of the least distance between two places: who is nearer than that to its own is there."""
 
+TOGETHER: Final = 2.0
+"""How many times as far from their places robots may be that are off alike."""
+
 
 def allowed_m(a: Analysis, row: int = -1) -> float:
     """How far a robot may be from its place to count as there: by the formation's own scale, a quarter of the
@@ -25,6 +28,20 @@ def allowed_m(a: Analysis, row: int = -1) -> float:
     if len(places) > 1:
         least_m = min(float(norm(places[k + 1 :] - places[k]).min()) for k in range(len(places) - 1))
     return AT_PLACE * max(least_m, a.safe_m)
+
+
+def together(a: Analysis) -> Flags:
+    """(n,): who is off its place at the end as all others are, by half the way to another place at most.
+
+    A formation that is right in itself may be that far behind: soft ground that the law does not know holds
+    rovers so.
+    """
+    off = np.where(a.away[-1][:, None], np.nan, a.hands[-1] - a.desired[-1])
+    known = np.isfinite(off[:, 0])
+    if known.sum() < 2:
+        return np.zeros(len(off), dtype=bool)
+    alike: Flags = norm(off - off[known].mean(axis=0)) <= allowed_m(a)
+    return alike & (norm(off) <= TOGETHER * allowed_m(a))
 
 
 def distances_m(a: Analysis) -> Floats:

@@ -21,7 +21,7 @@ from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import caught, last_caught_s
 from deploy.analysis.clearances import distances
-from deploy.analysis.places import LAST_S, allowed_m, distances_m
+from deploy.analysis.places import LAST_S, allowed_m, distances_m, together
 from deploy.analysis.presence import downs, said
 from deploy.recording.recording import Recording
 from deploy.verdict.violations import Violation, is_constant, lasting, windows
@@ -213,7 +213,7 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
             f"{a.wanted[-1, column]:.3f} m at the end{rest}, although nothing had happened to the fleet."
         )
         found.append(Violation("formed", end_s, message))
-    least_m = error_m[a.grid >= end_s - LAST_S].min(axis=0)
+    least_m = np.where(together(a), 0.0, error_m[a.grid >= end_s - LAST_S].min(axis=0))
     far = int(least_m.argmax())
     if least_m[far] > allowed_m(a):
         message = (

@@ -2,11 +2,11 @@
 
 A formation may have all its distances and be nowhere near where it should be: behind a course that is too
 fast for it, say. Who is not at its place (`deploy.analysis.places`) in all of the last `LAST_S` fails the
-verdict, unless that is too early to say: it is off its place since something happened to the fleet less than
-`RECOVERED_S` ago, or it has never been there yet, or was kept from it of late, and will be there as soon as
-that at the rate at which it comes nearer. A place that moves faster than robots may is never too early to
-say. Robots that could not follow are not judged: released to their operators, ordered to stand, killed, in
-fault.
+verdict, unless that is too early to say: it is off its place since something happened to the fleet less
+than `RECOVERED_S` ago, or it has never been there yet, or was kept from it of late, and will be there as
+soon as that at the rate at which it comes nearer. A place that moves faster than robots may is never too
+early to say. Those who are off `together` only warn. Robots that could not follow are not judged: released
+to their operators, ordered to stand, killed, in fault.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from agent.fleet.fault_rules import ACTION_FIELDS
 from agent.formation.points import Floats
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.analysis.analysis import Analysis
-from deploy.analysis.places import LAST_S, allowed_m, distances_m
+from deploy.analysis.places import LAST_S, allowed_m, distances_m, together
 from deploy.analysis.presence import Flags, downs, said
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
@@ -55,6 +55,7 @@ class Off:
             before the end, or longer; the start is such a thing.
         begun: it was never there yet; or, in the last `RECOVERED_S`, was kept from it, or something happened.
         too_fast: its place moves faster than robots may.
+        together: it is off as all are, and not too far.
     """
 
     index: int
@@ -64,11 +65,13 @@ class Off:
     troubled: bool
     begun: bool
     too_fast: bool
+    together: bool
 
     @property
     def excused(self) -> bool:
-        """Whether it is too early to say that it is not where it should be."""
-        return not self.too_fast and (self.troubled or (self.begun and self.due_s <= RECOVERED_S))
+        """Whether it is near enough with the others, or it is too early to say."""
+        early = self.troubled or (self.begun and self.due_s <= RECOVERED_S)
+        return not self.too_fast and (early or self.together)
 
 
 class _Behind(NamedTuple):
@@ -112,9 +115,12 @@ class Tracking:
     def warnings(self) -> list[str]:
         """Sentences for those of whom it is too early to say, and for those that fell behind in mid-drive."""
         out = []
-        for why, each in _by_cause([off for off in self.off if off.excused]):
-            coming = ", and coming nearer" if all(off.due_s < inf for off in each) else ""
+        together = [off for off in self.off if off.excused and off.together]
+        if together:
+            out.append(f"{self._how_far(together)}: the formation as a whole, which was right in itself.")
+        for why, each in _by_cause([off for off in self.off if off.excused and not off.together]):
             text = f": {'; '.join(why)}" if why else ""
+            coming = ", and coming nearer" if all(off.due_s < inf for off in each) else ""
             out.append(f"{self._how_far(each)}{coming}{text}. The drive ended too early to judge that.")
         return out + self._behind()
 
@@ -133,6 +139,7 @@ class Tracking:
         end_s = float(a.grid[-1])
         lately = a.grid >= end_s - LAST_S
         candidates = np.flatnonzero(self._far[lately].all(axis=0)).tolist()
+        alike = together(a)
         troubles = [each for each in self._troubles if each[1] + RECOVERED_S >= end_s]
         for index in candidates:
             robot = a.ids[index]
@@ -149,6 +156,7 @@ class Tracking:
                 (never and end_s <= RECOVERED_S) or any(t <= since_s + REACTION_S for t, _ in troubles),
                 never or bool(troubles or kept_from(recording, robot, end_s - RECOVERED_S, end_s)),
                 self.causes.place_speed(index) > recording.fleet.control.max_speed_mps,
+                bool(alike[index]),
             )
 
     def _behind(self) -> list[str]:

@@ -89,8 +89,7 @@ def _examples(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def test_in_simulate_they_form_up_and_slip(tmp_path: Path) -> None:
-    stiff = "--set control.c1=0.8"  # drag that the law does not know leaves them behind their places
-    handfast(tmp_path, f"simulate delta {DRAG} --duration 40s {stiff} --set robot_defaults.drag.slip=0.05")
+    handfast(tmp_path, f"simulate delta {DRAG} --duration 40s --set robot_defaults.drag.slip=0.05")
     found = metrics(tmp_path / "out")
     assert found["verdict"]["passed"], found["verdict"]
     text = (tmp_path / "out" / "fleet.toml").read_text()

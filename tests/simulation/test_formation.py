@@ -20,7 +20,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Mission, Outgoing
 from agent.node import Node
-from agent.supervision.state_machine import DRIVING, State
+from agent.supervision.state_machine import State
 from deploy.analysis import fleet_law
 from deploy.console.data_files import FLEETS
 from deploy.simulate.random_starts import random_fleet
@@ -133,7 +133,7 @@ def test_lattice_of_45_settles_on_its_circle():
 
 
 def test_bodies_may_differ():
-    fleet = bundled("delta", "trajectory.kind=hold", "fleet.duration_s=30")
+    fleet = bundled("delta", "trajectory.kind=hold", "fleet.duration_s=25")
     robots = tuple(
         replace(robot, mass_kg=4.0 + 5.0 * k, inertia_kgm2=0.05 * (k + 1), hand_offset_m=0.06 + 0.04 * k)
         for k, robot in enumerate(fleet.robots)
@@ -308,7 +308,7 @@ def test_neighbours_of_a_frozen_agent_drive_on_without_it_and_take_it_back():
     simulation.run_until(at(simulation, 8.0))
     agent.frozen = False
     simulation.run_until(at(simulation, 9.0))
-    assert {agent.state for agent in simulation.agents} <= DRIVING
+    assert {agent.state for agent in simulation.agents} == {State.RUNNING}
     simulation.run_until(at(simulation, 40.0))
     trace = kept.trace(simulation.epoch_ns, 40.0)
     assert trace.settling_time() is not None

@@ -225,7 +225,7 @@ def test_neighbours_of_a_released_robot_carry_on_about_where_it_really_is():
             tick(plants, now)
             tick(agents.values(), now + PERIOD // 2)
             now += PERIOD
-            if k and states:
+            if k:
                 assert tuple(agent.state.value for agent in agents.values()) == states
 
     def distance() -> float:
@@ -249,7 +249,6 @@ def test_neighbours_of_a_released_robot_carry_on_about_where_it_really_is():
     assert hypot(bodies[2].reading.pose.x - before.x, bodies[2].reading.pose.y - before.y) > 0.15
     assert distance() > made.formation.safe_distance_m
     bodies[1].taken = False
-    run(5.0)  # robot 2 was about to go round it
-    run(10.0, "running", "running")
+    run(15.0, "running", "running")
     assert distance() == pytest.approx(1.0, abs=0.01)
     assert not any(agent.rejected for agent in agents.values())

@@ -79,8 +79,9 @@ def jumps(rows: list[Row]) -> float:
 
 
 @pytest.fixture
-def bench() -> FleetBench:
-    made = FleetBench(three())
+def bench(request: pytest.FixtureRequest) -> FleetBench:
+    """Three that drive; `request.param`: another setting."""
+    made = FleetBench(three(*getattr(request, "param", ())))
     made.drive()
     made.run(8.0)
     return made
@@ -130,6 +131,7 @@ def test_a_neighbour_that_comes_back_comes_back_without_a_bump(bench: FleetBench
     assert max(faster) <= PERIOD_S / TRUST_GAINED_S + 1e-9  # nor does its speed come back at once
 
 
+@pytest.mark.parametrize("bench", [("control.k2=5",)], indirect=True)
 def test_a_displaced_neighbour_that_comes_back_makes_no_jump(bench: FleetBench):
     """It was pushed 0.3 m aside while nobody heard it: the edge pulls by and by."""
     silence(bench, 3)
@@ -139,7 +141,7 @@ def test_a_displaced_neighbour_that_comes_back_makes_no_jump(bench: FleetBench):
     heal(bench)
     back = watch(bench, 2.0)
     assert jumps(back) < 0.003
-    assert max(hypot(*row.acceleration) for row in back) > 0.004  # it does pull
+    assert max(hypot(*row.acceleration) for row in back) > 0.005  # it does pull
 
 
 def test_speed_comes_back_as_slowly_as_it_went(bench: FleetBench):

@@ -9,7 +9,7 @@ import pytest
 
 from agent.formation.geometry import resolve
 from deploy.analysis.analysis import Analysis, analyse
-from deploy.analysis.places import allowed_m, distances_m, last_there_s
+from deploy.analysis.places import allowed_m, distances_m, last_there_s, together
 from tests.unit.deploy.judged_run import PAIR, body, recorded
 from tests.unit.deploy.synthetic_run import Path, make_fleet, messages, standing
 
@@ -34,6 +34,13 @@ def test_who_could_not_follow_has_no_distance() -> None:
     a = analysed(standing(0, 0.1), standing(1, 0))
     assert distances_m(a)[-1] == pytest.approx([0.1, 0.0])
     assert np.isnan(distances_m(replace(a, away=np.ones_like(a.away)))).all()
+
+
+def test_a_formation_may_be_off_as_a_whole_by_half_the_way_to_another_place() -> None:
+    for lag, turned, alike in ((0.45, 0.0, True), (0.55, 0.0, False), (0.2, 0.28, False)):
+        a = analysed(standing(turned, lag), standing(1.0 - turned, lag))
+        assert together(a).tolist() == [alike, alike], (lag, turned)
+    assert together(analysed(standing(0, 0.2))).tolist() == [False], "alone it is no formation"
 
 
 def test_when_all_were_there() -> None:

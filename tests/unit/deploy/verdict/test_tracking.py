@@ -60,18 +60,28 @@ def test_a_fleet_in_formation_far_behind_its_course_fails() -> None:
 
 
 def test_who_is_off_its_place_for_no_reason_fails() -> None:
-    reasons, _ = verdict(run(pair(), lambda t: 0.3 if t > 20.0 else 0.0))
+    reasons, _ = verdict(run(pair(), lambda t: 0.6 if t > 20.0 else 0.0))
     assert reasons == [
-        "Robots 1 and 2 were up to 0.30 m (robot 1) from their places at the end (60.0 s), where 0.25 m is "
+        "Robots 1 and 2 were up to 0.60 m (robot 1) from their places at the end (60.0 s), where 0.25 m is "
         "allowed: the recording does not say why."
     ]
     assert verdict(run(pair(), lambda t: 0.24)) == ([], [])
-    assert verdict(run(pair(), lambda t: 0.3 if t > 58.5 else 0.0)) == ([], []), "it was there just now"
+    assert verdict(run(pair(), lambda t: 0.6 if t > 58.5 else 0.0)) == ([], []), "it was there just now"
+
+
+def test_a_formation_that_is_right_in_itself_may_be_a_little_behind() -> None:
+    assert verdict(run(pair(), lambda t: 0.3 if t > 20.0 else 0.0)) == (
+        [],
+        [
+            "Robots 1 and 2 were up to 0.30 m (robot 1) from their places at the end (60.0 s), where 0.25 m "
+            "is allowed: the formation as a whole, which was right in itself."
+        ],
+    )
 
 
 def test_what_it_says_itself_is_the_cause() -> None:
     told = {"state": "degraded", "reason": "held up by robot 6 (silent for 75 s)"}
-    (reason,), _ = verdict(run(pair(), lambda t: 0.5, told=told))
+    (reason,), _ = verdict(run(pair(), lambda t: 0.6, told=told))
     assert reason.endswith("allowed: held up by robot 6 (silent for 75 s).")
 
 
@@ -113,7 +123,7 @@ def noisy(at_s: float, for_s: float) -> Rule:
     ],
 )
 def test_what_follows_a_fault_may_take_its_time(rule: Rule, excused: bool) -> None:
-    reasons, warnings = verdict(run(pair((0.0, 0.0), 60.0, rule), lambda t: 0.5 if t > 45.0 else 0.0))
+    reasons, warnings = verdict(run(pair((0.0, 0.0), 60.0, rule), lambda t: 0.6 if t > 45.0 else 0.0))
     assert (reasons == []) == excused
     assert (len(warnings) == 1) == excused
 
@@ -121,7 +131,7 @@ def test_what_follows_a_fault_may_take_its_time(rule: Rule, excused: bool) -> No
 def test_what_is_killed_for_good_is_a_fault_of_one_moment() -> None:
     """Though its rule lasts to the end."""
     kill = Rule(robot=1, kill="agent", at=20.0)
-    reasons, _ = verdict(run(pair((0.0, 0.0), 60.0, kill), lambda t: 0.5 if t > 21.0 else 0.0))
+    reasons, _ = verdict(run(pair((0.0, 0.0), 60.0, kill), lambda t: 0.6 if t > 21.0 else 0.0))
     assert [each for each in reasons if "from their places" in each]
 
 
