@@ -7,6 +7,7 @@ from itertools import combinations
 from math import dist, floor, inf, log10
 from typing import Final
 
+from agent.control.beliefs import said_doubt
 from agent.control.safety_distances import AHEAD_M, RATE_SHARE, barrier_rate, braking_room
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
@@ -124,6 +125,8 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     """
     if not fleet.avoidance.enabled:
         return
+    late_s = _late_s(fleet)
+    unsure = said_doubt(late_s)
     keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
     rate, section = barrier_rate(fleet), fleet.trajectory
     fastest = trajectory.maximum_speed(section)
@@ -132,11 +135,11 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         apart = dist(a, b)
         if apart < keep * (1.0 - _ROUNDING):
             closest.append((apart, i, j))
-        elif apart > keep and apart < keep + fastest / rate:
+        elif apart < keep + unsure + fastest / rate:
             along = trajectory.maximum_speed_along(section, (b[0] - a[0]) / apart, (b[1] - a[1]) / apart)
-            possible = rate * (apart - keep)
-            if along > possible * (1.0 + _ROUNDING):
-                tight.append((possible / along, i, j, apart, keep + along / rate))
+            possible = rate * (apart - keep - unsure)
+            if along > max(0.0, possible) * (1.0 + _ROUNDING):
+                tight.append((possible / along, i, j, apart, keep + unsure + along / rate))
     if closest:
         apart, i, j = min(closest)
         more = f" ({len(closest)} such pairs in all)" if len(closest) > 1 else ""
@@ -151,13 +154,23 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         return
     share, i, j, apart, needed = min(tight)
     more = f" ({len(tight)} such pairs in all)" if len(tight) > 1 else ""
+    late = f" and its messages are {late_s:.3g} s late" if unsure else ""
+    slower = f"take at most {_below(share * fastest)} m/s, or " if share > 0.0 else ""
     yield Finding(
         "warning",
         f"trajectory.{'velocity_mps' if section.kind == 'line' else 'speed_mps'}",
         f"{fastest:.4g} m/s is too fast for robots {i} and {j}, whose places are {apart:.4g} m apart{more}: "
         f"where one follows the other, the safety filter keeps it {needed:.4g} m behind, so that it can "
-        f"brake when the other does; take at most {_below(share * fastest)} m/s, or put them farther apart",
+        f"brake when the other does{late}; {slower}put them farther apart",
     )
+
+
+def _late_s(fleet: Fleet) -> float:
+    """How late messages always are by the fleet file, s."""
+    if fleet.faults.delay is None:
+        return 0.0
+    delay = fleet.faults.delay.start
+    return 0.0 if delay.trace else delay.mean + delay.jitter
 
 
 def _lag(fleet: Fleet) -> Iterator[Finding]:

@@ -11,7 +11,7 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.control.boundaries import fence_of, obstacles_of
 from agent.control.safety_distances import avoidance_distance, barrier_rate
 from agent.control.safety_distances import clearance as clearance_of
-from agent.fleet.fault_rules import LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
+from agent.fleet.fault_rules import ACTION_FIELDS, LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
 from agent.formation.trajectory import maximum_speed
@@ -78,7 +78,8 @@ def limits(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
 
 
 def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
-    """Some time after the last fault and the last change all members drive, and their edges are right.
+    """Some time after the last fault and the last change all members drive, and their edges are right as soon
+    as the way that was left then allows (`formed_by_s`).
 
     Where links fail all the time a robot may hold now and then, as long as it drives in between.
 
@@ -116,7 +117,9 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
             )
             found.append(Violation("recovery", t_s, message))
     free_s = max(last_s, _held_up_s(a, fleet))
-    off = a.off & (a.grid >= free_s + RECOVERED_S)[:, None]
+    way_m = float(np.nan_to_num(distances_m(a)[np.argmax(a.grid >= free_s)]).max())
+    due_s = free_s + formed_by_s(way_m, maximum_speed(fleet.trajectory), fleet.control)
+    off = a.off & (a.grid >= due_s)[:, None]
     if off.any():  # what follows takes its time
         off &= (a.grid >= last_caught_s(a, fleet, last_s) + RECOVERED_S)[:, None]
     if off.any():
@@ -139,8 +142,14 @@ def last_trouble_s(recording: Recording, a: Analysis) -> float | None:
     for robot in recording.ids:
         times += [end for start, end in recording.halts(robot) if start < end_s]
     for span in windows(recording):
-        if not is_constant(span.rule):
+        if span.rule.given(ACTION_FIELDS):  # a fault of one moment, for good or until its process is back
+            times.append(span.start_s)
+        elif not is_constant(span.rule):
             times.append(span.end_s)
+    for robot in recording.ids:
+        for role in ROLES:
+            lost = downs(recording, robot, role)
+            times += [t for down in lost for t in (down.start_s, down.end_s) if 0.0 <= t <= end_s]
     return max(times, default=None)
 
 

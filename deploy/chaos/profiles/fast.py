@@ -11,8 +11,10 @@ from math import dist, pi
 from typing import Final
 
 from agent.common.quantities import Vector
+from agent.control.beliefs import said_doubt
+from agent.fleet.safety import AvoidanceSection
 from deploy.chaos.dice import Dice, Tables
-from deploy.chaos.draw_formation import draw_shape
+from deploy.chaos.draw_formation import apart_m, draw_shape
 from deploy.chaos.profiles import pieces
 
 ROBOTS: Final = (2, 8)
@@ -20,6 +22,8 @@ SHARES: Final = (0.4, 0.9)
 """Least and most of the greatest speed."""
 DELAY_MAX_MS: Final = 1000
 LOSS_MAX: Final = 50.0
+ROOM: Final = 1.05
+"""Places are so many times as far apart as one behind another has to be."""
 DURATION_S: Final = 45.0
 ERROR_M: Final = 0.7
 """So far from their places they start, each axis: from rest, behind a course that does not wait."""
@@ -36,20 +40,30 @@ def draw_fast(seed: int) -> Tables:
     control.pop("prediction_horizon_s", None)
     rate_hz = dice.weighted(_RATES_HZ)
     ids = list(range(1, dice.whole(*ROBOTS) + 1))
-    shape = draw_shape(Dice("shape", seed), ids, safe_m)
+    late_s, links = _links(dice)
+    speed = dice.between(*SHARES) * top
+    places = Dice("shape", seed)
+    behind_m = ROOM * _behind_m(safe_m, speed, late_s, control)
+    shape = draw_shape(places, ids, safe_m, max(places.between(1.0, 1.8) * apart_m(safe_m), behind_m))
     reach_m = dice.between(0.1, 0.2, 2)
     tables: Tables = {
         "fleet": pieces.fleet(seed, rate_hz, DURATION_S),
         "formation": pieces.formation(shape, ids, safe_m, assign=True),
         "control": control,
-        "trajectory": _trajectory(dice, dice.between(*SHARES) * top, control["max_acceleration"]),
+        "trajectory": _trajectory(dice, speed, control["max_acceleration"]),
         "robot_defaults": {
             "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
         },
     }  # fmt: skip
     tables["robot"] = pieces.robots_at(dice, _starts(dice, shape.offsets, safe_m), (), reach_m)
-    tables["faults"] = _links(dice)
+    tables["faults"] = links
     return tables
+
+
+def _behind_m(safe_m: float, speed: float, late_s: float, control: Tables) -> float:
+    """How far the safety filter keeps a robot behind another, that it can brake when that does, (F4)."""
+    rate: float = min(3.0, control["max_acceleration"] / control["max_speed_mps"])
+    return safe_m + AvoidanceSection().margin_m + said_doubt(late_s) + speed / rate
 
 
 def _trajectory(dice: Dice, speed: float, acceleration: float) -> Tables:
@@ -72,15 +86,15 @@ def _starts(dice: Dice, places: Mapping[int, Vector], safe_m: float) -> dict[int
     return starts
 
 
-def _links(dice: Dice) -> Tables:
-    """``[faults]``: for all messages between robots, all the time."""
-    delay_ms = dice.whole(0, DELAY_MAX_MS)
+def _links(dice: Dice) -> tuple[float, Tables]:
+    """How late messages are at most, s, and ``[faults]``: for all between robots, all the time."""
+    delay_ms, jitter_ms = dice.whole(0, DELAY_MAX_MS), 0
     faults: Tables = {}
     if delay_ms:
         jitter_ms = dice.whole(0, delay_ms // 4)
-        faults["delay"] = (
-            f"{delay_ms}ms" if dice.chance(0.6) or not jitter_ms else f"{delay_ms}ms {jitter_ms}ms"
-        )
+        if dice.chance(0.6):
+            jitter_ms = 0
+        faults["delay"] = f"{delay_ms}ms {jitter_ms}ms" if jitter_ms else f"{delay_ms}ms"
     if dice.chance(0.7):
         faults["loss"] = f"{dice.between(1.0, LOSS_MAX, 1):g}%"
-    return faults
+    return (delay_ms + jitter_ms) / 1e3, faults
