@@ -325,9 +325,10 @@ class Controller:
         near = SPEED_MIN * self._c2 / self._c1
         for peer, message in self._driving(now_ns):
             moving.add(f"robot {peer.robot}")
-            place = self.reference.motion(peer.robot, now_ns)
-            if place and hypot(message.x - place[0], message.y - place[1]) > near:
-                astray.add(peer.robot)
+            if self.detour.is_loose:
+                place = self.reference.motion(peer.robot, now_ns)
+                if place and hypot(message.x - place[0], message.y - place[1]) > near:
+                    astray.add(peer.robot)
         lanes = {"own lane", *(each.name for each in self.right_of_way.keep_out)}
         blockers: list[Blocker] = []
         waits: list[Blocker] = []

@@ -87,7 +87,7 @@ class Hold(NamedTuple):
     waits: lanes that it has to keep in or out of: nobody counts with it anywhere else.
     pull: force of its own edges, m/s^2, W.
     robots: those at the other ends of its edges, with the force of each.
-    astray: of its neighbours those that are off their places.
+    astray: of its neighbours those that are off their places; only looked at while it `is_loose`.
     limits: names of what else the safety filter changed its command for.
     """
 
@@ -138,6 +138,11 @@ class Detour:
         """Ends all: the robot does not drive."""
         self._arrive()
         self._loose_max_s, self.grip = LOOSE_S, 1.0
+
+    @property
+    def is_loose(self) -> bool:
+        """Whether it makes for its place without its edges."""
+        return self._loose
 
     @property
     def looks(self) -> bool:

@@ -105,15 +105,17 @@ class Peer:
 
     def late_ns(self, now_ns: int) -> int:
         """How long what is known of it has been overdue and a little more: its age, less `forgiven_ns`."""
-        return now_ns + self.clock.used_ns - self.time_ns - self.forgiven_ns
+        return now_ns + self.clock.used_ns - self.time_ns - self.lateness.forgiven_ns
 
     def direct_late_ns(self, now_ns: int) -> int:
         """As `late_ns`, of what has come from itself."""
-        return now_ns + self.clock.used_ns - self.direct_ns - self.forgiven_ns
+        return now_ns + self.clock.used_ns - self.direct_ns - self.lateness.forgiven_ns
 
     def is_heard(self, now_ns: int) -> bool:
         """Whether what is known of it is as new as usual, so that it can be predicted."""
-        return self.here and self.message is not None and self.late_ns(now_ns) < UNSURE_NS
+        if not self.here or self.message is None:
+            return False
+        return now_ns + self.clock.used_ns - self.time_ns - self.lateness.forgiven_ns < UNSURE_NS
 
     def doubt(self, now_ns: int) -> float:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
@@ -257,15 +259,18 @@ class Peers:
             return "future"
         if beacon.silent:
             self._accept_silent(peer, beacon, now_ns)
-        if beacon.time_ns > peer.direct_ns or peer.deaf:
-            peer.deaf = self._owner in beacon.unheard
+        time_ns = beacon.time_ns
+        if time_ns > peer.direct_ns or peer.deaf:
+            unheard = beacon.unheard
+            peer.deaf = self._owner in unheard
             peer.mark = beacon.mission_version, beacon.mission_tag
-            self._most_unheard = max(self._most_unheard, len(beacon.unheard))
-            for robot in beacon.unheard:
-                self._unheard_elsewhere[robot] = now_ns + ELSEWHERE_NS
-        if beacon.time_ns <= peer.time_ns:
+            if unheard:
+                self._most_unheard = max(self._most_unheard, len(unheard))
+                for robot in unheard:
+                    self._unheard_elsewhere[robot] = now_ns + ELSEWHERE_NS
+        if time_ns <= peer.time_ns:
             return None  # a hand state was quicker
-        if beacon.time_ns - peer.clock.used_ns < now_ns:
+        if time_ns - peer.clock.used_ns < now_ns:
             self._take_beacon(peer, beacon, now_ns)
         else:
             self._early_beacons.append((peer, beacon))
@@ -334,25 +339,21 @@ class Peers:
         return tuple(told)
 
     def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
-        if beacon.time_ns - peer.hand_ns > OUTAGE_NS:  # else its hand states say how late it is
-            age_ns = now_ns + peer.clock.used_ns - beacon.time_ns
-            gap_ns = None if peer.direct_ns == _NEVER else beacon.time_ns - peer.direct_ns
-            peer.lateness.take(age_ns, gap_ns, self._beacon_ns)
-        peer.direct_ns = max(peer.direct_ns, beacon.time_ns)
+        time_ns = beacon.time_ns
+        if time_ns - peer.hand_ns > OUTAGE_NS:  # else its hand states say how late it is
+            age_ns = now_ns + peer.clock.used_ns - time_ns
+            gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns
+            _note(peer.lateness, age_ns, gap_ns, self._beacon_ns)
+        if time_ns > peer.direct_ns:
+            peer.direct_ns = time_ns
         peer.message = HandState.placed(
-            beacon.robot,
-            beacon.sequence,
-            beacon.time_ns,
-            beacon.following,
-            peer.degree,
-            beacon.place,
-            beacon.doubt,
+            beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, beacon.place, beacon.doubt
         )
-        peer.time_ns = beacon.time_ns
+        peer.time_ns = time_ns
         peer.belief = None
         peer.here = peer.token
-        if peer.gone_ns >= beacon.time_ns:  # it is there, though its clock be behind the operator's
-            peer.gone_ns = beacon.time_ns - 1
+        if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
+            peer.gone_ns = time_ns - 1
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
         # A clock that was behind and has been set must not be refused for what it was.
@@ -377,8 +378,7 @@ class Peers:
         age_ns = now_ns + peer.clock.used_ns - time_ns
         if age_ns > 2 * period_ns:
             peer.delayed += 1
-        if peer.lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
-            peer.lateness.take(age_ns, gap_ns, period_ns)
+        _note(peer.lateness, age_ns, gap_ns, period_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
@@ -387,7 +387,8 @@ class Peers:
             if robot == self._owner:
                 peer.copy = value
                 break
-        peer.direct_ns = max(peer.direct_ns, time_ns)
+        if time_ns > peer.direct_ns:
+            peer.direct_ns = time_ns
         if time_ns >= peer.time_ns:  # of one tick it says more than a beacon
             peer.time_ns = time_ns
             peer.message = message
@@ -502,6 +503,12 @@ class Peers:
 
 def _by_hand(peer: Peer) -> int:
     return peer.hand_ns
+
+
+def _note(lateness: Lateness, age_ns: int, gap_ns: int | None, period_ns: int) -> None:
+    """Has a message counted where it says something: most come in time, and have nothing to say."""
+    if lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
+        lateness.take(age_ns, gap_ns, period_ns)
 
 
 def _refuse(peer: Peer, same: bool) -> str:

@@ -80,8 +80,8 @@ class Proximity:
         message = peer.message
         if message is not None and peer.is_heard(now_ns):
             far = self.sensing + UNSEEN_M
-            if not -far < message.x - here.x < far:  # most of a large fleet
-                return False
+            if not (-far < message.x - here.x < far and -far < message.y - here.y < far):
+                return False  # most of a large fleet
             age_ns = now_ns + peer.clock.used_ns - peer.time_ns
             ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
             dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y

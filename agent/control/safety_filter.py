@@ -203,6 +203,15 @@ def limit_turning(
     """
     c, s = cos(pose.heading), sin(pose.heading)
     speed, turn = pose.speed, pose.yaw_rate
+    if speed >= -rate * reach:  # as below, with `most` for the limit and no slope: as nearly always
+        bias, room = speed * turn, 2.0 * rate * reach
+        left, right = bias + room * (most - turn), room * (most + turn) - bias
+        braking = rate * reach * turn
+        if turn > 0.0:
+            right = max(right, min(braking, (quickest * reach - speed) * turn))
+        elif turn < 0.0:
+            left = max(left, min(-braking, (speed - quickest * reach) * turn))
+        return HalfPlane(s, -c, -left, cause, BODY), HalfPlane(-s, c, -right, cause, BODY)
     limit, slope = turning_limit(speed, reach, most, rate)
     slope *= reach  # wdot <= 2 p (W - w) + W' vdot, with vdot = u . (cos, sin) + L w^2
     drift = reach * slope * turn * turn
@@ -219,7 +228,7 @@ def limit_turning(
         HalfPlane((s + slope * c) / size, (slope * s - c) / size, -left / size, cause, BODY),
         HalfPlane((slope * c - s) / size, (slope * s + c) / size, -right / size, cause, BODY),
     )
-    if slope == 0.0 or quickest == inf:
+    if quickest == inf:
         return planes
     # W' holds here, and one period may bring the body to where it is another one.
     bias, gain = speed * turn, quickest * reach
