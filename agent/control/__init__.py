@@ -1,1 +1,1 @@
-"""The control law in time: constraint forces, prediction of the others, avoidance and the safety filter."""
+"""The control law in time: constraint forces, ways round, who waits for whom, and the safety filter."""

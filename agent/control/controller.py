@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
-from agent.control.beliefs import AHEAD_S, DOUBT_MAX, growth
 from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of, one_sided
-from agent.control.lateness import UNSURE_NS
-from agent.control.peers import Peer, Peers
-from agent.control.prediction import Prediction, constraint_decay
+from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
+from agent.control.peers.lateness import UNSURE_NS
+from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.prediction import Prediction, constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import TURN_MAX, TURN_SHARE, acceleration_max, barrier_rate

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
 from agent.control import law
-from agent.control.peers import Peers
-from agent.control.prediction import Prediction
+from agent.control.peers.peers import Peers
+from agent.control.peers.prediction import Prediction
 from agent.messages.types import NEIGHBOURS_MAX
 
 Key = int | str

@@ -8,7 +8,7 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
-from agent.control.prediction import BRAKING_TIME_S
+from agent.control.peers.prediction import BRAKING_TIME_S
 from agent.messages.types import FLOAT_MAX, PlantState
 
 LAST_PLACE_NS: Final = NS_PER_S

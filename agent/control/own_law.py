@@ -19,7 +19,7 @@ from agent.common.time import NS_PER_S
 from agent.common.wording import printable
 from agent.control.hand import Hand
 from agent.control.law_plugin import Law, Moment, Neighbour, Reference
-from agent.control.peers import Peer, Peers
+from agent.control.peers.peers import Peer, Peers
 from agent.fleet.model import Fleet
 from agent.fleet.sections import load_law
 from agent.formation.reference import Edge

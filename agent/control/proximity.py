@@ -14,7 +14,7 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.common.time import NS_PER_S
 from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
-from agent.control.peers import Peer, Peers
+from agent.control.peers.peers import Peer, Peers
 from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan

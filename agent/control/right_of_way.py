@@ -23,10 +23,10 @@ from math import ceil, hypot
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from agent.control.beliefs import DOUBT_MAX
 from agent.control.hand import Hand
-from agent.control.lanes import Lane, Run, offset
-from agent.control.peers import Peer, Peers
+from agent.control.peers.beliefs import DOUBT_MAX
+from agent.control.peers.lanes import Lane, Run, offset
+from agent.control.peers.peers import Peer, Peers
 from agent.control.safety_distances import barrier_rate
 from agent.control.safety_filter import HalfPlane, keep_clear
 from agent.fleet.model import Fleet

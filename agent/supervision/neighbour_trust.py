@@ -14,7 +14,7 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.hand import Hand
-from agent.control.peers import TRUST_GAINED_S, Peer
+from agent.control.peers.peers import TRUST_GAINED_S, Peer
 from agent.fleet.model import Fleet
 from agent.supervision.state_machine import DRIVING, State
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from agent.common.time import MachineClock
 from agent.control.hand import Hand
-from agent.control.peers import Peers
+from agent.control.peers.peers import Peers
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode

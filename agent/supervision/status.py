@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
 from agent.common.time import NS_PER_S
-from agent.control.peers import Peer
+from agent.control.peers.peers import Peer
 from agent.messages.types import NeighbourStatus, Status, Total
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5

@@ -10,9 +10,9 @@ from math import inf
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from agent.control.beliefs import STANDS_S, said_doubt, stands_after
 from agent.control.controller import STOP_S
-from agent.control.lateness import LATE_MAX_NS, UNSURE_NS
+from agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
+from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.model import Fleet
 from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S

@@ -7,7 +7,7 @@ from itertools import combinations
 from math import dist, floor, inf, log10
 from typing import Final
 
-from agent.control.beliefs import said_doubt
+from agent.control.peers.beliefs import said_doubt
 from agent.control.safety_distances import AHEAD_M, RATE_SHARE, barrier_rate, braking_room
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from agent.control.lateness import UNSURE_NS
+from agent.control.peers.lateness import UNSURE_NS
 from agent.supervision.state_machine import State
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recording import Recording

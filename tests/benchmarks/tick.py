@@ -24,7 +24,7 @@ import numpy as np
 
 from agent import core
 from agent.control import law, safety_filter
-from agent.control.peers import Peers
+from agent.control.peers.peers import Peers
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved

@@ -11,10 +11,10 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.beliefs import growth, said_doubt, stood_on
 from agent.control.controller import _only_braking
 from agent.control.hand import Hand
-from agent.control.lanes import Lane
+from agent.control.peers.beliefs import growth, said_doubt, stood_on
+from agent.control.peers.lanes import Lane
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_filter import keep_apart, limit_speed, project
 

@@ -11,7 +11,7 @@ from math import dist, pi
 from typing import Final
 
 from agent.common.quantities import Vector
-from agent.control.beliefs import said_doubt
+from agent.control.peers.beliefs import said_doubt
 from agent.fleet.safety import AvoidanceSection
 from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.draw_formation import apart_m, draw_shape

@@ -8,8 +8,8 @@ import pytest
 
 from agent.control import law
 from agent.control.couplings import COUPLINGS, Constraint
-from agent.control.peers import Peers
-from agent.control.prediction import Prediction
+from agent.control.peers.peers import Peers
+from agent.control.peers.prediction import Prediction
 from agent.fleet import sections
 from agent.messages.types import HandState
 from deploy.analysis import couplings

@@ -9,7 +9,7 @@ import pytest
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.control.own_hand import LAST_PLACE_NS, OwnHand
-from agent.control.prediction import BRAKING_TIME_S
+from agent.control.peers.prediction import BRAKING_TIME_S
 from agent.formation.geometry import resolve
 from agent.messages.types import PlantState
 from tests.unit.agent.agent_bench import START, fleet

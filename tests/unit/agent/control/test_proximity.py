@@ -6,10 +6,10 @@ from math import inf
 
 import pytest
 
-from agent.control.beliefs import DOUBT_MAX
 from agent.control.controller import LOOK_PERIOD_NS
 from agent.control.hand import Hand
-from agent.control.peers import Peers
+from agent.control.peers.beliefs import DOUBT_MAX
+from agent.control.peers.peers import Peers
 from agent.control.proximity import AHEAD_S, STAY_M, Proximity
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet

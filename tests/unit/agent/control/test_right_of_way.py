@@ -7,7 +7,7 @@ from math import hypot
 import pytest
 
 from agent.control.hand import Hand
-from agent.control.peers import Peers
+from agent.control.peers.peers import Peers
 from agent.control.right_of_way import GAINED_NS, LANE_SHARE, RightOfWay
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve, start_hand

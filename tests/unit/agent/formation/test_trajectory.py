@@ -7,7 +7,7 @@ from math import hypot, pi, sqrt
 
 import pytest
 
-from agent.control.lanes import Lane
+from agent.control.peers.lanes import Lane
 from agent.fleet.sections import TrajectorySection
 from agent.formation.trajectory import (
     corner_distances,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.control.peers import TRUST_GAINED_S, TRUST_LOST_S
+from agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.messages.types import HandState, Status, Stop, Wrench
 from agent.supervision.neighbour_trust import SLOWEST
 from agent.supervision.state_machine import State

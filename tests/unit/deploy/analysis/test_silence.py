@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from agent.control.beliefs import STANDS_S, stands_after
-from agent.control.lateness import LATE_MAX_NS
+from agent.control.peers.beliefs import STANDS_S, stands_after
+from agent.control.peers.lateness import LATE_MAX_NS
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved

@@ -4,7 +4,7 @@ Pure. Others are heard in two ways: by the hand states of those that are listene
 in the formation graph, and whoever is near), and by the beacons of all (a few a second).
 
 A robot stamps its messages and follows the mission by its own clock. So all that is about it is computed
-in that clock: the own one plus its offset, as far as that is proven (`agent.control.clock_offset`).
+in that clock: the own one plus its offset, as far as that is proven (`agent.control.peers.clock_offset`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
-from agent.control.beliefs import (
+from agent.control.peers.beliefs import (
     DOUBT_AFTER_S,
     DOUBT_MAX,
     DOUBT_RATE,
@@ -22,10 +22,10 @@ from agent.control.beliefs import (
     stands_after,
     stood_between,
 )
-from agent.control.clock_offset import ClockOffset
-from agent.control.forecast import Forecast, Motion
-from agent.control.lateness import IN_TIME_NS, OUTAGE_NS, UNSURE_NS, Lateness
-from agent.control.prediction import Prediction, as_it_came, coasting
+from agent.control.peers.clock_offset import ClockOffset
+from agent.control.peers.forecast import Forecast, Motion
+from agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, UNSURE_NS, Lateness
+from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
 
 ELSEWHERE_NS: Final = NS_PER_S
@@ -132,7 +132,7 @@ class Peers:
         c1, c2: navigation gains (21) of all.
         period_ns: time between two hand states of one robot.
         motion: desired motion of every robot.
-        decay: of a robot's constraint force, 1/s (`agent.control.prediction.constraint_decay`).
+        decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
         predict: False takes every message as it came, whatever its age.
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
         starts: where the hands of all others are until they are heard, m, W.

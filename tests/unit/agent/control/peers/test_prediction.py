@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from agent.control.law import acting_error, navigation_force
-from agent.control.prediction import (
+from agent.control.peers.prediction import (
     BRAKING_TIME_S,
     Prediction,
     as_it_came,

@@ -6,7 +6,7 @@ from math import dist
 
 import pytest
 
-from agent.control.forecast import DRIVEN_MAX, Forecast
+from agent.control.peers.forecast import DRIVEN_MAX, Forecast
 from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import plan_of

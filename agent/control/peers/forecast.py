@@ -1,7 +1,7 @@
 """Where the other robots go from a message on, if they do as they are to (PURE).
 
-One step of it is in `agent.control.prediction`, exact for a pull whose direction does not change. Longer ways
-are made of such steps.
+One step of it is in `agent.control.peers.prediction`, exact for a pull whose direction does not change.
+Longer ways are made of such steps.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
-from agent.control.beliefs import DOUBT_MAX, Belief, stood_on
-from agent.control.lanes import Lane
-from agent.control.prediction import Prediction, coasting, following
+from agent.control.peers.beliefs import DOUBT_MAX, Belief, stood_on
+from agent.control.peers.lanes import Lane
+from agent.control.peers.prediction import Prediction, coasting, following
 from agent.formation.reference import Reference
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -42,7 +42,7 @@ class Forecast:
     Args:
         c1, c2: navigation gains (21) of all.
         motion: desired motion of every robot.
-        decay: of a robot's constraint force, 1/s (`agent.control.prediction.constraint_decay`).
+        decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
 
     Attributes:

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from agent.control.lateness import LATE_MAX_NS, OUTAGE_PERIODS, UNSURE_NS, Lateness
+from agent.control.peers.lateness import LATE_MAX_NS, OUTAGE_PERIODS, UNSURE_NS, Lateness
 
 S = 1_000_000_000
 

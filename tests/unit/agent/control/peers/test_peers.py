@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.control.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
-from agent.control.lateness import LATE_MAX_NS, UNSURE_NS
 from agent.control.law import acting_error
-from agent.control.peers import (
+from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
+from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
+from agent.control.peers.peers import (
     TRUST_GAINED_S,
     TRUST_LOST_S,
     Peers,
 )
-from agent.control.prediction import Prediction, as_it_came, coasting, following, transition
+from agent.control.peers.prediction import Prediction, as_it_came, coasting, following, transition
 from agent.formation.trajectory import Sample
 from agent.messages.codec import decode, encode
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.beliefs import (
+from agent.control.peers.beliefs import (
     DISCS_MAX,
     DOUBT_MAX,
     STRETCH,
