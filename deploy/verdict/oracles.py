@@ -53,7 +53,8 @@ ORACLES: Final[tuple[Oracle, ...]] = (
     Oracle("limits", "Speeds, forces and torques stay within the fleet file's.", oracles_drive.limits),
     Oracle(
         "recovery",
-        f"{oracles_drive.RECOVERED_S:g} s after the last fault or change all are in formation again.",
+        f"{oracles_drive.RECOVERED_S:g} s after the last fault or change, and as long as the way takes that "
+        "is left, all are in formation again; beside an agent that is gone for good, who is not says why.",
         oracles_drive.recovery,
     ),
     Oracle(

@@ -14,6 +14,7 @@ from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fault_rules import ACTION_FIELDS, LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection
+from agent.formation.points import Floats
 from agent.formation.trajectory import maximum_speed
 from agent.links.fault_plan import FaultPlan
 from agent.messages.key_expressions import ROLES
@@ -22,8 +23,9 @@ from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import caught, last_caught_s
 from deploy.analysis.clearances import distances
 from deploy.analysis.places import LAST_S, allowed_m, distances_m, together
-from deploy.analysis.presence import downs, said
+from deploy.analysis.presence import Flags, downs, said
 from deploy.recording.recording import Recording
+from deploy.recording.tables import StatusTable
 from deploy.verdict.violations import Violation, is_constant, lasting, windows
 
 SPEED_SHARE: Final = 1.1
@@ -86,6 +88,9 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     Who was held up by an obstacle, or by a robot that it shares no edge with, gets as long after that. So
     do edges where the formation has come to rest in another shape (`deploy.analysis.balance`): that is no
     matter of recovery.
+
+    Beside bodies that nobody hears any more some cannot go on, and some not to their places: there, who holds
+    has to say why, and of an edge that is off at the end one of the two.
     """
     end_s = recording.end_s
     last_s = last_trouble_s(recording, a)
@@ -95,10 +100,14 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     plan = FaultPlan(fleet)
     rules = (_whole(fleet), *(span.rule for span in windows(recording)))
     lossy = any(is_constant(rule) and rule.given(LINK_FIELDS) for rule in rules)
+    gone = {
+        robot
+        for robot in recording.ids
+        if any(down.end_s > end_s for role in ROLES for down in downs(recording, robot, role))
+    }
     found = []
     for index, (robot, data) in enumerate(recording.robots.items()):
-        lost = [down for role in ROLES for down in downs(recording, robot, role)]
-        if any(down.end_s > end_s for down in lost) or not len(data.status):
+        if robot in gone or not len(data.status):
             continue
         grid = a.grid[rows]
         skew_ns, drift = plan.clock(robot)
@@ -107,6 +116,8 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         idle = is_due & ~said(data.status, grid, DRIVING_NAMES | _EXCUSED)
         if lossy and (is_due & ~idle).any():  # by chance nothing may come for long, time and again
             idle &= ~said(data.status, grid, _HOLDING)
+        if gone:
+            idle &= ~_says_why(data.status, grid)
         if idle.any():
             t_s = float(grid[np.argmax(idle)])
             state, reason = data.status.at(t_s) or ("", "")
@@ -122,6 +133,10 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     off = a.off & (a.grid >= due_s)[:, None]
     if off.any():  # what follows takes its time
         off &= (a.grid >= last_caught_s(a, fleet, last_s) + RECOVERED_S)[:, None]
+    if gone:
+        off[:-1] = False
+        named = [_says_why(recording.robots[robot].status, a.grid[-1:]).any() for robot in a.ids]
+        off[-1] &= ~np.array([named[i] or named[j] for i, j in a.edges.tolist()], dtype=bool)
     if off.any():
         k, column = (int(index) for index in np.argwhere(off)[-1])
         i, j = (a.ids[index] for index in a.edges[column])
@@ -132,6 +147,11 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         )
         found.append(Violation("recovery", t_s, message))
     return found
+
+
+def _says_why(status: StatusTable, grid: Floats) -> Flags:
+    """(k,): whether a robot names what holds it at these times."""
+    return np.array([bool((status.at(float(t)) or ("", ""))[1]) for t in grid], dtype=bool)
 
 
 def last_trouble_s(recording: Recording, a: Analysis) -> float | None:

@@ -268,10 +268,10 @@ def test_agent_dead_where_ticks_come_late() -> None:
     assert found("agent_dead", PAIR, extra=gone, change=braking(2, 1.6))
 
 
-def saying(robot: int, state: str, begin_s: float, end_s: float = 9.0) -> Change:
+def saying(robot: int, state: str, begin_s: float, end_s: float = 9.0, reason: str = "") -> Change:
     def change(t: float, m: Message) -> Message | None:
         if type(m) is Status and m.robot == robot and begin_s < t < end_s:
-            return m._replace(state=state)
+            return m._replace(state=state, reason=reason)
         return m
 
     return change
@@ -542,6 +542,31 @@ def test_recovery_of_robots() -> None:
         )
         == []
     )
+
+
+def test_beside_a_body_that_nobody_hears_who_does_not_go_on_says_why() -> None:
+    kill = Rule(robot=3, kill="agent", at=2.5)
+    row = make_fleet([(0, 0), (1, 0), (2, 0)], [(1, 2), (2, 3)], duration_s=30.0, rate_hz=10.0)
+    row = replace(row, faults=FaultsSection(rules=(kill,)))
+    gone = both(
+        braking(3, 2.6, 40.0), lambda t, m: None if type(m) is Status and m.robot == 3 and t > 2.5 else m
+    )
+    for reason, fires in (("", True), ("its place is taken by robot 3 (silent for 20 s)", False)):
+        for state, path in (("holding", standing(1, 0)), ("running", standing(1.2, 0))):
+            told = both(gone, saying(2, state, 4.0, 40.0, reason))
+            ways = standing(0, 0), path, standing(2, 0)
+            options: Any = {"change": told, "extra": [event(2.5, 3, "agent", "kill")]}
+            assert bool(found("recovery", row, *ways, **options)) == fires, (reason, state)
+
+
+def test_recovery_counts_the_way_that_was_left() -> None:
+    far = replace(FAULTY, control=replace(FAULTY.control, max_speed_mps=0.1))
+
+    def comes(t: float) -> tuple[float, float, float]:
+        return 1.0 + max(0.0, min(1.5, 1.5 - 0.06 * (t - 3.0))) * (t > 2.0), 0.0, 0.0
+
+    assert found("recovery", FAULTY, standing(0, 0), comes)
+    assert found("recovery", far, standing(0, 0), comes) == []
 
 
 def test_recovery_does_not_judge_the_edges_of_who_stands_in_anothers_way() -> None:
