@@ -515,7 +515,12 @@ class Silent(NamedTuple):
     it last, and where it may be since."""
 
     robot: Annotated[int, _ROBOT]
-    time_ns: Annotated[int, _TIME.of("When that was, by the sender's clock, since the Unix epoch")]
+    time_ns: Annotated[
+        int,
+        _TIME.of(
+            "When that was, by the sender's clock, since the Unix epoch; 0: never since the drive began"
+        ),
+    ]
     following: Annotated[bool, _FOLLOWING]
     x: Annotated[float, _HAND_X]
     y: Annotated[float, _HAND_Y]

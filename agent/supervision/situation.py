@@ -125,7 +125,9 @@ class Situation:
             place = "in reserve" if self._fleet.robot(self._robot).reserve else "it has left the formation"
         neighbours = ""
         if state not in DRIVING:  # a robot that drives has begun
-            neighbours = trust.missing(now_ns, started=started) or self._listening(now_ns, started)
+            neighbours = trust.missing(now_ns, started=started) or (
+                self._listening(now_ns) if started else ""
+            )
         return Conditions(
             plant=self.plant_trouble,
             body=self.body_trouble,
@@ -153,11 +155,17 @@ class Situation:
             return f"plant silent for {age_ns / NS_PER_S:.2f} s"
         return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
 
-    def _listening(self, now_ns: int, started: bool) -> str:
-        """Why a robot that comes into a drive must wait: it cannot know yet who is near."""
-        told_ns = max(0, self._controller.peers.rounds_to_tell - 1) * self._listening_ns // LISTEN_ROUNDS
-        heard = self._alone or not started or now_ns >= (self._listened_ns or 0) + told_ns
-        return "" if heard else "hears who is near"
+    def _listening(self, now_ns: int) -> str:
+        """Why a robot that comes into a drive must wait: it cannot know yet who is near, or where those went
+        that are silent now."""
+        if self._alone:
+            return ""
+        peers = self._controller.peers
+        told_ns = max(0, peers.rounds_to_tell - 1) * self._listening_ns // LISTEN_ROUNDS
+        if now_ns < (self._listened_ns or 0) + told_ns:
+            return "hears who is near"
+        unknown = ", ".join(f"robot {robot}" for robot in peers.unknown)
+        return f"nobody heard tells where to look for {unknown}" if unknown else ""
 
     def _deadman(self, now_ns: int) -> str:
         """Why the dead-man's switch holds the robot, "" when it does not."""

@@ -35,6 +35,8 @@ TRUST_LOST_S: Final = 0.5
 TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
 _NEVER: Final = -1
+NEVER_CAME_NS: Final = 0
+"""Stamp of a row about a robot that was never heard."""
 
 
 class Peer:
@@ -53,6 +55,7 @@ class Peer:
         direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
             others may have told.
         belief: where it may be as others say, who have heard it last.
+        never_came: nobody has ever heard it, says who was there from the start: it began where it starts.
         gone_ns: what it has said until then counts no more: its body has been carried off.
         copy: its copy of the shared multiplier that has come since the last `Peers.take_copy`, if any.
         degree: constraints that act on it.
@@ -64,8 +67,8 @@ class Peer:
 
     __slots__ = (
         "ahead_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns", "duplicated",
-        "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message", "other_version",
-        "received", "robot", "sequence", "time_ns", "token", "trust",
+        "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message", "never_came",
+        "other_version", "received", "robot", "sequence", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
@@ -74,7 +77,7 @@ class Peer:
         self.early: HandState | None = None
         self.time_ns = self.hand_ns = self.direct_ns = self.sequence = self.gone_ns = _NEVER
         self.belief: Belief | None = None
-        self.deaf = False
+        self.deaf = self.never_came = False
         self.mark = 0, 0
         self.lateness = Lateness()
         self.clock = ClockOffset(period_ns)
@@ -282,6 +285,9 @@ class Peers:
             if said.robot == self._owner:
                 continue
             peer = self.get(said.robot)
+            if said.time_ns == NEVER_CAME_NS:
+                peer.never_came = True
+                continue
             time_ns = said.time_ns - sender.clock.used_ns + peer.clock.used_ns
             if time_ns <= max(peer.time_ns, peer.gone_ns) or time_ns > now_ns + peer.clock.used_ns:
                 continue
@@ -311,6 +317,19 @@ class Peers:
         )
 
     @property
+    def unknown(self) -> list[int]:
+        """Robots that may have driven before this one was there: nobody who was has told of them yet."""
+        if self._was_there:
+            return []
+        new = (peer for peer in self._known.values() if peer.message is None)
+        return [peer.robot for peer in new if not (peer.is_gone or peer.never_came)]
+
+    @property
+    def _was_there(self) -> bool:
+        """Whether it has listened since the drive began."""
+        return _NEVER < self._began_ns <= self.forecast.epoch_ns
+
+    @property
     def rounds_to_tell(self) -> int:
         """How many beacons of one robot it takes to tell of all that others do not hear."""
         return -(-self._most_unheard // SILENT_MAX)
@@ -318,11 +337,16 @@ class Peers:
     def silent(self, now_ns: int) -> tuple[Silent, ...]:
         """What to tell of robots that are not heard here, or elsewhere, as rows of a beacon: in turn, where
         they are too many for one."""
-        elsewhere = self._unheard_elsewhere
+        elsewhere, epoch_ns = self._unheard_elsewhere, self.forecast.epoch_ns
         told = []
         for peer in self._known.values():
             message = peer.message
-            if message is None or peer.is_gone:
+            if peer.is_gone:
+                continue
+            if message is None:
+                start = self._starts.get(peer.robot)
+                if start is not None and (peer.never_came or self._was_there) and now_ns > epoch_ns:
+                    told.append(Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0))
                 continue
             heard = peer.is_heard(now_ns)
             if heard and not elsewhere.get(peer.robot, 0) > now_ns:

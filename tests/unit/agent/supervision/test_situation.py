@@ -11,7 +11,7 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolve, resolved
-from agent.messages.types import PlantState, Resume, Stop
+from agent.messages.types import PlantState, Removed, Resume, Stop
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.situation import LISTEN_ROUNDS, Situation
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
@@ -154,11 +154,16 @@ def test_the_dead_mans_switch_holds_until_a_heartbeat_and_after_the_last() -> No
 def test_who_comes_into_a_drive_listens_first() -> None:
     made, trust = driving()
     made.check_plant(NOW)
-    fresh, _ = situation()
+    made_of = resolved(load_fleet(FLEETS / "pair.toml"))
+    controller = Controller(made_of, resolve(made_of), 1)
+    fresh = Situation(made_of, 1, controller, cast(NeighbourTrust, Trust()))
     fresh.mission = made.mission
     fresh.check_plant(NOW)
     assert fresh.conditions(NOW, State.WAITING).neighbours == "hears who is near"
     later = NOW + LISTEN_ROUNDS * NS_PER_S
+    lost = "nobody heard tells where to look for robot 2"
+    assert fresh.conditions(later, State.WAITING).neighbours == lost
+    controller.peers.remove([Removed(2, later)])
     assert fresh.conditions(later, State.WAITING).neighbours == ""
     trust.lacks = "silent neighbours: robot 2"
     assert made.conditions(later, State.WAITING).neighbours == trust.lacks

@@ -13,6 +13,7 @@ from agent.control.law import acting_error
 from agent.control.peers.beliefs import DOUBT_AFTER_S, DOUBT_MAX, DOUBT_RATE
 from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
 from agent.control.peers.peers import (
+    NEVER_CAME_NS,
     TRUST_GAINED_S,
     TRUST_LOST_S,
     Peers,
@@ -753,6 +754,34 @@ def test_hearsay_is_no_news_of_who_was_heard_since_nor_of_oneself():
     assert known.accept_beacon(said, T0 + 2 * S + PERIOD) is None
     assert predicted(known, 2, T0 + S).position == (1.0, 2.0)
     assert {peer.robot for peer in known.known if peer.message is not None} == {2, 3}
+
+
+def test_who_comes_into_a_drive_has_to_be_told_of_all():
+    there = peers(starts={2: (1.5, -2.0), 3: (0.0, 3.0), 4: (9.0, 0.0)})
+    new = peers(starts={2: (1.5, -2.0), 3: (0.0, 3.0), 4: (9.0, 0.0)})
+    assert there.silent(T0) == (), "before the drive nothing is said of who never came"
+    for known in (there, new):
+        known.forecast.epoch_ns = T0 + S
+    there.begin(T0)
+    now = T0 + 30 * S
+    heard(there, message(4, 5, T0 + 9 * S), now_ns=T0 + 9 * S + PERIOD)
+    assert there.unknown == []
+    new.begin(now)
+    assert new.unknown == [2, 3, 4]
+    assert new.silent(now) == (), "it does not know whether they never came"
+    assert new.accept_beacon(told(there, now), now + PERIOD) is None
+    assert new.unknown == []
+    assert new.get(2).message is None, "it is looked for on its way from its start"
+    on = {row.robot: row.time_ns for row in new.silent(now + 2 * PERIOD)}
+    assert (on[2], on[4]) == (NEVER_CAME_NS, T0 + 9 * S), "and told on"
+
+
+def test_who_was_carried_off_need_not_be_known():
+    new = peers(starts={2: (1.5, -2.0)})
+    new.begin(T0 + S)
+    assert new.unknown == [2]
+    new.remove([Removed(2, T0 + S)])
+    assert new.unknown == []
 
 
 def test_of_many_silent_robots_all_are_told_in_turn():
