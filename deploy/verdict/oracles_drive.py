@@ -35,6 +35,8 @@ FASTER_S: Final = 0.5
 _COMMAND_SHARE: Final = 1.0 + 1e-6
 RECOVERED_S: Final = 20.0
 """Within so long after the last fault or change all drive in formation again."""
+GETS_OUT_S: Final = 90.0
+"""By then robots have got out of each other's way."""
 ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 LATE_MAX_S: Final = 1.25
@@ -90,7 +92,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     matter of recovery.
 
     Beside bodies that nobody hears any more some cannot go on, and some not to their places: there, who holds
-    has to say why, and of an edge that is off at the end one of the two.
+    has to say why, and of an edge that is off at the end one of the two, of late.
     """
     end_s = recording.end_s
     last_s = last_trouble_s(recording, a)
@@ -135,8 +137,8 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         off &= (a.grid >= last_caught_s(a, fleet, last_s) + RECOVERED_S)[:, None]
     if gone:
         off[:-1] = False
-        named = [_says_why(recording.robots[robot].status, a.grid[-1:]).any() for robot in a.ids]
-        off[-1] &= ~np.array([named[i] or named[j] for i, j in a.edges.tolist()], dtype=bool)
+        named, ends = _named_lately(recording, a), a.edges.reshape(-1, 2)
+        off[-1] &= ~(named[ends[:, 0]] | named[ends[:, 1]])
     if off.any():
         k, column = (int(index) for index in np.argwhere(off)[-1])
         i, j = (a.ids[index] for index in a.edges[column])
@@ -152,6 +154,12 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
 def _says_why(status: StatusTable, grid: Floats) -> Flags:
     """(k,): whether a robot names what holds it at these times."""
     return np.array([bool((status.at(float(t)) or ("", ""))[1]) for t in grid], dtype=bool)
+
+
+def _named_lately(recording: Recording, a: Analysis) -> Flags:
+    """(n,): which robots have named what holds them in the last `RECOVERED_S`."""
+    lately = a.grid[a.grid >= a.grid[-1] - RECOVERED_S]
+    return np.array([_says_why(recording.robots[robot].status, lately).any() for robot in a.ids], dtype=bool)
 
 
 def last_trouble_s(recording: Recording, a: Analysis) -> float | None:
@@ -215,7 +223,8 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     """A fleet to which nothing happens is in formation in the end, and where its course has it.
 
     Messages may be late by up to `LATE_MAX_S` and lost up to `LOST_MAX` all the time. Not judged among
-    obstacles, which may be in the way, nor before `formed_by_s`.
+    obstacles, which may be in the way, nor before `formed_by_s`; nor before `GETS_OUT_S` while one says what
+    holds it: robots that want through each other may need several tries.
     """
     rules = (_whole(fleet), *(span.rule for span in windows(recording)))
     calm = not (recording.events or a.changes or recording.resumes or recording.stopped_s is not None)
@@ -230,6 +239,8 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     end_s = float(a.grid[-1])
     error_m = np.nan_to_num(distances_m(a))  # of those who have a place
     if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet.control):
+        return None
+    if end_s < GETS_OUT_S and _named_lately(recording, a).any():
         return None
     found = []
     off = np.flatnonzero(a.off[-1])
