@@ -92,7 +92,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
     matter of recovery.
 
     Beside bodies that nobody hears any more some cannot go on, and some not to their places: there, who holds
-    has to say why, and of an edge that is off at the end one of the two, of late.
+    has to say why, and where edges are off at the end somebody has to have done so of late.
     """
     end_s = recording.end_s
     last_s = last_trouble_s(recording, a)
@@ -137,8 +137,9 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
         off &= (a.grid >= last_caught_s(a, fleet, last_s) + RECOVERED_S)[:, None]
     if gone:
         off[:-1] = False
-        named, ends = _named_lately(recording, a), a.edges.reshape(-1, 2)
-        off[-1] &= ~(named[ends[:, 0]] | named[ends[:, 1]])
+        off[-1] &= not _named_lately(
+            recording, a
+        ).any()  # who is held pulls at its neighbours, and they at theirs
     if off.any():
         k, column = (int(index) for index in np.argwhere(off)[-1])
         i, j = (a.ids[index] for index in a.edges[column])
