@@ -22,7 +22,7 @@ UNSURE_NS: Final = NS_PER_S // 4
 LATE_MAX_NS: Final = 2 * NS_PER_S
 """No more than this is forgiven a link for being late as usual."""
 RARE: Final = 1e-5
-OUTAGE_NS: Final = NS_PER_S // 2
+OUTAGE_NS: Final = NS_PER_S
 OUTAGE_PERIODS: Final = 12
 """Longer than either of these nothing came: that is an outage, and says nothing of what is usual."""
 _SHARE_WEIGHT: Final = 1.0 / 64.0
@@ -40,29 +40,35 @@ class Lateness:
         heeds: whether a message that comes in time has anything to say.
     """
 
-    __slots__ = ("_burst", "_expected_ns", "_scatter_ns", "_share", "_usual_ns", "forgiven_ns", "heeds")
+    __slots__ = (
+        "_burst", "_expected_ns", "_scatter_ns", "_share", "_taken_ns", "_usual_ns", "forgiven_ns", "heeds",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.forgiven_ns = 0
         self._usual_ns = self._scatter_ns = -1
-        self._expected_ns = 0
+        self._expected_ns = self._taken_ns = 0
         self._share = self._burst = 0.0
         self.heeds = True
 
-    def take(self, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
+    def take(self, now_ns: int, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
         """Takes a message.
 
+        Of those that come at once, in a burst, the first says how old what was known had got.
+
         Args:
-            age_ns: its age when it was taken.
+            now_ns: when it was taken.
+            age_ns: its age then.
             gap_ns: between its stamp and that of the one before, None where that was not awaited.
             expected_ns: between two messages.
         """
         if self._usual_ns < 0:
             self._usual_ns, self._scatter_ns = max(0, age_ns), max(0, age_ns) >> 1
-        else:
+        elif now_ns != self._taken_ns:
             off_ns = age_ns - self._usual_ns
             self._usual_ns += off_ns >> 3
             self._scatter_ns += (abs(off_ns) - self._scatter_ns) >> 2
+        self._taken_ns = now_ns
         if gap_ns is not None and gap_ns < max(OUTAGE_NS, OUTAGE_PERIODS * expected_ns):
             missed = max(0, (gap_ns + (expected_ns >> 1)) // expected_ns - 1)
             self._share += _SHARE_WEIGHT * ((missed > 0) - self._share)

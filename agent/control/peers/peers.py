@@ -367,7 +367,7 @@ class Peers:
         if time_ns - peer.hand_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
             gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns
-            _note(peer.lateness, age_ns, gap_ns, self._beacon_ns)
+            _note(peer.lateness, now_ns, age_ns, gap_ns, self._beacon_ns)
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
         peer.message = HandState.placed(
@@ -402,7 +402,7 @@ class Peers:
         age_ns = now_ns + peer.clock.used_ns - time_ns
         if age_ns > 2 * period_ns:
             peer.delayed += 1
-        _note(peer.lateness, age_ns, gap_ns, period_ns)
+        _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
@@ -529,10 +529,10 @@ def _by_hand(peer: Peer) -> int:
     return peer.hand_ns
 
 
-def _note(lateness: Lateness, age_ns: int, gap_ns: int | None, period_ns: int) -> None:
+def _note(lateness: Lateness, now_ns: int, age_ns: int, gap_ns: int | None, period_ns: int) -> None:
     """Has a message counted where it says something: most come in time, and have nothing to say."""
     if lateness.heeds or age_ns > IN_TIME_NS or gap_ns is None or 2 * gap_ns > 3 * period_ns:
-        lateness.take(age_ns, gap_ns, period_ns)
+        lateness.take(now_ns, age_ns, gap_ns, period_ns)
 
 
 def _refuse(peer: Peer, same: bool) -> str:

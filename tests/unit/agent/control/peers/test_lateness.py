@@ -19,7 +19,7 @@ def alarms(lateness: Lateness, loss: float, hz: int, delay_s: float, seconds: in
         if dice.random() >= loss:
             gap_ns = (k - last) * period_ns
             found += gap_ns + delay_s * S > lateness.forgiven_ns + UNSURE_NS
-            lateness.take(round(delay_s * S), gap_ns, period_ns)
+            lateness.take(k * period_ns, round(delay_s * S), gap_ns, period_ns)
             last = k
     return found
 
@@ -44,13 +44,25 @@ def test_on_a_good_link_nothing_is_forgiven():
 def test_an_outage_says_nothing_of_what_is_usual():
     lateness = Lateness()
     alarms(lateness, 0.0, 50, 0.02, 10)
-    for _ in range(20):
-        lateness.take(S // 50, 5 * S, S // 50)
+    for k in range(20):
+        lateness.take(5 * k * S, S // 50, 5 * S, S // 50)
     assert lateness.forgiven_ns == 0
     slow = Lateness()
-    for _ in range(40):
-        slow.take(S // 10, OUTAGE_PERIODS * S, S)
+    for k in range(40):
+        slow.take(k * OUTAGE_PERIODS * S, S // 10, OUTAGE_PERIODS * S, S)
     assert slow.forgiven_ns < S
+
+
+@pytest.mark.parametrize("burst", [5, 20, 40, 60])
+def test_of_a_burst_the_oldest_says_how_old_what_is_known_gets(burst: int):
+    """All messages of a slot come at once, each one period younger than the one before."""
+    lateness, period_ns = Lateness(), S // 50
+    for slot in range(1, 30):
+        known_ns = burst * period_ns  # of the last one before, when they come
+        if slot > 10:
+            assert known_ns < lateness.forgiven_ns + UNSURE_NS
+        for k in range(burst):
+            lateness.take(slot * burst * period_ns, (burst - 1 - k) * period_ns, period_ns, period_ns)
 
 
 def test_a_link_that_gets_better_is_forgiven_less():
@@ -63,8 +75,8 @@ def test_a_link_that_gets_better_is_forgiven_less():
 
 def test_the_first_message_is_taken_for_what_it_is():
     lateness = Lateness()
-    lateness.take(S // 2, None, S // 50)
+    lateness.take(S, S // 2, None, S // 50)
     assert S // 2 < lateness.forgiven_ns + UNSURE_NS < 2 * S
     ahead = Lateness()
-    ahead.take(-S, None, S // 50)  # of a clock that is ahead
+    ahead.take(S, -S, None, S // 50)  # of a clock that is ahead
     assert ahead.forgiven_ns == 0
