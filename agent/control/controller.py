@@ -370,7 +370,8 @@ class Controller:
                     constraint = law.weighted(constraint, weight)
                 scene.constraints.append(Constraint(peer.robot, constraint, other, peer.degree, False))
             if self.proximity.enabled:
-                self._keep_away(scene, peer, time_ns, other, pushes=weight < 1.0)
+                known = other if self.peers.predicts else None
+                self._keep_away(scene, peer, time_ns, known, pushes=weight < 1.0)
         for peer in self.proximity.close:
             self._keep_away(scene, peer, time_ns, pushes=True)
         if self.proximity.enabled:
@@ -408,7 +409,7 @@ class Controller:
         if message is None or not peer.is_heard(now_ns):
             self._keep_from_belief(scene, peer)
             return
-        other = predicted or self.peers.predict(peer, time_ns)
+        other = predicted or self.peers.carry(peer, time_ns)
         dx, dy = own.x - other.position[0], own.y - other.position[1]
         rho = hypot(dx, dy)
         if rho > self.proximity.sensing:

@@ -167,7 +167,8 @@ class ControlSection(Sectioned):
     )
     prediction: bool = setting(
         True,
-        "Carries a neighbour's state forward over the age of its message; false: takes it as it came.",
+        "Carries a neighbour's state forward over the age of its message; false: the law takes it as it "
+        "came, and only what keeps robots apart carries it forward.",
     )
     prediction_horizon_s: float = setting(
         2.0,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from math import cos, pi, sin
+
 import numpy as np
 import pytest
 
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from deploy.console.arguments import fleet_path
@@ -35,6 +37,47 @@ def driven(fleet: Fleet) -> tuple[Floats, Floats]:
 def back_after(times: Floats, distances: Floats) -> float:
     """Last time (s) at which an edge of the delta was off its metre by more than 5 %."""
     return float(times[np.flatnonzero((np.abs(distances - 1.0) > 0.05).any(axis=1))[-1]])
+
+
+RING = """
+fleet = {{ name = "ring", rate_hz = 20, duration_s = {duration_s} }}
+formation = {{ edges = {edges}, offsets = {places}, safe_distance_m = 0.22 }}
+trajectory = {{ kind = "hold" }}
+control = {{ {control} }}
+faults = {{ {faults} }}
+robot = [{robots}]
+"""
+
+
+def ring(faults: str, control: str = "", duration_s: float = 30.0) -> Fleet:
+    """Six robots on a circle that all go to the very opposite point."""
+    turns = [k * pi / 3.0 for k in range(6)]
+    places = [[1.5 * cos(turn), 1.5 * sin(turn)] for turn in turns]
+    robots = ", ".join(
+        f"{{ id = {k + 1}, x_m = {-1.2 * x!r}, y_m = {-1.2 * y!r} }}" for k, (x, y) in enumerate(places)
+    )
+    edges = [[k + 1, (k + 1) % 6 + 1] for k in range(6)]
+    text = RING.format(
+        duration_s=duration_s, edges=edges, places=places, control=control, faults=faults, robots=robots
+    )
+    return resolved(parse_fleet(text, source="ring.toml"))
+
+
+@pytest.mark.parametrize("delay", ["700ms", "1s"])
+def test_without_prediction_robots_are_kept_from_where_the_others_are_by_now(delay: str):
+    closest = RunResult(judged.drive(ring(f'delay = "{delay}"', "prediction = false", 8.0))).analysis.closest
+    assert closest is not None
+    assert closest.distance_m > SAFE_M
+
+
+@pytest.mark.parametrize("slot", ["500ms", "800ms"])
+def test_messages_that_come_in_bursts_are_not_silence(slot: str):
+    """Up to 40 at once, the youngest just sent."""
+    times, distances = driven(
+        delta("fleet.duration_s=30", f"faults.slot={slot}", "trajectory.velocity_mps=[0.7, 0]")
+    )
+    assert distances.min() > SAFE_M
+    assert back_after(times, distances) < 25.0
 
 
 # --- three faults -----------------------------------------------------------------------------

@@ -143,6 +143,7 @@ class Peers:
         horizon_s: a robot that hears nobody for so long stands.
 
     Attributes:
+        predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
     """
 
@@ -164,7 +165,7 @@ class Peers:
         self._owner = owner
         self._period_ns = period_ns
         self._beacon_ns = beacon_ns
-        self._predict = predict
+        self.predicts: Final = predict
         self.forecast: Final = Forecast(c1, c2, motion, decay, most)
         self._horizon_s = horizon_s
         self._unheard_elsewhere: dict[int, int] = {}
@@ -482,17 +483,20 @@ class Peers:
         return peer.trust
 
     def predict(self, peer: Peer, time_ns: int) -> Prediction:
-        """A robot that has been heard, carried forward to `time_ns` of the own clock.
+        """As `carry`; without prediction the state is that of the message. For the law."""
+        assert peer.message is not None
+        return self.carry(peer, time_ns) if self.predicts else as_it_came(peer.message)
+
+    def carry(self, peer: Peer, time_ns: int) -> Prediction:
+        """A robot that has been heard, carried forward to `time_ns` of the own clock. To keep away from it.
 
         One whose clock is found to be ahead is further along its way, for it follows by its own. One that
-        is ahead of that time is taken as it is. Without prediction its state is that of the message.
+        is ahead of that time is taken as it is.
 
         One whose process is gone is taken to brake: its plant sees to that.
         """
         message = peer.message
         assert message is not None
-        if not self._predict:
-            return as_it_came(message)
         then_ns = time_ns + peer.clock.used_ns
         found = self.forecast.following(message, then_ns) if message.following and peer.here else None
         return coasting(message, max(0, then_ns - message.time_ns) * 1e-9) if found is None else found
