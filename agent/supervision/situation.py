@@ -6,6 +6,7 @@ Plant, body, orders, neighbours, heartbeat, own numbers: each is watched here, a
 
 from __future__ import annotations
 
+from math import hypot, inf
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -18,6 +19,9 @@ from agent.supervision.stop_latch import AWAITED, StopLatch
 
 LISTEN_ROUNDS: Final = 2
 """So many times all others have said where they are before a robot joins in a drive."""
+RUNAWAY: Final = 2.0
+RUNAWAY_MORE: Final = 0.2
+"""A body that is so many times as fast as it may be, and so much (m/s) more, does not do what it is told."""
 
 
 class Situation:
@@ -55,6 +59,9 @@ class Situation:
         self._listening_ns = LISTEN_ROUNDS * fleet.beacon_rounds * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
+        self._reach = fleet.robot(robot).hand_offset_m
+        self._speed_max = fleet.control.max_speed_mps
+        self._runaway = RUNAWAY * self._speed_max + RUNAWAY_MORE if controller.proximity.enabled else inf
 
     # ------------------------------------------------------------------ what happens
 
@@ -153,7 +160,12 @@ class Situation:
             if came_ns - plant.time_ns > self._plant_timeout_ns >= now_ns - came_ns:
                 return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
             return f"plant silent for {age_ns / NS_PER_S:.2f} s"
-        return "" if plant.healthy else f"plant unhealthy: {plant.note or 'no reason given'}"
+        if not plant.healthy:
+            return f"plant unhealthy: {plant.note or 'no reason given'}"
+        speed = hypot(plant.speed, self._reach * plant.yaw_rate)
+        if speed > self._runaway and plant.obeying:
+            return f"its body runs away: {speed:.2f} m/s, control.max_speed_mps is {self._speed_max:g}"
+        return ""
 
     def _listening(self, now_ns: int) -> str:
         """Why a robot that comes into a drive must wait: it cannot know yet who is near, or where those went

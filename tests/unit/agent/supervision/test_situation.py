@@ -51,8 +51,9 @@ def driving(*overrides: str) -> tuple[Situation, Trust]:
 
 
 def plant(**changes: Any) -> PlantState:
-    given = {"time_ns": NOW, "healthy": True, "obeying": True, "note": ""} | changes
-    return cast(PlantState, SimpleNamespace(speed=0.0, yaw_rate=0.0, **given))
+    still = {"speed": 0.0, "yaw_rate": 0.0}
+    given = {"time_ns": NOW, "healthy": True, "obeying": True, "note": ""} | still | changes
+    return cast(PlantState, SimpleNamespace(**given))
 
 
 def test_in_the_middle_of_a_mission_all_is_well() -> None:
@@ -149,6 +150,42 @@ def test_the_dead_mans_switch_holds_until_a_heartbeat_and_after_the_last() -> No
     made.heartbeat_ns = NOW
     assert made.conditions(NOW + NS_PER_S, State.RUNNING).hold == ""
     assert made.conditions(NOW + 2 * NS_PER_S, State.RUNNING).hold == "no operator's heartbeat for 2.0 s"
+
+
+def test_a_body_that_runs_away_is_no_plant_to_drive() -> None:
+    """By its speed, or by how fast its hand goes round it."""
+    most = load_fleet(FLEETS / "pair.toml").control.max_speed_mps
+    for speed, yaw_rate, obeying, trouble in (
+        (1.9 * most, 0.0, True, ""),
+        (
+            2.5 * most,
+            0.0,
+            True,
+            f"its body runs away: {2.5 * most:.2f} m/s, control.max_speed_mps is {most:g}",
+        ),
+        (
+            -2.5 * most,
+            0.0,
+            True,
+            f"its body runs away: {2.5 * most:.2f} m/s, control.max_speed_mps is {most:g}",
+        ),
+        (
+            0.0,
+            100.0 * most,
+            True,
+            f"its body runs away: {10.0 * most:.2f} m/s, control.max_speed_mps is {most:g}",
+        ),
+        (2.5 * most, 0.0, False, ""),  # its operator drives it
+    ):
+        made, _ = driving()
+        state = plant(time_ns=NOW + 1, obeying=obeying, speed=speed, yaw_rate=yaw_rate)
+        assert made.accept_plant(state, NOW + 1) is None
+        made.check_plant(NOW + 1)
+        assert made.plant_trouble == trouble
+    unfiltered, _ = driving("avoidance.enabled=false")
+    unfiltered.accept_plant(plant(time_ns=NOW + 1, speed=9.0 * most), NOW + 1)
+    unfiltered.check_plant(NOW + 1)
+    assert unfiltered.plant_trouble == ""
 
 
 def test_who_comes_into_a_drive_listens_first() -> None:
