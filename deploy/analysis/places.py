@@ -33,12 +33,12 @@ def allowed_m(a: Analysis, row: int = -1) -> float:
 def together(a: Analysis) -> Flags:
     """(n,): who is off its place at the end as all others are, by half the way to another place at most.
 
-    A formation that is right in itself may be that far behind: soft ground that the law does not know holds
+    A formation whose edges are right may be that far behind: soft ground that the law does not know holds
     rovers so.
     """
     off = np.where(a.away[-1][:, None], np.nan, a.hands[-1] - a.desired[-1])
     known = np.isfinite(off[:, 0])
-    if known.sum() < 2:
+    if known.sum() < 2 or a.off[-1].any():
         return np.zeros(len(off), dtype=bool)
     alike: Flags = norm(off - off[known].mean(axis=0)) <= allowed_m(a)
     return alike & (norm(off) <= TOGETHER * allowed_m(a))
