@@ -97,11 +97,16 @@ class RightOfWay:
         self._own.append(HandState.placed(self._robot, 0, now_ns, True, 0, place))
         lost = [peer for peer in self._peers.known if self._is_given_up(peer, now_ns)]
         has_way = self._has_way(now_ns, len(lost))
-        movers = self._movers(lost) if lost else []
+        movers = self._movers(lost, now_ns) if lost else []
         self.hold, self.keep_out, self.keep_in = "", (), ()
         if not movers:
             self._own_lane = None
             self._lanes.clear()
+            return
+        strangers = [] if self._peers.was_there else [peer.robot for peer in movers if peer.deaf]
+        if strangers:  # they know it by what it said before it started, which it does not know itself
+            self._own_lane = None
+            self.hold = f"not heard since it started by {', '.join(f'robot {robot}' for robot in strangers)}"
             return
         own = self._find_own_lane(movers)
         if has_way:
@@ -171,11 +176,15 @@ class RightOfWay:
             self._gained_ns = now_ns
         return self._gained_ns == 0 or now_ns - self._gained_ns >= GAINED_NS
 
-    def _movers(self, lost: list[Peer]) -> list[Peer]:
+    def _movers(self, lost: list[Peer], now_ns: int) -> list[Peer]:
         """Those who may drive on: they share an edge with somebody who would not tell this robot of them,
-        since it is not heard or does not hear, or share none with anybody."""
+        as it does not hear it or is not heard by it, but by what others relay, or share none with anybody."""
         sharing = self._reference.sharing(min(map(_heard_ns, lost)))
-        silent = {peer.robot for peer in lost} | {peer.robot for peer in self._peers.known if peer.deaf}
+        silent = {
+            peer.robot
+            for peer in self._peers.known
+            if peer.deaf or peer.direct_late_ns(now_ns) > self._horizon_ns
+        }
         found = []
         for peer in lost:
             others = sharing.get(peer.robot)

@@ -309,6 +309,11 @@ def test_the_scene_settles(name: str) -> None:
     assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
 
 
+@pytest.mark.parametrize("name", ["all_restarted", "deaf_restart", "reshaped_restart", "swapped_restart"])
+def test_who_has_started_again_knows_no_more_than_it_is_told(name: str) -> None:
+    assert_apart(scene(name))
+
+
 def test_a_course_that_is_too_fast_is_not_passed() -> None:
     verdict = scene("fast_wide").metrics["verdict"]
     assert not verdict["passed"]

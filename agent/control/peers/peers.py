@@ -320,13 +320,13 @@ class Peers:
     @property
     def unknown(self) -> list[int]:
         """Robots that may have driven before this one was there: nobody who was has told of them yet."""
-        if self._was_there:
+        if self.was_there:
             return []
         new = (peer for peer in self._known.values() if peer.message is None)
         return [peer.robot for peer in new if not (peer.is_gone or peer.never_came)]
 
     @property
-    def _was_there(self) -> bool:
+    def was_there(self) -> bool:
         """Whether it has listened since the drive began."""
         return _NEVER < self._began_ns <= self.forecast.epoch_ns
 
@@ -346,7 +346,7 @@ class Peers:
                 continue
             if message is None:
                 start = self._starts.get(peer.robot)
-                if start is not None and (peer.never_came or self._was_there) and now_ns > epoch_ns:
+                if start is not None and (peer.never_came or self.was_there) and now_ns > epoch_ns:
                     told.append(Silent(peer.robot, NEVER_CAME_NS, True, *start, 0.0, 0.0, *start, 0.0))
                 continue
             heard = peer.is_heard(now_ns)

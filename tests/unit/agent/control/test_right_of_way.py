@@ -13,7 +13,7 @@ from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve, start_hand
 from agent.formation.mission_plan import plan_of
 from agent.formation.reference import Reference
-from agent.messages.types import Beacon, Mission
+from agent.messages.types import Beacon, Mission, Silent
 
 SAFE = 0.2
 FLEET = """
@@ -170,6 +170,32 @@ def test_whom_the_others_do_not_hear_is_not_counted():
     scene = Scene(4)
     scene.run(5.0, 2, 5, unheard=(4,))
     assert scene.way.hold.startswith("on the lane of robot 1")
+
+
+def test_whom_one_hears_by_others_alone_would_not_tell_it_of_its_neighbours():
+    """Robot 4 shares an edge with 3, and is known to be there: 2 hears it and says so."""
+    scene = Scene(1)
+    scene.run(5.0, 2, 5)
+    assert scene.way.keep_in
+    scene = Scene(1)
+    for _ in range(50):
+        scene.run(0.1, 2, 5)
+        row = Silent(4, scene.now - S // 10, True, *scene.starts[4], 0.0, 0.0, *scene.starts[4], 0.0)
+        told = Beacon(2, 0, scene.now + 1, True, *scene.starts[2], 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,), ())
+        assert scene.peers.accept_beacon(told, scene.now + PERIOD) is None
+    assert scene.peers.get(4).late_ns(scene.now) < S
+    scene.way.look(scene.now + PERIOD, scene.here)
+    assert scene.way.keep_in, "robot 3 may be driving with it"
+
+
+def test_one_that_has_started_in_mid_drive_and_is_not_heard_holds():
+    """The others mean the lane from before its start, which it does not know."""
+    for began_ns, holds in ((T0 - S, False), (T0 + S, True)):
+        scene = Scene(1)
+        scene.peers._began_ns = began_ns
+        scene.run(0.5, 2, 3, 4, 5, unheard=(1,))
+        scene.run(3.0, 2, 5)
+        assert (scene.way.hold == "not heard since it started by robot 3, robot 4") is holds
 
 
 def test_the_right_of_way_that_is_gained_begins_later():
