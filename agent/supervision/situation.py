@@ -19,6 +19,8 @@ from agent.supervision.stop_latch import AWAITED, StopLatch
 
 LISTEN_ROUNDS: Final = 2
 """So many times all others have said where they are before a robot joins in a drive."""
+UNHEEDED_S: Final = 1.0
+"""A plant that brakes for so long longer than it waits for a wrench does not hear its agent."""
 RUNAWAY: Final = 2.0
 RUNAWAY_MORE: Final = 0.2
 """A body that is so many times as fast as it may be, and so much (m/s) more, does not do what it is told."""
@@ -59,6 +61,8 @@ class Situation:
         self._listening_ns = LISTEN_ROUNDS * fleet.beacon_rounds * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
+        self._heeded_ns = 0
+        self._unheeded_s = UNHEEDED_S + fleet.control.wrench_timeout_s
         self._reach = fleet.robot(robot).hand_offset_m
         self._speed_max = fleet.control.max_speed_mps
         self._runaway = RUNAWAY * self._speed_max + RUNAWAY_MORE if controller.proximity.enabled else inf
@@ -144,10 +148,18 @@ class Situation:
             mission="" if mission is not None else self.refused_mission or "for a mission",
             stop=stop,
             hold=self._deadman(now_ns) or trust.hold,
-            degraded=trust.degraded,
+            degraded="; ".join(filter(None, (trust.degraded, self._unheeded(now_ns, state)))),
             started=started,
             at_rest=self.at_rest,
         )
+
+    def _unheeded(self, now_ns: int, state: State) -> str:
+        """What is wrong with a body that goes on standing though its robot drives, "" when it obeys."""
+        plant = self.plant
+        if state not in DRIVING or plant is None or plant.driving or not plant.obeying:
+            self._heeded_ns = now_ns
+        late_s = (now_ns - self._heeded_ns) / NS_PER_S
+        return f"its plant has taken no wrench for {late_s:.1f} s" if late_s > self._unheeded_s else ""
 
     def _plant_trouble(self, now_ns: int) -> str:
         plant = self.plant

@@ -51,7 +51,7 @@ def driving(*overrides: str) -> tuple[Situation, Trust]:
 
 
 def plant(**changes: Any) -> PlantState:
-    still = {"speed": 0.0, "yaw_rate": 0.0}
+    still = {"speed": 0.0, "yaw_rate": 0.0, "driving": True}
     given = {"time_ns": NOW, "healthy": True, "obeying": True, "note": ""} | still | changes
     return cast(PlantState, SimpleNamespace(**given))
 
@@ -186,6 +186,25 @@ def test_a_body_that_runs_away_is_no_plant_to_drive() -> None:
     unfiltered.accept_plant(plant(time_ns=NOW + 1, speed=9.0 * most), NOW + 1)
     unfiltered.check_plant(NOW + 1)
     assert unfiltered.plant_trouble == ""
+
+
+def test_a_plant_that_hears_no_wrench_is_named() -> None:
+    """It tells of itself, and brakes: the way to it is dead, the way back is not."""
+    made, trust = driving()
+    assert made.conditions(NOW, State.RUNNING).degraded == ""
+    trust.degraded = "slower: robot 2"
+    late = NOW + 2 * NS_PER_S
+    made.accept_plant(plant(time_ns=late, driving=False), late)
+    told = "slower: robot 2; its plant has taken no wrench for 2.0 s"
+    assert made.conditions(late, State.RUNNING).degraded == told
+    for state, changes in (
+        (State.HOLDING, {"driving": False}),
+        (State.RUNNING, {}),
+        (State.RUNNING, {"obeying": False}),
+    ):
+        made.accept_plant(plant(time_ns=late + 1, **changes), late)
+        made.plant = plant(time_ns=late, **changes)
+        assert made.conditions(late, state).degraded == "slower: robot 2"
 
 
 def test_who_comes_into_a_drive_listens_first() -> None:
