@@ -299,7 +299,7 @@ class Controller:
         if hypot(vx, vy) > SPEED_MIN:
             return ""
         keep = self._safe_distance + self._margin
-        for peer in (*(peer for _, peer in self.edges), *self.proximity.close):
+        for peer in self._about():
             belief = None if peer.is_heard(now_ns) else self.peers.belief(peer)
             if belief is None or hypot(belief.x - x, belief.y - y) > keep + belief.reach:
                 continue
@@ -311,9 +311,15 @@ class Controller:
                         return f"its place is taken by robot {peer.robot} ({since})"
         return ""
 
+    def _about(self) -> Iterator[Peer]:
+        """The robots that it shares an edge with, and those that are near."""
+        for _, peer in self.edges:
+            yield peer
+        yield from self.proximity.close
+
     def _driving(self, now_ns: int) -> Iterator[tuple[Peer, HandState]]:
         """The robots about that follow the law, and go away themselves."""
-        for peer in (*(peer for _, peer in self.edges), *self.proximity.close):
+        for peer in self._about():
             message = peer.message
             if message is not None and message.following and peer.here and peer.late_ns(now_ns) < STANDS_NS:
                 yield peer, message

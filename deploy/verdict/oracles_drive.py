@@ -35,8 +35,6 @@ FASTER_S: Final = 0.5
 _COMMAND_SHARE: Final = 1.0 + 1e-6
 RECOVERED_S: Final = 20.0
 """Within so long after the last fault or change all drive in formation again."""
-GETS_OUT_S: Final = 90.0
-"""By then robots have got out of each other's way."""
 ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 LATE_MAX_S: Final = 1.25
@@ -224,8 +222,7 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     """A fleet to which nothing happens is in formation in the end, and where its course has it.
 
     Messages may be late by up to `LATE_MAX_S` and lost up to `LOST_MAX` all the time. Not judged among
-    obstacles, which may be in the way, nor before `formed_by_s`; nor before `GETS_OUT_S` while one says what
-    holds it: robots that want through each other may need several tries.
+    obstacles, which may be in the way, nor before `formed_by_s`.
     """
     rules = (_whole(fleet), *(span.rule for span in windows(recording)))
     calm = not (recording.events or a.changes or recording.resumes or recording.stopped_s is not None)
@@ -240,8 +237,6 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
     end_s = float(a.grid[-1])
     error_m = np.nan_to_num(distances_m(a))  # of those who have a place
     if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet.control):
-        return None
-    if end_s < GETS_OUT_S and _named_lately(recording, a).any():
         return None
     found = []
     off = np.flatnonzero(a.off[-1])

@@ -24,7 +24,8 @@ DELAY_MAX_MS: Final = 1000
 LOSS_MAX: Final = 50.0
 ROOM: Final = 1.05
 """Places are so many times as far apart as one behind another has to be."""
-DURATION_S: Final = 45.0
+DURATION_S: Final = 90.0
+"""Robots that want through each other may need several tries."""
 ERROR_M: Final = 0.7
 """So far from their places they start, each axis: from rest, behind a course that does not wait."""
 _RATES_HZ: Final = ((15, 2.0), (20, 3.0), (25, 2.0))

@@ -20,6 +20,8 @@ ROBOTS: Final = (2, 6)
 TROUBLE_S: Final = (6.0, 14.0)
 QUIET_S: Final = 12.0
 RECOVERED_S: Final = 21.0
+CALM_S: Final = 90.0
+"""Where nothing happens all are in formation by then, though some want through each other."""
 _TURN_RAD: Final = 0.45
 """Least that V / (L rate) is below: `handfast check` warns from 0.5 on."""
 _HORIZON_PERIODS: Final = 8.0
@@ -48,8 +50,9 @@ def _draw(seed: int, rate_hz: float) -> Tables:
     reach_m = round(max(0.1, speed / (_TURN_RAD * rate_hz)), 2)
     trouble_s = dice.between(*TROUBLE_S, 1)
     quiet_s = RECOVERED_S if dice.chance(0.5) else QUIET_S
+    has_faults = dice.chance(0.5)
     tables: Tables = {
-        "fleet": pieces.fleet(seed, rate_hz, trouble_s + quiet_s),
+        "fleet": pieces.fleet(seed, rate_hz, trouble_s + quiet_s if has_faults else CALM_S),
         "formation": pieces.formation(shape, ids, safe_m, assign=dice.chance(0.5)),
         "control": control,
         "trajectory": pieces.draw_trajectory(Dice("trajectory", seed), (0.0, 0.0), speed),
@@ -64,7 +67,7 @@ def _draw(seed: int, rate_hz: float) -> Tables:
     side = max(3.0, 1.2 * shape.span, 2.5 * apart * len(ids) ** 0.5)
     tables["robot"] = pieces.robots_about(Dice("robots", seed), ids, (), side, apart, reach_m)
     box = Reach((-0.5 * side, -0.5 * side), (0.5 * side, 0.5 * side))
-    rules = draw_faults(Dice("faults", seed), ids, trouble_s, box) if dice.chance(0.5) else []
+    rules = draw_faults(Dice("faults", seed), ids, trouble_s, box) if has_faults else []
     if rules:
         tables["faults"] = {"rule": rules}
     return tables

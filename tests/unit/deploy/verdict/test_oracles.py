@@ -603,14 +603,6 @@ def test_a_fleet_to_which_nothing_happens_is_formed() -> None:
     )
 
 
-def test_who_says_what_holds_it_may_take_a_while() -> None:
-    off = standing(1.2, 0)
-    says = saying(2, "degraded", 15.0, 40.0, "held up by robot 1")
-    assert found("formed", LONG, standing(0, 0), off, change=says) is None
-    long = replace(LONG, fleet=replace(LONG.fleet, duration_s=95.0))
-    assert found("formed", long, standing(0, 0), off, change=saying(2, "degraded", 15.0, 99.0, "held up"))
-
-
 def test_a_formation_beside_its_course_is_not_formed() -> None:
     assert found("formed", LONG, standing(0, 0.6), standing(1, 0.6)) == [
         "Robot 1 was 0.60 m from its place at the end, although nothing had happened to the fleet."
