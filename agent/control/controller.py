@@ -31,7 +31,7 @@ from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
 from agent.formation.trajectory import Sample
 from agent.links.ticks import next_tick_ns
-from agent.messages.codec import tag
+from agent.messages.codec import Mark, tag
 from agent.messages.types import Forces, HandState, PlantState
 
 if TYPE_CHECKING:
@@ -93,6 +93,7 @@ class Controller:
 
     Attributes:
         reference: where every robot is to be, and who shares an edge.
+        mark: of the mission that it goes by, as beacons have it.
         peers: what is known of the others; whoever receives their messages gives them to it.
         proximity: what must be kept away from besides.
         coupling: its multipliers.
@@ -121,7 +122,8 @@ class Controller:
             beacon_ns=fleet.beacon_rounds * fleet.period_ns,
         )
         self.proximity: Final = Proximity(fleet, robot, self.peers)
-        self._references: dict[tuple[int, int], Reference] = {}
+        self._references: dict[Mark, Reference] = {}
+        self.mark: Mark = 0, 0
         self.right_of_way: Final = RightOfWay(fleet, robot, self.peers, self.reference, self._references)
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
@@ -156,7 +158,8 @@ class Controller:
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
         self.reference.take(plan)
-        self._references[plan.mission.version, tag(plan.mission)] = self.reference.frozen()
+        self.mark = plan.mission.version, tag(plan.mission)
+        self._references[self.mark] = self.reference.frozen()
         while len(self._references) > REFERENCES_MAX:
             del self._references[next(iter(self._references))]
         self.peers.forecast.epoch_ns = plan.mission.epoch_ns
@@ -204,7 +207,7 @@ class Controller:
         if now_ns < self._due_ns or not self.proximity.enabled:
             return False
         self._due_ns = now_ns + LOOK_PERIOD_NS
-        self.right_of_way.look(now_ns, here)
+        self.right_of_way.look(now_ns, here, passing=bool(detour.round))
         return self.proximity.look(now_ns, here, neighbours)
 
     def drive(self, plant: PlantState, now_ns: int, slower: float = 1.0) -> Drive:

@@ -22,15 +22,17 @@ from collections.abc import Iterable, Mapping
 from math import ceil, hypot
 from typing import Final, NamedTuple
 
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control.hand import Hand
-from agent.control.peers.beliefs import DOUBT_MAX
+from agent.control.peers.beliefs import DOUBT_MAX, stands_after
 from agent.control.peers.lanes import Lane, Run, offset
 from agent.control.peers.peers import Peer, Peers
 from agent.control.safety_distances import barrier_rate
 from agent.control.safety_filter import HalfPlane, keep_clear
 from agent.fleet.model import Fleet
 from agent.formation.reference import Reference
+from agent.messages.codec import Mark
 from agent.messages.types import HandState
 
 LANE_SHARE: Final = 2.0
@@ -42,15 +44,24 @@ REMEMBERED_S: Final = 5.0
 LOOKS_PER_S: Final = 10
 LANES_PER_LOOK: Final = 4
 
-Mark = tuple[int, int]
-"""Of a mission, as beacons have it: version and tag."""
-
 
 class KeepOut(NamedTuple):
     """A lane to keep out of: whose, and the runs of it that are near."""
 
     name: str
     runs: tuple[Run, ...]
+
+
+class _Ways(NamedTuple):
+    """Of one possible mover: its lane, from its last message on; the own one from where this robot was `then`
+    on, as that one knows it; both by what the two follow, as far as both know. on: it stands on that."""
+
+    message: HandState
+    then: HandState
+    follows: Reference
+    lane: Lane
+    own: Lane
+    on: bool
 
 
 class RightOfWay:
@@ -62,7 +73,8 @@ class RightOfWay:
     Attributes:
         hold: why it must stand, "" when it may drive.
         keep_out: lanes of others that it must not come into.
-        keep_in: the runs near it of its own lane, empty when it may leave that.
+        keep_in: the runs near it of its own lane, as each of those knows it for whom it has to keep to it;
+            empty when it may leave that.
     """
 
     def __init__(
@@ -77,6 +89,7 @@ class RightOfWay:
         self._ids = frozenset(fleet.ids)
         safe, margin = fleet.formation.safe_distance_m, fleet.avoidance.margin_m
         self._half_width = LANE_SHARE * safe
+        self._tube = self._half_width - margin
         self._inside = self._half_width + safe
         self._apart = self._inside + margin
         self._rate, most = barrier_rate(fleet), fleet.control.max_speed_mps
@@ -84,55 +97,66 @@ class RightOfWay:
         self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         horizon_s = fleet.control.prediction_horizon_s
         self._own: deque[HandState] = deque(maxlen=ceil((horizon_s + REMEMBERED_S) * LOOKS_PER_S))
-        self._own_lane: Lane | None = None
-        self._lanes: dict[int, tuple[HandState, Lane]] = {}
+        self._then: dict[int, HandState] = {}  # by robot: where this one was when it heard it last
+        self._ways: dict[int, _Ways] = {}
         self._gained_ns: int | None = 0  # all begin together
+        self._stands: dict[int, int] = {}  # by robot: since when it can only stand, or is about to
+        self._stood_ns = round((stands_after(horizon_s, 0.0) - horizon_s) * NS_PER_S)
         self.hold = ""
         self.keep_out: tuple[KeepOut, ...] = ()
-        self.keep_in: tuple[Run, ...] = ()
+        self.keep_in: tuple[tuple[Run, ...], ...] = ()
 
-    def look(self, now_ns: int, here: Hand) -> None:
-        """Finds out what is to be heeded from the tick `now_ns` on, at which the own hand is `here`."""
+    def look(self, now_ns: int, here: Hand, *, passing: bool = False) -> None:
+        """Finds out what is to be heeded from the tick `now_ns` on, at which the own hand is `here`.
+
+        Args:
+            passing: it goes round something, and so leaves its own lane where nobody may be for whom it has
+                to keep to that.
+        """
         place = here.x, here.y, here.vx, here.vy
         self._own.append(HandState.placed(self._robot, 0, now_ns, True, 0, place))
         lost = [peer for peer in self._peers.known if self._is_given_up(peer, now_ns)]
+        if lost or self._then:
+            then = self._then
+            self._then = {peer.robot: then.get(peer.robot) or self._at(_heard_ns(peer)) for peer in lost}
         has_way = self._has_way(now_ns, len(lost))
         movers = self._movers(lost, now_ns) if lost else []
         self.hold, self.keep_out, self.keep_in = "", (), ()
+        if not lost:
+            self._stands.clear()
         if not movers:
-            self._own_lane = None
-            self._lanes.clear()
+            self._ways.clear()
             return
         strangers = [] if self._peers.was_there else [peer.robot for peer in movers if peer.deaf]
         if strangers:  # they know it by what it said before it started, which it does not know itself
-            self._own_lane = None
+            self._ways.clear()
             self.hold = f"not heard since it started by {', '.join(f'robot {robot}' for robot in strangers)}"
             return
-        own = self._find_own_lane(movers)
-        if has_way:
-            movers = [peer for peer in movers if not self._stands_on(own, peer)]
-        made = self._make_lanes(movers)
-        if made < len(movers):
+        if not self._make_lanes(movers):
             self.hold = f"works out the ways of {len(movers)} silent robots"
-        out = []
-        x, y = here.x, here.y
-        is_in = own.distance(x, y) <= self._half_width
-        must_keep_in = not has_way
-        for peer in movers[:made]:
-            near = self._lanes[peer.robot][1].near(x, y, self._within)
+        out: list[KeepOut] = []
+        tubes: dict[int, Lane] = {}
+        for peer in movers:
+            ways = self._ways.get(peer.robot)
+            if ways is None or (has_way and ways.on):
+                continue
+            near = ways.lane.near(here.x, here.y, self._within)
             if not near:
                 continue
-            if has_way and is_in and peer.direct_ns >= 0:
-                must_keep_in = True
-            elif min(hypot(*offset(run, x, y)) for run in near) < self._inside:
+            if not has_way:
+                tubes[id(ways.own)] = ways.own
+            elif peer.direct_ns >= 0 and self._keeps_within(ways.own, near, here, passing):
+                tubes[id(ways.own)] = ways.own
+                continue
+            if _length(_nearest(near, here)) < self._inside:
                 why = "" if has_way else ", which has the right of way"
                 age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
                 self.hold = self.hold or f"on the lane of robot {peer.robot}{why} (silent for {age_s:.1f} s)"
             else:
                 out.append(KeepOut(f"lane of robot {peer.robot}", near))
         self.keep_out = tuple(out)
-        if must_keep_in:
-            self.keep_in = own.near(x, y, self._within)
+        nearby = (own.near(here.x, here.y, self._within) for own in tubes.values())
+        self.keep_in = tuple(runs for runs in nearby if runs)
 
     def planes(self, own: Hand) -> Iterable[HalfPlane]:
         """The half planes of the own hand that keep it where it may be."""
@@ -143,12 +167,16 @@ class RightOfWay:
                 away = hypot(dx, dy)
                 if away > 0.0:
                     yield keep_clear(name, away, dx / away, dy / away, velocity, self._apart, self._rate)
-        if self.keep_in:
-            dx, dy = min((offset(run, own.x, own.y) for run in self.keep_in), key=_length)
+        for runs in self.keep_in:
+            dx, dy = _nearest(runs, own)
             away = hypot(dx, dy)
             if away > 0.0:
-                room = self._half_width - away
+                room = self._tube - away
                 yield keep_clear("own lane", room, -dx / away, -dy / away, velocity, 0.0, self._rate)
+
+    def _at(self, time_ns: int) -> HandState:
+        """Where the robot was at a time, or the first that it remembers."""
+        return next((each for each in reversed(self._own) if each.time_ns <= time_ns), self._own[0])
 
     # ------------------------------------------------------------------ who
 
@@ -179,64 +207,100 @@ class RightOfWay:
     def _movers(self, lost: list[Peer], now_ns: int) -> list[Peer]:
         """Those who may drive on: they share an edge with somebody who would not tell this robot of them,
         as it does not hear it or is not heard by it, but by what others relay, or share none with anybody."""
-        sharing = self._reference.sharing(min(map(_heard_ns, lost)))
         silent = {
-            peer.robot
+            peer.robot: peer
             for peer in self._peers.known
             if peer.deaf or peer.direct_late_ns(now_ns) > self._horizon_ns
         }
-        found = []
+        found, stood = [], {}
         for peer in lost:
-            others = sharing.get(peer.robot)
-            if others is not None and (not others or others & silent):
+            since_ns = self._stands.get(peer.robot, now_ns)
+            if self._may_drive(peer, silent, stands=now_ns - since_ns >= self._stood_ns):
                 found.append(peer)
+            else:
+                stood[peer.robot] = since_ns
+        self._stands = stood
         return found
 
+    def _may_drive(self, peer: Peer, silent: Mapping[int, Peer], *, stands: bool) -> bool:
+        """Whether a robot that has been given up has a place and somebody who keeps it driving: by a mission
+        that neither of the two has left.
+
+        Args:
+            stands: it has stood, by (S2): with somebody who falls silent later it drives by what holds then.
+        """
+        heard_ns = _heard_ns(peer)
+        for number, edges in self._reference.sharing(peer.robot, self._reference.since(peer.mark, heard_ns)):
+            if not edges:
+                return True
+            for edge in edges:
+                other = silent.get(edge.other)
+                if other is not None:
+                    since_ns = max(heard_ns, _heard_ns(other)) if stands else heard_ns
+                    if number >= self._reference.since(other.mark, since_ns):
+                        return True
+        return False
+
     # ------------------------------------------------------------------ where
+
+    def _keeps_within(self, own: Lane, near: tuple[Run, ...], here: Hand, passing: bool) -> bool:
+        """Whether a robot that has the right of way has to keep within its own lane for a robot whose lane is
+        `near`: it is in it, and not out of that one, or not by as much as it is within (F1)."""
+        ox, oy = own.offset(here.x, here.y)
+        off = hypot(ox, oy)
+        if off > self._half_width:
+            return False
+        dx, dy = _nearest(near, here)
+        away = hypot(dx, dy)
+        if away < self._apart:
+            return True
+        leaving = (ox * here.vx + oy * here.vy) / off if off > 0.0 else 0.0
+        within = self._rate * (self._tube - off) - leaving
+        out = self._rate * (away - self._apart) + (dx * here.vx + dy * here.vy) / away
+        return within >= (out if passing else min(out, 0.0))
 
     def _stands_on(self, own: Lane, peer: Peer) -> bool:
         """Whether a robot without the right of way, wherever it may be, is on the lane of this one, which has
         it: there it stands, and is a body to be gone round."""
         belief = self._peers.belief(peer)
+        if peer.direct_ns < 0 or belief is None:
+            return False
         surely = 2.0 * self._inside - self._apart  # though the two may mean lanes that differ a little
-        return (
-            peer.direct_ns >= 0
-            and belief is not None
-            and all(own.distance(x, y) + size + DOUBT_MAX < surely for x, y, size, _ in belief.discs)
-        )
+        off = surely - belief.doubt - DOUBT_MAX
+        return all(own.reaches(x, y, off) for x, y in belief.way)
 
     def _known_to(self, peer: Peer) -> Reference:
         """What a robot follows, as far as both know."""
         return self._references.get(peer.mark, self._reference)
 
-    def _make_lanes(self, movers: list[Peer]) -> int:
-        """Makes lanes that are not known yet, no more than a tick has time for; returns of how many, from the
-        first on, they are known."""
+    def _make_lanes(self, movers: list[Peer]) -> bool:
+        """Makes the lanes of movers, and the own one as they know it, that are not known yet, no more than a
+        tick has time for; whether all are known."""
         made = 0
-        for count, peer in enumerate(movers):
-            message = self._peers.last_of(peer)
-            known = self._lanes.get(peer.robot)
-            if known is None or known[0] is not message:
-                if made == LANES_PER_LOOK:
-                    return count
-                made += 1
-                lane = self._peers.forecast.lane(message, self._known_to(peer))
-                self._lanes[peer.robot] = message, lane
-        return len(movers)
-
-    def _find_own_lane(self, movers: list[Peer]) -> Lane:
-        """The own lane as those know it who heard this robot until they were given up."""
-        if self._own_lane is None:
-            first = min(movers, key=_heard_ns)
-            heard_ns = _heard_ns(first)
-            then = next((each for each in reversed(self._own) if each.time_ns <= heard_ns), self._own[0])
-            self._own_lane = self._peers.forecast.lane(then, self._known_to(first))
-        return self._own_lane
+        for peer in movers:
+            message, then = self._peers.last_of(peer), self._then[peer.robot]
+            known = self._ways.get(peer.robot)
+            if known is not None and known.message is message and known.then is then:
+                continue
+            if made == LANES_PER_LOOK:
+                return False
+            made += 1
+            follows = self._known_to(peer)
+            same = (each.own for each in self._ways.values() if each.then is then and each.follows is follows)
+            own = next(same, None) or self._peers.forecast.lane(then, follows)
+            lane = self._peers.forecast.lane(message, follows)
+            self._ways[peer.robot] = _Ways(message, then, follows, lane, own, self._stands_on(own, peer))
+        return True
 
 
 def _heard_ns(peer: Peer) -> int:
     return peer.time_ns - peer.clock.used_ns
 
 
-def _length(vector: tuple[float, float]) -> float:
+def _nearest(runs: tuple[Run, ...], here: Hand) -> Vector:
+    """From the nearest point of the runs to the hand."""
+    return min((offset(run, here.x, here.y) for run in runs), key=_length)
+
+
+def _length(vector: Vector) -> float:
     return hypot(*vector)

@@ -14,7 +14,7 @@ Lengths in m, W; times in ns of the wall clock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import hypot
 from typing import Final, NamedTuple
@@ -25,7 +25,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan, plan_of
 from agent.formation.trajectory import Sample
-from agent.messages.codec import newer
+from agent.messages.codec import Mark, newer, tag
 from agent.messages.types import TIME_NS_MAX, Mission
 
 LEAVE_FADE_NS: Final = 500_000_000
@@ -64,13 +64,14 @@ class _Instant(NamedTuple):
 class _Segment:
     """One plan, from when it is taken over until the next one is."""
 
-    __slots__ = ("_edges", "begin_ns", "blend_ns", "leave_ns", "plan")
+    __slots__ = ("_edges", "begin_ns", "blend_ns", "leave_ns", "mark", "plan")
 
     def __init__(self, plan: Plan, begin_ns: int, blend_ns: int) -> None:
         self.plan: Final = plan
         self.begin_ns: Final = begin_ns
         self.blend_ns: Final = blend_ns
         self.leave_ns: Final = min(blend_ns, LEAVE_FADE_NS)
+        self.mark: Final[Mark] = plan.mission.version, tag(plan.mission)
         self._edges: dict[int, tuple[Edge, ...]] = {}
 
     def edges(self, robot: int) -> tuple[Edge, ...]:
@@ -101,7 +102,6 @@ class Reference:
         self._file = plan_of(Mission(0, 0, TIME_NS_MAX, 1, ""), fleet, geometry)
         self._segments = [_Segment(self._file, 0, 0)]
         self._instants: dict[int, _Instant] = {}
-        self._shared: tuple[list[_Segment], dict[int, set[int]]] = [], {}
 
     def take(self, plan: Plan) -> None:
         """Takes a plan over at its time, instead of all that was to be taken over then or later.
@@ -128,7 +128,7 @@ class Reference:
         """The reference as it is now, whatever missions come."""
         copy = Reference.__new__(Reference)
         copy.plan, copy._file = self.plan, self._file
-        copy._segments, copy._instants, copy._shared = self._segments, {}, ([], {})
+        copy._segments, copy._instants = self._segments, {}
         return copy
 
     def way(self, robot: int, since_ns: int) -> list[Vector]:
@@ -148,23 +148,21 @@ class Reference:
         last = self._segments[-1]
         return last.begin_ns + last.blend_ns
 
-    def sharing(self, since_ns: int) -> Mapping[int, set[int]]:
-        """With whom each robot shares an edge, or did at some time from `since_ns` on; all with a place."""
-        first = self._index(since_ns)
-        if first and since_ns - self._segments[first].begin_ns < self._segments[first].blend_ns:
-            first -= 1
-        segments = self._segments[first:]
-        if segments == self._shared[0]:
-            return self._shared[1]
-        found: dict[int, set[int]] = {}
-        for segment in segments:
-            for robot in segment.plan.offsets:
-                found.setdefault(robot, set())
-            for i, j in segment.plan.edges:
-                found[i].add(j)
-                found[j].add(i)
-        self._shared = segments, found
-        return found
+    def since(self, mark: Mark, time_ns: int) -> int:
+        """Number of the earliest mission that a robot may follow from a time on which has acknowledged that
+        of `mark`: of the earlier one of that and the one in force then. 0 for a mark that is not known."""
+        segments, index = self._segments, self._index(time_ns)
+        if index and time_ns - segments[index].begin_ns < segments[index].blend_ns:
+            index -= 1
+        known = (number for number, segment in enumerate(segments) if segment.mark == mark)
+        return min(index, next(known, 0))
+
+    def sharing(self, robot: int, first: int) -> Iterator[tuple[int, tuple[Edge, ...]]]:
+        """The missions from number `first` on in which a robot has a place, and its edges in each."""
+        for number in range(first, len(self._segments)):
+            segment = self._segments[number]
+            if robot in segment.plan.offsets:
+                yield number, segment.edges(robot)
 
     def active(self, time_ns: int) -> Plan:
         """The plan that is in force; before any mission one of version 0, the fleet file's."""

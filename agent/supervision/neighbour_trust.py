@@ -64,6 +64,7 @@ class NeighbourTrust:
         share = 1.0
         slow: list[str] = []
         given_up: list[str] = []
+        newer = ""
         silent = begun = 0
         period_s, drives = self._period_s, state in DRIVING
         if drives:
@@ -83,7 +84,14 @@ class NeighbourTrust:
             if edge.weight < BEGUN:
                 continue
             begun += 1
-            silent += not heard or peer.deaf
+            if not heard or peer.deaf:
+                silent += 1
+            elif state is State.HOLDING:
+                if not peer.has_told(now_ns, self._horizon_ns):
+                    silent += 1
+                    given_up.append(f"robot {peer.robot} (has not said yet whom it hears)")
+                elif peer.mark > controller.mark:
+                    newer = newer or f"waits for mission {peer.mark[0]}, which robot {peer.robot} has"
             if not wanted and edge.weight < 1.0:
                 pass  # as ordered: it leaves, or has only just joined
             elif not wanted or peer.deaf:
@@ -98,6 +106,8 @@ class NeighbourTrust:
         if silent and (self._all_needed or silent == begun):
             self.hold = f"hears {'not all' if silent < begun else 'none'} of its neighbours: "
             self.hold += ", ".join(given_up)
+        elif newer:  # it does not begin to drive by one that those it hears have left
+            self.hold = newer
         elif given_up:
             self.degraded = f"without {', '.join(given_up)}"
         elif slow:

@@ -309,6 +309,13 @@ def test_the_scene_settles(name: str) -> None:
     assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
 
 
+def test_the_lane_of_a_robot_that_was_replaced_holds_nobody() -> None:
+    """Robot 4 has taken the place of 1, which is dead; then 2 dies, which shared an edge with 1 before."""
+    result = scene("replaced_dead")
+    assert_apart(result)
+    assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
+
+
 @pytest.mark.parametrize("name", ["all_restarted", "deaf_restart", "reshaped_restart", "swapped_restart"])
 def test_who_has_started_again_knows_no_more_than_it_is_told(name: str) -> None:
     assert_apart(scene(name))

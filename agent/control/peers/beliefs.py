@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import ceil, hypot, inf
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN
+from agent.common.quantities import DISTANCE_MIN, Vector
 
 DOUBT_RATE: Final = 0.15
 """How fast the position uncertainty of a robot grows that is not heard, m/s: about what another acceleration
@@ -55,12 +55,16 @@ class Belief(NamedTuple):
     Attributes:
         discs: in the order of its way.
         x, y, reach: a circle round all of them.
+        way, doubt: points of the way that they cover, and how far off it the robot may be; the age of its
+            last message adds to that.
     """
 
     discs: tuple[Disc, ...]
     x: float
     y: float
     reach: float
+    way: tuple[Vector, ...]
+    doubt: float
 
     def straight(self, x: float, y: float) -> tuple[float, float, float]:
         """End of a straight way from (x, y), and how far to either side of it the discs reach:
@@ -111,7 +115,7 @@ def stood_on(way: Sequence[tuple[float, float, float]], doubt: float) -> Belief:
         half = max(hypot(px - x, py - y) for _, px, py in covered)
         discs.append(Disc(x, y, half + doubt, covered[0][0]))
         low = high
-    return _belief(discs)
+    return _belief(discs, tuple((x, y) for _, x, y in way), doubt)
 
 
 def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -> Belief:
@@ -124,14 +128,14 @@ def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -
         share = (number + 0.5) / count
         centre = x + share * (to_x - x), y + share * (to_y - y)
         discs.append(Disc(*centre, radius + 0.5 * length / count, 0.0))
-    return _belief(discs)
+    return _belief(discs, ((x, y), *((disc.x, disc.y) for disc in discs), (to_x, to_y)), radius)
 
 
-def _belief(discs: list[Disc]) -> Belief:
+def _belief(discs: list[Disc], way: tuple[Vector, ...], doubt: float) -> Belief:
     x = 0.5 * (min(disc.x for disc in discs) + max(disc.x for disc in discs))
     y = 0.5 * (min(disc.y for disc in discs) + max(disc.y for disc in discs))
     reach = max(hypot(disc.x - x, disc.y - y) + disc.radius_at(inf) for disc in discs)
-    return Belief(tuple(discs), x, y, reach)
+    return Belief(tuple(discs), x, y, reach, way, doubt)
 
 
 def _off(disc: Disc, x: float, y: float, last: Disc) -> float:

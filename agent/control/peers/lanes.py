@@ -48,9 +48,17 @@ class Lane:
         """The runs that may be nearer to (x, y) than `within`."""
         return tuple(run for run in self._runs if hypot(run.x - x, run.y - y) < run.reach + within)
 
+    def offset(self, x: float, y: float) -> Vector:
+        """From its nearest point to (x, y)."""
+        return min((offset(run, x, y) for run in self._runs), key=_length)
+
     def distance(self, x: float, y: float) -> float:
         """How far (x, y) is from it."""
-        return min(hypot(*offset(run, x, y)) for run in self._runs)
+        return _length(self.offset(x, y))
+
+    def reaches(self, x: float, y: float, within: float) -> bool:
+        """Whether (x, y) is nearer to it than `within`."""
+        return any(_length(offset(run, x, y)) < within for run in self.near(x, y, within))
 
 
 def offset(run: Run, x: float, y: float) -> Vector:
@@ -84,3 +92,7 @@ def _run(pieces: list[tuple[float, float, float, float, float]]) -> Run:
     ys = [piece[1] for piece in pieces] + [pieces[-1][1] + pieces[-1][3]]
     x, y = 0.5 * (min(xs) + max(xs)), 0.5 * (min(ys) + max(ys))
     return Run(x, y, max(hypot(a - x, b - y) for a, b in zip(xs, ys, strict=True)), tuple(pieces))
+
+
+def _length(vector: Vector) -> float:
+    return hypot(*vector)

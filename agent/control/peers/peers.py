@@ -44,7 +44,7 @@ class Peer:
 
     Attributes:
         message: its latest, a hand state, or a beacon in the form of one; None when nothing has come.
-        hand_ns: stamp of its latest hand state, -1 while none has come.
+        hand_ns, beacon_ns: stamps of its latest hand state and beacon, -1 while none has come.
         clock: what is known of its clock.
         token: False while its agent's process is seen to be gone.
         here: likewise, but True again only when it has been heard again.
@@ -66,16 +66,17 @@ class Peer:
     """
 
     __slots__ = (
-        "ahead_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns", "duplicated",
-        "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message", "never_came",
-        "other_version", "received", "robot", "sequence", "time_ns", "token", "trust",
+        "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
+        "duplicated", "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message",
+        "never_came", "other_version", "received", "robot", "sequence", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
         self.robot = robot
         self.message: HandState | None = None
         self.early: HandState | None = None
-        self.time_ns = self.hand_ns = self.direct_ns = self.sequence = self.gone_ns = _NEVER
+        self.time_ns = self.hand_ns = self.beacon_ns = self.direct_ns = _NEVER
+        self.sequence = self.gone_ns = _NEVER
         self.belief: Belief | None = None
         self.deaf = self.never_came = False
         self.mark = 0, 0
@@ -113,6 +114,12 @@ class Peer:
     def direct_late_ns(self, now_ns: int) -> int:
         """As `late_ns`, of what has come from itself."""
         return now_ns + self.clock.used_ns - self.direct_ns - self.lateness.forgiven_ns
+
+    def has_told(self, now_ns: int, within_ns: int) -> bool:
+        """Whether a beacon of it has come of late, which says whom it hears and by which mission it goes; one
+        that never sent any has told as much as it will."""
+        late_ns = now_ns + self.clock.used_ns - self.beacon_ns - self.lateness.forgiven_ns
+        return late_ns <= within_ns or self.beacon_ns == _NEVER
 
     def is_heard(self, now_ns: int) -> bool:
         """Whether what is known of it is as new as usual, so that it can be predicted."""
@@ -264,10 +271,12 @@ class Peers:
         if beacon.silent:
             self._accept_silent(peer, beacon, now_ns)
         time_ns = beacon.time_ns
+        if time_ns > peer.beacon_ns:
+            peer.beacon_ns = time_ns
+            peer.mark = beacon.mission_version, beacon.mission_tag
         if time_ns > peer.direct_ns or peer.deaf:
             unheard = beacon.unheard
             peer.deaf = self._owner in unheard
-            peer.mark = beacon.mission_version, beacon.mission_tag
             if unheard:
                 self._most_unheard = max(self._most_unheard, len(unheard))
                 for robot in unheard:

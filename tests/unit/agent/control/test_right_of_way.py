@@ -13,6 +13,7 @@ from agent.fleet.loading import parse_fleet
 from agent.formation.geometry import resolve, start_hand
 from agent.formation.mission_plan import plan_of
 from agent.formation.reference import Reference
+from agent.messages.codec import Mark, tag
 from agent.messages.types import Beacon, Mission, Silent
 
 SAFE = 0.2
@@ -40,7 +41,9 @@ class Scene:
         self.robot, self.now = robot, T0
         geometry = resolve(self.fleet)
         self.reference = Reference(self.fleet, geometry)
-        self.reference.take(plan_of(Mission(1, 0, T0, 60 * S, ""), self.fleet, geometry))
+        mission = Mission(1, 0, T0, 60 * S, "")
+        self.reference.take(plan_of(mission, self.fleet, geometry))
+        self.marks = dict.fromkeys(self.fleet.ids, (1, tag(mission)))
         control = self.fleet.control
         self.starts = {each.id: start_hand(each) for each in self.fleet.robots}
         self.peers = Peers(
@@ -51,7 +54,7 @@ class Scene:
         )  # fmt: skip
         self.peers.forecast.epoch_ns = T0
         self.peers.begin(T0)
-        self.references: dict[tuple[int, int], Reference] = {(1, 0): self.reference.frozen()}
+        self.references: dict[Mark, Reference] = {self.marks[robot]: self.reference.frozen()}
         self.way = RightOfWay(self.fleet, robot, self.peers, self.reference, self.references)
         self.here = Hand(*self.starts[robot], 0.0, 0.0)
         self.hear(*self.starts)
@@ -59,9 +62,8 @@ class Scene:
     def hear(self, *robots: int, unheard: tuple[int, ...] = ()) -> None:
         for robot in robots:
             if robot != self.robot:
-                told = Beacon(
-                    robot, 0, self.now, True, *self.starts[robot], 0.0, 0.0, 0.0, 1, 0, -1, -1, (), unheard
-                )
+                place = *self.starts[robot], 0.0, 0.0, 0.0
+                told = Beacon(robot, 0, self.now, True, *place, *self.marks[robot], -1, -1, (), unheard)
                 assert self.peers.accept_beacon(told, self.now + PERIOD) is None
 
     def run(self, seconds: float, *robots: int, unheard: tuple[int, ...] = ()) -> None:
@@ -157,8 +159,8 @@ def test_at_the_edge_of_its_lane_it_is_braked():
     scene.run(4.0, 3)
     own = scene.way.keep_in
     assert own
-    half = LANE_SHARE * SAFE
-    run = own[0]
+    half = LANE_SHARE * SAFE - scene.fleet.avoidance.margin_m
+    run = own[0][0]
     scene.move(6.0 - 0.0, -1.6 - half + 0.01, 0.0, -0.4)
     scene.run(0.1, 3)
     assert hypot(run.x - 6.0, run.y + 1.6) < 20.0
@@ -270,7 +272,7 @@ def test_lanes_are_those_of_the_mission_that_the_silent_have_acknowledged():
     scene.reference.take(plan_of(other, scene.fleet, resolve(scene.fleet)))
     scene.run(5.0, 2, 5)
     assert scene.way.keep_in
-    (run, *_) = scene.way.keep_in
+    (run, *_) = scene.way.keep_in[0]
     assert abs(run.y) < 0.5  # along y = 0, as before, though its place is at (6, 5)
     scene.move(-2.0, 2.4)
     scene.run(0.1, 2, 5)
@@ -278,3 +280,85 @@ def test_lanes_are_those_of_the_mission_that_the_silent_have_acknowledged():
     scene.move(-2.0, 5.7)
     scene.run(0.1, 2, 5)
     assert (scene.way.hold, scene.names) == ("", [])
+
+
+@pytest.mark.parametrize("knew", [True, False])
+def test_a_robot_that_was_replaced_drives_with_nobody_who_has_left_its_mission(knew: bool):
+    """Robot 3 falls silent, robot 5 takes its place, then 4 falls silent, which shared an edge with 3 before.
+    Has 4 not heard of the change, the two may be driving by what was."""
+    scene = Scene(1)
+    scene.run(9.0, 2, 4, 5)
+    assert scene.way.keep_in == ()
+    robots = ((1, 6.0, 0.0), (2, 6.0, 1.5), (5, -6.0, 1.5), (4, -6.0, 0.0))
+    edges = ((1, 2, 1.5), (2, 5, 12.0), (4, 5, 1.5))
+    changed = Mission(2, scene.now, T0, 60 * S, "", from_ns=scene.now, robots=robots, edges=edges)
+    scene.reference.take(plan_of(changed, scene.fleet, resolve(scene.fleet)))
+    for robot in (2, 5, *((4,) if knew else ())):
+        scene.marks[robot] = 2, tag(changed)
+    scene.run(0.5, 2, 4, 5)
+    scene.run(5.0, 2, 5)
+    assert bool(scene.way.keep_in) is not knew
+
+
+def test_before_it_must_have_stood_a_robot_may_go_on_by_the_mission_that_it_knows():
+    """As above, but robot 4 falls silent right after 3, both before the change is taken over."""
+    scene = Scene(1)
+    scene.run(0.5, 2, 4, 5)
+    robots = ((1, 6.0, 0.0), (2, 6.0, 1.5), (5, -6.0, 1.5), (4, -6.0, 0.0))
+    edges = ((1, 2, 1.5), (2, 5, 12.0), (4, 5, 1.5))
+    from_ns = scene.now + 2 * S
+    changed = Mission(2, scene.now, T0, 60 * S, "", from_ns=from_ns, robots=robots, edges=edges)
+    scene.reference.take(plan_of(changed, scene.fleet, resolve(scene.fleet)))
+    for robot in (2, 4, 5):
+        scene.marks[robot] = 2, tag(changed)
+    scene.run(0.5, 2, 4, 5)
+    scene.run(5.0, 2, 5)
+    assert scene.way.keep_in
+
+
+def test_the_own_lane_is_that_from_where_each_of_the_silent_heard_it():
+    """Robot 3 was lost long before 4: what each of them knows is where this one was then."""
+    scene = Scene(1)
+    scene.run(0.5, 2, 3, 4, 5)
+    scene.run(20.0, 2, 4, 5)
+    scene.move(-2.0, 0.1)
+    scene.run(3.0, 2, 4, 5)
+    scene.run(5.0, 2, 5)
+    lanes = {peer: ways.own for peer, ways in scene.way._ways.items()}
+    assert lanes[3].distance(-6.0, 0.0) < 0.2
+    assert lanes[4].distance(-2.0, 0.1) < 0.05
+    assert lanes[4].distance(-6.0, 0.0) > 3.0
+
+
+def test_a_robot_that_was_on_its_way_along_this_ones_lane_stands_on_it():
+    """However long the way on which it may be: none of it is off the lane."""
+    scene = Scene(1)
+    scene.run(0.2, 2, 3, 4, 5)
+    scene.run(5.0, 2, 5)
+    assert "lane of robot 4" not in scene.names
+    assert scene.way._ways[4].on  # head on
+    assert not scene.way._ways[3].on  # 1.5 m beside it
+
+
+def test_on_its_way_round_something_it_leaves_its_lane_where_that_is_out_of_the_others():
+    """Beside its lane, y = 0, is that of robot 3, 1.5 m to the left: on the right there is room."""
+    half = LANE_SHARE * SAFE
+    for passing, y, keeps in (
+        (False, -0.2, True),
+        (True, -0.2, False),
+        (True, half - 0.1, False),  # still 1.2 m from that lane
+        (True, -half - 0.1, False),
+    ):
+        scene = Scene(1)
+        scene.run(5.0, 2, 5)
+        scene.move(2.0, y)
+        scene.way.look(scene.now + PERIOD, scene.here, passing=passing)
+        assert bool(scene.way.keep_in) is keeps, (passing, y)
+    near = Scene(1, "formation.offsets=[[6, 0], [6, 1.5], [-6, 0.9], [-6, 0]]")
+    near.starts[3] = (6.0, 0.9)
+    near.run(0.2, 2, 3, 4, 5)
+    near.run(5.0, 2, 5)
+    near.move(2.0, half - 0.1)  # nearer to it than it may be outside of its own
+    near.way.look(near.now + PERIOD, near.here, passing=True)
+    assert near.way.keep_in
+    assert near.way.hold == ""

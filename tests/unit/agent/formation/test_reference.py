@@ -11,6 +11,7 @@ from agent.fleet.orders import ShapeSection
 from agent.formation.geometry import resolve
 from agent.formation.mission_plan import Plan, mission_parts, plan_of
 from agent.formation.reference import LEAVE_FADE_NS, Edge, Reference
+from agent.messages.codec import Mark, tag
 from agent.messages.types import Mission
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, after, first_plan, order, square
 
@@ -252,13 +253,25 @@ def test_a_frozen_reference_heeds_no_later_mission():
     assert frozen.plan is FIRST
 
 
-def test_who_shares_an_edge_while_one_formation_blends_into_another():
+def neighbours(made: Reference, robot: int, mark: Mark, time_ns: int) -> list[set[int]]:
+    return [{edge.other for edge in edges} for _, edges in made.sharing(robot, made.since(mark, time_ns))]
+
+
+def test_by_which_missions_a_robot_may_drive_that_has_acknowledged_one():
     left = changed(LEAVE)
     made = reference(FIRST, left)
     before, blending, after_ns = left.from_ns - 1, at(left, 0.5), at(left, 1.0)
-    assert 2 in made.sharing(before)[1]
-    assert 2 in made.sharing(blending)[1]
-    assert 2 not in made.sharing(after_ns)
-    assert made.sharing(after_ns)[1] == {j for i, j in left.edges if i == 1} | {
-        i for i, j in left.edges if j == 1
-    }
+    old, new = ((plan.mission.version, tag(plan.mission)) for plan in (FIRST, left))
+    then, now = ({j for i, j in plan.edges if i == 1} for plan in (FIRST, left))
+    for mark, time_ns, found in (
+        (old, before, [then, now]),
+        (new, before, [then, now]),  # it is not taken over yet
+        (new, blending, [then, now]),
+        (new, after_ns, [now]),
+        (old, after_ns, [then, now]),  # it has not heard of it
+        ((99, 7), after_ns, [then, now]),
+        ((0, 0), after_ns, [then, now]),
+    ):
+        assert neighbours(made, 1, mark, time_ns) == found, (mark, time_ns)
+    assert neighbours(made, 2, new, after_ns) == []  # it has no place
+    assert neighbours(made, 2, old, after_ns) == [{i if j == 2 else j for i, j in FIRST.edges if 2 in (i, j)}]

@@ -11,10 +11,11 @@ import pytest
 from agent.common.time import NS_PER_S
 from agent.control.peers.peers import TRUST_GAINED_S, TRUST_LOST_S
 from agent.messages.types import HandState, Status, Stop, Wrench
+from agent.node import Node
 from agent.supervision.neighbour_trust import SLOWEST
-from agent.supervision.state_machine import State
+from agent.supervision.state_machine import DRIVING, State
 from tests.hand_acceleration import hand_acceleration
-from tests.unit.agent.fleet_bench import PERIOD, FleetBench, three
+from tests.unit.agent.fleet_bench import MISSION, PERIOD, FleetBench, three
 
 HORIZON_S, SLOW_S = 2.0, 1.5  # control.prediction_horizon_s, and three quarters of it
 PERIOD_S = PERIOD / NS_PER_S
@@ -170,6 +171,30 @@ def test_who_hears_no_neighbour_holds_and_goes_on(bench: FleetBench):
     assert next(row.trust for row in back if not row.brakes) < 0.05
 
 
+def test_who_held_does_not_go_on_by_a_mission_that_those_it_hears_have_left(bench: FleetBench):
+    """Before it drives it has what they go by, whatever that says of its own place."""
+    silence(bench, 2, 3)
+    assert watch(bench, 5.0)[-1].state is State.HOLDING
+    agent, cut = bench.agents[1], bench.cut
+    mission = agent._situation.mission
+    assert mission is not None
+
+    def lacks(key: str, node: Node) -> bool:
+        return node is agent and (key == MISSION or key.endswith("/told"))
+
+    bench.cut = lambda key, node: cut(key, node) or lacks(key, node)
+    later = mission._replace(version=mission.version + 1, time_ns=bench.now)
+    bench.say(MISSION, later)
+    watch(bench, 0.5)
+    bench.cut = lacks
+    rows = watch(bench, 3.0)
+    assert {(row.state, row.reason) for row in rows[50:]} == {
+        (State.HOLDING, f"waits for mission {later.version}, which robot 2 has")
+    }
+    heal(bench)
+    assert watch(bench, 3.0)[-1].state in DRIVING
+
+
 def test_where_silence_holds_one_silent_neighbour_is_enough():
     bench = FleetBench(three("supervision.silence=hold"))
     bench.drive()
@@ -178,7 +203,7 @@ def test_where_silence_holds_one_silent_neighbour_is_enough():
     assert rows[-1].state is State.HOLDING
     assert rows[-1].reason.startswith("hears not all of its neighbours: robot 3 (2.")
     heal(bench)
-    assert watch(bench, 0.1)[-1].state is State.RUNNING
+    assert watch(bench, 0.3)[-1].state is State.RUNNING  # both, once a beacon has said that they are heard
 
 
 def test_slowing_down_begins_when_the_fleet_file_says():
