@@ -16,7 +16,7 @@ from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
 from agent.control.couplings import COUPLINGS, Constraint
-from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
+from agent.control.detour import LEAVING, NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of, one_sided
 from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
 from agent.control.peers.lateness import UNSURE_NS
@@ -77,7 +77,8 @@ class _Scene(NamedTuple):
     """What acts on the own hand at one instant, as it is found.
 
     now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. constraints, planes: what
-    the law and the safety filter have to keep.
+    the law and the safety filter have to keep. within: that to which it is nearer than it may be, but must
+    not be driven from; stops: those of the planes that let it only leave that.
     """
 
     now_ns: int
@@ -86,6 +87,8 @@ class _Scene(NamedTuple):
     ny: float
     constraints: list[Constraint]
     planes: list[safety_filter.HalfPlane]
+    within: list[Blocker]
+    stops: list[safety_filter.HalfPlane]
 
 
 class Controller:
@@ -244,7 +247,7 @@ class Controller:
             # Round corners c_2 would be too slow: the wall is lost, and with it the way.
             gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
-        scene = _Scene(now_ns, own, gx, gy, [], [])
+        scene = _Scene(now_ns, own, gx, gy, [], [], [], [])
         self._look_round(scene, acting_ns)
         numbers: tuple[float, ...] = ()
         if self._own_law is None:
@@ -306,12 +309,13 @@ class Controller:
             belief = None if peer.is_heard(now_ns) else self.peers.belief(peer)
             if belief is None or hypot(belief.x - x, belief.y - y) > keep + belief.reach:
                 continue
-            if hypot(own.x - x, own.y - y) < 2.0 * (keep + belief.reach):
-                age = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
-                for disc in belief.discs:
-                    if hypot(disc.x - x, disc.y - y) < keep + disc.radius_at(age):
-                        since = "never heard" if peer.message is None else f"silent for {age:.0f} s"
-                        return f"its place is taken by robot {peer.robot} ({since})"
+            age = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
+            left = hypot(own.x - x, own.y - y)
+            for stretch in belief.stretches:
+                room = keep + stretch.radius_at(age)
+                if left < 2.0 * room and stretch.distance(x, y) < room:
+                    since = "never heard" if peer.message is None else f"silent for {age:.0f} s"
+                    return f"its place is taken by robot {peer.robot} ({since})"
         return ""
 
     def _about(self) -> Iterator[Peer]:
@@ -339,7 +343,7 @@ class Controller:
                 if place and hypot(message.x - place[0], message.y - place[1]) > near:
                     astray.add(peer.robot)
         lanes = {"own lane", *(each.name for each in self.right_of_way.keep_out)}
-        blockers: list[Blocker] = []
+        blockers = [each for each in scene.within if each.name not in moving]
         waits: list[Blocker] = []
         robots: list[tuple[int, Vector]] = []
         x = y = 0.0
@@ -355,6 +359,8 @@ class Controller:
         for plane in scene.planes:
             if plane.rank in KEEPING_AWAY:
                 names.add(plane.cause)
+                if plane in scene.stops:  # whichever way it drives, that is not what keeps it
+                    continue
                 if plane.nx * ux + plane.ny * uy < plane.least + ACTIVE and (plane.nx or plane.ny):
                     blocker = Blocker(plane.nx, plane.ny, plane.cause, plane.cause not in moving)
                     (waits if plane.cause in lanes else blockers).append(blocker)
@@ -465,31 +471,38 @@ class Controller:
         own, name = scene.own, f"robot {peer.robot}"
         age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
         velocity, speed, growing = (own.vx, own.vy), hypot(own.vx, own.vy), growth(age)
-        for disc in belief.discs:
-            if disc.after > age:
+        depth, deepest = 0.0, None
+        for stretch in belief.stretches:
+            if stretch.after > age:
                 break
-            offset = own.x - disc.x, own.y - disc.y
-            rho, radius = hypot(*offset), disc.radius_at(age)
+            x, y, at_end = stretch.offset(own.x, own.y)
+            rho, radius = hypot(x, y), stretch.radius_at(age)
             if rho > self.proximity.sensing + radius:
                 continue
             gap = self._safe_distance + self._margin + radius
             rank = safety_filter.UNSURE if radius >= DOUBT_MAX else safety_filter.SEPARATION
             plane = safety_filter.keep_apart(
                 name,
-                offset,
+                (x, y),
                 velocity,
                 _AT_REST,
                 gap,
                 self._barrier_rate,
                 alone=True,
+                straight=not at_end,
                 rank=rank,
                 growth=growing,
             )
             scene.planes.append(_only_braking(plane, own))
-            if rho < gap and plane.nx * own.vx + plane.ny * own.vy < LEAVING * speed:
-                scene.planes.extend(
-                    safety_filter.limit_speed(own.vx, own.vy, 0.0, self._barrier_rate, name, rank)
-                )
+            if gap - rho > depth:
+                depth, deepest = gap - rho, plane
+        if deepest is not None:
+            scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True))
+            if deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
+                rate = self._barrier_rate
+                stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
+                scene.stops.extend(stop)
+                scene.planes.extend(stop)
 
     def _unforeseen(self, age: float) -> float:
         """How much further to keep from a robot that a law of others drives, m, by the age of its message, s.
@@ -567,8 +580,6 @@ ACTIVE: Final = 1e-3
 """m/s^2: a half plane that leaves no more than this is what stops a robot."""
 STOP_S: Final = 0.1
 """A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
-LEAVING: Final = 0.5
-"""Who drives at most 60 degrees from straight away is leaving (cosine)."""
 SLOW_SPEED: Final = 0.2
 """One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
 

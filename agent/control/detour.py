@@ -21,7 +21,7 @@ near. All that are caught together do so, each by its own error. See (D4).
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, remainder, sin, tau
+from math import atan2, cos, hypot, remainder, sin, sqrt, tau
 from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
@@ -40,6 +40,10 @@ AGAINST: Final = 0.1
 """What opposes a direction by less than this (cosine) does not block it."""
 BESIDE: Final = 0.7
 """A robot further than this (sine) on the right is passed on the left."""
+LEAVING: Final = 0.5
+"""Who drives at most 60 degrees from straight away from something is leaving it (cosine)."""
+LEAVES: Final = 0.6
+"""So it drives, to leave it."""
 FREE_S: Final = 0.4
 """The direct way has to be free for so long before it is taken."""
 ROUND_S: Final = 20.0
@@ -72,12 +76,16 @@ TAKE_HOLD_S: Final = 1.5
 
 
 class Blocker(NamedTuple):
-    """What is near: unit vector away from it (W), its name, and whether it stands still for good."""
+    """What is near: unit vector away from it (W), its name, and whether it stands still for good.
+
+    within: it is nearer than it may be, to where only driving away leads on.
+    """
 
     nx: float
     ny: float
     name: str
     fixed: bool
+    within: bool = False
 
 
 class Hold(NamedTuple):
@@ -125,7 +133,8 @@ class Detour:
         self._side = self._angle = self._steered = self._lost = 0.0
         self._patience_s = ROUND_S
         self._since_s = KEEPS_S
-        self._held_s = self._caught_s = self._loose_s = 0.0
+        self._held_s = self._shut_s = self._caught_s = self._loose_s = 0.0
+        self._shut = ""
         self._loose_max_s = LOOSE_S
         self._loose = False
         self._partners: frozenset[int] = frozenset()
@@ -176,7 +185,8 @@ class Detour:
             if not self.stalls:
                 self._blocked_s = 0.0
         if self.looks or self._held_s:
-            self._name(hold, x / speed, y / speed)
+            stands = hypot(*own) < SPEED_MIN or hypot(vx, vy) < SPEED_MIN
+            self._name(hold, x / speed, y / speed, stands=stands)
             self._let_go(hold, x / speed, y / speed, speed, rests=hypot(vx, vy) < STALLED * speed)
             return self._detour(wanted, own, hold, place)
         return None
@@ -191,16 +201,22 @@ class Detour:
         """Nothing is in its way."""
         self._blocked_s, self._since_s, self._held_s = 0.0, KEEPS_S, 0.0
         self.fixed = self.stalls = False
+        self._shut_s, self._shut = 0.0, ""
         self.round = self.held = ""
 
     # ------------------------------------------------------------------ what holds it
 
-    def _name(self, hold: Hold, ux: float, uy: float) -> None:
-        """Says what holds a robot that does not get on in the direction (ux, uy)."""
+    def _name(self, hold: Hold, ux: float, uy: float, *, stands: bool) -> None:
+        """Says what holds a robot that does not get on in the direction (ux, uy), and `stands` maybe."""
         if self._loose:
             self.held = f"on its way out of {self._trap}"
         elif self.round:
-            self.held = f"on its way round {self.round}"
+            if not stands:
+                self._shut_s, self._shut = 0.0, ""
+            self._shut_s += self._period_s
+            if self._shut_s >= HELD_S and not self._shut:
+                self._shut = " and ".join(sorted({each.name for each in (*hold.blockers, *hold.waits)}))
+            self.held = f"shut in by {self._shut}" if self._shut else f"on its way round {self.round}"
         if self._loose or self.round:
             return
         if not self.stalls:
@@ -348,7 +364,11 @@ class Detour:
             return None
         side, turned = self._side, angle
         for _ in blockers:
-            along = -side * blocker.ny - HUG * blocker.nx, side * blocker.nx - HUG * blocker.ny
+            lean, across = (LEAVES, sqrt(1.0 - LEAVES * LEAVES)) if blocker.within else (-HUG, 1.0)
+            along = (
+                -side * across * blocker.ny + lean * blocker.nx,
+                side * across * blocker.nx + lean * blocker.ny,
+            )
             turned = self._unwrapped(heading, along, turned)
             blocker = _against(_turned(heading, turned), blockers)
             if blocker is None:
@@ -386,9 +406,11 @@ def _side(heading: Vector, blocker: Blocker) -> float:
 
 def _against(heading: Vector, blockers: list[Blocker]) -> Blocker | None:
     """What opposes a direction most, None when nothing does."""
-    most, found = -AGAINST, None
+    most, found = 0.0, None
     for blocker in blockers:
-        along = blocker.nx * heading[0] + blocker.ny * heading[1]
+        along = blocker.nx * heading[0] + blocker.ny * heading[1] + AGAINST
+        if blocker.within:
+            along -= AGAINST + LEAVING
         if along < most:
             most, found = along, blocker
     return found

@@ -245,13 +245,14 @@ class RightOfWay:
 
     def _keeps_within(self, own: Lane, near: tuple[Run, ...], here: Hand, passing: bool) -> bool:
         """Whether a robot that has the right of way has to keep within its own lane for a robot whose lane is
-        `near`: it is in it, and not out of that one, or not by as much as it is within (F1)."""
+        `near`: it is in it, and not out of that one, or not by as much as it is within (F1). If it is out of
+        its own and in that one, it goes back, as long as the other may not be where it is."""
         ox, oy = own.offset(here.x, here.y)
         off = hypot(ox, oy)
-        if off > self._half_width:
-            return False
         dx, dy = _nearest(near, here)
         away = hypot(dx, dy)
+        if off > self._half_width:
+            return away < self._inside and off < self._apart
         if away < self._apart:
             return True
         leaving = (ox * here.vx + oy * here.vy) / off if off > 0.0 else 0.0

@@ -66,6 +66,7 @@ def keep_apart(
     *,
     growth: float = 0.0,
     alone: bool = False,
+    straight: bool = False,
     other_acceleration: tuple[float, float] = (0.0, 0.0),
     rank: int = SEPARATION,
 ) -> HalfPlane:
@@ -79,6 +80,8 @@ def keep_apart(
         growth: how fast the gap grows, m/s. The other knows nothing of it, so the own robot makes up for all
             of it, beyond what braking gives if need be (U2).
         alone: the other does not do its part: it brakes, is silent, or is no robot of ours.
+        straight: it may be anywhere along a line across the offset, so that none is gained by driving along
+            that, as in (F5).
         other_acceleration: what the other is known to do meanwhile, m/s^2; only counts if `alone`, and
             only as far as it brings the two together.
         rank: `SEPARATION`, or `UNSURE`.
@@ -95,7 +98,7 @@ def keep_apart(
     else:
         nx, ny = x / rho, y / rho
         across = nx * (vy - oy) - ny * (vx - ox)
-        turn = across * across / rho
+        turn = 0.0 if straight else across * across / rho
     own, others = nx * vx + ny * vy, nx * ox + ny * oy
     both = -rate * (2.0 * (own - others) + rate * (rho - gap)) - turn  # (F2)
     # Half each, (F3), but never more than braking gives, of either of the two (F4).

@@ -65,7 +65,7 @@ class NeighbourTrust:
         slow: list[str] = []
         given_up: list[str] = []
         newer = ""
-        silent = begun = 0
+        silent = untold = begun = 0
         period_s, drives = self._period_s, state in DRIVING
         if drives:
             self._drove_ns = now_ns
@@ -88,7 +88,7 @@ class NeighbourTrust:
                 silent += 1
             elif state is State.HOLDING:
                 if not peer.has_told(now_ns, self._horizon_ns):
-                    silent += 1
+                    untold += 1
                     given_up.append(f"robot {peer.robot} (has not said yet whom it hears)")
                 elif peer.mark > controller.mark:
                     newer = newer or f"waits for mission {peer.mark[0]}, which robot {peer.robot} has"
@@ -103,7 +103,7 @@ class NeighbourTrust:
         # It slows down as it has to, and comes back to its speed as slowly as trust does.
         self.slower = min(share, self.slower + period_s / TRUST_GAINED_S) if drives else 1.0
         self.hold = self.degraded = ""
-        if silent and (self._all_needed or silent == begun):
+        if (silent and self._all_needed) or (begun and silent + untold == begun):
             self.hold = f"hears {'not all' if silent < begun else 'none'} of its neighbours: "
             self.hold += ", ".join(given_up)
         elif newer:  # it does not begin to drive by one that those it hears have left

@@ -25,7 +25,7 @@ SEEDS = st.integers(0, 2**32)
 
 
 @given(SEEDS, st.sampled_from((0.25, 1.0, 5.0)))
-def test_who_stands_in_its_discs_is_kept_from_whatever_the_other_wants(seed: int, age: float):
+def test_who_stands_on_its_way_is_kept_from_whatever_the_other_wants(seed: int, age: float):
     """One robot that has not been heard for `age` s and is not, and one that is driven at it, or anywhere."""
     draw = Random(seed)
     heading, speed = draw.uniform(-pi, pi), draw.uniform(0.0, 1.0)
@@ -37,12 +37,12 @@ def test_who_stands_in_its_discs_is_kept_from_whatever_the_other_wants(seed: int
         way.append((0.1 * (k + 1), x + 0.1 * speed * cos(angle), y + 0.1 * speed * sin(angle)))
     belief = stood_on(way, 0.0)
     _, bx, by = draw.choice(way)  # where it stands
-    # It begins where every disc admits it.
+    # It begins where every stretch admits it.
     while True:
         x, y, angle = draw.uniform(-4.0, 4.0), draw.uniform(-4.0, 4.0), draw.uniform(-pi, pi)
         fast = draw.uniform(0.0, SPEED_MOST)
         vx, vy = fast * cos(angle), fast * sin(angle)
-        room = min(hypot(x - d.x, y - d.y) - d.radius - SAFE - MARGIN for d in belief.discs)
+        room = min(d.distance(x, y) - d.radius - SAFE - MARGIN for d in belief.stretches)
         if room > fast / RATE + 0.15 / RATE + 0.3:
             break
     closest, kept = 9.0, SAFE + MARGIN + said_doubt(age)  # what it grows by later may be lost, (S4)
@@ -53,14 +53,16 @@ def test_who_stands_in_its_discs_is_kept_from_whatever_the_other_wants(seed: int
         asked = wanted if aim is None else (9.0 * (aim[0] - x), 9.0 * (aim[1] - y))
         own = Hand(x, y, vx, vy)
         planes = list(limit_speed(vx, vy, SPEED_MOST, RATE))
-        for disc in belief.discs:  # all count from the start: (S3) is of those that begin to when admissible
+        for each in belief.stretches:  # all count from the start: (S3) is of those that do when admissible
+            ox, oy, at_end = each.offset(x, y)
             plane = keep_apart(
                 "ghost",
-                (x - disc.x, y - disc.y),
+                (ox, oy),
                 (vx, vy),
                 (0.0, 0.0),
-                SAFE + MARGIN + disc.radius_at(age),
+                SAFE + MARGIN + each.radius_at(age),
                 RATE,
+                straight=not at_end,
                 growth=growth(age),
                 alone=True,
             )

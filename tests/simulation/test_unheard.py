@@ -7,7 +7,7 @@ safe distance. Every variation failed on code that believed a silent robot in on
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, inf, pi, sin
+from math import cos, hypot, inf, pi, sin
 from pathlib import Path
 from typing import Final
 
@@ -312,6 +312,22 @@ def test_the_scene_settles(name: str) -> None:
 def test_the_lane_of_a_robot_that_was_replaced_holds_nobody() -> None:
     """Robot 4 has taken the place of 1, which is dead; then 2 dies, which shared an edge with 1 before."""
     result = scene("replaced_dead")
+    assert_apart(result)
+    assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
+
+
+def test_of_two_halves_face_to_face_that_with_the_right_of_way_goes_on() -> None:
+    """On the same lines: who stands on the lane of robot 1 is gone round, on the side where nobody drives."""
+    result = scene("halves_meet")
+    assert_apart(result)
+    off = result.analysis.hands[-1] - result.analysis.desired[-1]
+    assert hypot(*off[result.analysis.ids.index(1)]) < 0.1
+
+
+@pytest.mark.parametrize("name", ["swap_beside_one_dead", "swap_beside_two_dead"])
+def test_who_is_overtaken_by_what_is_believed_of_the_dead_gets_out(name: str) -> None:
+    """Robots that exchange places across a circle in the middle of which some die."""
+    result = scene(name)
     assert_apart(result)
     assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
 

@@ -1,11 +1,11 @@
-"""Where a robot may be that is not heard: a few discs, and nothing but hearing it takes one away (PURE).
+"""Where a robot may be that is not heard: a few stretches, and nothing but hearing it takes one away (PURE).
 
 A robot that falls silent may have stopped at once, braked as its plant does, coasted, or followed the law and
 its reference: until it gives up those that it does not hear, at the latest, and stands. So it is somewhere on
-the way that it was on when it was heard last, of which `stood_on` makes discs: each covers a stretch, grows
-with what another acceleration than the predicted one makes of its place meanwhile, and is there from the
-time on at which the robot can be in it. Each disc is kept away from by itself: the nearest point of a way
-says nothing of the rest of it, and has no direction for a robot that stands on that way.
+the way that it was on when it was heard last, which `stood_on` cuts into stretches: straight ones, each as
+wide as the way bends in it. Their width grows with what another acceleration than the predicted one makes of
+its place meanwhile, and each is there from the time on at which the robot can be on it. Each is kept away
+from by itself: the nearest point of a whole way says nothing of the rest of it.
 
 Lengths in m, W; times in s since the robot's last message. See (S1) to (S6) of docs/theory.md.
 """
@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import ceil, hypot, inf
 from typing import Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN, Vector
+from agent.common.quantities import Vector
 
 DOUBT_RATE: Final = 0.15
 """How fast the position uncertainty of a robot grows that is not heard, m/s: about what another acceleration
@@ -28,19 +28,22 @@ DOUBT_MAX: Final = 0.3
 """Largest position uncertainty, m: of what a robot says itself, and of what its silence adds."""
 STANDS_S: Final = 1.0
 """Who hears nobody, or is told by beacons that nobody hears it, stands so long after it is given up."""
-DISCS_MAX: Final = 8
-"""Discs of one robot at most."""
+STRETCHES_MAX: Final = 8
+"""Of one robot."""
 STRETCH: Final = 0.25
-"""Of the way of a robot that one disc covers while there are enough of them, m."""
+"""Length of one while there are enough of them, m."""
 AHEAD_S: Final = 0.1
-"""A disc is kept away from so much before the robot can be in it: those near are looked for as often."""
+"""One is kept away from so much before the robot can be on it: those near are looked for as often."""
 
 
-class Disc(NamedTuple):
-    """Where a robot may be: centre (x, y), m; from `after` s after its last message on."""
+class Stretch(NamedTuple):
+    """Where a robot may be: up to `radius` off the straight line from (x, y) to (x + dx, y + dy), m; from
+    `after` s after its last message on."""
 
     x: float
     y: float
+    dx: float
+    dy: float
     radius: float
     after: float
 
@@ -48,18 +51,41 @@ class Disc(NamedTuple):
         """Its radius so many seconds after the robot's last message, m."""
         return self.radius + said_doubt(age)
 
+    def offset(self, x: float, y: float) -> tuple[float, float, bool]:
+        """From the nearest point of the line to (x, y), and whether that is one of its ends."""
+        dx, dy = self.dx, self.dy
+        ox, oy = x - self.x, y - self.y
+        along = ox * dx + oy * dy
+        if along <= 0.0:
+            return ox, oy, True
+        square = dx * dx + dy * dy
+        if along >= square:
+            return ox - dx, oy - dy, True
+        share = along / square
+        return ox - share * dx, oy - share * dy, False
+
+    def distance(self, x: float, y: float) -> float:
+        """How far (x, y) is from the line."""
+        ox, oy, _ = self.offset(x, y)
+        return hypot(ox, oy)
+
+    @property
+    def end(self) -> Vector:
+        """Where it leads to."""
+        return self.x + self.dx, self.y + self.dy
+
 
 class Belief(NamedTuple):
     """Where one robot may be that is not heard.
 
     Attributes:
-        discs: in the order of its way.
+        stretches: in the order of its way.
         x, y, reach: a circle round all of them.
         way, doubt: points of the way that they cover, and how far off it the robot may be; the age of its
             last message adds to that.
     """
 
-    discs: tuple[Disc, ...]
+    stretches: tuple[Stretch, ...]
     x: float
     y: float
     reach: float
@@ -67,10 +93,12 @@ class Belief(NamedTuple):
     doubt: float
 
     def straight(self, x: float, y: float) -> tuple[float, float, float]:
-        """End of a straight way from (x, y), and how far to either side of it the discs reach:
+        """End of a straight way from (x, y), and how far to either side of it the stretches reach:
         (to_x, to_y, radius)."""
-        last = self.discs[-1]
-        return last.x, last.y, max(_off(disc, x, y, last) + disc.radius for disc in self.discs)
+        to_x, to_y = self.stretches[-1].end
+        line = Stretch(x, y, to_x - x, to_y - y, 0.0, 0.0)
+        ends = ((end, each.radius) for each in self.stretches for end in ((each.x, each.y), each.end))
+        return to_x, to_y, max(line.distance(*end) + radius for end, radius in ends)
 
 
 def said_doubt(age: float) -> float:
@@ -102,47 +130,34 @@ def stood_on(way: Sequence[tuple[float, float, float]], doubt: float) -> Belief:
     travelled = [0.0]
     for (_, x0, y0), (_, x1, y1) in pairwise(way):
         travelled.append(travelled[-1] + hypot(x1 - x0, y1 - y0))
-    count = max(1, min(DISCS_MAX, ceil(travelled[-1] / STRETCH - 1e-9)))
-    stretch = travelled[-1] / count
-    discs = []
+    count = max(1, min(STRETCHES_MAX, ceil(travelled[-1] / STRETCH - 1e-9)))
+    length = travelled[-1] / count
+    stretches = []
     low = 0
     for number in range(count):
         high = low
-        while high < len(way) - 1 and travelled[high] < (number + 1) * stretch - 1e-9:
+        while high < len(way) - 1 and travelled[high] < (number + 1) * length - 1e-9:
             high += 1
-        covered = way[low : high + 1]
-        x, y = 0.5 * (covered[0][1] + covered[-1][1]), 0.5 * (covered[0][2] + covered[-1][2])
-        half = max(hypot(px - x, py - y) for _, px, py in covered)
-        discs.append(Disc(x, y, half + doubt, covered[0][0]))
+        after, x, y = way[low]
+        line = Stretch(x, y, way[high][1] - x, way[high][2] - y, doubt, after)
+        bends = max(line.distance(px, py) for _, px, py in way[low : high + 1])
+        stretches.append(line._replace(radius=bends + doubt))
         low = high
-    return _belief(discs, tuple((x, y) for _, x, y in way), doubt)
+    return _belief(stretches, tuple((x, y) for _, x, y in way), doubt)
 
 
 def stood_between(x: float, y: float, to_x: float, to_y: float, radius: float) -> Belief:
     """The belief of a robot that stands somewhere on the straight way from (x, y) to (to_x, to_y), give or
     take `radius`: what another robot has said of it."""
-    length = hypot(to_x - x, to_y - y)
-    count = max(1, min(DISCS_MAX, ceil(length / STRETCH)))
-    discs = []
-    for number in range(count):
-        share = (number + 0.5) / count
-        centre = x + share * (to_x - x), y + share * (to_y - y)
-        discs.append(Disc(*centre, radius + 0.5 * length / count, 0.0))
-    return _belief(discs, ((x, y), *((disc.x, disc.y) for disc in discs), (to_x, to_y)), radius)
+    dx, dy = to_x - x, to_y - y
+    count = max(1, ceil(hypot(dx, dy) / STRETCH))
+    way = tuple((x + k / count * dx, y + k / count * dy) for k in range(count + 1))
+    return _belief([Stretch(x, y, dx, dy, radius, 0.0)], way, radius)
 
 
-def _belief(discs: list[Disc], way: tuple[Vector, ...], doubt: float) -> Belief:
-    x = 0.5 * (min(disc.x for disc in discs) + max(disc.x for disc in discs))
-    y = 0.5 * (min(disc.y for disc in discs) + max(disc.y for disc in discs))
-    reach = max(hypot(disc.x - x, disc.y - y) + disc.radius_at(inf) for disc in discs)
-    return Belief(tuple(discs), x, y, reach, way, doubt)
-
-
-def _off(disc: Disc, x: float, y: float, last: Disc) -> float:
-    """How far a disc's centre is from the straight line between (x, y) and the last one's."""
-    dx, dy = last.x - x, last.y - y
-    square = dx * dx + dy * dy
-    if square < DISTANCE_MIN * DISTANCE_MIN:
-        return hypot(disc.x - x, disc.y - y)
-    share = max(0.0, min(1.0, ((disc.x - x) * dx + (disc.y - y) * dy) / square))
-    return hypot(x + share * dx - disc.x, y + share * dy - disc.y)
+def _belief(stretches: list[Stretch], way: tuple[Vector, ...], doubt: float) -> Belief:
+    ends = [(end, each) for each in stretches for end in ((each.x, each.y), each.end)]
+    x = 0.5 * (min(end[0] for end, _ in ends) + max(end[0] for end, _ in ends))
+    y = 0.5 * (min(end[1] for end, _ in ends) + max(end[1] for end, _ in ends))
+    reach = max(hypot(end[0] - x, end[1] - y) + each.radius_at(inf) for end, each in ends)
+    return Belief(tuple(stretches), x, y, reach, way, doubt)

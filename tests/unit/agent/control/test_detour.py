@@ -3,15 +3,17 @@ way."""
 
 from __future__ import annotations
 
-from math import inf, isfinite, nan
+from math import hypot, inf, isfinite, nan
 
 import pytest
 
 from agent.control.detour import (
+    AGAINST,
     CAUGHT_S,
     FREE_S,
     HELD_S,
     KEEPS_S,
+    LEAVING,
     LET_GO_S,
     LOOSE_S,
     PATIENCE_LOOSE_S,
@@ -337,3 +339,28 @@ def test_it_says_round_what_it_goes():
     assert detour.held == "on its way round wall"
     run(detour, PERIOD, [], STILL)
     assert detour.held == ""
+
+
+@pytest.mark.parametrize("ny", [1.0, -1.0])
+def test_from_what_it_is_too_near_to_it_drives_away_before_it_drives_along(ny: float):
+    """At most 60 degrees from straight: only that the safety filter lets it."""
+    beside = Blocker(-0.6, 0.8 * ny, "robot 4", True, within=True)
+    detour = blocked([beside])
+    x, y = run(detour, 2.0, [beside])
+    away = (beside.nx * x + beside.ny * y) / hypot(x, y)
+    assert LEAVING < away < 0.8
+    assert x > 0.0  # on the side to which its place is nearer
+    x, y = run(detour, 2.0, [beside._replace(within=False)])
+    assert abs(beside.nx * x + beside.ny * y) / hypot(x, y) < 2.0 * AGAINST
+
+
+def test_who_stands_on_its_way_round_says_by_whom_it_is_shut_in():
+    cup = [WALL, NORTH_WALL._replace(within=True), SOUTH_WALL._replace(within=True)]
+    detour = Detour(PERIOD, RATE)
+    run(detour, 0.8 * HELD_S, cup)
+    assert detour.held.startswith("on its way round ")
+    waits = Hold(cup, [Blocker(-1.0, 0.0, "own lane", True)], STILL, [], NOBODY, ())
+    run(detour, HELD_S, waits)
+    assert detour.held == "shut in by north and own lane and south and wall"
+    run(detour, PERIOD, waits, own=(-0.2, 0.0))
+    assert detour.held.startswith("on its way round ")

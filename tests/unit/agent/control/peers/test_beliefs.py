@@ -1,18 +1,19 @@
-"""Where a robot may be that is not heard: every place of its way lies in a disc, at its time."""
+"""Where a robot may be that is not heard: every place of its way lies on a stretch, at its time."""
 
 from __future__ import annotations
 
 from itertools import pairwise
-from math import cos, dist, hypot, sin
+from math import cos, dist, sin
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.control.peers.beliefs import (
-    DISCS_MAX,
     DOUBT_MAX,
     STRETCH,
+    STRETCHES_MAX,
+    Stretch,
     growth,
     said_doubt,
     stands_after,
@@ -39,54 +40,60 @@ def curve(speed: float, turn: float, seconds: float) -> list[Row]:
     seconds=st.floats(0.1, 6.0),
     doubt=st.floats(0.0, DOUBT_MAX),
 )
-def test_every_place_of_the_way_is_in_a_disc_that_is_there_by_then(
+def test_every_place_of_the_way_is_on_a_stretch_that_is_there_by_then(
     speed: float, turn: float, seconds: float, doubt: float
 ):
     way = curve(speed, turn, seconds)
     belief = stood_on(way, doubt)
-    assert 1 <= len(belief.discs) <= DISCS_MAX
+    assert 1 <= len(belief.stretches) <= STRETCHES_MAX
     for t, x, y in way:
         assert any(
-            disc.after <= t + 1e-9 and dist((x, y), disc[:2]) + doubt <= disc.radius + 1e-9
-            for disc in belief.discs
+            each.after <= t + 1e-9 and each.distance(x, y) + doubt <= each.radius + 1e-9
+            for each in belief.stretches
         )
-    for disc in belief.discs:  # the circle round all
-        assert dist(disc[:2], (belief.x, belief.y)) + disc.radius + DOUBT_MAX <= belief.reach + 1e-9
+    for each in belief.stretches:  # the circle round all
+        for end in ((each.x, each.y), each.end):
+            assert dist(end, (belief.x, belief.y)) + each.radius + DOUBT_MAX <= belief.reach + 1e-9
 
 
 @given(speed=st.floats(0.0, 5.0), turn=st.floats(-4.0, 4.0), x=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0))
 def test_told_as_a_straight_way_nothing_of_it_is_lost(speed: float, turn: float, x: float, y: float):
     belief = stood_on(curve(speed, turn, 3.0), 0.1)
-    told = stood_between(x, y, *belief.straight(x, y))
-    for disc in belief.discs:
-        reached = [
-            each for each in told.discs if dist(each[:2], disc[:2]) <= each.radius - disc.radius + 1e-9
-        ]
-        assert reached or _covered(disc.x, disc.y, disc.radius, told.discs)
+    (told,) = stood_between(x, y, *belief.straight(x, y)).stretches
+    for each in belief.stretches:
+        for end in ((each.x, each.y), each.end):
+            assert told.distance(*end) + each.radius <= told.radius + 1e-9
 
 
-def _covered(x: float, y: float, radius: float, discs: tuple[tuple[float, float, float, float], ...]) -> bool:
-    """Whether points all over a circle are in one disc or another."""
-    points = [
-        (x + share * radius * cos(k), y + share * radius * sin(k)) for k in range(12) for share in (0, 0.5, 1)
-    ]
-    return all(any(dist(p, disc[:2]) <= disc[2] + 1e-9 for disc in discs) for p in points)
-
-
-def test_a_short_way_is_one_disc_and_a_longer_one_is_cut():
-    assert len(stood_on(curve(0.0, 0.0, 3.0), 0.0).discs) == 1
-    assert len(stood_on(curve(0.9 * STRETCH, 0.0, 1.0), 0.0).discs) == 1
-    longer = stood_on(curve(0.45, 0.0, 1.0), 0.0).discs
+def test_a_short_way_is_one_stretch_and_a_longer_one_is_cut():
+    assert len(stood_on(curve(0.0, 0.0, 3.0), 0.0).stretches) == 1
+    assert len(stood_on(curve(0.9 * STRETCH, 0.0, 1.0), 0.0).stretches) == 1
+    longer = stood_on(curve(0.45, 0.0, 1.0), 0.0).stretches
     assert len(longer) == 2
-    assert [disc.after for disc in longer] == sorted(disc.after for disc in longer)
-    assert all(hypot(b.x - a.x, b.y - a.y) <= a.radius + b.radius + 1e-9 for a, b in pairwise(longer))
+    assert [each.after for each in longer] == sorted(each.after for each in longer)
+    assert all(dist(a.end, (b.x, b.y)) < 1e-9 for a, b in pairwise(longer))
 
 
-def test_discs_grow_with_the_age_and_stay_bounded():
-    (disc,) = stood_between(0.0, 0.0, 0.0, 0.0, 0.2).discs
-    assert disc.radius_at(0.05) == 0.2
-    assert 0.2 < disc.radius_at(1.0) < disc.radius_at(2.0) < 0.2 + DOUBT_MAX
-    assert disc.radius_at(1e9) == pytest.approx(0.2 + DOUBT_MAX)
+def test_a_straight_way_is_no_wider_for_being_long():
+    for seconds in (0.5, 6.0):
+        assert all(
+            each.radius == pytest.approx(0.1) for each in stood_on(curve(1.0, 0.0, seconds), 0.1).stretches
+        )
+
+
+def test_the_nearest_point_of_a_stretch_is_beside_it_or_an_end():
+    line = Stretch(1.0, 1.0, 2.0, 0.0, 0.1, 0.0)
+    assert line.offset(2.0, 1.5) == (0.0, 0.5, False)
+    assert line.offset(0.5, 1.0) == (-0.5, 0.0, True)
+    assert line.offset(4.0, 2.0) == (1.0, 1.0, True)
+    assert Stretch(1.0, 1.0, 0.0, 0.0, 0.1, 0.0).offset(1.0, 3.0) == (0.0, 2.0, True)
+
+
+def test_stretches_widen_with_the_age_and_stay_bounded():
+    (there,) = stood_between(0.0, 0.0, 0.0, 0.0, 0.2).stretches
+    assert there.radius_at(0.05) == 0.2
+    assert 0.2 < there.radius_at(1.0) < there.radius_at(2.0) < 0.2 + DOUBT_MAX
+    assert there.radius_at(1e9) == pytest.approx(0.2 + DOUBT_MAX)
     assert said_doubt(0.0) == 0.0
     for age in (0.0, 0.05, 0.5, 1.9, 2.2, 60.0):
         assert growth(age) == pytest.approx((said_doubt(age + 1e-6) - said_doubt(age)) / 1e-6, abs=1e-6)

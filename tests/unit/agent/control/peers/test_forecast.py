@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import dist
+from math import dist, hypot
 
 import pytest
 
@@ -44,8 +44,8 @@ def test_a_robot_far_from_its_place_does_not_go_beyond_it():
     forecast, reference = scene()
     belief = forecast.stood(at(-6.0, 2.0), 20.0)
     place = reference.motion(2, T0 + 20 * S)
-    assert max(disc.x for disc in belief.discs) < place[0] + 0.5
-    assert dist(belief.discs[-1][:2], place[:2]) < 2.5
+    assert max(each.end[0] for each in belief.stretches) < place[0] + 0.5
+    assert dist(belief.stretches[-1].end, place[:2]) < 2.5
 
 
 def test_the_lane_goes_to_the_place_and_on_along_all_corners_to_the_end_of_the_mission():
@@ -62,16 +62,16 @@ def test_the_lane_goes_to_the_place_and_on_along_all_corners_to_the_end_of_the_m
 def test_who_has_no_place_stands_and_one_that_brakes_rolls_out():
     forecast, reference = scene()
     assert forecast.lane(at(1.0, 1.0, robot=3), reference).distance(4.0, 5.0) == pytest.approx(5.0)
-    (disc,) = forecast.stood(at(1.0, 1.0, robot=3), 3.0).discs
-    assert disc.radius < 0.01
+    (there,) = forecast.stood(at(1.0, 1.0, robot=3), 3.0).stretches
+    assert hypot(there.dx, there.dy) + there.radius < 0.01
     moving = forecast.stood(at(1.0, 1.0, robot=3, speed=0.4, follows=False), 3.0)
-    assert moving.discs[-1].radius >= 0.4
+    assert moving.stretches[-1].radius >= 0.4
     fast = forecast.stood(at(1.0, 1.0, robot=3, speed=9.0, follows=False), 3.0)
-    assert DRIVEN_MAX <= fast.discs[0].radius < DRIVEN_MAX + 0.5
+    assert DRIVEN_MAX <= fast.stretches[0].radius < DRIVEN_MAX + 0.5
 
 
 def test_before_the_epoch_nobody_sets_out():
     forecast, _ = scene()
     waits = at(-6.0, 2.0)._replace(time_ns=T0 - 10 * S)
-    (disc,) = forecast.stood(waits, 5.0).discs
-    assert disc[:2] == pytest.approx((-6.0, 2.0), abs=0.01)
+    (there,) = forecast.stood(waits, 5.0).stretches
+    assert there.end == pytest.approx((-6.0, 2.0), abs=0.01)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, dist, sin
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -677,7 +677,7 @@ def test_who_is_silent_may_be_anywhere_on_its_way_since():
     belief = known.belief(peer)
     for share in (0.0, 0.2, 0.5, 0.75, 1.0):  # a way with a bend
         x, y = known.predict(peer, round(T0 + share * 2 * S)).position
-        assert any(dist((x, y), disc[:2]) <= disc.radius_at(share * 2.0) + 0.01 for disc in belief.discs)
+        assert any(each.distance(x, y) <= each.radius_at(share * 2.0) + 0.01 for each in belief.stretches)
     assert known.belief(peer) is belief  # made once
     peer.here = False  # it brakes, or has only been cut off
     assert not peer.is_heard(T0 + PERIOD)
@@ -687,25 +687,26 @@ def test_who_is_silent_may_be_anywhere_on_its_way_since():
 def test_who_stood_and_was_not_following_may_have_begun_to():
     known = heard(peers(standing, horizon_s=1.0), message(2, 5, T0, follows=False))
     belief = known.belief(known.get(2))
-    assert len(belief.discs) > 1
+    assert len(belief.stretches) > 1
     gone = heard(peers(standing, horizon_s=1.0), message(7, 5, T0, follows=False))  # it has no place
-    assert len(gone.belief(gone.get(7)).discs) == 1
+    assert len(gone.belief(gone.get(7)).stretches) == 1
 
 
 def test_who_was_driven_by_somebody_else_may_have_been_driven_on():
     stood = heard(peers(), message(7, 5, T0, follows=False, position=(1.0, 0.0), velocity=(0.0, 0.0)))
     drove = heard(peers(), message(7, 5, T0, follows=False, position=(1.0, 0.0), velocity=(0.8, 0.0)))
-    (disc,), (wide, *_) = stood.belief(stood.get(7)).discs, drove.belief(drove.get(7)).discs
-    assert wide.radius >= disc.radius + 0.8
+    (there,) = stood.belief(stood.get(7)).stretches
+    wide, *_ = drove.belief(drove.get(7)).stretches
+    assert wide.radius >= there.radius + 0.8
 
 
 def test_who_was_never_heard_is_where_it_starts():
     known = peers(starts={2: (1.5, -2.0)})
-    (disc,) = known.belief(known.get(2)).discs
-    assert disc[:3] == (1.5, -2.0, 0.0)
+    (there,) = known.belief(known.get(2)).stretches
+    assert there[:5] == (1.5, -2.0, 0.0, 0.0, 0.0)
     assert known.belief(known.get(7)) is None
     heard(known, message(2, 5, T0, position=(9.0, 0.0)))
-    assert known.belief(known.get(2)).discs[0].x > 5.0
+    assert known.belief(known.get(2)).stretches[0].x > 5.0
 
 
 # ---------------------------------------------------------------------- hearsay
@@ -727,9 +728,9 @@ def test_who_is_not_heard_is_told_of_for_ever_with_the_way_that_it_may_stand_on(
         assert new.accept_beacon(told(knows, T0 + wait), T0 + wait + PERIOD) is None
         assert new.get(2).age_ns(T0 + S) is None  # an edge needs hand states
         assert new.get(2).time_ns == T0
-        for disc in knows.belief(knows.get(2)).discs:
-            there = new.belief(new.get(2)).discs
-            assert any(dist(each[:2], disc[:2]) + disc.radius <= each.radius + 0.3 for each in there)
+        (there,) = new.belief(new.get(2)).stretches
+        for each in knows.belief(knows.get(2)).stretches:
+            assert there.distance(each.x, each.y) + each.radius <= there.radius + 1e-9
         assert new.silent(T0 + wait + S)[0][:7] == row[:7]  # and told on
 
 
