@@ -76,7 +76,8 @@ class Drive(NamedTuple):
 class _Scene(NamedTuple):
     """What acts on the own hand at one instant, as it is found.
 
-    now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. constraints, planes: what
+    now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. place: where it is to be,
+    if that is at rest. constraints, planes: what
     the law and the safety filter have to keep. within: that to which it is nearer than it may be, but must
     not be driven from; stops: those of the planes that let it only leave that.
     """
@@ -85,6 +86,7 @@ class _Scene(NamedTuple):
     own: hand.Hand
     nx: float
     ny: float
+    place: Vector | None
     constraints: list[Constraint]
     planes: list[safety_filter.HalfPlane]
     within: list[Blocker]
@@ -247,7 +249,8 @@ class Controller:
             # Round corners c_2 would be too slow: the wall is lost, and with it the way.
             gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
-        scene = _Scene(now_ns, own, gx, gy, [], [], [], [])
+        place = (x, y) if hypot(vx, vy) <= SPEED_MIN else None
+        scene = _Scene(now_ns, own, gx, gy, place, [], [], [], [])
         self._look_round(scene, acting_ns)
         numbers: tuple[float, ...] = ()
         if self._own_law is None:
@@ -306,7 +309,19 @@ class Controller:
             return ""
         keep = self._safe_distance + self._margin
         for peer in self._about():
-            belief = None if peer.is_heard(now_ns) else self.peers.belief(peer)
+            if peer.is_heard(now_ns):
+                message = peer.message
+                room = keep + peer.doubt(now_ns)
+                if (
+                    message is not None
+                    and not message.following
+                    and hypot(message.vx, message.vy) <= SPEED_MIN
+                    and hypot(message.x - x, message.y - y) < room
+                    and hypot(own.x - x, own.y - y) < 2.0 * room
+                ):
+                    return f"its place is taken by robot {peer.robot} (does not follow)"
+                continue
+            belief = self.peers.belief(peer)
             if belief is None or hypot(belief.x - x, belief.y - y) > keep + belief.reach:
                 continue
             age = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
@@ -431,10 +446,16 @@ class Controller:
             return
         doubt = peer.doubt(now_ns)
         name = f"robot {peer.robot}"
-        if pushes and rho - doubt < self.proximity.distance:
+        distance = self.proximity.distance
+        if pushes and rho - doubt < distance and scene.place is not None and not message.following:
+            # A body that stays beside the place must not push it off that.
+            x, y = scene.place
+            apart = hypot(x - other.position[0], y - other.position[1]) - doubt
+            distance = min(distance, max(BESIDE * apart, self._safe_distance + self._margin))
+        if pushes and rho - doubt < distance:
             scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
             offset = dx * scale, dy * scale
-            constraint = self._constraint(scene, other, offset, self.proximity.distance, self._pushing)
+            constraint = self._constraint(scene, other, offset, distance, self._pushing)
             scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
         age_ns = now_ns + peer.clock.used_ns - peer.time_ns
         gap = self._safe_distance + self._margin + doubt
@@ -578,6 +599,8 @@ STANDS_NS: Final = 2 * NS_PER_S
 KEEPING_AWAY: Final = (safety_filter.SEPARATION, safety_filter.UNSURE)
 ACTIVE: Final = 1e-3
 """m/s^2: a half plane that leaves no more than this is what stops a robot."""
+BESIDE: Final = 0.9
+"""Share of the way from a body to the own place within which it may push."""
 STOP_S: Final = 0.1
 """A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
 SLOW_SPEED: Final = 0.2

@@ -31,15 +31,19 @@ robot = [{robots}]
 """
 
 
-def scene(starts, places, edges="", *, faults="", speed=0.0, duration_s=40) -> Fleet:
+def scene(starts, places, edges="", *, faults="", speed=0.0, duration_s=40, reserve=()) -> Fleet:
     """Robots whose hand points start at `starts`."""
+    rest = dict.fromkeys(reserve, ", reserve = true")
     text = SCENE.format(
         duration_s=duration_s,
         edges=edges,
         places=", ".join(f"[{x}, {y}]" for x, y in places),
         speed=speed,
         faults=faults,
-        robots=", ".join(f"{{ id = {n}, x_m = {x - 0.1}, y_m = {y} }}" for n, (x, y) in enumerate(starts, 1)),
+        robots=", ".join(
+            f"{{ id = {n}, x_m = {x - 0.1}, y_m = {y}{rest.get(n, '')} }}"
+            for n, (x, y) in enumerate(starts, 1)
+        ),
     )
     return resolved(parse_fleet(text, source="scene.toml"))
 
@@ -111,3 +115,15 @@ def test_twenty_robots_swap_across_a_circle():
     went = drive(swap(20, 4.0, 90.0, True, 0))
     assert went.seconds is not None
     assert went.pair_m > SAFE
+
+
+@pytest.mark.parametrize(("beside", "arrives"), [(0.41, True), (0.3, True), (0.1, False)])
+def test_a_body_that_stays_beside_a_place_does_not_push_its_robot_off_it(beside: float, arrives: bool):
+    """A robot in reserve, nearer than robots without an edge push each other apart; nearer than the safe
+    distance and the margin it has the place."""
+    starts = [(3.0, 0.6), (2.4, -0.3), (3.6, -0.3), (-0.6, beside - 0.3)]
+    places = [(0.0, 0.6), (-0.6, -0.3), (0.6, -0.3)]
+    recording, a = driven(scene(starts, places, "[1, 2], [2, 3], [1, 3]", reserve=(4,)))
+    assert closest(a) > SAFE
+    assert (away(a)[:3] < THERE_M).all() == arrives
+    assert ("its place is taken by robot 4 (does not follow)" in reasons(recording, 2)) is not arrives

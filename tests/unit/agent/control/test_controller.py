@@ -176,7 +176,7 @@ def test_beside_the_way_of_a_silent_robot_it_may_drive_off_it_however_long_that_
     now_ns = T0 + 10 * S
     controller.look(now_ns)
     controller.proximity.look(now_ns, hand(Pose(*[0.0] * 5), hand_x), (2,))
-    scene = _Scene(now_ns, hand(Pose(0.0, 0.0, 0.0, speed, 0.0), hand_x), 0.0, 0.0, [], [], [], [])
+    scene = _Scene(now_ns, hand(Pose(0.0, 0.0, 0.0, speed, 0.0), hand_x), 0.0, 0.0, None, [], [], [], [])
     controller._look_round(scene, now_ns)
     assert len({(plane.nx, plane.ny) for plane in scene.planes if plane.cause == "robot 3"}) > 3
     assert [each[:3] for each in scene.within] == [(1.0, pytest.approx(0.0), "robot 3")]
