@@ -122,7 +122,11 @@ def test_in_simulate_they_form_up_and_keep_their_distances(law: str, loss: str, 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_in_run_each_robot_has_its_own(law: str, tmp_path: Path) -> None:
-    handfast(tmp_path, f"run delta --law {law} --duration 25s --no-report --out out", *BUSY, *NETWORK)
+    """Places are assigned: with those of the file two robots meet face to face, and how long a spring then
+    keeps a triangle folded hangs on the machine's hiccups (in virtual time, 6 of 120 are not done in 25 s).
+    """
+    arguments = f"run delta --law {law} --duration 20s --no-report --out out --set formation.assign=true"
+    handfast(tmp_path, arguments, *BUSY, *NETWORK)
     found = metrics(tmp_path / "out")
     assert (found["law"], found["mode"]) == (LAWS[law], "run")
     assert found["final_distance_error_m"] < 0.02
