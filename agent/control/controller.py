@@ -24,7 +24,7 @@ from agent.control.peers.peers import Peer, Peers
 from agent.control.peers.prediction import Prediction, constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
-from agent.control.safety_distances import TURN_MAX, TURN_SHARE, acceleration_max, barrier_rate
+from agent.control.safety_distances import TURN_MAX, TURN_SHARE, acceleration_max, barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hand
 from agent.formation.mission_plan import Plan
@@ -121,7 +121,7 @@ class Controller:
             # What a law of others asks for next, nobody can say: it counts for no longer than a period.
             decay=constraint_decay(control.kd, control.kp) if control.law is None else fleet.fleet.rate_hz,
             predict=control.prediction,
-            most=control.max_speed_mps if fleet.avoidance.enabled else None,
+            most=speed_max(fleet) if fleet.avoidance.enabled else None,
             starts={other.id: start_hand(other) for other in fleet.robots if other.id != robot},
             horizon_s=control.prediction_horizon_s,
             beacon_ns=fleet.beacon_rounds * fleet.period_ns,
@@ -147,7 +147,7 @@ class Controller:
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m
         self._acceleration_max = acceleration_max(fleet)
-        self._speed_max = control.max_speed_mps
+        self._speed_max = speed_max(fleet)
         self._barrier_rate, self._margin = barrier_rate(fleet), fleet.avoidance.margin_m
         self._mass, self._inertia, self._reach = body.mass_kg, body.inertia_kgm2, body.hand_offset_m
         self._yaw_rate_max = TURN_MAX * NS_PER_S / fleet.period_ns

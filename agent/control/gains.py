@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Final
 
 from agent.control.law import Gains
+from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 
 SOFTNESS: Final = 4.0
@@ -25,7 +26,7 @@ def gains_of(fleet: Fleet) -> Gains:
     if control.k2 is not None:
         return Gains(control.kd, control.k2, control.kp, control.relaxation)
     # From further away than c2 V / c1 the pull grows no more (N1), so what it has to win against must not.
-    far = FOLD * control.c1 / (control.c2 * control.max_speed_mps) if fleet.avoidance.enabled else 0.0
+    far = FOLD * control.c1 / (control.c2 * speed_max(fleet)) if fleet.avoidance.enabled else 0.0
     return Gains(control.kd, 0.0, control.kp, control.relaxation, SOFTNESS, SOFTNESS * far)
 
 

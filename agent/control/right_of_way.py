@@ -28,7 +28,7 @@ from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX, stands_after
 from agent.control.peers.lanes import Lane, Run, offset
 from agent.control.peers.peers import Peer, Peers
-from agent.control.safety_distances import barrier_rate
+from agent.control.safety_distances import barrier_rate, speed_max
 from agent.control.safety_filter import HalfPlane, keep_clear
 from agent.fleet.model import Fleet
 from agent.formation.reference import Reference
@@ -92,7 +92,7 @@ class RightOfWay:
         self._tube = self._half_width - margin
         self._inside = self._half_width + safe
         self._apart = self._inside + margin
-        self._rate, most = barrier_rate(fleet), fleet.control.max_speed_mps
+        self._rate, most = barrier_rate(fleet), speed_max(fleet)
         self._within = self._apart + most / self._rate + most / LOOKS_PER_S
         self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         horizon_s = fleet.control.prediction_horizon_s

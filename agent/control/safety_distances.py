@@ -63,13 +63,25 @@ def least_apart(edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tu
     return least
 
 
+def speed_max(fleet: Fleet) -> float:
+    """V_max, m/s: `control.max_speed_mps`, but no more than robots of this acceleration can steer at.
+
+    From V_max they brake at the rate a / V_max, and turn into another way no sooner. Where that is below
+    c1 / c2, the rate at which the law comes to a place, they drive past their places, further each time.
+    """
+    control = fleet.control
+    if not fleet.avoidance.enabled:
+        return control.max_speed_mps
+    return min(control.max_speed_mps, control.max_acceleration * control.c2 / control.c1)
+
+
 def barrier_rate(fleet: Fleet) -> float:
     """p of the safety filter, 1/s: as given, or the largest up to 3 at which robots can brake by (F4), and at
     which the filter is stable as it is sampled."""
-    given, control = fleet.avoidance.barrier_rate, fleet.control
+    given = fleet.avoidance.barrier_rate
     if given is not None:
         return given
-    return min(_RATE, control.max_acceleration / control.max_speed_mps, RATE_SHARE * fleet.fleet.rate_hz)
+    return min(_RATE, fleet.control.max_acceleration / speed_max(fleet), RATE_SHARE * fleet.fleet.rate_hz)
 
 
 def acceleration_max(fleet: Fleet) -> float:
@@ -78,7 +90,7 @@ def acceleration_max(fleet: Fleet) -> float:
     control = fleet.control
     if not fleet.avoidance.enabled:
         return control.max_acceleration
-    return min(control.max_acceleration, SPEED_SHARE * control.max_speed_mps * fleet.fleet.rate_hz)
+    return min(control.max_acceleration, SPEED_SHARE * speed_max(fleet) * fleet.fleet.rate_hz)
 
 
 def braking_room(fleet: Fleet) -> float:
@@ -87,7 +99,7 @@ def braking_room(fleet: Fleet) -> float:
     There h of the safety filter is 2 V_max / p, and (F1) admits any speed that is allowed.
     """
     keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
-    return keep + 2.0 * fleet.control.max_speed_mps / barrier_rate(fleet)
+    return keep + 2.0 * speed_max(fleet) / barrier_rate(fleet)
 
 
 def sensing_distance(fleet: Fleet, distance: float) -> float:

@@ -160,7 +160,8 @@ class ControlSection(Sectioned):
     max_speed_mps: float = setting(
         1.5,
         "Largest speed of a hand point. It limits how fast a robot makes for its place, and the safety "
-        "filter keeps it (`avoidance.enabled`).",
+        "filter keeps it (`avoidance.enabled`). At most `max_acceleration` c2/c1 is made use of: from more, "
+        "robots brake and turn too slowly to come to rest at their places.",
         unit="m/s",
         gt=0,
         le=100,

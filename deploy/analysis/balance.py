@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.control import law
+from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 from deploy.analysis import fleet_law
 from deploy.analysis.analysis import Analysis
@@ -86,12 +87,12 @@ def _forces(
 ) -> tuple[fleet_law.Array, fleet_law.Array]:
     """Navigation force on every robot, and what is left of all forces, (2, n), m/s^2, if none moves in the
     formation."""
-    control, n = fleet.control, len(a.ids)
+    control, n, most = fleet.control, len(a.ids), speed_max(fleet)
     error = np.nan_to_num((a.hands[row] - a.desired[row]).T)
     before = a.desired[_lately(a, row)][0]
     vx, vy = np.nan_to_num((a.desired[row] - before).T / STILL_S)
     acting = [
-        law.acting_error((x, y), (u, v), control.c1, control.c2, control.max_speed_mps)
+        law.acting_error((x, y), (u, v), control.c1, control.c2, most)
         for x, y, u, v in zip(*error.tolist(), vx.tolist(), vy.tolist(), strict=True)
     ]
     navigation = -control.c1 * np.array(acting).T

@@ -13,7 +13,7 @@ from agent.common.time import NS_PER_S
 from agent.control.controller import STOP_S
 from agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
 from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
-from agent.control.safety_distances import barrier_rate
+from agent.control.safety_distances import barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from plant.unicycle import BRAKE_DECELERATION_MAX, BRAKE_TIME_S
 
@@ -60,7 +60,7 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
         lanes_m: q, how far the lanes of one robot are apart as two know them.
     """
     safe, control = fleet.formation.safe_distance_m, fleet.control
-    most, rate = control.max_speed_mps, barrier_rate(fleet)
+    most, rate = speed_max(fleet), barrier_rate(fleet)
     period_s = 1.0 / fleet.fleet.rate_hz
     beacon_s = fleet.beacon_rounds * period_s
     allowed_s = links.delay_s + links.gap_s
@@ -71,7 +71,7 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
         unmet.append("avoidance.enabled = false: nothing keeps robots apart that share no edge")
     if most * rate > control.max_acceleration * (1.0 + 1e-9):
         unmet.append(
-            f"avoidance.barrier_rate = {rate:g} 1/s times control.max_speed_mps = {most:g} m/s is more than "
+            f"avoidance.barrier_rate = {rate:g} 1/s times {most:g} m/s is more than "
             f"control.max_acceleration = {control.max_acceleration:g} m/s2: robots cannot brake so hard"
         )
     if rate * STOP_S > 1.0:

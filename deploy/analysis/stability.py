@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.common.quantities import Vector
 from agent.control.law import acting_error
+from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import Floats, edge_lengths
@@ -77,6 +78,17 @@ def _far(fleet: Fleet, geometry: Geometry) -> float:
     return max(0.0, (longest - 1.0) * control.c2 / control.c1)
 
 
+def speed_limit(fleet: Fleet) -> str:
+    """What limits the speed of a fleet's robots, by the name of its field."""
+    control = fleet.control
+    most = speed_max(fleet)
+    if most < control.max_speed_mps:
+        return (
+            f"the {most:.4g} m/s at which control.max_acceleration = {control.max_acceleration:.4g} can steer"
+        )
+    return f"control.max_speed_mps = {control.max_speed_mps:.4g}"
+
+
 def _decay(mode: Mode) -> float:
     """-Re of the slower root of s^2 + k2 s + k1, 1/s."""
     root = mode.k2 * mode.k2 - 4.0 * mode.k1
@@ -125,7 +137,7 @@ def _acting(fleet: Fleet, error: Floats, velocity: Vector) -> Floats:
     control = fleet.control
     if not fleet.avoidance.enabled:
         return error
-    c1, c2, most = control.c1, control.c2, control.max_speed_mps
+    c1, c2, most = control.c1, control.c2, speed_max(fleet)
     return np.array([acting_error((x, y), velocity, c1, c2, most) for x, y in error.T.tolist()]).T
 
 

@@ -8,13 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from agent.control.safety_distances import TURN_MAX
+from agent.control.safety_distances import TURN_MAX, speed_max
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import Floats
 from agent.formation.trajectory import make_trajectory
+from deploy.analysis.stability import speed_limit
 from deploy.check.finding import Finding
 from deploy.console.wording import counted, robots
 
@@ -100,13 +101,23 @@ def _speed(fleet: Fleet, speed: float) -> Iterator[Finding]:
     """
     if not fleet.avoidance.enabled:
         return
-    section, most = fleet.trajectory, fleet.control.max_speed_mps
+    section, most, limit = fleet.trajectory, speed_max(fleet), speed_limit(fleet)
     place = f"trajectory.{'velocity_mps' if section.kind == 'line' else 'speed_mps'}"
+    control = fleet.control
+    if most < control.max_speed_mps:
+        yield Finding(
+            "info",
+            "control.max_speed_mps",
+            f"{control.max_speed_mps:.4g} m/s is not made use of: with control.max_acceleration = "
+            f"{control.max_acceleration:.4g} m/s2 robots brake and turn too slowly from more than "
+            f"{most:.4g} m/s to come to rest at their places; that takes max_speed_mps c1/c2 = "
+            f"{control.max_speed_mps * control.c1 / control.c2:.3g} m/s2",
+        )
     if speed > most:
         yield Finding(
             "error",
             place,
-            f"{speed:.4g} m/s is faster than control.max_speed_mps = {most:.4g}: all robots fall behind, by "
+            f"{speed:.4g} m/s is faster than {limit}: all robots fall behind, by "
             f"{speed - most:.3g} m in every second; take at most {FAST_SHARE * most:.3g} m/s, so that who is "
             f"late can catch up, or a limit of {1.005 * speed / FAST_SHARE:.3g}",
         )
@@ -114,11 +125,11 @@ def _speed(fleet: Fleet, speed: float) -> Iterator[Finding]:
         yield Finding(
             "warning",
             place,
-            f"{speed:.4g} m/s leaves {most - speed:.2g} m/s of control.max_speed_mps = {most:.4g} to catch "
+            f"{speed:.4g} m/s leaves {most - speed:.2g} m/s of {limit} to catch "
             f"up with: a robot 1 m behind its place takes {1.0 / (most - speed):.3g} s or more; take at most "
             f"{FAST_SHARE * most:.3g} m/s, or a higher limit"
             if speed < most
-            else f"{speed:.4g} m/s is all of control.max_speed_mps: who is behind its place stays behind; "
+            else f"{speed:.4g} m/s is all of {limit}: who is behind its place stays behind; "
             f"take at most {FAST_SHARE * most:.3g} m/s, or a higher limit",
         )
     if section.kind != "circle" or section.radius_m is None:

@@ -8,14 +8,14 @@ from math import dist, floor, inf, log10
 from typing import Final
 
 from agent.control.peers.beliefs import said_doubt
-from agent.control.safety_distances import AHEAD_M, RATE_SHARE, barrier_rate, braking_room
+from agent.control.safety_distances import AHEAD_M, RATE_SHARE, barrier_rate, braking_room, speed_max
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
 from deploy.analysis.couplings import Mode
-from deploy.analysis.stability import sampled_radius
+from deploy.analysis.stability import sampled_radius, speed_limit
 from deploy.check.finding import Finding
 from deploy.console.wording import robots
 
@@ -34,13 +34,14 @@ def check_braking(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
         return
     rate, control = barrier_rate(fleet), fleet.control
     yield from _sampled(rate, fleet.fleet.rate_hz)
-    needed = rate * control.max_speed_mps
+    most = speed_max(fleet)
+    needed = rate * most
     if needed > control.max_acceleration * (1.0 + _ROUNDING):
-        enough = _below(control.max_acceleration / control.max_speed_mps)
+        enough = _below(control.max_acceleration / most)
         yield Finding(
             "warning",
             "avoidance.barrier_rate",
-            f"{rate:.4g} 1/s at control.max_speed_mps = {control.max_speed_mps:.4g} counts on robots "
+            f"{rate:.4g} 1/s at {speed_limit(fleet)} counts on robots "
             f"that brake with {needed:.3g} m/s2, more than control.max_acceleration = "
             f"{control.max_acceleration:.4g}: they may come nearer than the safe distance; take {enough} 1/s "
             "or less, or leave it out",
@@ -77,13 +78,13 @@ def _bodies(fleet: Fleet, needed: float) -> Iterator[Finding]:
         return
     weakest = min(weak, key=lambda robot: able[robot])
     most, field = able[weakest]
-    speed = fleet.control.max_speed_mps
+    speed = speed_max(fleet)
     yield Finding(
         "warning",
         "avoidance.barrier_rate",
-        f"{robots(weak)} cannot brake as the safety filter counts on: from control.max_speed_mps = "
-        f"{speed:.4g} that takes {needed:.3g} m/s2, and {field} of robot {weakest} allows {most:.3g}; set it "
-        f"to {_below(most / speed)} 1/s or less, or lower the speed",
+        f"{robots(weak)} cannot brake as the safety filter counts on: from {speed_limit(fleet)} that takes "
+        f"{needed:.3g} m/s2, and {field} of robot {weakest} allows {most:.3g}; set it to "
+        f"{_below(most / speed)} 1/s or less, or lower the speed",
     )
 
 
@@ -104,8 +105,7 @@ def _sensing(fleet: Fleet, distance: float | None) -> Iterator[Finding]:
     if fleet.avoidance.distance_m is None and distance is not None and given <= distance:
         why = f"above the distance at which robots begin to part, {distance:.4g} m here"
     elif given < room * (1.0 - _ROUNDING):
-        speed = fleet.control.max_speed_mps
-        why = f"the {room:.4g} m in which two robots at control.max_speed_mps = {speed:.4g} can brake"
+        why = f"the {room:.4g} m in which two robots at {speed_limit(fleet)} can brake"
     else:
         return
     enough = room if distance is None else max(room, distance + AHEAD_M)
@@ -176,14 +176,14 @@ def _late_s(fleet: Fleet) -> float:
 def _lag(fleet: Fleet) -> Iterator[Finding]:
     """A body that answers late goes on for so long as it did: only the margin allows for that."""
     slowest = max(fleet.robots, key=lambda robot: robot.actuator_lag_s)
-    margin, speed = fleet.avoidance.margin_m, fleet.control.max_speed_mps
+    margin, speed = fleet.avoidance.margin_m, speed_max(fleet)
     further = slowest.actuator_lag_s * speed
     if margin < further * (1.0 - _ROUNDING):
         yield Finding(
             "warning",
             "avoidance.margin_m",
             f"{margin:.4g} m does not allow for actuator_lag_s = {slowest.actuator_lag_s:.4g} s of robot "
-            f"{slowest.id}, in which it goes {further:.3g} m at control.max_speed_mps = {speed:.4g}: robots "
+            f"{slowest.id}, in which it goes {further:.3g} m at {speed_limit(fleet)}: robots "
             f"may come nearer than the safe distance; take {further + MARGIN_M:.3g} m, or lower the speed",
         )
 

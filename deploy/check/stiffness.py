@@ -17,6 +17,7 @@ import numpy as np
 
 from agent.control.gains import FOLD, SOFTNESS
 from agent.control.law import APPROACH_SHARE
+from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
@@ -43,7 +44,7 @@ def stiffness(fleet: Fleet, geometry: Geometry) -> Array:
     span = geometry.distances - fleet.formation.safe_distance_m
     pull = control.c1 * span
     if fleet.avoidance.enabled:
-        most = control.max_speed_mps
+        most = speed_max(fleet)
         left = max(APPROACH_SHARE * most, most - trajectory.maximum_speed(fleet.trajectory))
         pull = np.minimum(pull, control.c2 * left / FOLD)
     share: Array = control.kp / (coupling.softness(geometry) * pull * span)
@@ -85,6 +86,6 @@ def _without(fleet: Fleet, geometry: Geometry) -> float:
     """Largest S with a k2 that is left out."""
     span = geometry.distances - fleet.formation.safe_distance_m
     shares = stiffness(fleet, geometry) * (fleet.control.k2 or 0.0)
-    far = FOLD * fleet.control.c1 / (fleet.control.c2 * fleet.control.max_speed_mps)
+    far = FOLD * fleet.control.c1 / (fleet.control.c2 * speed_max(fleet))
     softness = SOFTNESS * np.maximum(1.0, far * span if fleet.avoidance.enabled else 0.0) / span**2
     return float((shares / softness).max())

@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from agent.common.time import NS_PER_S
+from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 from agent.formation.reference import blend_shape
@@ -42,13 +43,13 @@ def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int:
         before: the latest plan; `after`: the next one, whose `blend_ns` is not looked at.
     """
     control = fleet.control
-    speed_max, acceleration_max = control.max_speed_mps, _ACCELERATION_SHARE * control.max_acceleration
+    most, acceleration_max = speed_max(fleet), _ACCELERATION_SHARE * control.max_acceleration
     stay = [robot for robot in after.members if robot in before.offsets]
     if not stay:
         return round(BLEND_MIN_S * NS_PER_S)
     moves = np.array([after.offsets[robot] for robot in stay]) - np.array([before.offsets[r] for r in stay])
     moves = np.unique(moves, axis=0)
-    unfinished = _unfinished(before, after.from_ns, speed_max, acceleration_max)
+    unfinished = _unfinished(before, after.from_ns, most, acceleration_max)
     shares = np.linspace(0.0, 1.0, _SAMPLES)
     shape = np.array([blend_shape(float(s)) for s in shares])
     start = np.array(after.reference(after.from_ns)[:2]) - before.reference(after.from_ns)[:2] + moves
@@ -66,9 +67,9 @@ def blend_ns_for(before: Plan, after: Plan, fleet: Fleet) -> int:
         speeds = np.linalg.norm(velocity, axis=2) + rate * unfinished
         accelerations = np.linalg.norm(acceleration, axis=2) + np.abs(bend) * unfinished
         if accelerations.max() <= acceleration_max:
-            if speeds.max() <= speed_max:
+            if speeds.max() <= most:
                 return round(seconds * NS_PER_S)
-            if not enough and _RATE_MAX * to_go <= _SPEED_SHARE * speed_max * seconds:
+            if not enough and _RATE_MAX * to_go <= _SPEED_SHARE * most * seconds:
                 enough = seconds
         seconds *= _LONGER
     return round((enough or BLEND_MAX_S) * NS_PER_S)

@@ -10,10 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from agent.control.safety_distances import avoidance_distance
+from agent.control.safety_distances import avoidance_distance, speed_max
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import rest_shapes
 from deploy.analysis.presence import Flags
+from deploy.analysis.stability import speed_limit
 from deploy.console.wording import robots
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable
@@ -86,9 +87,9 @@ class Causes:
         limits = [said for name, said in _LIMITS.items() if name in held and name not in told]
         if limits:
             found.append(f"at the limit of {' and of '.join(limits)}")
-        most_mps, fast_mps = fleet.control.max_speed_mps, self.place_speed(index)
+        most_mps, fast_mps = speed_max(fleet), self.place_speed(index)
         if fast_mps > FAST * most_mps:
-            found.append(f"places move at {fast_mps:.2f} m/s and control.max_speed_mps is {most_mps:g}")
+            found.append(f"places move at {fast_mps:.2f} m/s and the limit is {speed_limit(fleet)}")
         return found
 
     def _of_neighbours(self, index: int) -> list[str]:

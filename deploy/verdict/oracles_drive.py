@@ -9,11 +9,10 @@ import numpy as np
 
 from agent.common.quantities import DISTANCE_MIN
 from agent.control.boundaries import fence_of, obstacles_of
-from agent.control.safety_distances import avoidance_distance, barrier_rate
+from agent.control.safety_distances import avoidance_distance, barrier_rate, speed_max
 from agent.control.safety_distances import clearance as clearance_of
 from agent.fleet.fault_rules import ACTION_FIELDS, LINK_FIELDS, PROCESS_FIELDS, SENSOR_FIELDS, Rule
 from agent.fleet.model import Fleet
-from agent.fleet.sections import ControlSection
 from agent.formation.points import Floats
 from agent.formation.trajectory import maximum_speed
 from agent.links.fault_plan import FaultPlan
@@ -129,7 +128,7 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
             found.append(Violation("recovery", t_s, message))
     free_s = max(last_s, _held_up_s(a, fleet))
     way_m = float(np.nan_to_num(distances_m(a)[np.argmax(a.grid >= free_s)]).max())
-    due_s = free_s + formed_by_s(way_m, maximum_speed(fleet.trajectory), fleet.control)
+    due_s = free_s + formed_by_s(way_m, maximum_speed(fleet.trajectory), fleet)
     off = a.off & (a.grid >= due_s)[:, None]
     if off.any():  # what follows takes its time
         off &= (a.grid >= last_caught_s(a, fleet, last_s) + RECOVERED_S)[:, None]
@@ -236,7 +235,7 @@ def formed(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] |
         return None
     end_s = float(a.grid[-1])
     error_m = np.nan_to_num(distances_m(a))  # of those who have a place
-    if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet.control):
+    if end_s < formed_by_s(float(error_m[0].max()), maximum_speed(fleet.trajectory), fleet):
         return None
     found = []
     off = np.flatnonzero(a.off[-1])
@@ -273,14 +272,15 @@ def is_mild(rule: Rule) -> bool:
     ) and all(loss is None or loss.rate <= LOST_MAX for loss in losses)
 
 
-def formed_by_s(way_m: float, course_mps: float, control: ControlSection) -> float:
+def formed_by_s(way_m: float, course_mps: float, fleet: Fleet) -> float:
     """By when a fleet stands whose farthest robot is `way_m` from its place at the start: s.
 
     It catches up with a course that does not wait, from rest, with what its greatest speed leaves it,
     v t = way + u^2/2a, v = V - u and at least V/10, and then has as long as after a fault.
     """
-    spare = max(control.max_speed_mps - course_mps, 0.1 * control.max_speed_mps)
-    lost_m = 0.5 * min(course_mps, control.max_speed_mps) ** 2 / control.max_acceleration
+    most = speed_max(fleet)
+    spare = max(most - course_mps, 0.1 * most)
+    lost_m = 0.5 * min(course_mps, most) ** 2 / fleet.control.max_acceleration
     return RECOVERED_S + (way_m + lost_m) / spare
 
 

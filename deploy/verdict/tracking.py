@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from agent.control.safety_distances import speed_max
 from agent.fleet.fault_rules import ACTION_FIELDS
 from agent.formation.points import Floats
 from agent.supervision.state_machine import DRIVING_NAMES, State
@@ -155,7 +156,7 @@ class Tracking:
                 _due_s(self._distances[lately, index], min(LAST_S, end_s)),
                 (never and end_s <= RECOVERED_S) or any(t <= since_s + REACTION_S for t, _ in troubles),
                 never or bool(troubles or kept_from(recording, robot, end_s - RECOVERED_S, end_s)),
-                self.causes.place_speed(index) > recording.fleet.control.max_speed_mps,
+                self.causes.place_speed(index) > speed_max(recording.fleet),
                 bool(alike[index]),
             )
 

@@ -49,4 +49,4 @@ def test_a_course_that_is_faster_than_robots_may_drive_fails() -> None:
     fast = ["trajectory.kind=line", "trajectory.velocity_mps=[3.0, 0.0]", "fleet.duration_s=12"]
     result = RunResult(judged.drive(resolved(load_fleet(FLEETS / "pair.toml", fast))))
     (reason,) = [each for each in result.reasons if "from their places at the end" in each]
-    assert reason.endswith("places move at 3.00 m/s and control.max_speed_mps is 1.5.")
+    assert reason.endswith("places move at 3.00 m/s and the limit is control.max_speed_mps = 1.5.")

@@ -15,6 +15,7 @@ from agent.control.safety_distances import (
     clearance,
     least_apart,
     sensing_distance,
+    speed_max,
 )
 from agent.control.safety_filter import keep_apart
 from agent.fleet.model import Fleet
@@ -54,6 +55,15 @@ def test_the_rate_of_the_barrier_is_what_every_robot_can_brake_with() -> None:
     slow = ("control.max_acceleration=1.2", "control.max_speed_mps=1.5")
     assert barrier_rate(small(*slow)) == pytest.approx(0.8)
     assert barrier_rate(small(*slow, "avoidance.barrier_rate=2.5")) == 2.5
+
+
+def test_robots_drive_no_faster_than_they_can_steer() -> None:
+    """c1/c2 = 2/3: from more than 1.5 a they brake and turn more slowly than they come to places."""
+    weak = "control.max_acceleration=1", "control.max_speed_mps=5", "control.c1=0.4", "control.c2=0.6"
+    assert speed_max(small(*weak)) == pytest.approx(1.5)
+    assert barrier_rate(small(*weak)) == pytest.approx(2.0 / 3.0)
+    assert speed_max(small(*weak, "control.max_speed_mps=1.4")) == 1.4
+    assert speed_max(small(*weak, "avoidance.enabled=false")) == 5.0
 
 
 def test_the_rate_of_the_barrier_and_accelerations_are_what_the_loop_can_carry() -> None:

@@ -120,7 +120,7 @@ def test_a_robot_that_stands_before_it_and_how_long_that_is_silent() -> None:
 @pytest.mark.parametrize(("speed_mps", "said"), [(3.0, True), (1.25, True), (1.1, False)])
 def test_a_place_that_is_hard_to_catch_up_with(speed_mps: float, said: bool) -> None:
     base = make_fleet([(0, 0), (1, 0), (2, 0)], [(1, 2), (2, 3)], duration_s=6.0, velocity=(speed_mps, 0.0))
-    expected = [f"places move at {speed_mps:.2f} m/s and control.max_speed_mps is 1.5"]
+    expected = [f"places move at {speed_mps:.2f} m/s and the limit is control.max_speed_mps = 1.5"]
     assert causes(run(*FAR, fleet=base), 1) == (expected if said else [])
 
 

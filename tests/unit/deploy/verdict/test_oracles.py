@@ -612,11 +612,12 @@ def test_a_formation_beside_its_course_is_not_formed() -> None:
 
 def test_by_when_a_formation_stands_follows_from_speeds() -> None:
     control = ControlSection(max_speed_mps=1.5, max_acceleration=2.0)
-    assert formed_by_s(0.0, 0.0, control) == 20.0
-    assert formed_by_s(3.0, 0.0, control) == 22.0
-    assert formed_by_s(3.0, 1.0, control) == pytest.approx(20.0 + 3.25 / 0.5)
+    fleet = replace(LONG, control=control)
+    assert formed_by_s(0.0, 0.0, fleet) == 20.0
+    assert formed_by_s(3.0, 0.0, fleet) == 22.0
+    assert formed_by_s(3.0, 1.0, fleet) == pytest.approx(20.0 + 3.25 / 0.5)
     # One that no robot can follow: the lag grows for ever, and is judged all the same.
-    assert formed_by_s(0.0, 3.0, control) == pytest.approx(20.0 + 0.5625 / 0.15)
+    assert formed_by_s(0.0, 3.0, fleet) == pytest.approx(20.0 + 0.5625 / 0.15)
 
 
 def test_errors_where_only_links_fail() -> None:

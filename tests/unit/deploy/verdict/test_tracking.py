@@ -52,7 +52,7 @@ def test_a_fleet_in_formation_far_behind_its_course_fails() -> None:
     (reason,), warnings = verdict(recording)
     assert reason == (
         "Robots 1 and 2 were up to 90.00 m (robot 1) from their places at the end (60.0 s), where 0.25 m is "
-        "allowed: places move at 3.00 m/s and control.max_speed_mps is 1.5."
+        "allowed: places move at 3.00 m/s and the limit is control.max_speed_mps = 1.5."
     )
     assert warnings == []
     found = RunResult(recording).metrics

@@ -19,7 +19,7 @@ def test_what_is_drawn_is_what_the_oracle_judges() -> None:
         assert not fleet.orders
         speed = maximum_speed(fleet.trajectory)
         shares.append(speed / fleet.control.max_speed_mps)
-        assert formed_by_s(2.0**0.5 * ERROR_M, speed, fleet.control) < DURATION_S
+        assert formed_by_s(2.0**0.5 * ERROR_M, speed, fleet) < DURATION_S
         delay, loss = fleet.faults.delay, fleet.faults.loss
         if delay is not None:
             delays.append(1e3 * delay.start.mean)
