@@ -29,6 +29,7 @@ class Gap:
         rule: names the rule that stopped its plant, if one did.
         stall: when its machine stood still, if it did.
         is_late: whether its machine was too slow (`deploy.verdict.overload`).
+        for_good: whether that rule killed it, agent and plant, without an end.
         moved_m: how far apart the poses before and after it are, m; inf where one is missing.
     """
 
@@ -38,6 +39,7 @@ class Gap:
     rule: str
     stall: Stall | None
     is_late: bool
+    for_good: bool
     moved_m: float
 
     @property
@@ -127,8 +129,11 @@ class Completeness:
         """Whether the formation lacked what the gap hides: not, if the robot had no place by its end."""
         if not self._placed(gap.robot, gap.end_s):
             return False
-        # A plant that never came back leaves a formation of which nothing is known, and what a machine hides
-        # may be what it broke.
+        # Who was killed for good is dead on purpose: what the formation lacks then, others say. A plant that
+        # should have come back leaves a formation of which nothing is known, and what a machine hides may be
+        # what it broke.
+        if gap.for_good:
+            return False
         hidden = gap.stall or gap.is_late
         known = gap.rule or (hidden and gap.moved_m <= self._a.safe_m)
         return not (known and gap.end_s < self._recording.end_s)
@@ -217,5 +222,12 @@ def _gaps(recording: Recording) -> list[Gap]:
             if 0 < after < len(data.body):
                 moved_m = hypot(*(float(np.diff(data.body[axis][after - 1 : after + 1])[0]) for axis in "xy"))
             rule = asked[0] if asked else ""
-            out.append(Gap(robot, start_s, stop_s, rule, next(iter(stall), None), robot in late, moved_m))
+            dead = stop_s >= end_s and all(
+                any(down.what == "kill" and down.end_s == inf for down in downs(recording, robot, role))
+                for role in ("agent", "plant")
+            )
+            stalled = next(iter(stall), None)
+            out.append(
+                Gap(robot, start_s, stop_s, rule, stalled, robot in late, bool(rule) and dead, moved_m)
+            )
     return out

@@ -69,8 +69,28 @@ def test_what_was_missed_while_it_had_a_place_is() -> None:
     assert reason == "The data are incomplete: robot 2 sent no pose from 3.00 s to 4.50 s."
 
 
-def event(t: float, what: str) -> Any:
-    return Event(2, 0, EPOCH_NS + round(t * 1e9), "agent", what, "crash")
+def event(t: float, what: str, role: str = "agent") -> Any:
+    return Event(2, 0, EPOCH_NS + round(t * 1e9), role, what, "crash")
+
+
+def test_one_that_was_killed_for_good_sends_no_pose() -> None:
+    """Its plant alone is another matter: an agent that has lost its body is in fault."""
+    both = event(3.0, "kill"), event(3.0, "kill", "plant")
+    recording = replace(dead(3.05), events=both)
+    data = Completeness(recording, analyse(recording, resolve(FLEET)))
+    assert data.reasons == []
+    assert data.warnings == [
+        "Rule 'crash' stopped robot 2's plant: from 3.00 s to the end its place is not known.",
+        "The agent of robot 2 was killed at 3.0 s for good, and nobody took its place.",
+    ]
+    missed = "The data are incomplete: robot 2 sent no pose from 3.00 s to 8.00 s."
+    for less in (
+        (both[1],),
+        (event(3.0, "kill"), event(3.0, "stop", "plant")),
+        (*both, event(5.0, "start")),
+    ):
+        recording = replace(dead(3.05), events=less)
+        assert missed in Completeness(recording, analyse(recording, resolve(FLEET))).reasons
 
 
 @pytest.mark.parametrize("back", [False, True])
