@@ -10,6 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.common.time import NS_PER_S
+from agent.control.peers.lateness import LATE_MAX_NS
 from agent.fleet.fault_rules import ACTION_FIELDS, Effect, Rule
 from agent.fleet.model import Fleet
 from agent.formation.geometry import start_hands
@@ -210,7 +212,10 @@ def _no_start(
         link_rules = plan.rules_of_link(*link)
         if link_rules.idle:
             continue
-        why = _deaf(link_rules.effects(0), apart.get((link.source, link.destination)))
+        effects = link_rules.effects(0)
+        why = _deaf(effects, apart.get((link.source, link.destination)))
+        if not why and link.topic == "hand":
+            why = _too_old(effects, fleet.control.prediction_horizon_s)
         if not why:
             continue
         effect = why.partition(" ")[0]
@@ -225,10 +230,16 @@ def _no_start(
         silent.setdefault(place, []).append((link, why))
     for place, found in silent.items():
         link, why = found[0]
-        others = f", and {len(found) - 1} further links carry nothing either" if len(found) > 1 else ""
+        is_late = why.startswith("delay")
+        either = "are as late" if is_late else "carry nothing either"
+        others = f", and {len(found) - 1} further links {either}" if len(found) > 1 else ""
         robot = link.destination
         if link.topic == "hand":
-            text = f"robot {robot} never hears robot {link.source}{others} ({why}): the fleet cannot start"
+            in_time = " in time" if is_late else ""
+            text = (
+                f"robot {robot} never hears robot {link.source}{in_time}{others} ({why}): the fleet cannot "
+                "start"
+            )
         elif link.topic == "state":
             text = f"robot {robot}'s agent never hears its plant{others} ({why}): the fleet cannot start"
         else:
@@ -258,6 +269,19 @@ def _deaf(effects: LinkEffects, distance: float | None) -> str:
     if effects.range is not None and distance is not None and effects.range.failure(distance) > 1.0 - 1e-9:
         return f"range {effects.range}; they start {distance:.3g} m apart"
     return ""
+
+
+def _too_old(effects: LinkEffects, horizon_s: float) -> str:
+    """Why every message is so old that its sender counts as silent, "" when that is not certain."""
+    delay, most_s = effects.delay, horizon_s + LATE_MAX_NS / NS_PER_S
+    if delay is None or delay.trace or effects.reorder is not None:
+        return ""
+    if delay.mean - _JITTERS.get(delay.distribution, 4.0) * delay.jitter <= most_s:
+        return ""
+    return (
+        f"delay {delay}; at {most_s:g} s, control.prediction_horizon_s and the {LATE_MAX_NS / NS_PER_S:g} s "
+        "that a link is forgiven for being late as usual, a robot counts as silent"
+    )
 
 
 def _start_distances(fleet: Fleet) -> Mapping[tuple[int, int], float]:

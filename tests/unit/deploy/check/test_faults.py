@@ -181,6 +181,17 @@ def test_delays_beyond_the_horizon() -> None:
     )
 
 
+def test_a_delay_at_which_neighbours_count_as_silent_for_ever() -> None:
+    """`prediction_horizon_s` and 2 s: above 4.0 s no fleet is ready in virtual time, at 4.0 s it is."""
+    (finding,) = (each for each in found('[faults]\ndelay = "4.1s"\n') if each.level == "error")
+    assert finding.place == "faults.delay"
+    assert "robot 2 never hears robot 1 in time, and 17 further links are as late" in finding.message
+    for fine in ("4s", "5s 1s", "normal 6s 500ms"):
+        assert not [each for each in found(f'[faults]\ndelay = "{fine}"\n') if each.level == "error"]
+    longer = found('[faults]\ndelay = "4.1s"\n', "control.prediction_horizon_s=2.2")
+    assert not [each for each in longer if each.level == "error"]
+
+
 def test_delays_between_agent_and_plant() -> None:
     slow = one(rule("robot = 4", 'topic = "wrench"', 'delay = "150ms"'))
     assert "which leaves little of control.wrench_timeout_s = 0.2 s" in slow.message
