@@ -42,7 +42,13 @@ def test_a_dead_robot_that_was_replaced_is_no_missing_pose() -> None:
 
 
 def test_a_dead_robot_that_nobody_replaced_is_missed() -> None:
-    assert any("robot 4 sent no pose from " in each for each in driven(DEAD).reasons)
+    """Killed on purpose: the verdict says what the formation lacks, and does not take the data as bad."""
+    result = driven(DEAD)
+    assert result.reasons == []
+    assert "The agent of robot 4 was killed at 10.0 s for good, and nobody took its place." in result.warnings
+    (plant, _) = DEAD.split("[[faults.rule]]")[1:]
+    alone = driven(f"[[faults.rule]]{plant}")
+    assert any("robot 4 sent no pose from " in each for each in alone.reasons)
 
 
 def test_a_course_that_is_faster_than_robots_may_drive_fails() -> None:
