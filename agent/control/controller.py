@@ -9,12 +9,13 @@ forward to that instant; evaluated there, the sampled loop is of second order in
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from math import ceil, hypot
+from math import ceil, hypot, inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
+from agent.control.caution import Caution
 from agent.control.couplings import COUPLINGS, Constraint
 from agent.control.detour import LEAVING, NOTHING, SPEED_MIN, Blocker, Detour, Hold
 from agent.control.gains import gains_of, one_sided
@@ -130,6 +131,8 @@ class Controller:
         self._references: dict[Mark, Reference] = {}
         self.mark: Mark = 0, 0
         self.right_of_way: Final = RightOfWay(fleet, robot, self.peers, self.reference, self._references)
+        keep_m = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
+        self.caution: Final = Caution(robot, keep_m, self.peers, self.reference)
         self.edges: tuple[tuple[Edge, Peer], ...] = ()
         self._course_edges: tuple[Edge, ...] = ()
         # Who lets go of its edges needs something else that keeps it off the others.
@@ -213,6 +216,7 @@ class Controller:
             return False
         self._due_ns = now_ns + LOOK_PERIOD_NS
         self.right_of_way.look(now_ns, here, passing=bool(detour.round))
+        self.caution.look(now_ns, here, (*(peer for _, peer in self.edges), *self.proximity.close))
         return self.proximity.look(now_ns, here, neighbours)
 
     def drive(self, plant: PlantState, now_ns: int, slower: float = 1.0) -> Drive:
@@ -241,7 +245,7 @@ class Controller:
         before, turned = self.taken, None
         self.taken = self._taken(now_ns, own, motion) if before or self.detour.looks else ""
         if not self.taken:
-            turned = self.detour.velocity(wanted, (own.vx, own.vy), self._hold, (vx, vy))
+            turned = self.detour.velocity(wanted, (own.vx, own.vy), self._hold, (vx, vy), self.caution.speed)
         elif not before:
             self.detour.reset()
         gx, gy = nx, ny
@@ -583,6 +587,9 @@ class Controller:
         if slower < 1.0:
             most = min(most, slower * (hypot(*reference) + SLOW_SPEED))
         planes += safety_filter.limit_speed(own.vx, own.vy, most, self._barrier_rate)
+        if self.caution.speed < inf:
+            vx, vy = own.vx - reference[0], own.vy - reference[1]
+            planes += safety_filter.limit_speed(vx, vy, self.caution.speed, self._barrier_rate, "late links")
         planes += safety_filter.limit_actuators(
             body, self._mass, self._inertia, self._reach, self._force_max, self._torque_max
         )

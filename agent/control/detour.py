@@ -21,7 +21,7 @@ near. All that are caught together do so, each by its own error. See (D4).
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, remainder, sin, sqrt, tau
+from math import atan2, cos, hypot, inf, remainder, sin, sqrt, tau
 from typing import Final, NamedTuple
 
 from agent.common.quantities import Vector
@@ -158,13 +158,16 @@ class Detour:
         """Whether it has to be told what holds it."""
         return self.stalls or self._loose or bool(self.round)
 
-    def velocity(self, wanted: Vector, own: Vector, hold: Hold, place: Vector = (0.0, 0.0)) -> Vector | None:
+    def velocity(
+        self, wanted: Vector, own: Vector, hold: Hold, place: Vector = (0.0, 0.0), most: float = inf
+    ) -> Vector | None:
         """The velocity to aim at instead of `wanted` for one tick, None for `wanted` itself; m/s, W.
 
         Args:
             own: the hand's velocity.
             hold: what held it, of the last tick; only looked at while it `looks`.
             place: velocity of its place.
+            most: as seen from its place it may go so fast, m/s: slower than it wants is no being held up.
         """
         x, y = wanted[0] - place[0], wanted[1] - place[1]
         speed = hypot(x, y)
@@ -179,7 +182,7 @@ class Detour:
                 self._arrive()
             return None
         vx, vy = own[0] - place[0], own[1] - place[1]
-        self.stalls = vx * x + vy * y < STALLED * speed * speed
+        self.stalls = vx * x + vy * y < STALLED * speed * min(speed, most)
         if not self.round:
             self._since_s += self._period_s
             if not self.stalls:
@@ -187,7 +190,8 @@ class Detour:
         if self.looks or self._held_s:
             stands = hypot(*own) < SPEED_MIN or hypot(vx, vy) < SPEED_MIN
             self._name(hold, x / speed, y / speed, stands=stands)
-            self._let_go(hold, x / speed, y / speed, speed, rests=hypot(vx, vy) < STALLED * speed)
+            rests = hypot(vx, vy) < STALLED * min(speed, most)
+            self._let_go(hold, x / speed, y / speed, speed, rests=rests)
             return self._detour(wanted, own, hold, place)
         return None
 

@@ -14,6 +14,7 @@ from deploy.chaos.dice import Dice, Tables
 from deploy.chaos.profiles.cut_off import draw_cut_off
 from deploy.chaos.profiles.dead import draw_dead, draw_restarted
 from deploy.chaos.profiles.fast import draw_fast
+from deploy.chaos.profiles.late import draw_late
 from deploy.chaos.profiles.low_rate import draw_low_rate
 from deploy.chaos.profiles.mixed import draw_mixed
 from deploy.chaos.profiles.scale import draw_scale
@@ -33,7 +34,8 @@ PROFILES: Final[dict[str, Profile]] = {
     "cut-off": Profile(2.0, "groups that change places and do not hear each other", draw_cut_off),
     "dead": Profile(1.5, "agents that die for good, their bodies on the others' way", draw_dead),
     "restarted": Profile(1.0, "agents that start again a minute after others died", draw_restarted),
-    "fast": Profile(1.5, "courses near the greatest speed, all messages late and many lost", draw_fast),
+    "fast": Profile(0.8, "courses near the greatest speed, all messages late and many lost", draw_fast),
+    "late": Profile(0.7, "many that cross each other's ways while messages are late", draw_late),
     "low-rate": Profile(1.5, "2 to 15 Hz", draw_low_rate),
     "scale": Profile(1.5, "places 0.3 to 10 m apart", draw_scale),
 }

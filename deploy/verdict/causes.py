@@ -36,6 +36,7 @@ _LIMITS: Final[Mapping[str, str]] = {
     "actuators": "max_force_n or max_torque_nm",
     "turning": "the greatest yaw rate",
     "acceleration": "control.max_acceleration",
+    "late links": "what late messages allow",
 }
 """What the safety filter calls the limits of motion, and what sets them."""
 

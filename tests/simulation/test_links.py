@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, pi, sin
 
 import numpy as np
 import pytest
 
+from agent.fleet.fault_rules import Effect, FaultsSection
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
+from agent.impairments.impairments import Delay
+from agent.impairments.loss_models import Loss
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import SCENARIOS
 from deploy.simulate import judged
 from deploy.simulate.random_starts import random_fleet
 from deploy.verdict.run_result import RunResult
+from tests.benchmarks.swaps import swap
 from tests.hand_trace import Floats, drive
 
 SAFE_M = 0.22
@@ -78,6 +83,26 @@ def test_messages_that_come_in_bursts_are_not_silence(slot: str):
     )
     assert distances.min() > SAFE_M
     assert back_after(times, distances) < 25.0
+
+
+@pytest.mark.parametrize(("late", "duration_s"), [("500ms", 60.0), ("1s", 90.0)])
+def test_who_has_to_make_way_for_others_goes_slowly_where_messages_are_late(late: str, duration_s: float):
+    """Six robots through one point: who turns aside is not where the others expect it."""
+    result = RunResult(judged.drive(ring(f'delay = "{late}", loss = "50%"', duration_s=duration_s)))
+    closest = result.analysis.closest
+    assert closest is not None
+    assert closest.distance_m > SAFE_M
+    assert not result.analysis.off[-1].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_twelve_robots_cross_a_circle_though_half_of_the_late_messages_is_lost(seed: int):
+    fleet = swap(12, 3.0, 60.0, edges=False, seed=seed)
+    late = FaultsSection(delay=Effect(Delay.parse("1s")), loss=Effect(Loss.parse("50%")))
+    closest = RunResult(judged.drive(replace(fleet, faults=late))).analysis.closest
+    assert closest is not None
+    assert closest.distance_m > SAFE_M
 
 
 # --- three faults -----------------------------------------------------------------------------

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import islice
-from math import ceil, hypot
+from math import ceil, hypot, inf
 from typing import Final
 
 from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control.peers.beliefs import DOUBT_MAX, Belief, stood_on
 from agent.control.peers.lanes import Lane
-from agent.control.peers.prediction import Prediction, coasting, following
+from agent.control.peers.lateness import UNSURE_NS
+from agent.control.peers.prediction import Prediction, coasting, following, slowed
 from agent.formation.reference import Reference
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -53,8 +54,14 @@ class Forecast:
         self._c1, self._c2, self._motion, self._decay, self._most = c1, c2, motion, decay, most
         self.epoch_ns = 0
 
-    def following(self, message: HandState, then_ns: int, motion: Motion | None = None) -> Prediction | None:
-        """A robot at a time of its own clock if it follows its reference, None for one without a place."""
+    def following(
+        self, message: HandState, then_ns: int, motion: Motion | None = None, *, slowly: float = inf
+    ) -> Prediction | None:
+        """A robot at a time of its own clock if it follows its reference, None for one without a place.
+
+        Args:
+            slowly: as seen from its place it goes no faster than this, m/s.
+        """
         motion = motion or self._motion
         then = motion(message.robot, then_ns)
         if then is None:
@@ -64,7 +71,12 @@ class Forecast:
         if since is None:  # it has a place only since its message
             since = then
         age = (then_ns - since_ns) * 1e-9
-        return following(message, then, since, age, self._c1, self._c2, self._decay, self._most)
+        found = following(message, then, since, age, self._c1, self._c2, self._decay, self._most)
+        return (
+            found
+            if slowly == inf or age * NS_PER_S <= UNSURE_NS
+            else slowed(found, message, then, since, age, slowly)
+        )
 
     def stood(self, message: HandState, until: float) -> Belief:
         """Where a robot may stand that has not been heard since a message, and drove on for `until` s at

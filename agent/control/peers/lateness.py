@@ -36,16 +36,18 @@ class Lateness:
     """What is usual on the link from one robot.
 
     Attributes:
-        forgiven_ns: how old what is known of it usually gets, beyond `UNSURE_NS`.
+        forgiven_ns: how old what is known of it usually gets, and four times its scatter, beyond `UNSURE_NS`.
+        usual_ns: how old it usually gets, and its scatter once; 0 where nothing is forgiven.
         heeds: whether a message that comes in time has anything to say.
     """
 
     __slots__ = (
         "_burst", "_expected_ns", "_scatter_ns", "_share", "_taken_ns", "_usual_ns", "forgiven_ns", "heeds",
+        "usual_ns",
     )  # fmt: skip
 
     def __init__(self) -> None:
-        self.forgiven_ns = 0
+        self.forgiven_ns = self.usual_ns = 0
         self._usual_ns = self._scatter_ns = -1
         self._expected_ns = self._taken_ns = 0
         self._share = self._burst = 0.0
@@ -75,8 +77,11 @@ class Lateness:
             if missed:
                 self._burst += _BURST_WEIGHT * (missed - 1 - self._burst)
         self._expected_ns = expected_ns
-        allowed_ns = self._usual_ns + 4 * self._scatter_ns + self._run_ns() - UNSURE_NS
+        usual_ns = self._usual_ns + self._run_ns()
+        allowed_ns = usual_ns + 4 * self._scatter_ns - UNSURE_NS
         self.forgiven_ns = max(0, min(allowed_ns, LATE_MAX_NS))
+        most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
+        self.usual_ns = min(usual_ns + self._scatter_ns, most_ns)
         self.heeds = allowed_ns > 0 or self._share > _HEEDED
 
     def _run_ns(self) -> int:

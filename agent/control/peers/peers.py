@@ -10,6 +10,7 @@ in that clock: the own one plus its offset, as far as that is proven (`agent.con
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import inf
 from typing import Final
 
 from agent.common.quantities import Vector
@@ -55,6 +56,7 @@ class Peer:
         direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
             others may have told.
         belief: where it may be as others say, who have heard it last.
+        slowly, slowly_until_ns: how fast it may go as seen from its place, m/s, and until when.
         never_came: nobody has ever heard it, says who was there from the start: it began where it starts.
         gone_ns: what it has said until then counts no more: its body has been carried off.
         copy: its copy of the shared multiplier that has come since the last `Peers.take_copy`, if any.
@@ -68,7 +70,8 @@ class Peer:
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
         "duplicated", "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message",
-        "never_came", "other_version", "received", "robot", "sequence", "time_ns", "token", "trust",
+        "never_came", "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns",
+        "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
@@ -84,6 +87,7 @@ class Peer:
         self.clock = ClockOffset(period_ns)
         self.here = self.token = True
         self.trust = 0.0
+        self.slowly, self.slowly_until_ns = inf, 0
         self.copy: float | None = None
         self.degree = 0
         self.ahead_ns = 0
@@ -507,7 +511,10 @@ class Peers:
         message = peer.message
         assert message is not None
         then_ns = time_ns + peer.clock.used_ns
-        found = self.forecast.following(message, then_ns) if message.following and peer.here else None
+        found = None
+        if message.following and peer.here:
+            slowly = peer.slowly if time_ns < peer.slowly_until_ns else inf
+            found = self.forecast.following(message, then_ns, slowly=slowly)
         return coasting(message, max(0, then_ns - message.time_ns) * 1e-9) if found is None else found
 
     def belief(self, peer: Peer) -> Belief | None:

@@ -7,10 +7,10 @@ error does it is carried forward exactly over the age of its message (docs/theor
 from __future__ import annotations
 
 from functools import lru_cache
-from math import cos, exp, expm1, sin, sqrt
+from math import cos, exp, expm1, hypot, sin, sqrt
 from typing import Final, NamedTuple
 
-from agent.common.quantities import Vector
+from agent.common.quantities import DISTANCE_MIN, Vector
 from agent.control.law import acting_error
 from agent.formation.trajectory import Sample
 from agent.messages.types import HandState
@@ -119,6 +119,21 @@ def following(
             ay1 - c1 * new_y - c2 * new_vy + remains * gy,
         ),
         (remains * fx, remains * fy),
+    )
+
+
+def slowed(
+    found: Prediction, message: HandState, then: Sample, since: Sample, age: float, most: float
+) -> Prediction:
+    """As `found`, of one that goes no faster than `most` (m/s) as seen from its place (P3)."""
+    ex, ey = message.x - since[0], message.y - since[1]
+    dx, dy = found.position[0] - then[0] - ex, found.position[1] - then[1] - ey
+    share = min(1.0, most * age / max(hypot(dx, dy), DISTANCE_MIN))
+    vx, vy = found.velocity[0] - then[2], found.velocity[1] - then[3]
+    part = min(1.0, most / max(hypot(vx, vy), DISTANCE_MIN)) if share < 1.0 else 1.0
+    return found._replace(
+        position=(then[0] + ex + share * dx, then[1] + ey + share * dy),
+        velocity=(then[2] + part * vx, then[3] + part * vy),
     )
 
 

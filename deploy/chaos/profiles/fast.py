@@ -1,7 +1,8 @@
 """Scenarios of fast formations whose messages are all late, and many lost, all the time (PURE).
 
 What links do never changes, nothing else fails and nothing is ordered: such a fleet is in formation in the
-end (`deploy.verdict.oracles_drive.formed`).
+end (`deploy.verdict.oracles_drive.formed`). In some, agents start again, where there is room: a body brakes
+when its agent is gone, and the others learn of it late.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ DURATION_S: Final = 90.0
 """Robots that want through each other may need several tries."""
 ERROR_M: Final = 0.7
 """So far from their places they start, each axis: from rest, behind a course that does not wait."""
+RESTARTS: Final = 0.25
+"""Share of the scenarios in which agents start again."""
+RESTART_S: Final = (25.0, 50.0)
 _RATES_HZ: Final = ((15, 2.0), (20, 3.0), (25, 2.0))
 
 
@@ -45,6 +49,10 @@ def draw_fast(seed: int) -> Tables:
     speed = dice.between(*SHARES) * top
     places = Dice("shape", seed)
     behind_m = ROOM * _behind_m(safe_m, speed, late_s, control)
+    again = Dice("again", seed)
+    restarts = _restarts(again, ids) if again.chance(RESTARTS) else []
+    if restarts:
+        behind_m += top * late_s
     shape = draw_shape(places, ids, safe_m, max(places.between(1.0, 1.8) * apart_m(safe_m), behind_m))
     reach_m = dice.between(0.1, 0.2, 2)
     tables: Tables = {
@@ -57,8 +65,16 @@ def draw_fast(seed: int) -> Tables:
         },
     }  # fmt: skip
     tables["robot"] = pieces.robots_at(dice, _starts(dice, shape.offsets, safe_m), (), reach_m)
-    tables["faults"] = links
+    tables["faults"] = links | ({"rule": restarts} if restarts else {})
     return tables
+
+
+def _restarts(dice: Dice, ids: list[int]) -> list[Tables]:
+    """Agents that start again on the way, when the formation has formed."""
+    return [
+        {"name": f"process {number}", "robot": robot, "restart": "agent", "at": dice.between(*RESTART_S, 2)}
+        for number, robot in enumerate(dice.some(ids, dice.whole(1, 3)), 1)
+    ]
 
 
 def _behind_m(safe_m: float, speed: float, late_s: float, control: Tables) -> float:

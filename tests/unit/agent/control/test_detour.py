@@ -77,6 +77,13 @@ def test_what_does_not_hold_it_up_is_left_alone():
         assert detour.round == ""
 
 
+def test_who_goes_as_fast_as_it_may_is_not_held_up():
+    detour, hold = Detour(PERIOD, RATE), Hold([ROBOT], [], STILL, [], NOBODY, ())
+    for own, most, stalls in (((0.1, 0.0), 0.1, False), ((0.1, 0.0), inf, True), ((0.02, 0.0), 0.1, True)):
+        detour.velocity(EAST, own, hold, STILL, most)
+        assert detour.stalls is stalls
+
+
 def test_it_is_not_held_up_for_good_if_it_gets_on_in_between():
     detour = Detour(PERIOD, RATE)
     for _ in range(5):

@@ -12,10 +12,11 @@ from deploy.verdict.oracles_drive import formed_by_s, is_mild
 
 
 def test_what_is_drawn_is_what_the_oracle_judges() -> None:
-    shares, delays = [], []
+    shares, delays, restarted = [], [], []
     for seed in range(60):
         fleet = parse_fleet(scenario_text(draw_fast(seed)), source=f"seed {seed}")
-        assert not fleet.faults.rules
+        assert all(rule.restart == "agent" for rule in fleet.faults.rules)
+        restarted.append(bool(fleet.faults.rules))
         assert not fleet.orders
         speed = maximum_speed(fleet.trajectory)
         shares.append(speed / fleet.control.max_speed_mps)
@@ -26,6 +27,7 @@ def test_what_is_drawn_is_what_the_oracle_judges() -> None:
         assert loss is None or loss.start.rate <= LOSS_MAX / 100.0
         assert len(start_hands(fleet)) == len(fleet.members)
     assert SHARES[0] - 0.01 <= min(shares) < 0.5 < 0.8 < max(shares) <= SHARES[1] + 0.01
+    assert 5 < sum(restarted) < 25
     assert min(delays) < 150.0 < 850.0 < max(delays) <= DELAY_MAX_MS
 
 

@@ -1,0 +1,81 @@
+"""How fast a robot goes where its way meets the way of one that it knows by late messages alone (PURE).
+
+Who makes way for another leaves the law, and for as long as its messages take, tau, everybody predicts it
+where it would have gone. So before they meet both go slowly, as seen from their places, and each predicts
+the other so. See (P3) of docs/theory.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import hypot, inf
+from typing import Final
+
+from agent.common.time import NS_PER_S
+from agent.control.hand import Hand
+from agent.control.peers.beliefs import said_doubt
+from agent.control.peers.peers import Peer, Peers
+from agent.formation.reference import Reference
+from agent.messages.types import HandState
+
+PACE: Final = 0.45
+"""m s: speed (m/s), as seen from its place, times the square of the age (s) of what others know of it."""
+MORE_M: Final = 0.1
+"""Ways meet that come so much nearer to each other than the safety filter lets them."""
+AHEAD_S: Final = 1.0
+"""So much further ahead than messages are late it is looked for where ways meet."""
+STEP_S: Final = 0.2
+TURNED: Final = 0.05
+"""m/s^2: a robot whose acceleration is changed by more than this makes way for somebody."""
+AT_PLACE: Final = 0.9
+"""Ways do not meet where places are that near to each other: this share of their distance."""
+
+
+class Caution:
+    """What robot `robot` has to heed; nothing, and at no cost, where no link is late.
+
+    Args:
+        keep_m: how far the safety filter keeps robots apart whose place is known.
+
+    Attributes:
+        speed: how fast it may go, as seen from its place, m/s; inf where nothing limits it.
+    """
+
+    def __init__(self, robot: int, keep_m: float, peers: Peers, reference: Reference) -> None:
+        self._robot, self._keep_m, self._peers, self._reference = robot, keep_m, peers, reference
+        self._until_ns = 0
+        self.speed = inf
+
+    def look(self, now_ns: int, here: Hand, near: Iterable[Peer]) -> None:
+        """Finds out at the tick `now_ns`, at which the own hand is `here`, whose way meets the own one."""
+        if now_ns >= self._until_ns:
+            self.speed = inf
+        own: HandState | None = None
+        for peer in near:
+            message = peer.message
+            if not peer.forgiven_ns or message is None or not message.following or not peer.is_heard(now_ns):
+                continue
+            late_ns = peer.lateness.usual_ns
+            speed = PACE * (NS_PER_S / late_ns) ** 2
+            own = own or HandState.placed(self._robot, 0, now_ns, True, 0, (here.x, here.y, here.vx, here.vy))
+            meets = self._meet(own, peer, message, now_ns, late_ns)
+            if meets or hypot(message.correction_x, message.correction_y) > TURNED:
+                peer.slowly, peer.slowly_until_ns = speed, now_ns + late_ns
+            if meets:
+                self.speed, self._until_ns = min(speed, self.speed), now_ns + late_ns
+
+    def _meet(self, own: HandState, peer: Peer, message: HandState, now_ns: int, late_ns: int) -> bool:
+        """Whether two that do as the law says, and make no way for anybody, come too near to each other."""
+        forecast, motion = self._peers.forecast, self._reference.motion
+        keep = self._keep_m + said_doubt(late_ns / NS_PER_S) + MORE_M
+        step_ns = round(STEP_S * NS_PER_S)
+        for then_ns in range(now_ns, now_ns + late_ns + round(AHEAD_S * NS_PER_S), step_ns):
+            mine = forecast.following(own, then_ns)
+            other = forecast.following(message, then_ns + peer.clock.used_ns)
+            a, b = motion(self._robot, then_ns), motion(peer.robot, then_ns)
+            if mine is None or other is None or a is None or b is None:
+                return False
+            away = hypot(mine.position[0] - other.position[0], mine.position[1] - other.position[1])
+            if away < min(keep, AT_PLACE * hypot(a[0] - b[0], a[1] - b[1])):
+                return True
+        return False
