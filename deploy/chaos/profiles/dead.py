@@ -21,6 +21,10 @@ FORGOTTEN_S: Final = 60.0
 """Who is silent for so long was once taken to be gone: drives go on for longer."""
 AFTER_S: Final = 25.0
 """Drives end so long after the last thing happened."""
+REMOVED: Final = 0.3
+"""Share of the scenarios in which bodies are carried off."""
+REMOVED_S: Final = (3.0, 10.0)
+"""So long after the last that happened to the robot: nobody hears it then."""
 _RATES_HZ: Final = ((10, 3.0), (12, 2.0), (15, 1.0), (20, 0.5))
 
 
@@ -80,6 +84,7 @@ def _draw(seed: int, *, restarts: bool) -> Tables:
     obstacles = draw_obstacles(Dice("obstacles", seed), tables, pieces.places_of(tables))
     if obstacles and dice.chance(0.3):
         tables["obstacle"] = obstacles[:2]
+    orders += _removals(Dice("removed", seed), rules, orders)
     if orders:
         tables["order"] = sorted(orders, key=lambda order: float(order["at"]))
     tables["faults"] = {"rule": rules}
@@ -108,6 +113,20 @@ def _deaths(dice: Dice, members: list[int], reserve: list[int]) -> tuple[list[Ta
             orders.append({"at": dies_s, "kind": "leave", "robot": robot})
         last_s = max(last_s, orders_s)
     return rules, orders, last_s
+
+
+def _removals(dice: Dice, rules: list[Tables], orders: list[Tables]) -> list[Tables]:
+    """In some, orders that say that bodies have been carried off the field."""
+    found: list[Tables] = []
+    if dice.chance(REMOVED):
+        for rule in rules:
+            if "kill" in rule and "for" not in rule and dice.chance(0.7):
+                robot = rule["robot"]
+                last_s = max([rule["at"], *(order["at"] for order in orders if order["robot"] == robot)])
+                found.append({
+                    "at": round(last_s + dice.between(*REMOVED_S), 2), "kind": "remove", "robots": [robot],
+                })  # fmt: skip
+    return found
 
 
 def _restarts(dice: Dice, living: list[int], from_s: float) -> list[Tables]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from deploy.chaos.profiles.dead import AFTER_S, FORGOTTEN_S, draw_dead, draw_restarted
+from deploy.chaos.profiles.dead import AFTER_S, FORGOTTEN_S, REMOVED_S, draw_dead, draw_restarted
 
 SEEDS = range(60)
 
@@ -33,12 +33,25 @@ def test_the_dead_are_replaced_sent_away_and_left() -> None:
     for seed in SEEDS:
         tables = draw_dead(seed)
         dead = deaths(tables)
-        orders = {order["robot"]: order for order in tables.get("order", ())}
+        orders = {order["robot"]: order for order in tables.get("order", ()) if order["kind"] != "remove"}
         for robot, at in dead.items():
             order = orders.get(robot)
             before = order is not None and order["at"] < at
             what["left before" if before else order["kind"] if order else "stays"] += 1
     assert {"replace", "leave", "left before", "stays"} == set(what)
+
+
+def test_some_bodies_are_carried_off_when_nobody_hears_them_any_more() -> None:
+    carried = 0
+    for seed in SEEDS:
+        tables = draw_dead(seed)
+        dead = deaths(tables)
+        for order in tables.get("order", ()):
+            if order["kind"] == "remove":
+                (robot,) = order["robots"]
+                assert dead[robot] + REMOVED_S[0] <= order["at"] < tables["fleet"]["duration_s"] - 10.0
+                carried += 1
+    assert 5 < carried < 40
 
 
 def test_who_starts_again_does_so_when_others_have_been_dead_for_long() -> None:
