@@ -76,6 +76,10 @@ class Lateness:
             self._share += _SHARE_WEIGHT * ((missed > 0) - self._share)
             if missed:
                 self._burst += _BURST_WEIGHT * (missed - 1 - self._burst)
+        self.expect(expected_ns)
+
+    def expect(self, expected_ns: int) -> None:
+        """From now on so much is between two messages."""
         self._expected_ns = expected_ns
         usual_ns = self._usual_ns + self._run_ns()
         allowed_ns = usual_ns + 4 * self._scatter_ns - UNSURE_NS

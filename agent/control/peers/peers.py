@@ -378,7 +378,10 @@ class Peers:
 
     def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
         time_ns = beacon.time_ns
-        if time_ns - peer.hand_ns > OUTAGE_NS:  # else its hand states say how late it is
+        since_ns = time_ns - peer.hand_ns
+        if self._beacon_ns < since_ns <= OUTAGE_NS and peer.lateness.heeds:
+            peer.lateness.expect(self._beacon_ns)
+        elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
             gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns
             _note(peer.lateness, now_ns, age_ns, gap_ns, self._beacon_ns)
@@ -467,10 +470,13 @@ class Peers:
         return copy
 
     def ignore(self, robot: int) -> None:
-        """Its hand states are not listened to any more: those that did not come are not lost."""
+        """Its hand states are not listened to any more: those that did not come are not lost, and beacons,
+        which are rarer, have to do."""
         peer = self._known.get(robot)
         if peer is not None:
             peer.sequence = _NEVER
+            if peer.lateness.heeds:
+                peer.lateness.expect(self._beacon_ns)
 
     # ------------------------------------------------------------------ what is known
 

@@ -95,7 +95,8 @@ def test_everything_is_drawn_in_some(drawn: dict[int, tuple[dict[str, Any], Flee
         found += parts(tables)
     assert {
         "robots in reserve", "obstacles", "geofences", "dead-man's switches",
-        "order: join", "order: leave", "order: replace", "order: remove", "order: reshape", "order: stop", "order: resume",
+        "order: join", "order: leave", "order: replace", "order: remove",
+        "order: reshape", "order: stop", "order: resume",
         "fault: delay", "fault: loss", "fault: duplicate", "fault: reorder", "fault: corrupt",
         "fault: partition", "fault: deaf one way", "fault: never heard", "fault: kill agent for good",
         "fault: delay everywhere", "fault: loss everywhere",

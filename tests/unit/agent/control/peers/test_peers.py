@@ -184,6 +184,25 @@ def test_one_outage_does_not_make_a_link_late():
     assert known.get(2).forgiven_ns == 0
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.5])
+def test_of_whom_only_beacons_are_listened_to_two_may_be_lost(late_s: float):
+    """Where hand states were lost, beacons are, and they are rarer."""
+    known, late_ns = peers(beacon_ns=S // 5), round(late_s * S)
+    for k in range(400):
+        if k % 4:
+            heard(known, message(2, k, T0 + k * PERIOD), now_ns=T0 + k * PERIOD + late_ns)
+    now = T0 + 399 * PERIOD + late_ns
+    known.ignore(2)
+    peer = known.get(2)
+    assert peer.is_heard(now + S // 2)
+    for k in range(1, 5):  # some hand states were still on their way
+        heard(known, message(2, 1000 + k, now + k * PERIOD), now_ns=now + k * PERIOD + late_ns)
+    now += S // 2
+    assert known.accept_beacon(beacon(2, now), now + late_ns + PERIOD) is None
+    assert peer.is_heard(now + late_ns + 3 * S // 5)
+    assert not peer.is_heard(now + late_ns + 3 * S)
+
+
 def test_no_more_than_so_much_is_forgiven():
     known = peers()
     stream(known, 2, 60, 9 * S)
