@@ -14,6 +14,7 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.common.time import NS_PER_S
 from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
+from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peer, Peers
 from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance
 from agent.fleet.model import Fleet
@@ -85,6 +86,8 @@ class Proximity:
             age_ns = now_ns + peer.clock.used_ns - peer.time_ns
             ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
             dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
+            if age_ns > UNSURE_NS and hypot(message.x - here.x, message.y - here.y) < self.sensing:
+                return True  # silent a little longer, it may have stood there: beacons alone would not do
             vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
         else:
             belief = self._peers.belief(peer)

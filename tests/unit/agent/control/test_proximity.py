@@ -82,6 +82,19 @@ def test_who_comes_fast_is_listened_to_earlier():
     assert own.look(HERE._replace(vx=1.0))  # whoever of the two it is that comes
 
 
+def test_who_was_within_it_when_it_was_last_heard_is_listened_to_where_messages_are_late():
+    """It may have stopped there: who drives at its heels cannot wait for rare beacons to know."""
+    for late_s, close in ((0.8, True), (0.1, False)):
+        scene = Scene()
+        peer = scene.peers.get(3)
+        peer.lateness.forgiven_ns = S
+        told = Beacon(3, 0, scene.now - round(late_s * S), True, 1.8, 0.0, 4.0, 0.0, 0.0, 0, 0, -1, -1)
+        assert scene.peers.accept_beacon(told, scene.now) is None
+        peer.lateness.forgiven_ns = S
+        scene.look(HERE._replace(vx=4.0))
+        assert (scene.close == [3]) is close
+
+
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
     scene = Scene()
     for robot in (7, 3, 2):
