@@ -507,7 +507,9 @@ def test_acceleration_is_clipped_in_its_direction(heading: float, avoidance: boo
     pose = Pose(-40.0, 30.0, heading, 0.0, 0.0)
 
     def asked(limit: float) -> tuple[float, float]:
-        bench = Bench(f"control.max_acceleration={limit}", f"avoidance.enabled={str(avoidance).lower()}")
+        gains = "control.c1=0.1", "control.c2=1.2"  # the speed limit does not follow the acceleration's
+        enabled = f"avoidance.enabled={str(avoidance).lower()}"
+        bench = Bench(f"control.max_acceleration={limit}", enabled, *gains)
         bench.pose = pose
         wrench = bench.drive().wrench
         return hand_acceleration(wrench.force, wrench.torque, pose, 10.0, 0.13, 0.1)
