@@ -278,7 +278,7 @@ class Agent:
             now_ns,
             here,
             self._own_hand.doubt,
-            following=True,
+            following=not situation.is_let_down,
             degree=drive.degree,
             forces=drive.forces,
             multipliers=multipliers,
@@ -297,8 +297,10 @@ class Agent:
 
     @property
     def _follows(self) -> bool:
-        """Whether the robot obeys the law, or stands ready to from the epoch on."""
-        return self.state in DRIVING or (self.state is State.READY and self._situation.mission is not None)
+        """Whether the robot and its body obey the law, or stand ready to from the epoch on."""
+        if self.state in DRIVING:
+            return not self._situation.is_let_down
+        return self.state is State.READY and self._situation.mission is not None
 
     def _status(self, now_ns: int) -> Outgoing:
         mission = self._situation.mission

@@ -479,8 +479,7 @@ class Controller:
             # One that hears nothing of this robot cannot do its part, nor one that may hear too late of it.
             alone=late or peer.deaf or not message.following,
             other_acceleration=pushed,
-            # Where it is, nobody knows: those that are heard come first.
-            rank=safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION,
+            rank=_rank(doubt, follows=message.following),
         )
         scene.planes.append(plane)
 
@@ -603,7 +602,7 @@ class Controller:
 _AT_REST: Final[Vector] = (0.0, 0.0)
 STANDS_NS: Final = 2 * NS_PER_S
 """Whoever is silent for so long longer than usual is gone round as what stands still."""
-KEEPING_AWAY: Final = (safety_filter.SEPARATION, safety_filter.UNSURE)
+KEEPING_AWAY: Final = (safety_filter.STANDING, safety_filter.SEPARATION, safety_filter.UNSURE)
 ACTIVE: Final = 1e-3
 """m/s^2: a half plane that leaves no more than this is what stops a robot."""
 BESIDE: Final = 0.9
@@ -612,6 +611,14 @@ STOP_S: Final = 0.1
 """A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
 SLOW_SPEED: Final = 0.2
 """One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
+
+
+def _rank(doubt: float, *, follows: bool) -> int:
+    """Of the half plane against a robot that is heard, whose place is so uncertain (m)."""
+    if not follows:
+        return safety_filter.STANDING
+    # Where it is, nobody knows: those that are known come first.
+    return safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
 
 
 def _only_braking(plane: safety_filter.HalfPlane, own: hand.Hand) -> safety_filter.HalfPlane:

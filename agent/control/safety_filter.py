@@ -16,12 +16,17 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.control.hand import Pose
 
 BODY: Final = 0
-SEPARATION: Final = 1
-UNSURE: Final = 2
-SPEED: Final = 3
+STANDING: Final = 1
+SEPARATION: Final = 2
+UNSURE: Final = 3
+SPEED: Final = 4
 """Ranks: where planes contradict each other, those of a lower rank are met first. A robot that would
-collide may drive too fast; it cannot do what its actuators cannot."""
+collide may drive too fast; it cannot do what its actuators cannot; and between one that stands before it and
+one that follows it, the one that follows can still make way."""
 
+HARDER: Final = 4.0
+"""1/s: so much harder it brakes for one that stands, by each m/s that it is faster than it may be: what has
+been learned too late is made good with all that the body can do."""
 LEAST_MAX: Final = 1e6
 """A plane that asks for more than this (m/s^2) is taken to ask for this much."""
 _TOLERANCE: Final = 1e-9
@@ -47,7 +52,7 @@ class Filtered(NamedTuple):
     Attributes:
         ux, uy: acceleration, m/s^2, W.
         causes: whose limits changed it, in the order of the planes; empty: it is as it was asked for.
-        violation: by how much the worst plane of rank `SEPARATION` or `SPEED` is not met, m/s^2; 0: all are.
+        violation: by how much the worst plane of another rank than `BODY` is not met, m/s^2; 0: all are.
     """
 
     ux: float
@@ -84,7 +89,7 @@ def keep_apart(
             that, as in (F5).
         other_acceleration: what the other is known to do meanwhile, m/s^2; only counts if `alone`, and
             only as far as it brings the two together.
-        rank: `SEPARATION`, or `UNSURE`.
+        rank: `STANDING`, `SEPARATION`, or `UNSURE`.
     """
     x, y = offset
     vx, vy = velocity
@@ -110,6 +115,8 @@ def keep_apart(
     if alone:
         push = nx * other_acceleration[0] + ny * other_acceleration[1]
         least = max(least, both + max(push, 0.0))
+        if rank == STANDING:
+            least += HARDER * max(0.0, others - own - rate * max(0.0, rho - gap))
     least += 2.0 * rate * growth
     return HalfPlane(nx, ny, least, cause, rank)
 
@@ -245,9 +252,9 @@ def limit_turning(
 def project(ux: float, uy: float, planes: list[HalfPlane], most: float) -> Filtered:
     """The acceleration nearest to (ux, uy) that meets all `planes` and |u| <= `most`; m/s^2, W.
 
-    Where no u meets all planes, those of rank `BODY` are met first, then of those of `SEPARATION` the largest
-    violation is made least (then, of what is still free, the second largest, and so on), then
-    of `SPEED`; of what is left the nearest is taken. |u| <= `most` holds always.
+    Where no u meets all planes, those of rank `BODY` are met first, then of those of `STANDING` the largest
+    violation is made least (then, of what is still free, the second largest, and so on), then of those of
+    `SEPARATION`, `UNSURE` and `SPEED`; of what is left the nearest is taken. |u| <= `most` holds always.
     """
     size = hypot(ux, uy)
     tolerance = _TOLERANCE * (most if most > 1.0 else 1.0)
@@ -342,7 +349,7 @@ def _compromise(
     """As `_optimum`, where the limits contradict each other: some are violated by as little as possible."""
     kept: list[_Limit] = []
     best = 0.0, 0.0
-    for rank in (BODY, SEPARATION, UNSURE, SPEED):
+    for rank in (BODY, STANDING, SEPARATION, UNSURE, SPEED):
         left = [
             limit for limit, its in zip(limits, ranks, strict=True) if its == rank and (limit[0] or limit[1])
         ]

@@ -62,6 +62,7 @@ class Situation:
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
         self._heeded_ns = 0
+        self._heeded = False
         self._unheeded_s = UNHEEDED_S + fleet.control.wrench_timeout_s
         self._reach = fleet.robot(robot).hand_offset_m
         self._speed_max = fleet.control.max_speed_mps
@@ -110,6 +111,11 @@ class Situation:
         return self._taken
 
     @property
+    def is_let_down(self) -> bool:
+        """Whether the plant brakes, which has driven since the robot does: it lacks wrenches."""
+        return self._heeded and self.plant is not None and not self.plant.driving
+
+    @property
     def at_rest(self) -> bool:
         plant = self.plant
         return plant is not None and at_rest(plant.speed, plant.yaw_rate)
@@ -156,8 +162,10 @@ class Situation:
     def _unheeded(self, now_ns: int, state: State) -> str:
         """What is wrong with a body that goes on standing though its robot drives, "" when it obeys."""
         plant = self.plant
-        if state not in DRIVING or plant is None or plant.driving or not plant.obeying:
+        drives = state in DRIVING
+        if not drives or plant is None or plant.driving or not plant.obeying:
             self._heeded_ns = now_ns
+            self._heeded = drives and (self._heeded or (plant is not None and plant.driving))
         late_s = (now_ns - self._heeded_ns) / NS_PER_S
         return f"its plant has taken no wrench for {late_s:.1f} s" if late_s > self._unheeded_s else ""
 

@@ -93,15 +93,15 @@ def test_a_users_unit_runs_logs_and_restarts(hosts: Hosts) -> None:
     first = start_talker(
         hosts[0], "talker", "-pRestart=on-failure", "-pRestartSec=50ms", "-pSyslogIdentifier=parrot"
     )
-    # By identifier: the journal learns a unit's name from the process, too late when that is gone already.
-    # What a process says in the moment in which it is killed, journald may lose.
-    said = "journalctl -o cat -t parrot"
-    wait_for(lambda: hosts[0].run(said).stdout == "a word\n", "the first word in the log")
     os.kill(first, signal.SIGKILL)
     wait_for(lambda: set(hosts[0].pids("sleep 1000")) - {first}, "the unit's next process")
     over_ssh = hosts.operator.ssh(hosts[0], "systemctl --user show talker -pNRestarts --value")
     assert over_ssh.stdout == "1\n"
-    wait_for(lambda: hosts[0].run(said).stdout == "a word\na word\n", "both words in the log")
+    # By identifier: the journal learns a unit's name from the process, too late when that is gone already.
+    wait_for(
+        lambda: hosts[0].run("journalctl -o cat -t parrot").stdout == "a word\na word\n",
+        "both words in the log",
+    )
     assert "a word" in hosts[0].run("journalctl -o cat --user-unit=talker").stdout
     groups = hosts[0].run("cat /proc/self/cgroup; systemctl --user show talker -pControlGroup --value").stdout
     assert "\n0::/user.slice/user-0.slice/session-1.scope\n" in f"\n{groups}"

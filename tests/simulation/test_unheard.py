@@ -309,6 +309,12 @@ def test_the_scene_settles(name: str) -> None:
     assert result.metrics["verdict"]["passed"], result.metrics["verdict"]["reasons"]
 
 
+@pytest.mark.parametrize("name", ["first_plant_dies", "first_hears_no_wrench"])
+def test_who_follows_one_whose_body_brakes_for_itself_stops_in_time(name: str) -> None:
+    """Three in a row, every message 300 ms late; the agent of the first one lives and knows."""
+    assert_apart(scene(name))
+
+
 def test_the_lane_of_a_robot_that_was_replaced_holds_nobody() -> None:
     """Robot 4 has taken the place of 1, which is dead; then 2 dies, which shared an edge with 1 before."""
     result = scene("replaced_dead")

@@ -1,8 +1,8 @@
 """Scenarios of fast formations whose messages are all late, and many lost, all the time (PURE).
 
 What links do never changes, nothing else fails and nothing is ordered: such a fleet is in formation in the
-end (`deploy.verdict.oracles_drive.formed`). In some, agents start again, where there is room: a body brakes
-when its agent is gone, and the others learn of it late.
+end (`deploy.verdict.oracles_drive.formed`). In some, agents or plants start again, or wrenches do not come,
+where there is room: a body brakes then, and the others learn of it late.
 """
 
 from __future__ import annotations
@@ -70,11 +70,20 @@ def draw_fast(seed: int) -> Tables:
 
 
 def _restarts(dice: Dice, ids: list[int]) -> list[Tables]:
-    """Agents that start again on the way, when the formation has formed."""
-    return [
-        {"name": f"process {number}", "robot": robot, "restart": "agent", "at": dice.between(*RESTART_S, 2)}
-        for number, robot in enumerate(dice.some(ids, dice.whole(1, 3)), 1)
-    ]
+    """Agents and plants that start again on the way, when the formation has formed, and wrenches that do not
+    come for a while."""
+    rules: list[Tables] = []
+    for number, robot in enumerate(dice.some(ids, dice.whole(1, 3)), 1):
+        rule: Tables = {"name": f"process {number}", "robot": robot, "at": dice.between(*RESTART_S, 2)}
+        what = dice.pick(("agent", "plant", "wrench"))
+        if what == "wrench":
+            rule |= {"topic": "wrench", "loss": "100%", "for": dice.between(0.5, 3.0, 1)}
+        elif what == "plant":
+            rule |= {"kill": "plant", "for": dice.between(0.5, 4.0, 1)}
+        else:
+            rule["restart"] = "agent"
+        rules.append(rule)
+    return rules
 
 
 def _behind_m(safe_m: float, speed: float, late_s: float, control: Tables) -> float:

@@ -9,9 +9,11 @@ import pytest
 from agent.control.hand import Pose, advance, hand, wrench
 from agent.control.safety_filter import (
     BODY,
+    HARDER,
     LEAST_MAX,
     SEPARATION,
     SPEED,
+    STANDING,
     UNSURE,
     HalfPlane,
     keep_apart,
@@ -92,6 +94,14 @@ def test_who_is_alone_does_it_all_and_never_less_than_its_part():
     assert whole.least == pytest.approx(needed(*closing), abs=1e-5)
     far = (2.0, 0.0), (-0.3, 0.0), STILL
     assert between(*far, alone=True) == between(*far)
+
+
+def test_who_has_come_too_fast_towards_one_that_does_nothing_brakes_harder():
+    """Nearer than (F1) lets it come, as it has learned too late: not as softly as the barrier leads back."""
+    closing = (0.5, 0.0), (-0.9, 0.0), (0.2, 0.0)
+    whole, _ = between(*closing, alone=True, rank=STANDING)
+    too_fast = 1.1 - RATE * 0.2
+    assert whole.least == pytest.approx(needed(*closing) + HARDER * too_fast, abs=1e-5)
 
 
 def test_of_what_the_other_does_only_what_brings_them_together_counts():
@@ -285,6 +295,14 @@ def test_a_gap_that_grows_asks_for_as_much_more_as_keeps_up_with_it() -> None:
         still, grows = keep_apart(*given, alone=alone), keep_apart(*given, alone=alone, growth=0.15)
         assert grows.least - still.least == pytest.approx(2.0 * 3.0 * 0.15)
         assert (grows.nx, grows.ny) == (still.nx, still.ny)
+
+
+def test_from_one_that_stands_it_keeps_away_though_another_follows_it() -> None:
+    """Who follows can still make way."""
+    follows = HalfPlane(1.0, 0.0, 1.0, "robot 2")
+    stands = HalfPlane(-1.0, 0.0, 1.0, "robot 3", STANDING)
+    found = project(0.0, 0.0, [follows, stands], 5.0)
+    assert found.ux <= -1.0 + 1e-6
 
 
 def test_separation_from_a_robot_that_is_known_comes_before_one_that_may_be_anywhere() -> None:

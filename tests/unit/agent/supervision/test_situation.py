@@ -207,6 +207,23 @@ def test_a_plant_that_hears_no_wrench_is_named() -> None:
         assert made.conditions(late, state).degraded == "slower: robot 2"
 
 
+def test_a_plant_that_brakes_for_want_of_wrenches_lets_its_robot_down_at_once() -> None:
+    made, _ = driving()
+    for k, (drives, state, lets_down) in enumerate(
+        (
+            (False, State.RUNNING, False),  # it has not taken the first one yet
+            (True, State.RUNNING, False),
+            (False, State.RUNNING, True),
+            (True, State.RUNNING, False),
+            (False, State.HOLDING, False),
+        ),
+        start=1,
+    ):
+        made.accept_plant(plant(time_ns=NOW + k, driving=drives), NOW + k)
+        made.conditions(NOW + k, state)
+        assert made.is_let_down is lets_down
+
+
 def test_who_comes_into_a_drive_listens_first() -> None:
     made, trust = driving()
     made.check_plant(NOW)
