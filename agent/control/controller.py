@@ -12,17 +12,16 @@ from collections.abc import Collection, Iterator
 from math import ceil, hypot, inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from agent.common.quantities import DISTANCE_MIN, Vector
+from agent.common.quantities import Vector
 from agent.common.time import NS_PER_S
 from agent.control import hand, law, safety_filter
 from agent.control.caution import Caution
-from agent.control.couplings import COUPLINGS, Constraint
-from agent.control.detour import LEAVING, NOTHING, SPEED_MIN, Blocker, Detour, Hold
-from agent.control.gains import gains_of, one_sided
-from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
-from agent.control.peers.lateness import UNSURE_NS
+from agent.control.constraint_assembly import ConstraintAssembly, Scene
+from agent.control.couplings import COUPLINGS
+from agent.control.detour import NOTHING, SPEED_MIN, Blocker, Detour, Hold
+from agent.control.gains import gains_of
 from agent.control.peers.peers import Peer, Peers
-from agent.control.peers.prediction import Prediction, constraint_decay
+from agent.control.peers.prediction import constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
 from agent.control.safety_distances import TURN_MAX, TURN_SHARE, acceleration_max, barrier_rate, speed_max
@@ -42,6 +41,13 @@ LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often robots that are near are looked for, ns."""
 REFERENCES_MAX: Final = 8
 """So many missions are remembered, for those who have not heard the latest."""
+STANDS_NS: Final = 2 * NS_PER_S
+"""Whoever is silent for so long longer than usual is gone round as what stands still."""
+KEEPING_AWAY: Final = (safety_filter.STANDING, safety_filter.SEPARATION, safety_filter.UNSURE)
+ACTIVE: Final = 1e-3
+"""m/s^2: a half plane that leaves no more than this is what stops a robot."""
+SLOW_SPEED: Final = 0.2
+"""One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
 
 
 class Drive(NamedTuple):
@@ -72,26 +78,6 @@ class Drive(NamedTuple):
             *(self.constraint_x, self.constraint_y),
             *(self.correction_x, self.correction_y),
         )
-
-
-class _Scene(NamedTuple):
-    """What acts on the own hand at one instant, as it is found.
-
-    now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. place: where it is to be,
-    if that is at rest. constraints, planes: what
-    the law and the safety filter have to keep. within: that to which it is nearer than it may be, but must
-    not be driven from; stops: those of the planes that let it only leave that.
-    """
-
-    now_ns: int
-    own: hand.Hand
-    nx: float
-    ny: float
-    place: Vector | None
-    constraints: list[Constraint]
-    planes: list[safety_filter.HalfPlane]
-    within: list[Blocker]
-    stops: list[safety_filter.HalfPlane]
 
 
 class Controller:
@@ -139,9 +125,8 @@ class Controller:
         bound = fleet.avoidance.enabled and control.law is None
         self.detour: Final = Detour(fleet.period_ns / NS_PER_S, control.c2, bound=bound)
         self._hold = NOTHING
-        self._gains = gains_of(fleet)
-        self._pushing = one_sided(self._gains)
-        self.coupling: Final = COUPLINGS[control.coupling](self._gains, self.peers)
+        self._assembly = ConstraintAssembly(fleet, self.peers, self.proximity, self.right_of_way)
+        self.coupling: Final = COUPLINGS[control.coupling](gains_of(fleet), self.peers)
         self._own_law: OwnLaw | None = None
         if control.law is not None:
             from agent.control.own_law import OwnLaw  # here: others do not need it
@@ -254,8 +239,8 @@ class Controller:
             gain = max(self._c2, self._barrier_rate) if self.detour.fixed else self._c2
             gx, gy = gain * (turned[0] - own.vx), gain * (turned[1] - own.vy)
         place = (x, y) if hypot(vx, vy) <= SPEED_MIN else None
-        scene = _Scene(now_ns, own, gx, gy, place, [], [], [], [])
-        self._look_round(scene, acting_ns)
+        scene = Scene(now_ns, own, gx, gy, place, [], [], [], [])
+        self._assembly.find(scene, acting_ns, self.edges, self.detour.grip)
         numbers: tuple[float, ...] = ()
         if self._own_law is None:
             cx, cy = self.coupling.force(scene.constraints)
@@ -350,7 +335,7 @@ class Controller:
             if message is not None and message.following and peer.here and peer.late_ns(now_ns) < STANDS_NS:
                 yield peer, message
 
-    def _held(self, scene: _Scene, ux: float, uy: float, causes: tuple[str, ...]) -> Hold:
+    def _held(self, scene: Scene, ux: float, uy: float, causes: tuple[str, ...]) -> Hold:
         """What keeps the own hand from what it wants, where (ux, uy) is what came of it."""
         now_ns = scene.now_ns
         moving, astray = set(), set()
@@ -386,191 +371,6 @@ class Controller:
         limits = tuple(cause for cause in causes if cause not in names)
         return Hold(blockers, waits, (x, y), robots, frozenset(astray), limits)
 
-    # ------------------------------------------------------------------ constraints
-
-    def _look_round(self, scene: _Scene, time_ns: int) -> None:
-        """Finds all constraints on the own hand at `time_ns`, and what the safety filter has to keep."""
-        own = scene.own
-        for edge, peer in self.edges:
-            weight = edge.weight * peer.trust * self.detour.grip
-            other = None
-            if weight > 0.0 and peer.message is not None:
-                other = self.peers.predict(peer, time_ns)
-                offset = own.x - other.position[0], own.y - other.position[1]
-                constraint = self._constraint(
-                    scene, other, offset, edge.distance, self._gains, edge.rate, edge.bend
-                )
-                if weight < 1.0:
-                    constraint = law.weighted(constraint, weight)
-                scene.constraints.append(Constraint(peer.robot, constraint, other, peer.degree, False))
-            if self.proximity.enabled:
-                known = other if self.peers.predicts else None
-                self._keep_away(scene, peer, time_ns, known, pushes=weight < 1.0)
-        for peer in self.proximity.close:
-            self._keep_away(scene, peer, time_ns, pushes=True)
-        if self.proximity.enabled:
-            self._keep_clear(scene)
-            if self.right_of_way.keep_out or self.right_of_way.keep_in:
-                scene.planes.extend(self.right_of_way.planes(own))
-
-    def _constraint(
-        self,
-        scene: _Scene,
-        other: Prediction,
-        offset: Vector,
-        distance: float,
-        gains: law.Gains,
-        rate: float = 0.0,
-        bend: float = 0.0,
-    ) -> law.Edge:
-        """The law's constraint with a robot. Of a distance that changes, the motion relative to it counts."""
-        own = scene.own
-        velocity = own.vx - other.velocity[0], own.vy - other.velocity[1]
-        navigation = scene.nx - other.navigation[0], scene.ny - other.navigation[1]
-        if rate or bend:
-            scale = 1.0 / max(hypot(*offset), DISTANCE_MIN)
-            away = scale * offset[0], scale * offset[1]
-            velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
-            navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
-        return law.edge(offset, velocity, navigation, distance, self._safe_distance, gains)
-
-    def _keep_away(
-        self, scene: _Scene, peer: Peer, time_ns: int, predicted: Prediction | None = None, *, pushes: bool
-    ) -> None:
-        """One-sided constraint (U1) against a robot at `time_ns`, if it `pushes`, and its half plane (F3)."""
-        own, now_ns = scene.own, scene.now_ns
-        message = peer.message
-        if message is None or not peer.is_heard(now_ns):
-            self._keep_from_belief(scene, peer)
-            return
-        other = predicted or self.peers.carry(peer, time_ns)
-        dx, dy = own.x - other.position[0], own.y - other.position[1]
-        rho = hypot(dx, dy)
-        if rho > self.proximity.sensing:
-            return
-        doubt = peer.doubt(now_ns)
-        name = f"robot {peer.robot}"
-        distance = self.proximity.distance
-        if pushes and rho - doubt < distance and scene.place is not None and not message.following:
-            # A body that stays beside the place must not push it off that.
-            x, y = scene.place
-            apart = hypot(x - other.position[0], y - other.position[1]) - doubt
-            distance = min(distance, max(BESIDE * apart, self._safe_distance + self._margin))
-        if pushes and rho - doubt < distance:
-            scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
-            offset = dx * scale, dy * scale
-            constraint = self._constraint(scene, other, offset, distance, self._pushing)
-            scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
-        age_ns = now_ns + peer.clock.used_ns - peer.time_ns
-        gap = self._safe_distance + self._margin + doubt
-        if self._own_law is not None:
-            gap += self._unforeseen(age_ns / NS_PER_S)
-        late = age_ns >= UNSURE_NS
-        # What it does meanwhile is known only while its message is new.
-        (nx, ny), (cx, cy) = other.navigation, other.constraint
-        pushed = _AT_REST if late else (nx + cx, ny + cy)
-        plane = safety_filter.keep_apart(
-            name,
-            (dx, dy),
-            (own.vx, own.vy),
-            other.velocity,
-            gap,
-            self._barrier_rate,
-            # One that hears nothing of this robot cannot do its part, nor one that may hear too late of it.
-            alone=late or peer.deaf or not message.following,
-            other_acceleration=pushed,
-            rank=_rank(doubt, follows=message.following),
-        )
-        scene.planes.append(plane)
-
-    def _keep_from_belief(self, scene: _Scene, peer: Peer) -> None:
-        """The half planes against wherever a robot may be that is not heard.
-
-        Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops it, as
-        hard as need be, but must not push it off.
-        """
-        belief = self.peers.belief(peer)
-        if belief is None:
-            return
-        own, name = scene.own, f"robot {peer.robot}"
-        age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
-        velocity, speed, growing = (own.vx, own.vy), hypot(own.vx, own.vy), growth(age)
-        depth, deepest = 0.0, None
-        for stretch in belief.stretches:
-            if stretch.after > age:
-                break
-            x, y, at_end = stretch.offset(own.x, own.y)
-            rho, radius = hypot(x, y), stretch.radius_at(age)
-            if rho > self.proximity.sensing + radius:
-                continue
-            gap = self._safe_distance + self._margin + radius
-            rank = safety_filter.UNSURE if radius >= DOUBT_MAX else safety_filter.SEPARATION
-            plane = safety_filter.keep_apart(
-                name,
-                (x, y),
-                velocity,
-                _AT_REST,
-                gap,
-                self._barrier_rate,
-                alone=True,
-                straight=not at_end,
-                rank=rank,
-                growth=growing,
-            )
-            scene.planes.append(_only_braking(plane, own))
-            if gap - rho > depth:
-                depth, deepest = gap - rho, plane
-        if deepest is not None:
-            scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True))
-            if deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
-                rate = self._barrier_rate
-                stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
-                scene.stops.extend(stop)
-                scene.planes.extend(stop)
-
-    def _unforeseen(self, age: float) -> float:
-        """How much further to keep from a robot that a law of others drives, m, by the age of its message, s.
-
-        It may have accelerated in any direction since: by a t of speed, which the barrier takes a distance of
-        a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away.
-        """
-        age = max(0.0, age)
-        return 0.5 * self._acceleration_max * age * (1.0 / self._barrier_rate + 0.5 * age)
-
-    def _keep_clear(self, scene: _Scene) -> None:
-        """The same against obstacles and the geofence, which have no motion of their own."""
-        proximity, own = self.proximity, scene.own
-        band = proximity.distance - self._safe_distance
-        boundaries = [(each, proximity.clearance, band) for each in proximity.obstacles]
-        if proximity.fence is not None:
-            boundaries.append((proximity.fence, 0.0, proximity.warn))
-        for boundary, clearance, band in boundaries:
-            for near in boundary.near(own.x, own.y, proximity.sensing):
-                if near.distance < clearance + band and not near.ahead:
-                    # Along the boundary no motion changes the distance: only the part across it counts.
-                    closing = near.nx * own.vx + near.ny * own.vy
-                    room = max(near.distance, DISTANCE_MIN)
-                    constraint = law.edge(
-                        (near.nx * room, near.ny * room),
-                        (near.nx * closing, near.ny * closing),
-                        (scene.nx, scene.ny),
-                        clearance + band,
-                        clearance,
-                        self._pushing,
-                    )
-                    key = f"{near.name} {near.side}"
-                    scene.constraints.append(Constraint(key, constraint, None, 0, True, near.name))
-                plane = safety_filter.keep_clear(
-                    near.name,
-                    near.distance,
-                    near.nx,
-                    near.ny,
-                    (own.vx, own.vy),
-                    clearance + self._margin,
-                    self._barrier_rate,
-                )
-                scene.planes.append(plane)
-
     def _last_stage(
         self,
         ux: float,
@@ -597,34 +397,6 @@ class Controller:
         )
         ux, uy, causes, _ = safety_filter.project(ux, uy, planes, self._acceleration_max)
         return ux, uy, causes
-
-
-_AT_REST: Final[Vector] = (0.0, 0.0)
-STANDS_NS: Final = 2 * NS_PER_S
-"""Whoever is silent for so long longer than usual is gone round as what stands still."""
-KEEPING_AWAY: Final = (safety_filter.STANDING, safety_filter.SEPARATION, safety_filter.UNSURE)
-ACTIVE: Final = 1e-3
-"""m/s^2: a half plane that leaves no more than this is what stops a robot."""
-BESIDE: Final = 0.9
-"""Share of the way from a body to the own place within which it may push."""
-STOP_S: Final = 0.1
-"""A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
-SLOW_SPEED: Final = 0.2
-"""One that has to be careful drives at a share of the speed of its place and this (m/s) together."""
-
-
-def _rank(doubt: float, *, follows: bool) -> int:
-    """Of the half plane against a robot that is heard, whose place is so uncertain (m)."""
-    if not follows:
-        return safety_filter.STANDING
-    # Where it is, nobody knows: those that are known come first.
-    return safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
-
-
-def _only_braking(plane: safety_filter.HalfPlane, own: hand.Hand) -> safety_filter.HalfPlane:
-    """The half plane, as far as it brakes the own hand: it does not drive it back."""
-    closing = plane.nx * own.vx + plane.ny * own.vy
-    return plane._replace(least=min(plane.least, -closing / STOP_S))
 
 
 def _within(value: float, most: float | None) -> float:

@@ -10,7 +10,7 @@ from math import inf
 from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
-from agent.control.controller import STOP_S
+from agent.control.constraint_assembly import STOP_S
 from agent.control.peers.beliefs import STANDS_S, said_doubt, stands_after
 from agent.control.peers.lateness import LATE_MAX_NS, UNSURE_NS
 from agent.control.safety_distances import barrier_rate, speed_max

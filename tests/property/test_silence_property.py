@@ -11,7 +11,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.controller import _only_braking
+from agent.control.constraint_assembly import only_braking
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import growth, said_doubt, stood_on
 from agent.control.peers.lanes import Lane
@@ -66,7 +66,7 @@ def test_who_stands_on_its_way_is_kept_from_whatever_the_other_wants(seed: int, 
                 growth=growth(age),
                 alone=True,
             )
-            planes.append(_only_braking(plane, own))
+            planes.append(only_braking(plane, own))
         u = project(*asked, planes, MOST)
         half = 0.5 * PERIOD * PERIOD
         x, y, vx, vy = (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.control import controller
+from agent.control import constraint_assembly
 from agent.supervision.state_machine import TRANSITIONS
 from deploy.chaos.draw import draw
 from deploy.chaos.report import NOT_DRAWN, parts
@@ -80,7 +80,7 @@ def test_the_same_scenario_ends_the_same() -> None:
 
 @pytest.mark.slow
 def test_a_fault_of_the_program_is_found_and_made_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(controller.Controller, "_keep_away", lambda *args, **options: None)
+    monkeypatch.setattr(constraint_assembly.ConstraintAssembly, "_keep_away", lambda *args, **options: None)
     tables = draw(BROKEN)
     outcome = drive(scenario_text(tables))
     assert "separation" in outcome.oracles

@@ -6,9 +6,8 @@ from math import cos, sin, tau
 
 import pytest
 
-from agent.control.controller import LOOK_PERIOD_NS, Controller, _Scene
+from agent.control.controller import LOOK_PERIOD_NS, Controller
 from agent.control.hand import Pose, advance, hand, wrench
-from agent.control.peers.beliefs import stood_on
 from agent.control.safety_distances import barrier_rate
 from agent.fleet.loading import load_fleet, parse_fleet
 from agent.formation.geometry import resolve
@@ -159,26 +158,3 @@ def test_for_silent_robots_it_brakes_and_is_not_driven_away(speed: float):
     if speed > 0.0:
         rate = barrier_rate(fleet)
         assert sum(drive.forces[::2]) <= -0.9 * rate * speed
-
-
-@pytest.mark.parametrize(("speed", "let"), [(0.3, True), (-0.3, False)])
-def test_beside_the_way_of_a_silent_robot_it_may_drive_off_it_however_long_that_is(speed: float, let: bool):
-    """Robot 3 went by, 0.3 m behind robot 1, and is on one of several stretches: only the nearest one says
-    what is away from it."""
-    fleet = parse_fleet(PAIR.replace("[0, 3]]", "[0, 9]]"), source="here")
-    controller = Controller(fleet, resolve(fleet), 1)
-    controller.look(T0)
-    hand_x = fleet.robot(1).hand_offset_m
-    given(controller, 3, hand_x - 0.3, follows=True)
-    peer = controller.peers.get(3)
-    way = [(0.5 * k, hand_x - 0.3, 0.4 * k - 1.2) for k in range(7)]
-    peer.belief = stood_on(way, 0.0)
-    now_ns = T0 + 10 * S
-    controller.look(now_ns)
-    controller.proximity.look(now_ns, hand(Pose(*[0.0] * 5), hand_x), (2,))
-    scene = _Scene(now_ns, hand(Pose(0.0, 0.0, 0.0, speed, 0.0), hand_x), 0.0, 0.0, None, [], [], [], [])
-    controller._look_round(scene, now_ns)
-    assert len({(plane.nx, plane.ny) for plane in scene.planes if plane.cause == "robot 3"}) > 3
-    assert [each[:3] for each in scene.within] == [(1.0, pytest.approx(0.0), "robot 3")]
-    assert (not scene.stops) is let
-    assert all(plane.least <= 0.0 for plane in scene.planes) is let

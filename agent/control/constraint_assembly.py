@@ -1,0 +1,271 @@
+"""What the law and the safety filter have to keep at one tick: constraints, and half planes (PURE).
+
+Edges with neighbours, robots and bodies without an edge, whoever is not heard, obstacles, the geofence, and
+the lanes of others: found anew at every tick. Positions in m, W; accelerations in m/s^2, W. The numbers are
+those of docs/theory.md.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import Final, NamedTuple
+
+from agent.common.quantities import DISTANCE_MIN, Vector
+from agent.common.time import NS_PER_S
+from agent.control import hand, law, safety_filter
+from agent.control.couplings import Constraint
+from agent.control.detour import LEAVING, Blocker
+from agent.control.gains import gains_of, one_sided
+from agent.control.peers.beliefs import AHEAD_S, DOUBT_MAX, growth
+from agent.control.peers.lateness import UNSURE_NS
+from agent.control.peers.peers import Peer, Peers
+from agent.control.peers.prediction import Prediction
+from agent.control.proximity import Proximity
+from agent.control.right_of_way import RightOfWay
+from agent.control.safety_distances import acceleration_max, barrier_rate
+from agent.fleet.model import Fleet
+from agent.formation.reference import Edge
+
+BESIDE: Final = 0.9
+"""Share of the way from a body to the own place within which it may push."""
+STOP_S: Final = 0.1
+"""A robot is braked no harder than this makes it stand, s: what brakes it must not drive it back."""
+_AT_REST: Final[Vector] = (0.0, 0.0)
+
+
+class Scene(NamedTuple):
+    """What acts on the own hand at one instant, as it is found.
+
+    now_ns: of the tick. own: the hand then; nx, ny: its navigation force, m/s^2. place: where it is to be, if
+    that is at rest. constraints, planes: what the law and the safety filter have to keep. within: that to
+    which it is nearer than it may be, but must not be driven from; stops: those of the planes that let it
+    only leave that.
+    """
+
+    now_ns: int
+    own: hand.Hand
+    nx: float
+    ny: float
+    place: Vector | None
+    constraints: list[Constraint]
+    planes: list[safety_filter.HalfPlane]
+    within: list[Blocker]
+    stops: list[safety_filter.HalfPlane]
+
+
+class ConstraintAssembly:
+    """Finds what one robot has to keep.
+
+    Args:
+        peers, proximity, right_of_way: of that robot.
+    """
+
+    def __init__(self, fleet: Fleet, peers: Peers, proximity: Proximity, right_of_way: RightOfWay) -> None:
+        self._peers, self._proximity, self._right_of_way = peers, proximity, right_of_way
+        self._gains = gains_of(fleet)
+        self._pushing = one_sided(self._gains)
+        self._safe_distance, self._margin = fleet.formation.safe_distance_m, fleet.avoidance.margin_m
+        self._barrier_rate, self._acceleration_max = barrier_rate(fleet), acceleration_max(fleet)
+        self._is_own_law = fleet.control.law is not None
+
+    def find(self, scene: Scene, time_ns: int, edges: tuple[tuple[Edge, Peer], ...], grip: float) -> None:
+        """Adds to `scene` all constraints on the own hand at the wall time `time_ns`, and all half planes.
+
+        Args:
+            edges: those that count now, with what is known of the robot at the other end.
+            grip: 0..1, how far the robot holds on to them.
+        """
+        own = scene.own
+        for edge, peer in edges:
+            weight = edge.weight * peer.trust * grip
+            other = None
+            if weight > 0.0 and peer.message is not None:
+                other = self._peers.predict(peer, time_ns)
+                offset = own.x - other.position[0], own.y - other.position[1]
+                constraint = self._constraint(
+                    scene, other, offset, edge.distance, self._gains, edge.rate, edge.bend
+                )
+                if weight < 1.0:
+                    constraint = law.weighted(constraint, weight)
+                scene.constraints.append(Constraint(peer.robot, constraint, other, peer.degree, False))
+            if self._proximity.enabled:
+                known = other if self._peers.predicts else None
+                self._keep_away(scene, peer, time_ns, known, pushes=weight < 1.0)
+        for peer in self._proximity.close:
+            self._keep_away(scene, peer, time_ns, pushes=True)
+        if self._proximity.enabled:
+            self._keep_clear(scene)
+            if self._right_of_way.keep_out or self._right_of_way.keep_in:
+                scene.planes.extend(self._right_of_way.planes(own))
+
+    def _constraint(
+        self,
+        scene: Scene,
+        other: Prediction,
+        offset: Vector,
+        distance: float,
+        gains: law.Gains,
+        rate: float = 0.0,
+        bend: float = 0.0,
+    ) -> law.Edge:
+        """The law's constraint with a robot. Of a distance that changes, the motion relative to it counts."""
+        own = scene.own
+        velocity = own.vx - other.velocity[0], own.vy - other.velocity[1]
+        navigation = scene.nx - other.navigation[0], scene.ny - other.navigation[1]
+        if rate or bend:
+            scale = 1.0 / max(hypot(*offset), DISTANCE_MIN)
+            away = scale * offset[0], scale * offset[1]
+            velocity = velocity[0] - rate * away[0], velocity[1] - rate * away[1]
+            navigation = navigation[0] - bend * away[0], navigation[1] - bend * away[1]
+        return law.edge(offset, velocity, navigation, distance, self._safe_distance, gains)
+
+    def _keep_away(
+        self, scene: Scene, peer: Peer, time_ns: int, predicted: Prediction | None = None, *, pushes: bool
+    ) -> None:
+        """One-sided constraint (U1) against a robot at `time_ns`, if it `pushes`, and its half plane (F3)."""
+        own, now_ns = scene.own, scene.now_ns
+        message = peer.message
+        if message is None or not peer.is_heard(now_ns):
+            self._keep_from_belief(scene, peer)
+            return
+        other = predicted or self._peers.carry(peer, time_ns)
+        dx, dy = own.x - other.position[0], own.y - other.position[1]
+        rho = hypot(dx, dy)
+        if rho > self._proximity.sensing:
+            return
+        doubt = peer.doubt(now_ns)
+        name = f"robot {peer.robot}"
+        distance = self._proximity.distance
+        if pushes and rho - doubt < distance and scene.place is not None and not message.following:
+            # A body that stays beside the place must not push it off that.
+            x, y = scene.place
+            apart = hypot(x - other.position[0], y - other.position[1]) - doubt
+            distance = min(distance, max(BESIDE * apart, self._safe_distance + self._margin))
+        if pushes and rho - doubt < distance:
+            scale = max(rho - doubt, DISTANCE_MIN) / max(rho, DISTANCE_MIN)
+            offset = dx * scale, dy * scale
+            constraint = self._constraint(scene, other, offset, distance, self._pushing)
+            scene.constraints.append(Constraint(-peer.robot, constraint, other, peer.degree, True, name))
+        age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+        gap = self._safe_distance + self._margin + doubt
+        if self._is_own_law:
+            gap += self._unforeseen(age_ns / NS_PER_S)
+        late = age_ns >= UNSURE_NS
+        # What it does meanwhile is known only while its message is new.
+        (nx, ny), (cx, cy) = other.navigation, other.constraint
+        pushed = _AT_REST if late else (nx + cx, ny + cy)
+        plane = safety_filter.keep_apart(
+            name,
+            (dx, dy),
+            (own.vx, own.vy),
+            other.velocity,
+            gap,
+            self._barrier_rate,
+            # One that hears nothing of this robot cannot do its part, nor one that may hear too late of it.
+            alone=late or peer.deaf or not message.following,
+            other_acceleration=pushed,
+            rank=_rank(doubt, follows=message.following),
+        )
+        scene.planes.append(plane)
+
+    def _keep_from_belief(self, scene: Scene, peer: Peer) -> None:
+        """The half planes against wherever a robot may be that is not heard.
+
+        Maybe it cannot hear this robot either, and looks for it on its way: what is only a guess stops it, as
+        hard as need be, but must not push it off.
+        """
+        belief = self._peers.belief(peer)
+        if belief is None:
+            return
+        own, name = scene.own, f"robot {peer.robot}"
+        age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
+        velocity, speed, growing = (own.vx, own.vy), hypot(own.vx, own.vy), growth(age)
+        depth, deepest = 0.0, None
+        for stretch in belief.stretches:
+            if stretch.after > age:
+                break
+            x, y, at_end = stretch.offset(own.x, own.y)
+            rho, radius = hypot(x, y), stretch.radius_at(age)
+            if rho > self._proximity.sensing + radius:
+                continue
+            gap = self._safe_distance + self._margin + radius
+            rank = safety_filter.UNSURE if radius >= DOUBT_MAX else safety_filter.SEPARATION
+            plane = safety_filter.keep_apart(
+                name,
+                (x, y),
+                velocity,
+                _AT_REST,
+                gap,
+                self._barrier_rate,
+                alone=True,
+                straight=not at_end,
+                rank=rank,
+                growth=growing,
+            )
+            scene.planes.append(only_braking(plane, own))
+            if gap - rho > depth:
+                depth, deepest = gap - rho, plane
+        if deepest is not None:
+            scene.within.append(Blocker(deepest.nx, deepest.ny, name, True, within=True))
+            if deepest.nx * own.vx + deepest.ny * own.vy < LEAVING * speed:
+                rate = self._barrier_rate
+                stop = safety_filter.limit_speed(own.vx, own.vy, 0.0, rate, name, deepest.rank)
+                scene.stops.extend(stop)
+                scene.planes.extend(stop)
+
+    def _unforeseen(self, age: float) -> float:
+        """How much further to keep from a robot that a law of others drives, m, by the age of its message, s.
+
+        It may have accelerated in any direction since: by a t of speed, which the barrier takes a distance of
+        a t / p to brake, and by a t^2 / 2 of place. Half of that, for both keep away.
+        """
+        age = max(0.0, age)
+        return 0.5 * self._acceleration_max * age * (1.0 / self._barrier_rate + 0.5 * age)
+
+    def _keep_clear(self, scene: Scene) -> None:
+        """The same against obstacles and the geofence, which have no motion of their own."""
+        proximity, own = self._proximity, scene.own
+        band = proximity.distance - self._safe_distance
+        boundaries = [(each, proximity.clearance, band) for each in proximity.obstacles]
+        if proximity.fence is not None:
+            boundaries.append((proximity.fence, 0.0, proximity.warn))
+        for boundary, clearance, band in boundaries:
+            for near in boundary.near(own.x, own.y, proximity.sensing):
+                if near.distance < clearance + band and not near.ahead:
+                    # Along the boundary no motion changes the distance: only the part across it counts.
+                    closing = near.nx * own.vx + near.ny * own.vy
+                    room = max(near.distance, DISTANCE_MIN)
+                    constraint = law.edge(
+                        (near.nx * room, near.ny * room),
+                        (near.nx * closing, near.ny * closing),
+                        (scene.nx, scene.ny),
+                        clearance + band,
+                        clearance,
+                        self._pushing,
+                    )
+                    key = f"{near.name} {near.side}"
+                    scene.constraints.append(Constraint(key, constraint, None, 0, True, near.name))
+                plane = safety_filter.keep_clear(
+                    near.name,
+                    near.distance,
+                    near.nx,
+                    near.ny,
+                    (own.vx, own.vy),
+                    clearance + self._margin,
+                    self._barrier_rate,
+                )
+                scene.planes.append(plane)
+
+
+def _rank(doubt: float, *, follows: bool) -> int:
+    """Of the half plane against a robot that is heard, whose place is so uncertain (m)."""
+    if not follows:
+        return safety_filter.STANDING
+    # Where it is, nobody knows: those that are known come first.
+    return safety_filter.UNSURE if doubt >= DOUBT_MAX else safety_filter.SEPARATION
+
+
+def only_braking(plane: safety_filter.HalfPlane, own: hand.Hand) -> safety_filter.HalfPlane:
+    """The half plane, as far as it brakes the own hand: it does not drive it back."""
+    closing = plane.nx * own.vx + plane.ny * own.vy
+    return plane._replace(least=min(plane.least, -closing / STOP_S))

@@ -1,0 +1,74 @@
+"""What a robot has to keep at one tick: whose half planes there are, and which come first."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.control.constraint_assembly import ConstraintAssembly, Scene
+from agent.control.controller import Controller
+from agent.control.hand import Hand
+from agent.control.peers.beliefs import DOUBT_MAX, stood_on
+from agent.control.safety_filter import SEPARATION, STANDING, UNSURE
+from agent.fleet.loading import parse_fleet
+from agent.formation.geometry import resolve
+from agent.messages.types import HandState
+
+S = 1_000_000_000
+T0 = 1000 * S
+FLEET = """
+robot = [{ id = 1, x_m = 0, y_m = 0 }, { id = 2, x_m = 5, y_m = 5 }, { id = 3, x_m = 0, y_m = 5 }]
+fleet = { name = "three" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0], [0, 9]], safe_distance_m = 0.2 }
+"""
+
+
+class Robot:
+    """Robot 1, its hand in (0.1, 0), which has heard robot 3 at `T0`, `away` m ahead."""
+
+    def __init__(self, away: float, *, follows: bool = True, doubt: float = 0.0) -> None:
+        fleet = parse_fleet(FLEET, source="here")
+        self.controller = Controller(fleet, resolve(fleet), 1)
+        self.controller.look(T0)
+        self.peers, self.proximity = self.controller.peers, self.controller.proximity
+        state = HandState(3, 0, T0, follows, 2, 0.1 + away, *[0.0] * 9, doubt, (), ())
+        assert self.peers.accept(state, T0 + fleet.period_ns) is None
+        self.assembly = ConstraintAssembly(fleet, self.peers, self.proximity, self.controller.right_of_way)
+
+    def scene(self, now_ns: int, speed: float = 0.0) -> Scene:
+        """What it has to keep while it drives along the x axis."""
+        own = Hand(0.1, 0.0, speed, 0.0)
+        self.controller.look(now_ns)
+        self.proximity.look(now_ns, own, (2,))
+        scene = Scene(now_ns, own, 0.0, 0.0, None, [], [], [], [])
+        self.assembly.find(scene, now_ns, self.controller.edges, 1.0)
+        return scene
+
+
+@pytest.mark.parametrize(
+    ("follows", "doubt", "rank"),
+    [
+        (True, 0.0, SEPARATION),
+        (True, DOUBT_MAX, UNSURE),
+        (False, 0.0, STANDING),
+        (False, DOUBT_MAX, STANDING),
+    ],
+)
+def test_who_stands_comes_first_and_who_may_be_anywhere_last(follows: bool, doubt: float, rank: int) -> None:
+    scene = Robot(0.4, follows=follows, doubt=doubt).scene(T0 + S // 10)
+    (plane,) = (each for each in scene.planes if each.cause == "robot 3")
+    assert plane.rank == rank
+
+
+@pytest.mark.parametrize(("speed", "let"), [(0.3, True), (-0.3, False)])
+def test_beside_the_way_of_a_silent_robot_it_may_drive_off_it_however_long_that_is(
+    speed: float, let: bool
+) -> None:
+    """Robot 3 went by, 0.3 m behind robot 1, and is on one of several stretches: only the nearest one says
+    what is away from it."""
+    robot = Robot(-0.3)
+    robot.peers.get(3).belief = stood_on([(0.5 * k, -0.2, 0.4 * k - 1.2) for k in range(7)], 0.0)
+    scene = robot.scene(T0 + 10 * S, speed)
+    assert len({(plane.nx, plane.ny) for plane in scene.planes if plane.cause == "robot 3"}) > 3
+    assert [each[:3] for each in scene.within] == [(1.0, pytest.approx(0.0), "robot 3")]
+    assert (not scene.stops) is let
+    assert all(plane.least <= 0.0 for plane in scene.planes) is let
