@@ -47,7 +47,13 @@ class Caution:
         self.speed = inf
 
     def look(self, now_ns: int, here: Hand, near: Iterable[Peer]) -> None:
-        """Finds out at the tick `now_ns`, at which the own hand is `here`, whose way meets the own one."""
+        """Finds out at the tick `now_ns`, at which the own hand is `here`, whose way meets the own one.
+
+        Who may be slow for that, or makes way for somebody, is predicted so from now on (`Peer.slowly`).
+
+        Args:
+            near: the robots that the safety filter may have to keep it away from.
+        """
         if now_ns >= self._until_ns:
             self.speed = inf
         own: HandState | None = None

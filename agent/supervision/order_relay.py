@@ -41,7 +41,7 @@ class OrderRelay:
         self._numbers = SequenceNumbers(fleet.period_ns)
         """Those of the own plant, if it has acknowledged the mission."""
         self._plant_told_ns = -AGAIN_NS
-        self._unmoved_since_ns: int | None = None
+        self._insisted_ns = 0
 
     # ------------------------------------------------------------------ what it hears
 
@@ -76,19 +76,15 @@ class OrderRelay:
         self._missions.asked(now_ns)
         self._orders.asked(now_ns)
 
-    def look(self, now_ns: int, plant: PlantState | None, *, drives: bool) -> None:
+    def look(self, now_ns: int, plant: PlantState | None, unmoved_ns: int) -> None:
         """Finds out what the own plant may have missed: of other robots it hears nothing.
 
         Args:
             plant: what it said last.
-            drives: whether it is asked to drive.
+            unmoved_ns: for how long it has braked though the robot drives.
         """
-        if not drives or plant is None or plant.driving or not plant.obeying:
-            self._unmoved_since_ns = None
-        elif self._unmoved_since_ns is None:
-            self._unmoved_since_ns = now_ns
-        elif now_ns - self._unmoved_since_ns > UNMOVED_NS:
-            self._unmoved_since_ns = now_ns
+        if unmoved_ns > UNMOVED_NS and now_ns - self._insisted_ns > UNMOVED_NS:
+            self._insisted_ns = now_ns
             self._orders.insist()
         if plant is None or self._mission is None or now_ns < self._plant_told_ns + AGAIN_NS:
             return

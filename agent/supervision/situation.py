@@ -42,6 +42,7 @@ class Situation:
         ending: whether the process is to end.
         heartbeat_ns: when the operator's last heartbeat came, 0 before the first.
         latch: the last stop and resume.
+        unmoved_ns: for how long the plant has braked though the robot drives; 0 while it does what it is asked.
     """
 
     def __init__(self, fleet: Fleet, robot: int, controller: Controller, trust: NeighbourTrust) -> None:
@@ -61,8 +62,9 @@ class Situation:
         self._listening_ns = LISTEN_ROUNDS * fleet.beacon_rounds * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
-        self._heeded_ns = 0
-        self._heeded = False
+        self._moved_ns = 0
+        self._has_driven = False
+        self.unmoved_ns = 0
         self._unheeded_s = UNHEEDED_S + fleet.control.wrench_timeout_s
         self._reach = fleet.robot(robot).hand_offset_m
         self._speed_max = fleet.control.max_speed_mps
@@ -113,7 +115,7 @@ class Situation:
     @property
     def is_let_down(self) -> bool:
         """Whether the plant brakes, which has driven since the robot does: it lacks wrenches."""
-        return self._heeded and self.plant is not None and not self.plant.driving
+        return self._has_driven and self.plant is not None and not self.plant.driving
 
     @property
     def at_rest(self) -> bool:
@@ -128,6 +130,7 @@ class Situation:
     def conditions(self, now_ns: int, state: State) -> Conditions:
         """The situation at a tick that begins in `state`."""
         mission, controller, trust = self.mission, self._controller, self._trust
+        self._look_at_body(now_ns, state)
         # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
         started = mission is not None and controller.acts_from_ns(now_ns) >= mission.epoch_ns
         stop = ""
@@ -154,19 +157,22 @@ class Situation:
             mission="" if mission is not None else self.refused_mission or "for a mission",
             stop=stop,
             hold=self._deadman(now_ns) or trust.hold,
-            degraded="; ".join(filter(None, (trust.degraded, self._unheeded(now_ns, state)))),
+            degraded="; ".join(filter(None, (trust.degraded, self._unheeded()))),
             started=started,
             at_rest=self.at_rest,
         )
 
-    def _unheeded(self, now_ns: int, state: State) -> str:
-        """What is wrong with a body that goes on standing though its robot drives, "" when it obeys."""
-        plant = self.plant
-        drives = state in DRIVING
+    def _look_at_body(self, now_ns: int, state: State) -> None:
+        """Finds for how long the plant has braked though the robot drives."""
+        plant, drives = self.plant, state in DRIVING
         if not drives or plant is None or plant.driving or not plant.obeying:
-            self._heeded_ns = now_ns
-            self._heeded = drives and (self._heeded or (plant is not None and plant.driving))
-        late_s = (now_ns - self._heeded_ns) / NS_PER_S
+            self._moved_ns = now_ns
+            self._has_driven = drives and (self._has_driven or (plant is not None and plant.driving))
+        self.unmoved_ns = now_ns - self._moved_ns
+
+    def _unheeded(self) -> str:
+        """What is wrong with a body that goes on standing though its robot drives, "" when it obeys."""
+        late_s = self.unmoved_ns / NS_PER_S
         return f"its plant has taken no wrench for {late_s:.1f} s" if late_s > self._unheeded_s else ""
 
     def _plant_trouble(self, now_ns: int) -> str:

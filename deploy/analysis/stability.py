@@ -78,17 +78,6 @@ def _far(fleet: Fleet, geometry: Geometry) -> float:
     return max(0.0, (longest - 1.0) * control.c2 / control.c1)
 
 
-def speed_limit(fleet: Fleet) -> str:
-    """What limits the speed of a fleet's robots, by the name of its field."""
-    control = fleet.control
-    most = speed_max(fleet)
-    if most < control.max_speed_mps:
-        return (
-            f"the {most:.4g} m/s at which control.max_acceleration = {control.max_acceleration:.4g} can steer"
-        )
-    return f"control.max_speed_mps = {control.max_speed_mps:.4g}"
-
-
 def _decay(mode: Mode) -> float:
     """-Re of the slower root of s^2 + k2 s + k1, 1/s."""
     root = mode.k2 * mode.k2 - 4.0 * mode.k1

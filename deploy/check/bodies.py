@@ -15,9 +15,8 @@ from agent.formation import trajectory
 from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import Floats
 from agent.formation.trajectory import make_trajectory
-from deploy.analysis.stability import speed_limit
 from deploy.check.finding import Finding
-from deploy.console.wording import counted, robots
+from deploy.console.wording import counted, robots, speed_limit
 
 TURN_PER_TICK_WARN: Final = 0.5
 FAST_SHARE: Final = 0.9

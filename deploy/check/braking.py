@@ -15,9 +15,9 @@ from agent.fleet.sections import Robot
 from agent.formation import trajectory
 from agent.formation.geometry import Geometry
 from deploy.analysis.couplings import Mode
-from deploy.analysis.stability import sampled_radius, speed_limit
+from deploy.analysis.stability import sampled_radius
 from deploy.check.finding import Finding
-from deploy.console.wording import robots
+from deploy.console.wording import robots, speed_limit
 
 _ROUNDING: Final = 1e-9
 MARGIN_M: Final = 0.05

@@ -1,10 +1,13 @@
-"""Lists of robots, and errors, in messages: short, and in good English."""
+"""Lists of robots, limits and errors in messages: short, and in good English."""
 
 from __future__ import annotations
 
 import traceback
 from collections.abc import Iterable
 from typing import Any, Final
+
+from agent.control.safety_distances import speed_max
+from agent.fleet.model import Fleet
 
 NAMES_SHOWN: Final = 8
 
@@ -35,3 +38,14 @@ def error_text(error: Exception, before: str = "") -> str:
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}, line {frames[-1].lineno})" if frames else ""
     return " ".join(f"{before}{type(error).__name__}: {error}".split())[:300] + where
+
+
+def speed_limit(fleet: Fleet) -> str:
+    """What limits the speed of a fleet's robots, by the name of its field."""
+    control = fleet.control
+    most = speed_max(fleet)
+    if most < control.max_speed_mps:
+        return (
+            f"the {most:.4g} m/s at which control.max_acceleration = {control.max_acceleration:.4g} can steer"
+        )
+    return f"control.max_speed_mps = {control.max_speed_mps:.4g}"

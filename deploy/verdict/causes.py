@@ -14,8 +14,7 @@ from agent.control.safety_distances import avoidance_distance, speed_max
 from deploy.analysis.analysis import Analysis, norm
 from deploy.analysis.balance import rest_shapes
 from deploy.analysis.presence import Flags
-from deploy.analysis.stability import speed_limit
-from deploy.console.wording import robots
+from deploy.console.wording import robots, speed_limit
 from deploy.recording.recording import Recording
 from deploy.recording.tables import StatusTable
 

@@ -36,19 +36,27 @@ class Lateness:
     """What is usual on the link from one robot.
 
     Attributes:
-        forgiven_ns: how old what is known of it usually gets, and four times its scatter, beyond `UNSURE_NS`.
-        usual_ns: how old it usually gets, and its scatter once; 0 where nothing is forgiven.
+        usual_ns: how old what is known of it usually gets, give or take its scatter; 0 where nothing is
+            forgiven.
+        forgiven_ns: how old it may get, beyond `UNSURE_NS`, before its sender counts as silent.
         heeds: whether a message that comes in time has anything to say.
     """
 
     __slots__ = (
-        "_burst", "_expected_ns", "_scatter_ns", "_share", "_taken_ns", "_usual_ns", "forgiven_ns", "heeds",
+        "_burst",
+        "_expected_ns",
+        "_mean_ns",
+        "_scatter_ns",
+        "_share",
+        "_taken_ns",
+        "forgiven_ns",
+        "heeds",
         "usual_ns",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.forgiven_ns = self.usual_ns = 0
-        self._usual_ns = self._scatter_ns = -1
+        self._mean_ns = self._scatter_ns = -1
         self._expected_ns = self._taken_ns = 0
         self._share = self._burst = 0.0
         self.heeds = True
@@ -64,11 +72,11 @@ class Lateness:
             gap_ns: between its stamp and that of the one before, None where that was not awaited.
             expected_ns: between two messages.
         """
-        if self._usual_ns < 0:
-            self._usual_ns, self._scatter_ns = max(0, age_ns), max(0, age_ns) >> 1
+        if self._mean_ns < 0:
+            self._mean_ns, self._scatter_ns = max(0, age_ns), max(0, age_ns) >> 1
         elif now_ns != self._taken_ns:
-            off_ns = age_ns - self._usual_ns
-            self._usual_ns += off_ns >> 3
+            off_ns = age_ns - self._mean_ns
+            self._mean_ns += off_ns >> 3
             self._scatter_ns += (abs(off_ns) - self._scatter_ns) >> 2
         self._taken_ns = now_ns
         if gap_ns is not None and gap_ns < max(OUTAGE_NS, OUTAGE_PERIODS * expected_ns):
@@ -81,11 +89,11 @@ class Lateness:
     def expect(self, expected_ns: int) -> None:
         """From now on so much is between two messages."""
         self._expected_ns = expected_ns
-        usual_ns = self._usual_ns + self._run_ns()
-        allowed_ns = usual_ns + 4 * self._scatter_ns - UNSURE_NS
+        aged_ns = self._mean_ns + self._run_ns()
+        allowed_ns = aged_ns + 4 * self._scatter_ns - UNSURE_NS
         self.forgiven_ns = max(0, min(allowed_ns, LATE_MAX_NS))
         most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
-        self.usual_ns = min(usual_ns + self._scatter_ns, most_ns)
+        self.usual_ns = min(aged_ns + self._scatter_ns, most_ns)
         self.heeds = allowed_ns > 0 or self._share > _HEEDED
 
     def _run_ns(self) -> int:

@@ -125,7 +125,13 @@ def following(
 def slowed(
     found: Prediction, message: HandState, then: Sample, since: Sample, age: float, most: float
 ) -> Prediction:
-    """As `found`, of one that goes no faster than `most` (m/s) as seen from its place (P3)."""
+    """A robot that goes no faster than `most` as seen from its place, (P3).
+
+    Args:
+        found: where it would be, from its message on by (P1).
+        then, since: its reference at the time of `found` and at that of its message, m, m/s, W.
+        age: between the two, s; `most`: m/s.
+    """
     ex, ey = message.x - since[0], message.y - since[1]
     dx, dy = found.position[0] - then[0] - ex, found.position[1] - then[1] - ey
     share = min(1.0, most * age / max(hypot(dx, dy), DISTANCE_MIN))

@@ -24,8 +24,6 @@ BEGIN_S: Final = 1.0
 CALM_S: Final = 8.0
 """At the end all have had the time to stand."""
 RECOVERED_S: Final = 21.0
-_TURN_RAD: Final = 0.3
-"""V / (L rate) is below it."""
 _RATES_HZ: Final = ((10, 2.0), (15, 3.0), (20, 2.0), (30, 0.5))
 
 
@@ -33,15 +31,14 @@ def draw_cut_off(seed: int) -> Tables:
     """The tables of the fleet file of this seed."""
     dice = Dice("cut-off", seed)
     safe_m = dice.between(0.2, 0.35, 2)
-    control = pieces.draw_control(Dice("control", seed))
-    control["max_speed_mps"] = speed = dice.between(0.7, 1.5, 2)
+    control, speed = pieces.draw_fast_control(dice, seed)
     rate_hz = dice.weighted(_RATES_HZ)
     control |= pieces.timeouts(rate_hz)
     sizes = dice.whole(1, GROUP_MAX), dice.whole(1, GROUP_MAX)
     ids = list(range(1, sum(sizes) + 1))
     first = dice.some(ids, sizes[0])
     groups = first, [robot for robot in ids if robot not in first]
-    reach_m = round(max(dice.between(0.1, 0.2), speed / (_TURN_RAD * rate_hz)), 2)
+    reach_m = pieces.draw_reach(dice, speed, rate_hz)
     starts, shape, bridge, way_m = _crossing(dice, groups, safe_m)
     heal = dice.chance(0.4)
     met_s = way_m / speed + 3.0
@@ -51,10 +48,8 @@ def draw_cut_off(seed: int) -> Tables:
         "formation": pieces.formation(shape, ids, safe_m, assign=False),
         "control": control,
         "trajectory": _trajectory(dice, speed),
-        "robot_defaults": {
-            "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
-        },
-    }  # fmt: skip
+        "robot_defaults": pieces.plain_body(reach_m),
+    }
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}
     tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)

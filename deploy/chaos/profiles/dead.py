@@ -70,10 +70,8 @@ def _draw(seed: int, *, restarts: bool) -> Tables:
         "formation": pieces.formation(shape, places, safe_m, assign=dice.chance(0.5)),
         "control": control,
         "trajectory": trajectory,
-        "robot_defaults": {
-            "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
-        },
-    }  # fmt: skip
+        "robot_defaults": pieces.plain_body(reach_m),
+    }
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}
     apart = pieces.START_FACTOR * safe_m

@@ -60,10 +60,8 @@ def draw_fast(seed: int) -> Tables:
         "formation": pieces.formation(shape, ids, safe_m, assign=True),
         "control": control,
         "trajectory": _trajectory(dice, speed, control["max_acceleration"]),
-        "robot_defaults": {
-            "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
-        },
-    }  # fmt: skip
+        "robot_defaults": pieces.plain_body(reach_m),
+    }
     tables["robot"] = pieces.robots_at(dice, _starts(dice, shape.offsets, safe_m), (), reach_m)
     tables["faults"] = links | ({"rule": restarts} if restarts else {})
     return tables

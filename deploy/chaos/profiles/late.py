@@ -24,8 +24,6 @@ CROSS_S: Final = (15.0, 35.0)
 LATE_S: Final = 120.0
 """Drives last so long in which messages stay late to the end: then all are in formation at last."""
 RECOVERED_S: Final = 21.0
-_TURN_RAD: Final = 0.3
-"""V / (L rate) is below it."""
 _RATES_HZ: Final = ((10, 1.0), (15, 2.0), (20, 3.0), (25, 1.0))
 
 
@@ -33,8 +31,7 @@ def draw_late(seed: int) -> Tables:
     """The tables of the fleet file of this seed."""
     dice = Dice("late", seed)
     safe_m = dice.between(0.2, 0.35, 2)
-    control = pieces.draw_control(Dice("control", seed))
-    control["max_speed_mps"] = speed = dice.between(0.7, 1.5, 2)
+    control, speed = pieces.draw_fast_control(dice, seed)
     control.pop("prediction_horizon_s", None)
     rate_hz = dice.weighted(_RATES_HZ)
     control |= pieces.timeouts(rate_hz)
@@ -46,16 +43,14 @@ def draw_late(seed: int) -> Tables:
     )
     heals = dice.chance(0.75)
     cross_s = dice.between(*CROSS_S, 1)
-    reach_m = round(max(dice.between(0.1, 0.2), speed / (_TURN_RAD * rate_hz)), 2)
+    reach_m = pieces.draw_reach(dice, speed, rate_hz)
     tables: Tables = {
         "fleet": pieces.fleet(seed, rate_hz, cross_s + RECOVERED_S if heals else LATE_S),
         "formation": pieces.formation(Shape(offsets, edges), ids, safe_m, assign=False),
         "control": control,
         "trajectory": _trajectory(dice, speed),
-        "robot_defaults": {
-            "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
-        },
-    }  # fmt: skip
+        "robot_defaults": pieces.plain_body(reach_m),
+    }
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}
     tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)

@@ -22,6 +22,10 @@ _TIMEOUT_S: Final = 0.2
 """Of a plant and of a wrench by default."""
 _TIMEOUT_PERIODS: Final = 2.5
 """`handfast check` wants at least two."""
+_FAST_MPS: Final = (0.7, 1.5)
+_REACH_M: Final = (0.1, 0.2)
+_TURN_RAD: Final = 0.3
+"""V / (L rate) of a fast robot is below it."""
 
 
 def name_of(seed: int) -> str:
@@ -46,10 +50,27 @@ def draw_control(dice: Dice) -> Tables:
     return control
 
 
+def draw_fast_control(dice: Dice, seed: int) -> tuple[Tables, float]:
+    """``[control]`` of a fleet whose robots may be fast, and its greatest speed, m/s."""
+    control = draw_control(Dice("control", seed))
+    control["max_speed_mps"] = speed = dice.between(*_FAST_MPS, 2)
+    return control, speed
+
+
+def draw_reach(dice: Dice, speed: float, rate_hz: float) -> float:
+    """L of robots that go so fast (m/s): the hand of one at so low a rate has to be further out."""
+    return round(max(dice.between(*_REACH_M), speed / (_TURN_RAD * rate_hz)), 2)
+
+
 def timeouts(rate_hz: float) -> Tables:
     """Fields of ``[control]`` that a low rate needs; none at a rate that the defaults suit."""
     enough_s = round(_TIMEOUT_PERIODS / rate_hz, 2)
     return {} if enough_s <= _TIMEOUT_S else {"plant_timeout_s": enough_s, "wrench_timeout_s": enough_s}
+
+
+def plain_body(reach_m: float) -> Tables:
+    """``[robot_defaults]`` of a body that does at once whatever it is asked."""
+    return {"mass_kg": MASS_KG, "inertia_kgm2": INERTIA_KGM2, "hand_offset_m": reach_m}
 
 
 def draw_body(dice: Dice, acceleration: float) -> Tables:

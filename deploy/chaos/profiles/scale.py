@@ -51,10 +51,8 @@ def draw_scale(seed: int) -> Tables:
         "formation": pieces.formation(shape, ids, safe_m, assign=assign),
         "control": {"max_speed_mps": speed, "max_acceleration": dice.between(1.5, 5.0, 1)},
         "trajectory": _trajectory(dice, spacing, speed),
-        "robot_defaults": {
-            "mass_kg": pieces.MASS_KG, "inertia_kgm2": pieces.INERTIA_KGM2, "hand_offset_m": reach_m,
-        },
-    }  # fmt: skip
+        "robot_defaults": pieces.plain_body(reach_m),
+    }
     tables["robot"] = pieces.robots_about(Dice("robots", seed), ids, (), side, apart, reach_m)
     return tables
 

@@ -404,7 +404,7 @@ def test_numbers_that_fail_are_a_fault_in_every_driving_state(silent: bool):
         bench.cut = lambda key, node: key == "few/robot/3/hand" and node is bench.agents[1]
         bench.run(3.0)
         assert bench.state(1) is State.DEGRADED
-    bench.agents[1]._controller._gains = law.Gains(float("nan"), 1.0, 1.0)
+    bench.agents[1]._controller._assembly._gains = law.Gains(float("nan"), 1.0, 1.0)
     bench.step()
     assert isinstance(wrench := bench.wrenches(1)[-1], Wrench)
     assert wrench.brake
