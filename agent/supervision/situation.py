@@ -42,7 +42,7 @@ class Situation:
         ending: whether the process is to end.
         heartbeat_ns: when the operator's last heartbeat came, 0 before the first.
         latch: the last stop and resume.
-        unmoved_ns: for how long the plant has braked though the robot drives; 0 while it does what it is asked.
+        unmoved_ns: how long the plant has braked though the robot drives; 0 while it does what it is asked.
     """
 
     def __init__(self, fleet: Fleet, robot: int, controller: Controller, trust: NeighbourTrust) -> None:

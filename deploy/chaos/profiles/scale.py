@@ -22,8 +22,6 @@ SAFE_SHARES: Final = (0.2, 0.45)
 """Least and most of that is the safe distance, and `SAFE_MAX_M` at most."""
 SAFE_MAX_M: Final = 1.0
 SETTLE_S: Final = 40.0
-THROUGH_S: Final = 80.0
-"""Where slots are not assigned: robots that want through each other may need several tries."""
 _RATES_HZ: Final = ((20, 2.0), (25, 1.0))
 
 
@@ -44,11 +42,9 @@ def draw_scale(seed: int) -> Tables:
     speed = round(min(dice.between(0.5, 1.5), 0.45 * reach_m * rate_hz), 2)
     apart = pieces.START_FACTOR * safe_m
     side = max(1.5 * shape.span, 2.5 * apart * len(ids) ** 0.5)
-    assign = dice.chance(0.5)
-    settle_s = SETTLE_S if assign else THROUGH_S
     tables: Tables = {
-        "fleet": pieces.fleet(seed, rate_hz, settle_s + 2.0 * side / speed),
-        "formation": pieces.formation(shape, ids, safe_m, assign=assign),
+        "fleet": pieces.fleet(seed, rate_hz, SETTLE_S + 2.0 * side / speed),
+        "formation": pieces.formation(shape, ids, safe_m, assign=dice.chance(0.5)),
         "control": {"max_speed_mps": speed, "max_acceleration": dice.between(1.5, 5.0, 1)},
         "trajectory": _trajectory(dice, spacing, speed),
         "robot_defaults": pieces.plain_body(reach_m),
