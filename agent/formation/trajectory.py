@@ -31,7 +31,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, cos, hypot, inf, isfinite, sin, sqrt, tau
+from math import atan2, ceil, cos, hypot, inf, isfinite, sin, sqrt, tau
 from typing import Final, Protocol
 
 from agent.common.quantities import Vector
@@ -297,6 +297,19 @@ def corner_distances(section: TrajectorySection) -> tuple[float, ...]:
     changes = _velocity_changes(points, _leg_speeds(points, speed, acceleration))
     inner = [_CUT * _PEAK * (x * x + y * y) / acceleration for x, y in changes[1:-1]]
     return (0.0, *inner, 0.0) if len(points) > 1 else (0.0,)
+
+
+def corner_turns(section: TrajectorySection) -> tuple[float, ...]:
+    """By how much the reference turns at each waypoint, rad, 0 to pi; 0 at the first and the last one.
+
+    One number for every waypoint that is not on the one before it; empty for other kinds.
+    """
+    if section.kind != "waypoints":
+        return ()
+    points, _, _ = _waypoint_fields(section)
+    ways = [(bx - ax, by - ay) for (ax, ay), (bx, by) in pairwise(points)]
+    turns = [abs(atan2(ax * by - ay * bx, ax * bx + ay * by)) for (ax, ay), (bx, by) in pairwise(ways)]
+    return (0.0, *turns, 0.0) if ways else (0.0,)
 
 
 def _make_waypoints(section: TrajectorySection) -> _Waypoints | _Hold:

@@ -113,6 +113,11 @@ def _nothing(_: Conditions) -> str:
     return ""
 
 
+def _missing_or(what: str) -> Callable[[Conditions], str]:
+    """The reason to wait for one tick at least: what is missing, else `what` has just changed."""
+    return lambda c: _missing(c) or what
+
+
 TRANSITIONS: Final[tuple[Transition, ...]] = (
     Transition("numbers_failed", _ALL, State.FAULT, lambda c: bool(c.numbers), lambda c: c.numbers),
     Transition(
@@ -122,7 +127,13 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
         lambda c: bool(c.plant),
         lambda c: c.plant,
     ),
-    Transition("plant_back", frozenset({State.FAULT}), State.WAITING, lambda c: not c.plant, _missing),
+    Transition(
+        "plant_back",
+        frozenset({State.FAULT}),
+        State.WAITING,
+        lambda c: not c.plant,
+        _missing_or("its plant is back"),
+    ),
     Transition(
         "at_rest",  # and while it stands, for another reason than at first
         _AT_END,
@@ -133,7 +144,9 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
     Transition(
         "stop", _ALL - {State.STOPPED, State.FAULT}, State.STOPPING, lambda c: bool(c.stop), lambda c: c.stop
     ),
-    Transition("stop_ended", _AT_END, State.WAITING, lambda c: not c.stop, _missing),
+    Transition(
+        "stop_ended", _AT_END, State.WAITING, lambda c: not c.stop, _missing_or("nothing stops it any more")
+    ),
     Transition(
         "without_place",
         _ACTIVE | _BEFORE | {State.STANDBY},
@@ -142,7 +155,11 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
         lambda c: c.place,
     ),
     Transition(
-        "standby_ended", frozenset({State.STANDBY}), State.WAITING, lambda c: True, lambda c: _missing(c)
+        "standby_ended",
+        frozenset({State.STANDBY}),
+        State.WAITING,
+        lambda c: True,
+        _missing_or("it has been given a place"),
     ),
     Transition("rescheduled", _ACTIVE, State.READY, lambda c: not c.started, lambda c: "for the epoch"),
     Transition("body_released", _ACTIVE, State.RELEASED, lambda c: bool(c.body), lambda c: c.body),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import atan2, exp, hypot, inf, sqrt
+from math import atan2, exp, hypot, inf, pi, sqrt
 from typing import Final
 
 import numpy as np
 
-from agent.control.safety_distances import TURN_MAX, speed_max
+from agent.control.safety_distances import TURN_MAX, barrier_rate, speed_max
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
 from agent.formation import trajectory
@@ -16,11 +16,18 @@ from agent.formation.geometry import Geometry, start_hands
 from agent.formation.points import Floats
 from agent.formation.trajectory import make_trajectory
 from deploy.check.finding import Finding
-from deploy.console.wording import counted, robots, speed_limit
+from deploy.console.wording import counted, robots, some, speed_limit
 
 TURN_PER_TICK_WARN: Final = 0.5
 FAST_SHARE: Final = 0.9
 """Of the speed limit: a faster trajectory leaves too little to catch up with."""
+TURN_BACK_RAD: Final = 0.92 * pi
+"""A reference that turns by more drives bodies backwards."""
+_SWING: Final = 4.0
+_SWING_S: Final = 0.5
+"""Bodies driven back faster than `_SWING` p L swing round as slowly as (F9) lets them; where the reference
+is so fast within `_SWING_S` p L/a they fall behind by 0.15 m to 1.5 m (two robots, 0.2 to 0.7 m/s, 0.5 to 3
+m/s^2, corners of 0.05 to 0.5 m/s^2), elsewhere by up to 0.2 m."""
 TURN_PER_TICK_MAX: Final = 2.0
 """V / (L rate), what a robot driven across its heading turns in one tick, rad.
 
@@ -90,7 +97,30 @@ def check_motion(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
             f"({length:.4g} m) at {slowest:.3g} m/s; longer legs or a larger corner_acceleration would be "
             "faster",
         )
+    yield from _turning_back(fleet)
     yield from _bodies(fleet, geometry, speed, acceleration)
+
+
+def _turning_back(fleet: Fleet) -> Iterator[Finding]:
+    """Waypoints at which the formation turns back, and bodies have to turn about at once, (F9)."""
+    section = fleet.trajectory
+    back = [k for k, turn in enumerate(trajectory.corner_turns(section), 1) if turn > TURN_BACK_RAD]
+    if not back or not fleet.avoidance.enabled:
+        return
+    rate = barrier_rate(fleet)
+    shortest = min(fleet.robots, key=lambda robot: robot.hand_offset_m)
+    able = rate * shortest.hand_offset_m
+    wanted = section.corner_acceleration
+    if able >= _SWING_S * wanted or (section.speed_mps or 0.0) <= _SWING * able:
+        return
+    yield Finding(
+        "warning",
+        "trajectory.corner_acceleration",
+        f"the course turns back at waypoint{'s' * (len(back) != 1)} {some(back)} with {wanted:.4g} m/s2: "
+        f"robot {shortest.id}, whose hand is {shortest.hand_offset_m:.4g} m ahead, cannot turn about so soon "
+        f"and falls behind at each of them; take at most {able / _SWING_S:.2g} m/s2, or a longer "
+        "hand_offset_m",
+    )
 
 
 def _speed(fleet: Fleet, speed: float) -> Iterator[Finding]:

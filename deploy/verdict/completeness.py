@@ -19,6 +19,8 @@ SILENCE_S: Final = 2.0
 """An agent says its status five times a second; one that said nothing in the last so many is lost."""
 GAP_S: Final = 0.5
 """Poses missing for longer than this make a run's data incomplete."""
+_PERIODS: Final = 2.5
+"""Or for longer than so many periods of a slow body: a late tick is no missing pose."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +192,8 @@ def _stopped_by_order(recording: Recording) -> bool:
 
 
 def _gaps(recording: Recording) -> list[Gap]:
-    """Gaps longer than `GAP_S`."""
+    """Gaps longer than `GAP_S`, or `_PERIODS`."""
+    longest_s = max(GAP_S, _PERIODS * recording.fleet.period_ns / 1e9)
     out = []
     end_s, epoch_ns = recording.end_s, recording.epoch_ns or 0
     stood, late = stalls(recording), late_robots(recording)
@@ -199,7 +202,7 @@ def _gaps(recording: Recording) -> list[Gap]:
             continue
         host = recording.fleet.robot(robot).host or ""
         times = np.concatenate([[0.0], np.clip(data.body.t, 0.0, end_s), [end_s]])
-        for k in np.flatnonzero(np.diff(times) > GAP_S).tolist():
+        for k in np.flatnonzero(np.diff(times) > longest_s).tolist():
             start_s, stop_s = float(times[k]), float(times[k + 1])
             asked = [
                 event.rule

@@ -11,6 +11,7 @@ from agent.control.peers.lanes import Lane
 from agent.fleet.sections import TrajectorySection
 from agent.formation.trajectory import (
     corner_distances,
+    corner_turns,
     duration,
     legs,
     make_trajectory,
@@ -118,6 +119,8 @@ def test_a_path_that_turns_back_turns_the_stated_distance_before_the_waypoint():
     turning = make_trajectory(section).at(1.25 + 8.0)
     assert turning[:4] == pytest.approx((4.0 - 9.0 / 16.0 * 0.25 / 0.3, 0.0, 0.0, 0.0))
     assert corner_distances(section)[1] == pytest.approx(4.0 - turning[0])
+    assert corner_turns(section) == pytest.approx((0.0, pi, 0.0))
+    assert corner_turns(CORNER) == pytest.approx((0.0, 0.5 * pi, 0.0))
 
 
 def test_a_waypoint_on_the_one_before_it_makes_no_leg():
@@ -130,7 +133,7 @@ def test_waypoints_all_the_same_hold():
     section = replace(CORNER, waypoints_m=((1.0, 2.0), (1.0, 2.0)))
     assert make_trajectory(section).at(3.0) == (1.0, 2.0, 0.0, 0.0, 0.0, 0.0)
     assert (duration(section), maximum_speed(section), maximum_acceleration(section)) == (0.0, 0.0, 0.0)
-    assert corner_distances(section) == (0.0,)
+    assert corner_distances(section) == corner_turns(section) == (0.0,)
 
 
 def test_durations_and_greatest_values():
@@ -149,7 +152,7 @@ def test_durations_and_greatest_values():
     assert maximum_acceleration(CIRCLE) == pytest.approx(0.125)
     assert maximum_acceleration(CORNER) == 0.3
     assert maximum_acceleration(LINE) == maximum_acceleration(HOLD) == 0.0
-    assert legs(LINE) == corner_distances(LINE) == ()
+    assert legs(LINE) == corner_distances(LINE) == corner_turns(LINE) == ()
 
 
 @pytest.mark.parametrize(

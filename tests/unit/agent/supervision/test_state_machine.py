@@ -308,12 +308,12 @@ def test_from_reserve_into_the_formation_and_out_again():
 
 
 def test_every_braking_state_says_why():
-    """But for STOPPED, which keeps the reason of the stop, and for what lasts one tick."""
+    """But for STOPPED, which keeps the reason of the stop."""
     for state, conditions in CASES:
         if conditions.started and not conditions.mission:
             conditions = conditions._replace(at_rest=False)
         after, row = step(state, conditions)
-        if row is None or row.name in ("plant_back", "stop_ended", "standby_ended"):
+        if row is None:
             continue
         if after in BRAKING:
             assert row.reason(conditions), (state, conditions, row.name)

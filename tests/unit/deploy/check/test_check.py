@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 import pytest
@@ -461,6 +462,28 @@ def test_legs_too_short_for_the_speed_are_named():
     short = replace(WAYPOINTS, waypoints_m=((0.0, 0.0), (5.0, 0.0), (5.0, 0.1), (9.0, 0.1)))
     message = at(check(fleet(trajectory=short)), "trajectory.waypoints_m", "info")
     assert message.startswith("leg 2 is too short for 0.5 m/s")
+
+
+@pytest.mark.parametrize(
+    ("change", "warns"),
+    [
+        ({}, True),
+        ({"corner_acceleration": 0.1}, False),
+        ({"speed_mps": 0.2}, False),  # so slow that it may swing round while it is driven back
+        ({"waypoints_m": ((0.0, 0.0), (4.0, 0.0), (0.0, 2.0))}, False),  # it is led round
+    ],
+)
+def test_a_course_that_turns_back_sooner_than_bodies_turn_about(change: dict[str, Any], warns: bool):
+    back = TrajectorySection(
+        "waypoints", waypoints_m=((0.0, 0.0), (4.0, 0.0), (0.0, 0.0)), speed_mps=0.4, corner_acceleration=0.3
+    )
+    control = {"max_acceleration": 0.8, "max_speed_mps": 1.5}
+    found = check(fleet(trajectory=replace(back, **change), control=control, body={"hand_offset_m": 0.08}))
+    texts = [each.message for each in found if "turns back" in each.message]
+    assert bool(texts) == warns
+    if warns:
+        assert texts[0].startswith("the course turns back at waypoint 2 with 0.3 m/s2: robot 1, whose hand")
+        assert "take at most 0.11 m/s2" in texts[0]
 
 
 @pytest.mark.parametrize(("offset", "level"), [(0.1, None), (0.03, "warning"), (0.005, "error")])

@@ -93,6 +93,35 @@ def test_one_that_was_killed_for_good_sends_no_pose() -> None:
         assert missed in Completeness(recording, analyse(recording, resolve(FLEET))).reasons
 
 
+def test_where_one_that_was_killed_for_good_stands_nobody_else_may_be() -> None:
+    """Its data are not missed, its body is there to the end: who drives into it fails the drive."""
+    first, second = in_formation(FLEET)
+    sent = messages(FLEET, [lambda t: second(t) if t > 5.0 else first(t), second])
+    died_ns = EPOCH_NS + 3_050_000_000
+    kept = [each for each in sent if getattr(each[2], "robot", 0) != 2 or each[0] < died_ns]
+    events = event(3.0, "kill"), event(3.0, "kill", "plant")
+    a = analyse(replace(recorded(FLEET, kept), events=events), resolve(FLEET))
+    assert a.closest is not None
+    assert a.closest.distance_m < 0.05
+    assert a.closest.t_s > 5.0
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 3.0, 10.0])
+def test_a_late_tick_of_a_slow_body_is_no_missing_pose(rate_hz: float) -> None:
+    """One round and most of another one are silent at 2 and 3 Hz; 0.8 s are eight at 10 Hz."""
+    fleet = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=8.0, rate_hz=rate_hz)
+    sent = messages(fleet, in_formation(fleet))
+    lost_s = 0.8 if rate_hz > 3 else 1.1 / rate_hz
+    lost = range(EPOCH_NS + 3_000_000_001, EPOCH_NS + round((3.0 + lost_s) * 1e9))
+    kept = [
+        each
+        for each in sent
+        if not isinstance(each[2], PlantState) or each[2].robot == 2 or each[2].time_ns not in lost
+    ]
+    recording = recorded(fleet, kept)
+    assert bool(Completeness(recording, analyse(recording, resolve(fleet))).reasons) == (rate_hz > 3)
+
+
 @pytest.mark.parametrize("back", [False, True])
 def test_an_agent_that_is_killed_for_good_is_said(back: bool) -> None:
     events = (event(3.0, "kill"), *([event(5.0, "start")] if back else []))
