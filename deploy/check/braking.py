@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-from math import dist, floor, inf, log10
+from math import dist, floor, inf, log10, sqrt
 from typing import Final
 
+from agent.common.time import NS_PER_S
 from agent.control.peers.beliefs import said_doubt
-from agent.control.safety_distances import AHEAD_M, RATE_SHARE, barrier_rate, braking_room, speed_max
+from agent.control.peers.lateness import UNSURE_NS
+from agent.control.safety_distances import (
+    AHEAD_M,
+    RATE_SHARE,
+    acceleration_max,
+    barrier_rate,
+    braking_room,
+    speed_max,
+)
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
@@ -162,6 +171,43 @@ def check_room(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         f"{fastest:.4g} m/s is too fast for robots {i} and {j}, whose places are {apart:.4g} m apart{more}: "
         f"where one follows the other, the safety filter keeps it {needed:.4g} m behind, so that it can "
         f"brake when the other does{late}; {slower}put them farther apart",
+    )
+
+
+def check_sudden(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
+    """Places between which one that stands suddenly on late links is heard of too late.
+
+    Raises:
+        ValueError: a trajectory that `agent.formation.trajectory` cannot make.
+    """
+    late_s = _late_s(fleet)
+    if not late_s or not fleet.avoidance.enabled:
+        return
+    # Its agent misses its plant after a timeout, and a message may be so much later than it usually is.
+    blind_s = fleet.control.plant_timeout_s + late_s + UNSURE_NS / NS_PER_S
+    keep = fleet.formation.safe_distance_m + fleet.avoidance.margin_m
+    braking, section = acceleration_max(fleet), fleet.trajectory
+    tight = []
+    for (i, a), (j, b) in combinations(zip(geometry.ids, geometry.offsets.tolist(), strict=True), 2):
+        apart = dist(a, b)
+        if not keep < apart < keep + blind_s * speed_max(fleet) + speed_max(fleet) ** 2 / (2.0 * braking):
+            continue
+        along = trajectory.maximum_speed_along(section, (b[0] - a[0]) / apart, (b[1] - a[1]) / apart)
+        needed = keep + blind_s * along + along * along / (2.0 * braking)
+        if needed > apart * (1.0 + _ROUNDING):
+            tight.append((apart - needed, i, j, apart, needed, along))
+    if not tight:
+        return
+    _, i, j, apart, needed, along = min(tight)
+    more = f" ({len(tight)} such pairs in all)" if len(tight) > 1 else ""
+    able = braking * (sqrt(blind_s * blind_s + 2.0 * (apart - keep) / braking) - blind_s)
+    yield Finding(
+        "warning",
+        "faults.delay",
+        f"messages that are always {late_s:.3g} s late say so late that a robot stands whose plant or agent "
+        f"dies: at {along:.3g} m/s who follows it needs {needed:.3g} m, and robots {i} and {j}{more} are "
+        f"{apart:.4g} m apart; put them farther apart, or take at most "
+        f"{_below(able * trajectory.maximum_speed(section) / along)} m/s",
     )
 
 

@@ -17,7 +17,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.points import Floats
 from deploy.analysis.clearances import distances
-from deploy.check.braking import check_braking, check_room
+from deploy.check.braking import check_braking, check_room, check_sudden
 from deploy.check.finding import Finding, Level
 from deploy.check.paths import Paths
 from deploy.console.wording import NAMES_SHOWN, robots
@@ -47,6 +47,7 @@ def check_safety(fleet: Fleet, geometry: Geometry | None) -> Iterator[Finding]:
     except ValueError:
         return  # a trajectory that cannot be made: `deploy.check.check` says so
     yield from check_room(fleet, geometry)
+    yield from check_sudden(fleet, geometry)
     for number, obstacle in enumerate(obstacles, 1):
         yield from _way_past(fleet, ways, number, obstacle, keep)
     if fence is not None:

@@ -138,6 +138,25 @@ def test_the_pair_that_is_warned_of_drives_so_far_apart() -> None:
     assert float(a.distances[-1, 0]) == pytest.approx(0.37, abs=1e-3)
 
 
+def suddenly(apart: float) -> Fleet:
+    """The same at 0.7 m/s, every message a second late; the first one's plant dies for two."""
+    dies = 'faults.rule=[{name = "dies", robot = 2, kill = "plant", at = 8.0, for = 2.0}]'
+    late = ("trajectory.velocity_mps=[0, 0.7]", "control.max_acceleration=2", "faults.delay=1s", dies)
+    return places(apart, "formation.safe_distance_m=0.4", "fleet.duration_s=15", *late)
+
+
+def test_places_between_which_one_that_stands_suddenly_is_heard_of_too_late() -> None:
+    text = room(suddenly(1.15))["faults.delay"].message
+    assert "who follows it needs 1.59 m, and robots 1 and 2 are 1.15 m apart" in text
+    assert "take at most 0.448 m/s" in text
+    for apart, is_safe in ((1.15, False), (1.6, True)):
+        fleet = suddenly(apart)
+        assert ("faults.delay" not in room(fleet)) == is_safe
+        closest = analyse(judged.drive(fleet), resolve(fleet)).closest
+        assert closest is not None
+        assert (closest.distance_m > 0.4) == is_safe
+
+
 def test_places_nearer_than_the_last_stage_lets_robots_come() -> None:
     text = room(places(0.25))["avoidance.margin_m"].message
     assert (
