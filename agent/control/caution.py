@@ -30,6 +30,9 @@ TURNED: Final = 0.05
 AT_PLACE: Final = 0.9
 """Ways do not meet where places are that near to each other: this share of their distance."""
 
+Point = tuple[float, float, float, float] | None
+"""Where a robot is on its way, and where its place is then, m, W; None for one without a place."""
+
 
 class Caution:
     """What robot `robot` has to heed; nothing, and at no cost, where no link is late.
@@ -57,6 +60,7 @@ class Caution:
         if now_ns >= self._until_ns:
             self.speed = inf
         own: HandState | None = None
+        way: list[Point] = []
         for peer in near:
             message = peer.message
             if not peer.forgiven_ns or message is None or not message.following or not peer.is_heard(now_ns):
@@ -64,24 +68,36 @@ class Caution:
             late_ns = peer.lateness.usual_ns
             speed = PACE * (NS_PER_S / late_ns) ** 2
             own = own or HandState.placed(self._robot, 0, now_ns, True, 0, (here.x, here.y, here.vx, here.vy))
-            meets = self._meet(own, peer, message, now_ns, late_ns)
+            meets = self._meet(own, way, peer, message, now_ns, late_ns)
             if meets or hypot(message.correction_x, message.correction_y) > TURNED:
                 peer.slowly, peer.slowly_until_ns = speed, now_ns + late_ns
             if meets:
                 self.speed, self._until_ns = min(speed, self.speed), now_ns + late_ns
 
-    def _meet(self, own: HandState, peer: Peer, message: HandState, now_ns: int, late_ns: int) -> bool:
-        """Whether two that do as the law says, and make no way for anybody, come too near to each other."""
-        forecast, motion = self._peers.forecast, self._reference.motion
+    def _meet(
+        self, own: HandState, way: list[Point], peer: Peer, message: HandState, now_ns: int, late_ns: int
+    ) -> bool:
+        """Whether two that do as the law says, and make no way for anybody, come too near to each other.
+
+        Args:
+            way: the own one, as far as it has been asked for; it is the same beside every other.
+        """
         keep = self._keep_m + said_doubt(late_ns / NS_PER_S) + MORE_M
         step_ns = round(STEP_S * NS_PER_S)
-        for then_ns in range(now_ns, now_ns + late_ns + round(AHEAD_S * NS_PER_S), step_ns):
-            mine = forecast.following(own, then_ns)
-            other = forecast.following(message, then_ns + peer.clock.used_ns)
-            a, b = motion(self._robot, then_ns), motion(peer.robot, then_ns)
-            if mine is None or other is None or a is None or b is None:
+        for k, then_ns in enumerate(range(now_ns, now_ns + late_ns + round(AHEAD_S * NS_PER_S), step_ns)):
+            if k == len(way):
+                way.append(self._at(own, then_ns, 0))
+            mine, other = way[k], self._at(message, then_ns, peer.clock.used_ns)
+            if mine is None or other is None:
                 return False
-            away = hypot(mine.position[0] - other.position[0], mine.position[1] - other.position[1])
-            if away < min(keep, AT_PLACE * hypot(a[0] - b[0], a[1] - b[1])):
+            (x, y, place_x, place_y), (other_x, other_y, beside_x, beside_y) = mine, other
+            apart = hypot(place_x - beside_x, place_y - beside_y)
+            if hypot(x - other_x, y - other_y) < min(keep, AT_PLACE * apart):
                 return True
         return False
+
+    def _at(self, message: HandState, then_ns: int, ahead_ns: int) -> Point:
+        """Where one whose clock is ahead by so much would be at a time of the own clock."""
+        found = self._peers.forecast.following(message, then_ns + ahead_ns)
+        place = self._reference.motion(message.robot, then_ns)
+        return None if found is None or place is None else (*found.position, *place[:2])

@@ -77,7 +77,9 @@ class NeighbourTrust:
             late = inf if age is None else age - peer.forgiven_ns
             heard = late <= self._horizon_ns and peer.here
             wanted = heard and message is not None and message.following
-            if drives:
+            if drives and wanted and peer.trust == 1.0:
+                pass  # as nearly always
+            elif drives:
                 controller.peers.update_trust(peer, wanted, period_s)
             else:
                 controller.peers.set_trust(peer, 1.0 if wanted and state is State.READY else 0.0)
