@@ -34,6 +34,8 @@ FASTER_S: Final = 0.5
 _COMMAND_SHARE: Final = 1.0 + 1e-6
 RECOVERED_S: Final = 20.0
 """Within so long after the last fault or change all drive in formation again."""
+BACK_S: Final = 3.0
+"""By then a robot follows again that could not, and its way can be seen."""
 ERROR_M: Final = 0.1
 """Largest error of an edge's distance at the end, where only links fail and the formation has settled."""
 LATE_MAX_S: Final = 1.25
@@ -127,7 +129,8 @@ def recovery(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation]
             )
             found.append(Violation("recovery", t_s, message))
     free_s = max(last_s, _held_up_s(a, fleet))
-    way_m = float(np.nan_to_num(distances_m(a)[np.argmax(a.grid >= free_s)]).max())
+    left = (a.grid >= free_s) & (a.grid <= free_s + BACK_S)
+    way_m = float(np.nan_to_num(distances_m(a)[left]).max(initial=0.0))
     due_s = free_s + formed_by_s(way_m, maximum_speed(fleet.trajectory), fleet)
     off = a.off & (a.grid >= due_s)[:, None]
     if off.any():  # what follows takes its time

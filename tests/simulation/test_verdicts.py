@@ -56,3 +56,13 @@ def test_a_course_that_is_faster_than_robots_may_drive_fails() -> None:
     result = RunResult(judged.drive(resolved(load_fleet(FLEETS / "pair.toml", fast))))
     (reason,) = [each for each in result.reasons if "from their places at the end" in each]
     assert reason.endswith("places move at 3.00 m/s and the limit is control.max_speed_mps = 1.5.")
+
+
+def test_who_fell_behind_a_fast_course_has_the_time_that_it_takes_to_catch_up() -> None:
+    """0.15 m/s are left for the 6 m by which it is behind when it drives again, long after its fault."""
+    behind = 'faults.rule=[{name = "stands", robot = 1, kill = "plant", at = 8.0, for = 3.5}]'
+    fast = ["trajectory.kind=line", "trajectory.velocity_mps=[1.35, 0.0]", behind, "fleet.duration_s=70"]
+    result = RunResult(judged.drive(resolved(load_fleet(FLEETS / "pair.toml", fast))))
+    assert result.reasons == []
+    assert result.analysis.settling_s is not None
+    assert result.analysis.settling_s > 55.0
