@@ -57,6 +57,10 @@ class Actuator(NamedTuple):
             self.target + (self.start - self.target) * exp(-t / self.lag) if self.lag > 0.0 else self.target
         )
 
+    def mean(self, t: float) -> float:
+        """What it gives on average in the next t seconds."""
+        return self.first_integral(t) / t if self.lag > 0.0 else self.target
+
     def first_integral(self, t: float) -> float:
         """Its integral over [0, t], t in s: an impulse (N s or N m s)."""
         if self.lag <= 0.0:
@@ -135,7 +139,7 @@ class Unicycle(PlantBackend):
             self._actuate(command, self._body.actuator_lag_s)
         else:
             self._actuate(self._brake(), 0.0)  # a brake is not the motor: it has no lag
-        force, torque = self._force.value(0.0), self._torque.value(0.0)
+        force, torque = self._force.mean(self._period_s), self._torque.mean(self._period_s)
         return Reading(now_ns, self._pose, force, torque, not self._broken, self._broken)
 
     @property
