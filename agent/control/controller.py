@@ -200,7 +200,7 @@ class Controller:
         if now_ns < self._due_ns or not self.proximity.enabled:
             return False
         self._due_ns = now_ns + LOOK_PERIOD_NS
-        self.right_of_way.look(now_ns, here, passing=bool(detour.round))
+        self.right_of_way.look(now_ns, here, self.mark, passing=bool(detour.round))
         self.caution.look(now_ns, here, (*(peer for _, peer in self.edges), *self.proximity.close))
         return self.proximity.look(now_ns, here, neighbours)
 

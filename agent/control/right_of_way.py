@@ -12,6 +12,9 @@ it has to keep out of the others'. Who has none keeps to its own lane and out of
 be driving; if it is in one of them already, it stands until it hears them. Either way there is a safe
 distance between the two: (S5) of docs/theory.md.
 
+One that is heard, and has given up this robot, is kept from as if it had been given up as well: it drives by
+where it believes this one to be.
+
 Nothing of this is looked at while nobody has been given up that may be driving.
 """
 
@@ -52,12 +55,21 @@ class KeepOut(NamedTuple):
     runs: tuple[Run, ...]
 
 
+class _Parting(NamedTuple):
+    """When two robots lost each other: where this one was, and, where the other one is heard still, by which
+    mission this one was to drive then, and the other's message."""
+
+    here: HandState
+    mark: Mark | None = None
+    message: HandState | None = None
+
+
 class _Ways(NamedTuple):
     """Of one possible mover: its lane, from its last message on; the own one from where this robot was `then`
     on, as that one knows it; both by what the two follow, as far as both know. on: it stands on that."""
 
     message: HandState
-    then: HandState
+    then: _Parting
     follows: Reference
     lane: Lane
     own: Lane
@@ -96,8 +108,8 @@ class RightOfWay:
         self._within = self._apart + most / self._rate + most / LOOKS_PER_S
         self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         horizon_s = fleet.control.prediction_horizon_s
-        self._own: deque[HandState] = deque(maxlen=ceil((horizon_s + REMEMBERED_S) * LOOKS_PER_S))
-        self._then: dict[int, HandState] = {}  # by robot: where this one was when it heard it last
+        self._own: deque[_Parting] = deque(maxlen=ceil((horizon_s + REMEMBERED_S) * LOOKS_PER_S))
+        self._then: dict[int, _Parting] = {}  # by robot: when it was heard last, or heard this one
         self._ways: dict[int, _Ways] = {}
         self._gained_ns: int | None = 0  # all begin together
         self._stands: dict[int, int] = {}  # by robot: since when it can only stand, or is about to
@@ -106,21 +118,29 @@ class RightOfWay:
         self.keep_out: tuple[KeepOut, ...] = ()
         self.keep_in: tuple[tuple[Run, ...], ...] = ()
 
-    def look(self, now_ns: int, here: Hand, *, passing: bool = False) -> None:
+    def look(self, now_ns: int, here: Hand, mark: Mark, *, passing: bool = False) -> None:
         """Finds out what is to be heeded from the tick `now_ns` on, at which the own hand is `here`.
 
         Args:
+            mark: of the mission that it has acknowledged.
             passing: it goes round something, and so leaves its own lane where nobody may be for whom it has
                 to keep to that.
         """
         place = here.x, here.y, here.vx, here.vy
-        self._own.append(HandState.placed(self._robot, 0, now_ns, True, 0, place))
+        self._own.append(_Parting(HandState.placed(self._robot, 0, now_ns, True, 0, place), mark))
         lost = [peer for peer in self._peers.known if self._is_given_up(peer, now_ns)]
-        if lost or self._then:
+        blind = [peer for peer in self._peers.known if peer.deaf and self._is_blind(peer, now_ns)]
+        if lost or blind or self._then:
             then = self._then
-            self._then = {peer.robot: then.get(peer.robot) or self._at(_heard_ns(peer)) for peer in lost}
-        has_way = self._has_way(now_ns, len(lost))
+            self._then = {
+                peer.robot: then.get(peer.robot) or _Parting(self._at(_heard_ns(peer)).here) for peer in lost
+            }
+            for peer in blind:
+                parted = then.get(peer.robot) or self._at(peer.knows_ns)
+                self._then[peer.robot] = parted if parted.message else parted._replace(message=peer.message)
+        has_way = self._has_way(now_ns, len(lost) + len(blind))
         movers = self._movers(lost, now_ns) if lost else []
+        movers += [peer for peer in blind if peer.message is not None and peer.message.following]
         self.hold, self.keep_out, self.keep_in = "", (), ()
         if not lost:
             self._stands.clear()
@@ -141,17 +161,18 @@ class RightOfWay:
             if ways is None or (has_way and ways.on):
                 continue
             near = ways.lane.near(here.x, here.y, self._within)
+            if not has_way:  # wherever the other is by now: out of this lane, if it has left its own
+                tubes[id(ways.own)] = ways.own
             if not near:
                 continue
-            if not has_way:
-                tubes[id(ways.own)] = ways.own
-            elif peer.direct_ns >= 0 and self._keeps_within(ways.own, near, here, passing):
+            if has_way and peer.direct_ns >= 0 and self._keeps_within(ways.own, near, here, passing):
                 tubes[id(ways.own)] = ways.own
                 continue
             if _length(_nearest(near, here)) < self._inside:
                 why = "" if has_way else ", which has the right of way"
                 age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
-                self.hold = self.hold or f"on the lane of robot {peer.robot}{why} (silent for {age_s:.1f} s)"
+                said = "does not hear this one" if peer in blind else f"silent for {age_s:.1f} s"
+                self.hold = self.hold or f"on the lane of robot {peer.robot}{why} ({said})"
             else:
                 out.append(KeepOut(f"lane of robot {peer.robot}", near))
         self.keep_out = tuple(out)
@@ -174,14 +195,18 @@ class RightOfWay:
                 room = self._tube - away
                 yield keep_clear("own lane", room, -dx / away, -dy / away, velocity, 0.0, self._rate)
 
-    def _at(self, time_ns: int) -> HandState:
+    def _at(self, time_ns: int) -> _Parting:
         """Where the robot was at a time, or the first that it remembers."""
-        return next((each for each in reversed(self._own) if each.time_ns <= time_ns), self._own[0])
+        return next((each for each in reversed(self._own) if each.here.time_ns <= time_ns), self._own[0])
 
     # ------------------------------------------------------------------ who
 
     def _is_given_up(self, peer: Peer, now_ns: int) -> bool:
         return not peer.is_gone and peer.late_ns(now_ns) > self._horizon_ns
+
+    def _is_blind(self, peer: Peer, now_ns: int) -> bool:
+        """Whether a robot that does not hear this one, but is heard, has given it up: nobody tells it."""
+        return not self._is_given_up(peer, now_ns) and now_ns - peer.knows_ns > self._horizon_ns
 
     def _has_way(self, now_ns: int, lost: int) -> bool:
         """Whether the robot has the right of way."""
@@ -272,14 +297,16 @@ class RightOfWay:
 
     def _known_to(self, peer: Peer) -> Reference:
         """What a robot follows, as far as both know."""
-        return self._references.get(peer.mark, self._reference)
+        own = self._then[peer.robot].mark  # the other goes by what it heard of this one last
+        return self._references.get(peer.mark if own is None else own, self._reference)
 
     def _make_lanes(self, movers: list[Peer]) -> bool:
         """Makes the lanes of movers, and the own one as they know it, that are not known yet, no more than a
         tick has time for; whether all are known."""
         made = 0
         for peer in movers:
-            message, then = self._peers.last_of(peer), self._then[peer.robot]
+            then = self._then[peer.robot]
+            message = then.message or self._peers.last_of(peer)
             known = self._ways.get(peer.robot)
             if known is not None and known.message is message and known.then is then:
                 continue
@@ -288,7 +315,7 @@ class RightOfWay:
             made += 1
             follows = self._known_to(peer)
             same = (each.own for each in self._ways.values() if each.then is then and each.follows is follows)
-            own = next(same, None) or self._peers.forecast.lane(then, follows)
+            own = next(same, None) or self._peers.forecast.lane(then.here, follows)
             lane = self._peers.forecast.lane(message, follows)
             self._ways[peer.robot] = _Ways(message, then, follows, lane, own, self._stands_on(own, peer))
         return True

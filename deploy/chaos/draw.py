@@ -17,6 +17,7 @@ from deploy.chaos.profiles.fast import draw_fast
 from deploy.chaos.profiles.late import draw_late
 from deploy.chaos.profiles.low_rate import draw_low_rate
 from deploy.chaos.profiles.mixed import draw_mixed
+from deploy.chaos.profiles.reordered import draw_reordered
 from deploy.chaos.profiles.scale import draw_scale
 
 
@@ -37,7 +38,8 @@ PROFILES: Final[dict[str, Profile]] = {
     "fast": Profile(0.8, "courses near the greatest speed, all messages late and many lost", draw_fast),
     "late": Profile(0.7, "many that cross each other's ways while messages are late", draw_late),
     "low-rate": Profile(1.5, "2 to 15 Hz", draw_low_rate),
-    "scale": Profile(1.5, "places 0.3 to 10 m apart", draw_scale),
+    "scale": Profile(1.0, "places 0.3 to 10 m apart", draw_scale),
+    "reordered": Profile(0.5, "formations that change while some do not hear others", draw_reordered),
 }
 
 

@@ -15,7 +15,6 @@ from deploy.chaos.run import CAUGHT, ELSEWHERE, IN_FORMATION, SOON, Outcome
 NOT_DRAWN: Final[Mapping[str, str]] = {
     "numbers_failed": "the law gave a number that is none: nothing that is drawn may lead to it",
     "rescheduled": "a mission with another epoch: an order keeps it",
-    "hold_at_start": "heartbeats always come, and no start is outside the geofence",
     "body_released": "only a real vehicle's operator takes a body away",
     "body_back": "only a real vehicle's operator gives a body back",
 }

@@ -315,6 +315,11 @@ def test_who_follows_one_whose_body_brakes_for_itself_stops_in_time(name: str) -
     assert_apart(scene(name))
 
 
+def test_who_is_heard_and_does_not_hear_is_kept_from_by_the_ways_that_it_knows() -> None:
+    """A row of four is to change ends, which two of them do not know of the other two, who hear them."""
+    assert_apart(scene("deaf_ways"))
+
+
 def test_the_lane_of_a_robot_that_was_replaced_holds_nobody() -> None:
     """Robot 4 has taken the place of 1, which is dead; then 2 dies, which shared an edge with 1 before."""
     result = scene("replaced_dead")

@@ -52,6 +52,8 @@ class Peer:
         trust: 0..1, how far an edge to it is trusted.
         mark: version and tag of the mission that it has acknowledged.
         deaf: whether it says that it does not hear this robot.
+        knows_ns: of when (own clock) what it knows of this robot is, by what it said last while it did not
+            hear it.
         lateness: of its messages, as usual.
         direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
             others may have told.
@@ -69,9 +71,9 @@ class Peer:
 
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
-        "duplicated", "early", "gone_ns", "hand_ns", "here", "lateness", "lost", "mark", "message",
-        "never_came", "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns",
-        "time_ns", "token", "trust",
+        "duplicated", "early", "gone_ns", "hand_ns", "here", "knows_ns", "lateness", "lost", "mark",
+        "message", "never_came", "other_version", "received", "robot", "sequence", "slowly",
+        "slowly_until_ns", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
@@ -79,7 +81,7 @@ class Peer:
         self.message: HandState | None = None
         self.early: HandState | None = None
         self.time_ns = self.hand_ns = self.beacon_ns = self.direct_ns = _NEVER
-        self.sequence = self.gone_ns = _NEVER
+        self.sequence = self.gone_ns = self.knows_ns = _NEVER
         self.belief: Belief | None = None
         self.deaf = self.never_came = False
         self.mark = 0, 0
@@ -297,6 +299,7 @@ class Peers:
         """Takes a beacon's rows about robots that somebody does not hear, where they are news here."""
         for said in beacon.silent:
             if said.robot == self._owner:
+                sender.knows_ns = said.time_ns - sender.clock.used_ns
                 continue
             peer = self.get(said.robot)
             if said.time_ns == NEVER_CAME_NS:

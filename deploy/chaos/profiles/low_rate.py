@@ -13,6 +13,7 @@ from deploy.chaos.draw_faults import draw_faults
 from deploy.chaos.draw_formation import draw_shape
 from deploy.chaos.draw_obstacles import Reach
 from deploy.chaos.profiles import pieces
+from deploy.check.braking import MARGIN_M
 from deploy.check.check import check
 from deploy.check.finding import Finding
 
@@ -23,6 +24,8 @@ QUIET_S: Final = 12.0
 RECOVERED_S: Final = 21.0
 CALM_S: Final = 90.0
 """Where nothing happens all are in formation by then, though some want through each other."""
+LAG_MAX: Final = 0.5
+"""Of a period: so late are actuators at most."""
 _TURN_RAD: Final = 0.45
 """Least that V / (L rate) is below: `handfast check` warns from 0.5 on."""
 _HORIZON_PERIODS: Final = 8.0
@@ -70,6 +73,11 @@ def _draw(seed: int, rate_hz: float) -> Tables:
             "hand_offset_m": reach_m,
         },
     }
+    lags = Dice("lag", seed)
+    if lags.chance(0.3):
+        lag_s = round(lags.between(0.1, 1.0) * LAG_MAX / rate_hz, 4)
+        tables["robot_defaults"]["actuator_lag_s"] = lag_s
+        tables["avoidance"] = {"margin_m": round(MARGIN_M + lag_s * speed, 3)}
     apart = pieces.START_FACTOR * safe_m
     side = max(3.0, 1.2 * shape.span, 2.5 * apart * len(ids) ** 0.5)
     tables["robot"] = pieces.robots_about(Dice("robots", seed), ids, (), side, apart, reach_m)

@@ -71,7 +71,7 @@ class Scene:
         for _ in range(round(seconds / 0.1)):
             self.now += S // 10
             self.hear(*robots, unheard=unheard)
-            self.way.look(self.now + PERIOD, self.here)
+            self.way.look(self.now + PERIOD, self.here, self.marks[self.robot])
 
     def move(self, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> None:
         self.here = Hand(x, y, vx, vy)
@@ -186,8 +186,64 @@ def test_whom_one_hears_by_others_alone_would_not_tell_it_of_its_neighbours():
         told = Beacon(2, 0, scene.now + 1, True, *scene.starts[2], 0.0, 0.0, 0.0, 1, 0, -1, -1, (row,), ())
         assert scene.peers.accept_beacon(told, scene.now + PERIOD) is None
     assert scene.peers.get(4).late_ns(scene.now) < S
-    scene.way.look(scene.now + PERIOD, scene.here)
+    scene.way.look(scene.now + PERIOD, scene.here, scene.marks[scene.robot])
     assert scene.way.keep_in, "robot 3 may be driving with it"
+
+
+def blind(scene: Scene, seconds: float, *robots: int, knows_s: float) -> None:
+    """These robots are heard and do not hear robot 1, of which they know that it was at its start so long ago
+    (s); the others hear it."""
+    for _ in range(round(seconds / 0.1)):
+        scene.run(0.1, *(robot for robot in (2, 3, 4, 5) if robot not in robots))
+        for robot in robots:
+            row = Silent(
+                1, scene.now - round(knows_s * S), True, *scene.starts[1], 0.0, 0.0, *scene.starts[1], 0.0
+            )
+            place = *scene.starts[robot], 0.0, 0.0, 0.0
+            told = Beacon(robot, 0, scene.now + 1, True, *place, *scene.marks[robot], -1, -1, (row,), (1,))
+            assert scene.peers.accept_beacon(told, scene.now + PERIOD) is None
+        scene.way.look(scene.now + PERIOD, scene.here, scene.marks[1])
+
+
+def test_who_is_heard_and_has_given_this_one_up_is_as_one_that_is_not_heard():
+    """It looks for this one on the lane that it knows, and drives through where that does not lead."""
+    scene = Scene(1)
+    blind(scene, 3.0, 3, 4, knows_s=0.3)  # somebody tells them of it
+    assert (scene.way.hold, scene.way.keep_in) == ("", ())
+    blind(scene, 3.0, 3, 4, knows_s=1.5)
+    assert scene.way.keep_in
+    assert scene.way.hold == ""
+    scene.run(0.5, 2, 3, 4, 5)  # they hear it again
+    assert (scene.way.hold, scene.way.keep_in) == ("", ())
+    few = Scene(1)
+    blind(few, 3.0, 2, 3, 4, knows_s=1.5)
+    assert few.way.hold == "on the lane of robot 4, which has the right of way (does not hear this one)"
+
+
+def test_one_that_has_given_this_one_up_knows_it_by_the_mission_that_this_one_had_then():
+    """Both have the new mission, but neither knows that the other one has it."""
+    scene = Scene(1)
+    blind(scene, 1.0, 3, 4, knows_s=0.9)
+    geometry = resolve(scene.fleet)
+    still = Mission(2, scene.now, scene.now, 60 * S, "")
+    scene.reference.take(plan_of(still, scene.fleet, geometry))
+    new = 2, tag(still)
+    scene.references[new] = scene.reference.frozen()
+    scene.marks = dict.fromkeys(scene.fleet.ids, new)
+    blind(scene, 2.0, 3, 4, knows_s=2.5)
+    then = scene.way._then[3]
+    assert then.mark == (1, scene.way._own[0].mark[1] if scene.way._own[0].mark else 0)
+    assert scene.way._ways[3].follows is scene.references[then.mark]
+
+
+def test_without_the_right_of_way_it_keeps_to_its_lane_wherever_the_others_lanes_are():
+    """Who has it may have left its own, and is anywhere but near this one's."""
+    scene = Scene(3, text=FLEET.replace("[-6, 1.5], [-6, 0]]", "[6, 6], [6, 9]]"))
+    scene.peers.get(5).gone_ns = T0 + 100 * S
+    scene.move(6.0, 5.0)
+    scene.run(5.0, 4)
+    assert scene.names == []
+    assert scene.way.keep_in
 
 
 def test_one_that_has_started_in_mid_drive_and_is_not_heard_holds():
@@ -352,13 +408,13 @@ def test_on_its_way_round_something_it_leaves_its_lane_where_that_is_out_of_the_
         scene = Scene(1)
         scene.run(5.0, 2, 5)
         scene.move(2.0, y)
-        scene.way.look(scene.now + PERIOD, scene.here, passing=passing)
+        scene.way.look(scene.now + PERIOD, scene.here, scene.marks[scene.robot], passing=passing)
         assert bool(scene.way.keep_in) is keeps, (passing, y)
     near = Scene(1, "formation.offsets=[[6, 0], [6, 1.5], [-6, 0.9], [-6, 0]]")
     near.starts[3] = (6.0, 0.9)
     near.run(0.2, 2, 3, 4, 5)
     near.run(5.0, 2, 5)
     near.move(2.0, half - 0.1)  # nearer to it than it may be outside of its own
-    near.way.look(near.now + PERIOD, near.here, passing=True)
+    near.way.look(near.now + PERIOD, near.here, near.marks[near.robot], passing=True)
     assert near.way.keep_in
     assert near.way.hold == ""
