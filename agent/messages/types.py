@@ -222,10 +222,8 @@ class PlantState(NamedTuple):
     heading: Annotated[float, About("Heading, counter-clockwise from east", "rad")]
     speed: Annotated[float, About("Speed along the heading", "m/s")]
     yaw_rate: Annotated[float, About("Yaw rate, counter-clockwise", "rad/s")]
-    force: Annotated[
-        float, About("Force along the heading, after limits, as it acts until the next state", "N")
-    ]
-    torque: Annotated[float, About("Torque, after limits, as it acts until the next state", "N m")]
+    force: Annotated[float, About("Force along the heading that acts until the next state", "N")]
+    torque: Annotated[float, About("Torque that acts until the next state", "N m")]
     driving: Annotated[
         bool, About("False while the plant brakes: for want of a fresh wrench, or as asked to")
     ]

@@ -520,3 +520,23 @@ def _clocks(fleet: Fleet, plan: FaultPlan) -> Iterator[Finding]:
             + ("unless they are late by the rest, " if late else "")
             + "the fleet cannot start",
         )
+        return
+    drifts = [_apart_from(plan, i, j, limit) for i, j in fleet.formation.edges]
+    after_s, ahead, behind = min(drifts, default=(inf, 0, 0))
+    if after_s < fleet.fleet.duration_s:
+        number = next(n for n, rule in enumerate(plan.file_rules(), 1) if rule.clock_drift is not None)
+        yield Finding(
+            "warning",
+            f"faults.rule[{number}].clock_drift",
+            f"after {after_s:.3g} s robot {ahead}'s clock is {limit:g} s ahead of that of its neighbour "
+            f"{behind}, which refuses messages from more than that in the future: they are lost",
+        )
+
+
+def _apart_from(plan: FaultPlan, i: int, j: int, limit: float) -> tuple[float, int, int]:
+    """When the clock of one of two is `limit` ahead of the other's: s, inf for never; whose; of whose."""
+    (skew_i, drift_i), (skew_j, drift_j) = plan.clock(i), plan.clock(j)
+    ahead, drift = (skew_i - skew_j) / 1e9, drift_i - drift_j
+    if drift < 0.0:
+        return (limit + ahead) / -drift, j, i
+    return ((limit - ahead) / drift if drift > 0.0 else inf), i, j

@@ -65,7 +65,8 @@ def clearance(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation
         for obstacle in obstacles:
             away_m = distances(obstacle, a.hands[:, index])
             near = away_m < least_m
-            near &= np.logical_or.accumulate(~near) | near.all()  # begun there: only once it has been out
+            stays = near.all() and np.isfinite(a.desired[:, index, 0]).any()  # though its place is elsewhere
+            near &= np.logical_or.accumulate(~near) | stays  # begun there: only once it has been out
             near &= driven
             if not near.any():
                 continue

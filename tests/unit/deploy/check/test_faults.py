@@ -183,6 +183,19 @@ def test_delays_beyond_the_horizon() -> None:
     )
 
 
+def test_clocks_that_drift_apart_are_foreseen() -> None:
+    """0.25 s ahead, after 50 s at 0.5 %; the delta drives for 30 s."""
+    drift = rule("robot = 2", "clock_drift = 0.005")
+    assert found(drift) == []
+    (finding,) = (each for each in found(drift, "fleet.duration_s=75") if "clock" in each.place)
+    assert (finding.level, finding.place) == ("warning", "faults.rule[1].clock_drift")
+    assert finding.message.startswith("after 50 s robot 2's clock is 0.25 s ahead of that of its neighbour ")
+    behind = rule("robot = 2", "clock_drift = -0.005", 'clock_skew = "-100ms"')
+    (finding,) = (each for each in found(behind, "fleet.duration_s=75") if "clock" in each.place)
+    assert "after 30 s robot " in finding.message
+    assert "ahead of that of its neighbour 2" in finding.message
+
+
 def test_a_delay_at_which_neighbours_count_as_silent_for_ever() -> None:
     """`prediction_horizon_s` and 2 s: above 4.0 s no fleet is ready in virtual time, at 4.0 s it is."""
     (finding,) = (each for each in found('[faults]\ndelay = "4.1s"\n') if each.level == "error")

@@ -187,6 +187,13 @@ def test_clearance_excuses_who_begins_there_and_who_is_driven_by_another() -> No
         return (0.0, 2.5, 0.0) if t < 1.0 else (0.0, 0.0, 0.0)
 
     assert found("clearance", with_obstacle(), leaves, standing(1, 0)) == []
+    fleet = with_obstacle()
+    first, second = fleet.robots
+    for reserve, fires in ((False, True), (True, False)):  # who stays there though its place is elsewhere
+        spare = replace(fleet, robots=(replace(first, reserve=reserve), second))
+        if reserve:
+            spare = replace(spare, formation=replace(spare.formation, edges=(), offsets=((1.0, 0.0),)))
+        assert bool(found("clearance", spare, standing(0, 1.9), standing(1, 0))) == fires
 
     def visits(t: float) -> tuple[float, float, float]:
         return (0.0, 2.5, 0.0) if 2.2 < t < 2.8 else (0.0, 0.0, 0.0)
