@@ -43,14 +43,7 @@ class Lateness:
     """
 
     __slots__ = (
-        "_burst",
-        "_expected_ns",
-        "_mean_ns",
-        "_scatter_ns",
-        "_share",
-        "_taken_ns",
-        "forgiven_ns",
-        "heeds",
+        "_burst", "_expected_ns", "_mean_ns", "_scatter_ns", "_share", "_taken_ns", "forgiven_ns", "heeds",
         "usual_ns",
     )  # fmt: skip
 

@@ -43,13 +43,8 @@ def draw_cut_off(seed: int) -> Tables:
     heal = dice.chance(0.4)
     met_s = way_m / speed + 3.0
     ends_s = round(met_s + dice.between(0.0, 8.0, 1), 1)
-    tables: Tables = {
-        "fleet": pieces.fleet(seed, rate_hz, ends_s + (RECOVERED_S if heal else CALM_S)),
-        "formation": pieces.formation(shape, ids, safe_m, assign=False),
-        "control": control,
-        "trajectory": _trajectory(dice, speed),
-        "robot_defaults": pieces.plain_body(reach_m),
-    }
+    course, duration_s = _trajectory(dice, speed), ends_s + (RECOVERED_S if heal else CALM_S)
+    tables = pieces.meeting(seed, rate_hz, duration_s, shape, safe_m, control, course, reach_m)
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}
     tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)

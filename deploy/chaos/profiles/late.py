@@ -44,13 +44,9 @@ def draw_late(seed: int) -> Tables:
     heals = dice.chance(0.75)
     cross_s = dice.between(*CROSS_S, 1)
     reach_m = pieces.draw_reach(dice, speed, rate_hz)
-    tables: Tables = {
-        "fleet": pieces.fleet(seed, rate_hz, cross_s + RECOVERED_S if heals else LATE_S),
-        "formation": pieces.formation(Shape(offsets, edges), ids, safe_m, assign=False),
-        "control": control,
-        "trajectory": _trajectory(dice, speed),
-        "robot_defaults": pieces.plain_body(reach_m),
-    }
+    course, duration_s = _trajectory(dice, speed), cross_s + RECOVERED_S if heals else LATE_S
+    shape = Shape(offsets, edges)
+    tables = pieces.meeting(seed, rate_hz, duration_s, shape, safe_m, control, course, reach_m)
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}
     tables["robot"] = pieces.robots_at(dice, starts, (), reach_m)

@@ -148,6 +148,26 @@ def formation(shape: Shape, members: Sequence[int], safe_m: float, *, assign: bo
     }
 
 
+def meeting(
+    seed: int,
+    rate_hz: float,
+    duration_s: float,
+    shape: Shape,
+    safe_m: float,
+    control: Tables,
+    trajectory: Tables,
+    reach_m: float,
+) -> Tables:
+    """A fleet of plain bodies whose places are their own, so that their ways may meet; without robots yet."""
+    return {
+        "fleet": fleet(seed, rate_hz, duration_s),
+        "formation": formation(shape, sorted(shape.offsets), safe_m, assign=False),
+        "control": control,
+        "trajectory": trajectory,
+        "robot_defaults": plain_body(reach_m),
+    }
+
+
 # --- starts ---------------------------------------------------------------------------------------
 
 

@@ -44,13 +44,8 @@ def draw_reordered(seed: int) -> Tables:
     reach_m = pieces.draw_reach(dice, speed, rate_hz)
     cut_s = dice.between(*CUT_S, 2)
     times = sorted(round(max(0.0, cut_s + dice.between(*ORDER_S)), 2) for _ in range(dice.whole(1, 2)))
-    tables: Tables = {
-        "fleet": pieces.fleet(seed, rate_hz, times[-1] + AFTER_S),
-        "formation": pieces.formation(shape, ids, safe_m, assign=False),
-        "control": control,
-        "trajectory": _trajectory(dice, speed),
-        "robot_defaults": pieces.plain_body(reach_m),
-    }
+    course, duration_s = _trajectory(dice, speed), times[-1] + AFTER_S
+    tables = pieces.meeting(seed, rate_hz, duration_s, shape, safe_m, control, course, reach_m)
     if dice.chance(0.2):
         tables["supervision"] = {"silence": "hold"}
     places = shape.offsets
