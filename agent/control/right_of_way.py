@@ -206,7 +206,8 @@ class RightOfWay:
 
     def _is_blind(self, peer: Peer, now_ns: int) -> bool:
         """Whether a robot that does not hear this one, but is heard, has given it up: nobody tells it."""
-        return not self._is_given_up(peer, now_ns) and now_ns - peer.knows_ns > self._horizon_ns
+        heard = not peer.is_gone and peer.late_ns(now_ns) <= self._horizon_ns
+        return heard and now_ns - peer.knows_ns > self._horizon_ns
 
     def _has_way(self, now_ns: int, lost: int) -> bool:
         """Whether the robot has the right of way."""

@@ -215,6 +215,11 @@ def test_who_is_heard_and_has_given_this_one_up_is_as_one_that_is_not_heard():
     assert scene.way.hold == ""
     scene.run(0.5, 2, 3, 4, 5)  # they hear it again
     assert (scene.way.hold, scene.way.keep_in) == ("", ())
+    blind(scene, 3.0, 3, 4, knows_s=1.5)
+    for robot in (3, 4):  # their bodies have been carried off since
+        scene.peers.get(robot).gone_ns = scene.now + 100 * S
+    scene.run(0.5, 2, 5)
+    assert (scene.way.hold, scene.way.keep_in) == ("", ())
     few = Scene(1)
     blind(few, 3.0, 2, 3, 4, knows_s=1.5)
     assert few.way.hold == "on the lane of robot 4, which has the right of way (does not hear this one)"
