@@ -134,7 +134,7 @@ class ConstraintAssembly:
         if rho > self._proximity.sensing:
             return
         doubt = peer.doubt(now_ns)
-        name = f"robot {peer.robot}"
+        name = peer.name
         distance = self._proximity.distance
         if pushes and rho - doubt < distance and scene.place is not None and not message.following:
             # A body that stays beside the place must not push it off that.
@@ -177,7 +177,7 @@ class ConstraintAssembly:
         belief = self._peers.belief(peer)
         if belief is None:
             return
-        own, name = scene.own, f"robot {peer.robot}"
+        own, name = scene.own, peer.name
         age = (scene.now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S + AHEAD_S
         velocity, speed, growing = (own.vx, own.vy), hypot(own.vx, own.vy), growth(age)
         depth, deepest = 0.0, None

@@ -195,7 +195,7 @@ class Controller:
             neighbours: robots that are listened to anyway.
         """
         detour = self.detour
-        if detour.fixed and any(detour.round == f"robot {peer.robot}" for peer, _ in self._driving(now_ns)):
+        if detour.fixed and any(detour.round == peer.name for peer, _ in self._driving(now_ns)):
             detour.free()
         if now_ns < self._due_ns or not self.proximity.enabled:
             return False
@@ -308,7 +308,7 @@ class Controller:
                     and hypot(message.x - x, message.y - y) < room
                     and hypot(own.x - x, own.y - y) < 2.0 * room
                 ):
-                    return f"its place is taken by robot {peer.robot} (does not follow)"
+                    return f"its place is taken by {peer.name} (does not follow)"
                 continue
             belief = self.peers.belief(peer)
             if belief is None or hypot(belief.x - x, belief.y - y) > keep + belief.reach:
@@ -319,7 +319,7 @@ class Controller:
                 room = keep + stretch.radius_at(age)
                 if left < 2.0 * room and stretch.distance(x, y) < room:
                     since = "never heard" if peer.message is None else f"silent for {age:.0f} s"
-                    return f"its place is taken by robot {peer.robot} ({since})"
+                    return f"its place is taken by {peer.name} ({since})"
         return ""
 
     def _about(self) -> Iterator[Peer]:
@@ -341,7 +341,7 @@ class Controller:
         moving, astray = set(), set()
         near = SPEED_MIN * self._c2 / self._c1
         for peer, message in self._driving(now_ns):
-            moving.add(f"robot {peer.robot}")
+            moving.add(peer.name)
             if self.detour.is_loose:
                 place = self.reference.motion(peer.robot, now_ns)
                 if place and hypot(message.x - place[0], message.y - place[1]) > near:

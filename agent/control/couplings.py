@@ -80,11 +80,11 @@ class Joint(Coupling):
 
     def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
         values = before
-        edges = {each.key for each in constraints if not each.one_sided}
         for k, each in enumerate(constraints):
+            key = each.key
             # A robot with an edge that is not quite relied on has two multipliers: the edge's is shared.
-            if type(each.key) is int and (each.key > 0 or -each.key not in edges):
-                copy = self._peers.take_copy(abs(each.key))
+            if type(key) is int and (key > 0 or all(other.key != -key for other in constraints)):
+                copy = self._peers.take_copy(abs(key))
                 if copy is not None:
                     values[k] = 0.5 * (values[k] + copy)
         cx, cy = _total(constraints, values)
@@ -92,7 +92,7 @@ class Joint(Coupling):
         for k, each in enumerate(constraints):
             other = each.other
             pull = (cx, cy) if other is None else (cx - other.constraint[0], cy - other.constraint[1])
-            degrees = own_degree + (0 if other is None else max(1, each.degree))
+            degrees = own_degree + (0 if other is None else each.degree or 1)
             values[k] = law.multiplier_sweep(each.edge, values[k], pull, degrees)
         return values
 

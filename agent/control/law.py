@@ -84,11 +84,15 @@ def edge(
     x, y = offset
     wx, wy = velocity
     fx, fy = navigation
-    rho = max(DISTANCE_MIN, (x * x + y * y) ** 0.5)
+    rho = (x * x + y * y) ** 0.5
+    if rho < DISTANCE_MIN:
+        rho = DISTANCE_MIN
     nx, ny = x / rho, y / rho
     span = distance - safe_distance
     room = rho - safe_distance
-    clearance = max(max(RELAXATION_MIN, gains.relaxation) * span, room)
+    relaxation = gains.relaxation
+    nearest = (relaxation if relaxation > RELAXATION_MIN else RELAXATION_MIN) * span
+    clearance = room if room > nearest else nearest
     slope = span / (clearance * clearance)  # phi'
     phi = 1.0 - span / clearance + slope * (room - clearance)  # (7), nearer its tangent (B1)
     closing = nx * wx + ny * wy  # n.w

@@ -172,9 +172,9 @@ class RightOfWay:
                 why = "" if has_way else ", which has the right of way"
                 age_s = (now_ns + peer.clock.used_ns - peer.time_ns) / NS_PER_S
                 said = "does not hear this one" if peer in blind else f"silent for {age_s:.1f} s"
-                self.hold = self.hold or f"on the lane of robot {peer.robot}{why} ({said})"
+                self.hold = self.hold or f"on the lane of {peer.name}{why} ({said})"
             else:
-                out.append(KeepOut(f"lane of robot {peer.robot}", near))
+                out.append(KeepOut(f"lane of {peer.name}", near))
         self.keep_out = tuple(out)
         nearby = (own.near(here.x, here.y, self._within) for own in tubes.values())
         self.keep_in = tuple(runs for runs in nearby if runs)

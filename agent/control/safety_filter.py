@@ -111,7 +111,8 @@ def keep_apart(
     if low > high:  # they are closer than braking can mend
         least = 0.5 * (low + high)
     else:
-        least = min(max(0.5 * both, low), high)
+        least = 0.5 * both  # in plain comparisons: this is asked for every robot around at every tick
+        least = low if least < low else high if least > high else least
     if alone:
         push = nx * other_acceleration[0] + ny * other_acceleration[1]
         least = max(least, both + max(push, 0.0))

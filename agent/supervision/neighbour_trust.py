@@ -74,7 +74,7 @@ class NeighbourTrust:
             message = peer.message
             if age is not None:
                 ages_us.append(age // 1000)
-            late = inf if age is None else age - peer.forgiven_ns
+            late = inf if age is None else age - peer.lateness.forgiven_ns
             heard = late <= self._horizon_ns and peer.here
             wanted = heard and message is not None and message.following
             if drives and wanted and peer.trust == 1.0:
@@ -91,9 +91,9 @@ class NeighbourTrust:
             elif state is State.HOLDING:
                 if not peer.has_told(now_ns, self._horizon_ns):
                     untold += 1
-                    given_up.append(f"robot {peer.robot} (has not said yet whom it hears)")
+                    given_up.append(f"{peer.name} (has not said yet whom it hears)")
                 elif peer.mark > controller.mark:
-                    newer = newer or f"waits for mission {peer.mark[0]}, which robot {peer.robot} has"
+                    newer = newer or f"waits for mission {peer.mark[0]}, which {peer.name} has"
             if not wanted and edge.weight < 1.0:
                 pass  # as ordered: it leaves, or has only just joined
             elif not wanted or peer.deaf:
@@ -163,16 +163,16 @@ class NeighbourTrust:
     def _why(self, peer: Peer, now_ns: int, *, heard: bool) -> str:
         """A neighbour that cannot be relied on: its id, and why."""
         if peer.ahead_ns:
-            return f"robot {peer.robot} (its clock is {peer.ahead_ns / NS_PER_S:.2f} s ahead)"
+            return f"{peer.name} (its clock is {peer.ahead_ns / NS_PER_S:.2f} s ahead)"
         age = peer.age_ns(now_ns)
         if peer.deaf and age is not None and age - peer.forgiven_ns <= self._horizon_ns:
-            return f"robot {peer.robot} (does not hear this one)"
+            return f"{peer.name} (does not hear this one)"
         if heard:
-            return f"robot {peer.robot} (does not follow)"
+            return f"{peer.name} (does not follow)"
         if peer.other_version and (age is None or age > self._horizon_ns):
-            return f"robot {peer.robot} (another handfast: {peer.other_version})"
+            return f"{peer.name} (another handfast: {peer.other_version})"
         if age is None:
-            return f"robot {peer.robot}"
+            return peer.name
         if not peer.here and age <= self._horizon_ns:
-            return f"robot {peer.robot} (its agent is gone)"
-        return f"robot {peer.robot} ({age / NS_PER_S:.1f} s)"
+            return f"{peer.name} (its agent is gone)"
+        return f"{peer.name} ({age / NS_PER_S:.1f} s)"

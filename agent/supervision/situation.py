@@ -157,7 +157,7 @@ class Situation:
             mission="" if mission is not None else self.refused_mission or "for a mission",
             stop=stop,
             hold=self._deadman(now_ns) or trust.hold,
-            degraded="; ".join(filter(None, (trust.degraded, self._unheeded()))),
+            degraded=self._unheeded(trust.degraded) if self.unmoved_ns else trust.degraded,
             started=started,
             at_rest=self.at_rest,
         )
@@ -170,10 +170,12 @@ class Situation:
             self._has_driven = drives and (self._has_driven or (plant is not None and plant.driving))
         self.unmoved_ns = now_ns - self._moved_ns
 
-    def _unheeded(self) -> str:
-        """What is wrong with a body that goes on standing though its robot drives, "" when it obeys."""
+    def _unheeded(self, degraded: str) -> str:
+        """Why a robot drives other than the law says, and what is wrong with a body that goes on standing."""
         late_s = self.unmoved_ns / NS_PER_S
-        return f"its plant has taken no wrench for {late_s:.1f} s" if late_s > self._unheeded_s else ""
+        if late_s <= self._unheeded_s:
+            return degraded
+        return "; ".join(filter(None, (degraded, f"its plant has taken no wrench for {late_s:.1f} s")))
 
     def _plant_trouble(self, now_ns: int) -> str:
         plant = self.plant

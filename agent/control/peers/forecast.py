@@ -66,7 +66,9 @@ class Forecast:
         then = motion(message.robot, then_ns)
         if then is None:
             return None
-        since_ns = min(max(message.time_ns, self.epoch_ns), then_ns)
+        since_ns = message.time_ns if message.time_ns > self.epoch_ns else self.epoch_ns
+        if since_ns > then_ns:
+            since_ns = then_ns
         since = motion(message.robot, since_ns)
         if since is None:  # it has a place only since its message
             since = then

@@ -44,6 +44,7 @@ class Peer:
     """One other robot. `Peers` writes it, others read.
 
     Attributes:
+        name: of it, in words.
         message: its latest, a hand state, or a beacon in the form of one; None when nothing has come.
         hand_ns, beacon_ns: stamps of its latest hand state and beacon, -1 while none has come.
         clock: what is known of its clock.
@@ -72,12 +73,12 @@ class Peer:
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
         "duplicated", "early", "gone_ns", "hand_ns", "here", "knows_ns", "lateness", "lost", "mark",
-        "message", "never_came", "other_version", "received", "robot", "sequence", "slowly",
+        "message", "name", "never_came", "other_version", "received", "robot", "sequence", "slowly",
         "slowly_until_ns", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int) -> None:
-        self.robot = robot
+        self.robot, self.name = robot, f"robot {robot}"
         self.message: HandState | None = None
         self.early: HandState | None = None
         self.time_ns = self.hand_ns = self.beacon_ns = self.direct_ns = _NEVER
