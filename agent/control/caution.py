@@ -63,7 +63,12 @@ class Caution:
         way: list[Point] = []
         for peer in near:
             message = peer.message
-            if not peer.forgiven_ns or message is None or not message.following or not peer.is_heard(now_ns):
+            if (
+                not peer.lateness.forgiven_ns
+                or message is None
+                or not message.following
+                or not peer.is_heard(now_ns)
+            ):
                 continue
             late_ns = peer.lateness.usual_ns
             speed = PACE * (NS_PER_S / late_ns) ** 2

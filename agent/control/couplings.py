@@ -80,10 +80,11 @@ class Joint(Coupling):
 
     def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
         values = before
+        keys = {each.key for each in constraints}
         for k, each in enumerate(constraints):
             key = each.key
             # A robot with an edge that is not quite relied on has two multipliers: the edge's is shared.
-            if type(key) is int and (key > 0 or all(other.key != -key for other in constraints)):
+            if type(key) is int and (key > 0 or -key not in keys):
                 copy = self._peers.take_copy(abs(key))
                 if copy is not None:
                     values[k] = 0.5 * (values[k] + copy)

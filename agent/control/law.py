@@ -84,6 +84,7 @@ def edge(
     x, y = offset
     wx, wy = velocity
     fx, fy = navigation
+    # In plain comparisons: this is asked for every edge at every tick.
     rho = (x * x + y * y) ** 0.5
     if rho < DISTANCE_MIN:
         rho = DISTANCE_MIN

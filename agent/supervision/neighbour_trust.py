@@ -129,7 +129,7 @@ class NeighbourTrust:
             self._why(peer, now_ns, heard=False)
             for _, peer in edges
             if (age := peer.age_ns(now_ns)) is None
-            or age - peer.forgiven_ns > self._horizon_ns
+            or age - peer.lateness.forgiven_ns > self._horizon_ns
             or not peer.here
             or peer.deaf
         ]
@@ -165,7 +165,7 @@ class NeighbourTrust:
         if peer.ahead_ns:
             return f"{peer.name} (its clock is {peer.ahead_ns / NS_PER_S:.2f} s ahead)"
         age = peer.age_ns(now_ns)
-        if peer.deaf and age is not None and age - peer.forgiven_ns <= self._horizon_ns:
+        if peer.deaf and age is not None and age - peer.lateness.forgiven_ns <= self._horizon_ns:
             return f"{peer.name} (does not hear this one)"
         if heard:
             return f"{peer.name} (does not follow)"

@@ -157,7 +157,7 @@ class Situation:
             mission="" if mission is not None else self.refused_mission or "for a mission",
             stop=stop,
             hold=self._deadman(now_ns) or trust.hold,
-            degraded=self._unheeded(trust.degraded) if self.unmoved_ns else trust.degraded,
+            degraded=self._degraded() if self.unmoved_ns else trust.degraded,
             started=started,
             at_rest=self.at_rest,
         )
@@ -170,9 +170,9 @@ class Situation:
             self._has_driven = drives and (self._has_driven or (plant is not None and plant.driving))
         self.unmoved_ns = now_ns - self._moved_ns
 
-    def _unheeded(self, degraded: str) -> str:
+    def _degraded(self) -> str:
         """Why a robot drives other than the law says, and what is wrong with a body that goes on standing."""
-        late_s = self.unmoved_ns / NS_PER_S
+        degraded, late_s = self._trust.degraded, self.unmoved_ns / NS_PER_S
         if late_s <= self._unheeded_s:
             return degraded
         return "; ".join(filter(None, (degraded, f"its plant has taken no wrench for {late_s:.1f} s")))

@@ -44,7 +44,7 @@ class Peer:
     """One other robot. `Peers` writes it, others read.
 
     Attributes:
-        name: of it, in words.
+        name: ``robot ID``, as texts have it.
         message: its latest, a hand state, or a beacon in the form of one; None when nothing has come.
         hand_ns, beacon_ns: stamps of its latest hand state and beacon, -1 while none has come.
         clock: what is known of its clock.
@@ -103,11 +103,6 @@ class Peer:
         Below 0 where its clock is further ahead than is proven.
         """
         return None if self.hand_ns == _NEVER else now_ns + self.clock.used_ns - self.hand_ns
-
-    @property
-    def forgiven_ns(self) -> int:
-        """How late it is as usual, beyond `UNSURE_NS`."""
-        return self.lateness.forgiven_ns
 
     @property
     def is_gone(self) -> bool:
@@ -330,7 +325,7 @@ class Peers:
         return tuple(
             peer.robot
             for peer in self._known.values()
-            if now_ns - max(peer.direct_ns - peer.clock.used_ns, self._began_ns) - peer.forgiven_ns
+            if now_ns - max(peer.direct_ns - peer.clock.used_ns, self._began_ns) - peer.lateness.forgiven_ns
             > horizon_ns
         )
 
@@ -542,7 +537,9 @@ class Peers:
         if known is None or known[0] is not message:
             known = self._beliefs[robot] = (
                 message,
-                self.forecast.stood(message, stands_after(self._horizon_s, peer.forgiven_ns / NS_PER_S)),
+                self.forecast.stood(
+                    message, stands_after(self._horizon_s, peer.lateness.forgiven_ns / NS_PER_S)
+                ),
             )
         return known[1]
 
