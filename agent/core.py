@@ -7,6 +7,7 @@ Here is the order of things; what they are is in the rooms below.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
@@ -20,7 +21,7 @@ from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
-from agent.messages.codec import encode
+from agent.messages.codec import decode, encode, mark_of
 from agent.messages.types import (
     FLOAT_MAX,
     Ask,
@@ -35,6 +36,7 @@ from agent.messages.types import (
     clipped,
 )
 from agent.messages.validation import Malformed
+from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
 from agent.supervision.outbox import Outbox
@@ -70,9 +72,10 @@ class Agent:
         self._trust = NeighbourTrust(fleet, self._controller)
         self._situation = Situation(fleet, robot, self._controller, self._trust)
         self._latch = self._situation.latch
-        self._relay = OrderRelay(fleet, robot, self._latch)
+        self._relay = OrderRelay(fleet, robot, self._latch, self._missions)
+        self._lasting = LastingOrders(self._latch)
         self._own_hand = OwnHand(self._controller)
-        self._outbox = Outbox(fleet, robot, self.phase_ns, self._peers, self._relay, self._latch)
+        self._outbox = Outbox(fleet, robot, self.phase_ns, self._peers, self._missions, self._latch)
         self._key_status = key_expressions.status(name, robot)
 
         others = [other for other in fleet.ids if other != robot]
@@ -126,12 +129,12 @@ class Agent:
             robot=robot,
             topic="state",
         )
-        relayed = [key_expressions.relayed(name, other) for other in others]
-        for key in (key_expressions.mission(name), *relayed):
+        on(key_expressions.mission(name), Mission, self._accept_operators_mission)
+        on(key_expressions.stop(name), Stop, self._relay.accept)
+        on(key_expressions.resume(name), Resume, self._accept_operators_resume)
+        for key in (key_expressions.relayed(name, other) for other in others):
             on(key, Mission, self._accept_mission)
-        for key in (key_expressions.stop(name), *relayed):
             on(key, Stop, self._relay.accept)
-        for key in (key_expressions.resume(name), *relayed):
             on(key, Resume, self._relay.accept)
         on(key_expressions.heartbeat(name), Heartbeat, self._situation.accept_heartbeat)
         on(key_expressions.ask(name), Ask, self._relay.accept_question)
@@ -158,7 +161,25 @@ class Agent:
 
     def _accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
         self._relay.compare(now_ns, beacon)
-        return self._peers.accept_beacon(beacon, now_ns)
+        reason = self._peers.accept_beacon(beacon, now_ns)
+        situation = self._situation
+        if not situation.may_go_on and reason is None and beacon.following and situation.mission is not None:
+            its_mission = beacon.mission_version, beacon.mission_tag
+            situation.may_go_on = its_mission == self._missions.mark
+        return reason
+
+    def _accept_operators_mission(self, mission: Mission, now_ns: int) -> str | None:
+        reason = self._accept_mission(mission, now_ns)
+        if reason is None and mark_of(mission) == self._missions.mark:
+            self._situation.may_go_on = True
+        return reason
+
+    def _accept_operators_resume(self, resume: Resume, now_ns: int) -> str | None:
+        reason = self._relay.accept(resume, now_ns)
+        is_for_it = not resume.robots or self.robot in resume.robots
+        if reason is None and is_for_it and not self._latch.stopped:
+            self._situation.may_go_on = True
+        return reason
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         situation, before = self._situation, self._situation.mission
@@ -172,13 +193,34 @@ class Agent:
         if plan is None:
             return None
         situation.mission, situation.refused_mission = mission, ""
-        self._relay.take(mission)
+        self._relay.took(mission)
         self._controller.plan(plan)
         if before is None or before.epoch_ns != mission.epoch_ns:
             situation.give_back()
             self._ingress.begin(mission.epoch_ns)
             self._outbox.begin(mission.epoch_ns)
         return None
+
+    @property
+    def lasting(self) -> tuple[bytes, ...]:
+        """See `agent.node.Node`: the last stop and resume, and the mission."""
+        return self._lasting.current
+
+    def recall(self, now_ns: int, orders: Sequence[bytes]) -> None:
+        """See `agent.node.Node`. What it recalls it relays to who lacks it, and drives by when it may
+        (`Situation.may_go_on`)."""
+        self._lasting.has_disk()
+        for payload in orders:
+            order = decode(payload)
+            if isinstance(order, Stop | Resume):
+                self._relay.recall(order)
+            elif isinstance(order, Mission):
+                self._accept_mission(order, now_ns)
+
+    def kept(self, orders: tuple[bytes, ...], trouble: str) -> None:
+        """See `agent.node.Node`: now it acknowledges them."""
+        self._lasting.kept(orders, trouble)
+        self._situation.unkept = trouble
 
     def runs_by(self, clock: MachineClock) -> None:
         """See `agent.node.Node`: its plant goes by the same clock."""
@@ -211,6 +253,7 @@ class Agent:
         here = self._find_hand(now_ns)
         self._report.ages_us.extend(self._trust.update(now_ns, self.state, here))
         self._listen()
+        self._lasting.look(situation.mission)
         was = self.state
         situation.lost_plant(was)
         conditions = situation.conditions(now_ns, was)
@@ -300,15 +343,22 @@ class Agent:
         """Whether the robot and its body obey the law, or stand ready to from the epoch on."""
         if self.state in DRIVING:
             return not self._situation.is_let_down
-        return self.state is State.READY and self._situation.mission is not None
+        return self.state is State.READY and self._situation.mission is not None and self._situation.may_go_on
 
     def _status(self, now_ns: int) -> Outgoing:
-        mission = self._situation.mission
-        mission_version = 0 if mission is None else mission.version
+        lasting = self._lasting
+        # One that it would not drive by it has not acknowledged: who drives the fleet says it again.
+        mission_version = lasting.mission_version if self._situation.may_go_on else 0
         situation = (self.state.value, self.transition, clipped(self.reason))
         neighbours = [peer for _, peer in self._controller.edges]
         status = self._report.status(
-            now_ns, self.robot, situation, mission_version, self._latch.version, neighbours, self._peers.known
+            now_ns,
+            self.robot,
+            situation,
+            mission_version,
+            lasting.order_version,
+            neighbours,
+            self._peers.known,
         )
         return self._key_status, encode(status)
 

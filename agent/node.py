@@ -74,6 +74,21 @@ class Node(Protocol):
         """True when, after `end`, the process may end."""
         ...
 
+    @property
+    def lasting(self) -> tuple[bytes, ...]:
+        """The operators' orders, encoded, that must outlive the process; another object when they have
+        changed."""
+        ...
+
+    def recall(self, now_ns: int, orders: Sequence[bytes]) -> None:
+        """Takes, before the first tick, the orders that were kept when the process ran last; from now on
+        an order is kept when `kept` says so. Not called where nothing is kept."""
+        ...
+
+    def kept(self, orders: tuple[bytes, ...], trouble: str) -> None:
+        """Takes that `orders`, which `lasting` was, are on the disk, or why they cannot be."""
+        ...
+
     def runs_by(self, clock: MachineClock) -> None:
         """Takes the clock of the process; not called in virtual time, where all have one."""
         ...

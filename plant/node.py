@@ -14,7 +14,7 @@ from agent.fleet.model import Fleet
 from agent.formation.mission_choice import MissionChoice, MissionRefused
 from agent.links.ingress import Ingress
 from agent.messages import key_expressions
-from agent.messages.codec import encode
+from agent.messages.codec import decode, encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
     BYTES_MAX,
@@ -33,6 +33,7 @@ from agent.messages.types import (
     Wrench,
     clipped,
 )
+from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.state_machine import at_rest
 from agent.supervision.stop_latch import StopLatch
 from plant.backend import Check, Command, PlantBackend, Reading
@@ -74,6 +75,7 @@ class PlantNode:
         self._missions = MissionChoice(fleet, geometry)
         self._epoch_ns = -1
         self._latch = StopLatch(robot, backend.clear_to_drive)
+        self._lasting = LastingOrders(self._latch)
         self._checks: Sequence[Check] = ()
         self._levels: list[tuple[str, str]] = []
         self._checks_due_ns = self._checks_sequence = 0
@@ -144,6 +146,23 @@ class PlantNode:
         """
         self._now_ns = now_ns
         self._ingress.receive(now_ns - self._ahead_ns, key, payload)
+
+    @property
+    def lasting(self) -> tuple[bytes, ...]:
+        """See `agent.node.Node`: the last stop and resume. A mission is its agent's to keep: a bridge that
+        starts again has to hear it anew."""
+        return self._lasting.current
+
+    def recall(self, now_ns: int, orders: Sequence[bytes]) -> None:
+        """See `agent.node.Node`. A stop holds on; what a resume gave back then is not given back again."""
+        self._lasting.has_disk()
+        for payload in orders:
+            order = decode(payload)
+            if isinstance(order, Stop | Resume):
+                self._latch.recall(order)
+
+    def kept(self, orders: tuple[bytes, ...], trouble: str) -> None:
+        """Nothing: a plant acknowledges no orders but by what it does."""
 
     def runs_by(self, clock: MachineClock) -> None:
         """See `agent.node.Node`. Its agent's wrenches tell that one's clock, which it follows."""
@@ -224,6 +243,7 @@ class PlantNode:
         """
         self._now_ns = now_ns
         self._ingress.arrive(now_ns - self._ahead_ns)
+        self._lasting.look(None)
         fleet_ns = now_ns - self._ahead_ns
         command = self._command(fleet_ns)
         reading = self._backend.step(now_ns, command)

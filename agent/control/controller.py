@@ -31,7 +31,7 @@ from agent.formation.mission_plan import Plan
 from agent.formation.reference import Edge, Reference
 from agent.formation.trajectory import Sample
 from agent.links.ticks import next_tick_ns
-from agent.messages.codec import Mark, tag
+from agent.messages.codec import Mark, mark_of
 from agent.messages.types import Forces, HandState, PlantState
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class Controller:
     def plan(self, plan: Plan) -> None:
         """Takes what the fleet is to do."""
         self.reference.take(plan)
-        self.mark = plan.mission.version, tag(plan.mission)
+        self.mark = mark_of(plan.mission)
         self._references[self.mark] = self.reference.frozen()
         while len(self._references) > REFERENCES_MAX:
             del self._references[next(iter(self._references))]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan, PlanError, plan_of
-from agent.messages.codec import Mark, newer, tag
+from agent.messages.codec import Mark, mark_of, newer
 from agent.messages.types import Mission
 
 if TYPE_CHECKING:
@@ -70,5 +70,5 @@ class MissionChoice:
             plan = plan_of(mission, self._fleet, self._geometry)
         except PlanError as error:
             raise MissionRefused("mission", f"the mission cannot be driven: {error}") from None
-        self.mission, self.plan, self.mark = mission, plan, (mission.version, tag(mission))
+        self.mission, self.plan, self.mark = mission, plan, mark_of(mission)
         return plan

@@ -25,7 +25,7 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from agent.formation.mission_plan import Plan, plan_of
 from agent.formation.trajectory import Sample
-from agent.messages.codec import Mark, newer, tag
+from agent.messages.codec import Mark, mark_of, newer
 from agent.messages.types import TIME_NS_MAX, Mission
 
 LEAVE_FADE_NS: Final = 500_000_000
@@ -71,7 +71,7 @@ class _Segment:
         self.begin_ns: Final = begin_ns
         self.blend_ns: Final = blend_ns
         self.leave_ns: Final = min(blend_ns, LEAVE_FADE_NS)
-        self.mark: Final[Mark] = plan.mission.version, tag(plan.mission)
+        self.mark: Final[Mark] = mark_of(plan.mission)
         self._edges: dict[int, tuple[Edge, ...]] = {}
 
     def edges(self, robot: int) -> tuple[Edge, ...]:

@@ -270,6 +270,18 @@ class Bus:
         for publisher in self._publishers[key]:
             publisher.put(payload)
 
+    def as_it_came(self, payload: bytes) -> bytes:
+        """The bytes in which an operator's order came that `drain` gave, to keep it."""
+        return payload
+
+    def kept(self, came: bytes) -> bytes:
+        """The order in the bytes that `as_it_came` gave once.
+
+        Raises:
+            ValueError: there is none in them; the text says why.
+        """
+        return came
+
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
         now_s = time.monotonic()

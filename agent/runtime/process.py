@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -21,16 +22,21 @@ from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.ticks import Ticks
 from agent.messages import key_expressions
+from agent.messages.codec import decode, head
+from agent.messages.types import Stop
 from agent.node import Node
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.clock import RealClock
+from agent.runtime.order_store import OrderStore
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotYetValidError
 from agent.security.identity import of_robot
+from agent.security.private_files import KeyFileError
 
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""
+_STOP: Final = head(Stop)
 PARENT_PERIOD_NS: Final = NS_PER_S // 4
 """How often the parent process is looked for, ns."""
 
@@ -72,7 +78,55 @@ class Shutdown:
             self.asked, self.why = True, "the process that started it is gone"
 
 
-def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: SystemdNotifier) -> None:
+class OrderKeeper:
+    """Has `node`'s lasting orders kept in `store`, and gives it what others lay there.
+
+    Args:
+        fleet: its name.
+    """
+
+    def __init__(self, node: Node, bus: Bus, store: OrderStore, fleet: str, log: Log) -> None:
+        self._node, self._bus, self._store, self._log = node, bus, store, log
+        self._key_stop = key_expressions.stop(fleet)
+        self._wanted: tuple[bytes, ...] = ()
+
+    def recall(self, now_ns: int) -> None:
+        """Gives `node` what was kept when the process ran last, before its first tick."""
+        self._node.recall(now_ns, self._opened(self._store.read()))
+
+    def step(self, now_ns: int) -> None:
+        """After a tick: has kept what is new, says what is, and takes a stop that was laid there."""
+        node, store = self._node, self._store
+        if node.lasting is not self._wanted:
+            self._wanted = node.lasting
+            store.keep(self._wanted, [came for each in self._wanted if (came := self._bus.as_it_came(each))])
+        done = store.done()
+        if done is not None:
+            node.kept(*done)
+        for order in self._opened(store.stops(now_ns)):
+            if order.startswith(_STOP):
+                node.receive(now_ns, self._key_stop, order)
+
+    def _opened(self, kept: Sequence[bytes]) -> list[bytes]:
+        orders = []
+        for each in kept:
+            try:
+                orders.append(self._bus.kept(each))
+                decode(orders[-1])
+            except ValueError as error:
+                self._log(f"an order that was kept is not taken: {error}")
+        return orders
+
+
+def loop(
+    node: Node,
+    bus: Bus,
+    clock: Clock,
+    shutdown: Shutdown,
+    log: Log,
+    service: SystemdNotifier,
+    keeper: OrderKeeper | None = None,
+) -> None:
     """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
 
     Wakes at the deadline, drains the bus, ticks, publishes. A tick gets the time of its
@@ -105,6 +159,8 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
         node.timed(clock.now_ns() - start_ns, missed)
         for key, payload in outgoing:
             bus.publish(key, payload)
+        if keeper is not None:
+            keeper.step(now_ns)
         if node.condition[0] != state:
             state, reason = node.condition
             log(f"{state}: {printable(reason)}" if reason else state)
@@ -120,17 +176,27 @@ def loop(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, servi
         ticks.plan(now_ns)
 
 
-def serve(node: Node, bus: Bus, clock: Clock, shutdown: Shutdown, log: Log, service: SystemdNotifier) -> None:
+def serve(
+    node: Node,
+    bus: Bus,
+    clock: Clock,
+    shutdown: Shutdown,
+    log: Log,
+    service: SystemdNotifier,
+    keeper: OrderKeeper | None = None,
+) -> None:
     """Puts `node` on the bus and drives it by `clock` until the process is asked to end."""
     for key in node.publications:
         bus.declare(key)
     bus.listen(node.subscriptions)
+    if keeper is not None:
+        keeper.recall(clock.now_ns())
     bus.announce(node.alive_key)  # from here on others may count on being heard
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
     service.ready()
-    loop(node, bus, clock, shutdown, log, service)
+    loop(node, bus, clock, shutdown, log, service, keeper)
     if node.rejected:
         reasons = sorted(((count, name) for name, count in node.rejected.items()), reverse=True)
         shown = ", ".join(f"{count} {name}" for count, name in reasons)
@@ -181,8 +247,23 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
         raise StartError(str(error)) from None
 
 
+def _store(options: argparse.Namespace, role: str, log: Log) -> AbstractContextManager[OrderStore | None]:
+    """Where the process keeps operators' orders, if it was told to.
+
+    Raises:
+        StartError: that cannot be used.
+    """
+    if options.orders is None:
+        return nullcontext()
+    try:
+        return OrderStore(Path(options.orders), f"robot-{options.robot}-{role}", log)
+    except KeyFileError as error:
+        raise StartError(f"cannot keep operators' orders: {error}") from None
+
+
 def _run(
     options: argparse.Namespace,
+    role: str,
     start: Callable[[Fleet, int, Clock, Log], Start],
     shutdown: Shutdown,
     service: SystemdNotifier,
@@ -206,17 +287,21 @@ def _run(
     node, listen, connect, close = start(fleet, options.robot, clock, log)
     node.runs_by(clock.machine)
     try:
-        with open_bus(
-            fleet,
-            options.robot,
-            options.keys,
-            log,
-            listen=listen,
-            connect=connect,
-            near=key_expressions.near(fleet.fleet.name, options.robot),
-            go_on_waiting=waiting,
-        ) as bus:
-            serve(node, bus, clock, shutdown, log, service)
+        with (
+            open_bus(
+                fleet,
+                options.robot,
+                options.keys,
+                log,
+                listen=listen,
+                connect=connect,
+                near=key_expressions.near(fleet.fleet.name, options.robot),
+                go_on_waiting=waiting,
+            ) as bus,
+            _store(options, role, log) as store,
+        ):
+            keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
+            serve(node, bus, clock, shutdown, log, service, keeper)
     finally:
         close()
 
@@ -240,12 +325,13 @@ def main(
         "--set", dest="overrides", action="append", default=[], metavar="A.B=V", help="override a field"
     )
     parser.add_argument("--law", help="preset of the control law: paper, edge, joint or penalty")
+    parser.add_argument("--orders", metavar="DIR", help="folder in which operators' orders outlive it")
     options = parser.parse_args(argv)
     shutdown = Shutdown(with_parent=options.exit_with_parent)
     log = logger(options.robot, role)
     try:
         with SystemdNotifier() as service:
-            _run(options, start, shutdown, service, log)
+            _run(options, role, start, shutdown, service, log)
     except BusError as error:
         if not shutdown.asked:
             log(str(error))

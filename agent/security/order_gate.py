@@ -123,6 +123,22 @@ class OrderGate:
             self._refused(f"to say an order on {key}: the operator's seal of it is no longer known here")
         return sealed
 
+    def seal_of(self, payload: bytes) -> bytes | None:
+        """The sealed order that these bytes came in, None where that is no longer known."""
+        return self._sealed.get(payload)
+
+    def recall(self, sealed: bytes) -> bytes:
+        """The order that was let in once, and kept since as it came: relayed again it goes out so.
+
+        Raises:
+            Forged: it is none of an operator's, or not one that lasts.
+        """
+        payload = self._opener.recall(sealed).payload
+        if not payload.startswith(_LASTING):
+            raise Forged("malformed", "not an order that lasts")
+        self._remember(payload, sealed)
+        return payload
+
     def _is_too_much(self, key: str, now_ns: int) -> bool:
         """Counts a seal that is new; whether too many of these have come on `key` of late."""
         if not 0 <= now_ns - self._new_ns < NEW_PERIOD_NS:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgpack
 
+from agent.common.time import NS_PER_S
 from agent.messages.types import MISSION_BYTES_MAX, TIME_NS_MAX
 from agent.security.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
 from agent.security.credentials import Credentials
@@ -103,6 +104,17 @@ class Opener:
     def has_verified(self, sealed: bytes) -> bool:
         """Whether these bytes were verified of late: then `open` verifies no signature."""
         return sealed in self._orders
+
+    def recall(self, sealed: bytes) -> Order:
+        """The order in `sealed`, whose operator's certificate was valid when it was sealed.
+
+        A stop holds on when that has expired since: whoever kept it has opened it once.
+
+        Raises:
+            Forged: it is none.
+        """
+        sealed_ns, *_ = _parts(sealed)
+        return self.open(sealed, sealed_ns / NS_PER_S)
 
     def open(self, sealed: bytes, now_s: float) -> Order:
         """The order in `sealed`.

@@ -9,8 +9,9 @@ from typing import Final
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
+from agent.formation.mission_choice import MissionChoice
 from agent.messages import key_expressions
-from agent.messages.codec import Mark, encode, tag
+from agent.messages.codec import encode, mark_of
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
 from agent.supervision.gossip import AGAIN_NS, Gossip
@@ -21,22 +22,19 @@ UNMOVED_NS: Final = NS_PER_S // 2
 
 
 class OrderRelay:
-    """What robot `robot` of `fleet` tells, of its latch's orders and the mission.
+    """What robot `robot` of `fleet` tells, of its latch's orders and the mission that it has chosen.
 
     Attributes:
         key: where it tells it.
         subscription: where all robots do.
-        mission_mark: of the mission that it has acknowledged (`agent.supervision.gossip.Mark`).
     """
 
-    def __init__(self, fleet: Fleet, robot: int, latch: StopLatch) -> None:
+    def __init__(self, fleet: Fleet, robot: int, latch: StopLatch, missions: MissionChoice) -> None:
         name = fleet.fleet.name
         self.key: Final = key_expressions.relayed(name, robot)
         self.subscription: Final = key_expressions.relayed(name, "*")
-        self._latch = latch
-        self._mission: Mission | None = None
-        self.mission_mark: Mark = (0, 0)
-        self._missions = Gossip(robot, lambda: self.mission_mark)
+        self._latch, self._choice = latch, missions
+        self._missions = Gossip(robot, lambda: missions.mark)
         self._orders = Gossip(robot, lambda: latch.mark)
         self._numbers = SequenceNumbers(fleet.period_ns)
         """Those of the own plant, if it has acknowledged the mission."""
@@ -56,13 +54,17 @@ class OrderRelay:
             self._orders.said(now_ns, latch.mark)
         return reason
 
+    def recall(self, order: Stop | Resume) -> None:
+        """This robot had taken that stop or resume before its process started again: others may lack it."""
+        self._latch.recall(order)
+        self._orders.insist()
+
     def heard(self, now_ns: int, mission: Mission) -> None:
         """Somebody has said a mission that is for this fleet, newer or not."""
-        self._missions.said(now_ns, (mission.version, tag(mission)))
+        self._missions.said(now_ns, mark_of(mission))
 
-    def take(self, mission: Mission) -> None:
+    def took(self, mission: Mission) -> None:
         """This is the mission from now on."""
-        self._mission, self.mission_mark = mission, (mission.version, tag(mission))
         self._numbers.begin(mission.epoch_ns)
         self._missions.insist()
 
@@ -86,7 +88,7 @@ class OrderRelay:
         if unmoved_ns > UNMOVED_NS and now_ns - self._insisted_ns > UNMOVED_NS:
             self._insisted_ns = now_ns
             self._orders.insist()
-        if plant is None or self._mission is None or now_ns < self._plant_told_ns + AGAIN_NS:
+        if plant is None or self._choice.mission is None or now_ns < self._plant_told_ns + AGAIN_NS:
             return
         # Its numbers count from the mission's epoch as soon as it has that.
         if plant.sequence != self._numbers.at(plant.time_ns):
@@ -101,6 +103,6 @@ class OrderRelay:
         out: list[Outgoing] = []
         if self._orders.due(now_ns) or tells:
             out += [(self.key, encode(order)) for order in self._latch.latest]
-        if tells and self._mission is not None:
-            out.append((self.key, encode(self._mission)))
+        if tells and self._choice.mission is not None:
+            out.append((self.key, encode(self._choice.mission)))
         return out

@@ -8,6 +8,7 @@ from agent.common.time import MachineClock
 from agent.control.hand import Hand
 from agent.control.peers.peers import Peers
 from agent.fleet.model import Fleet
+from agent.formation.mission_choice import MissionChoice
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.sequence_numbers import SequenceNumbers
@@ -20,7 +21,6 @@ from agent.messages.types import (
     Outgoing,
     Wrench,
 )
-from agent.supervision.order_relay import OrderRelay
 from agent.supervision.stop_latch import StopLatch
 
 
@@ -30,18 +30,18 @@ class Outbox:
     Args:
         phase_ns: of its ticks.
         peers: whose hand states it echoes, and of whose silence its beacons tell.
-        relay, latch: which orders it has acknowledged.
+        missions, latch: which orders it has.
 
     Attributes:
         keys: on which it publishes.
     """
 
     def __init__(
-        self, fleet: Fleet, robot: int, phase_ns: int, peers: Peers, relay: OrderRelay, latch: StopLatch
+        self, fleet: Fleet, robot: int, phase_ns: int, peers: Peers, missions: MissionChoice, latch: StopLatch
     ) -> None:
         name, period_ns = fleet.fleet.name, fleet.period_ns
         self._robot, self._period_ns, self._phase_ns = robot, period_ns, phase_ns
-        self._peers, self._relay, self._latch = peers, relay, latch
+        self._peers, self._missions, self._latch = peers, missions, latch
         self._wrenches = SequenceNumbers(period_ns, phase_ns)
         self._hands = SequenceNumbers(period_ns, phase_ns)
         self._beacon_rounds = fleet.beacon_rounds
@@ -109,7 +109,7 @@ class Outbox:
             following,
             *here,
             doubt,
-            *self._relay.mission_mark,
+            *self._missions.mark,
             *self._latch.mark,
             self._peers.silent(now_ns),
             self._peers.given_up(now_ns),

@@ -17,6 +17,8 @@ from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest
 from agent.supervision.stop_latch import AWAITED, StopLatch
 
+NOT_SAID: Final = "for an operator's word, or for one who drives by its mission: that is of before its start"
+"""Why a robot does not drive by a mission that it has only been told of."""
 LISTEN_ROUNDS: Final = 2
 """So many times all others have said where they are before a robot joins in a drive."""
 UNHEEDED_S: Final = 1.0
@@ -42,6 +44,10 @@ class Situation:
         ending: whether the process is to end.
         heartbeat_ns: when the operator's last heartbeat came, 0 before the first.
         latch: the last stop and resume.
+        unkept: why the orders that it has are not on its disk, "" when they are.
+        may_go_on: whether it may drive by the mission that it knows. That is not enough: orders outlive
+            processes, and are relayed. Since this one started an operator has said the mission or a resume,
+            or somebody was heard who drives by that mission. Then it stays so.
         unmoved_ns: how long the plant has braked though the robot drives; 0 while it does what it is asked.
     """
 
@@ -52,7 +58,8 @@ class Situation:
         self.plant_trouble = "for its plant"
         self.mission: Mission | None = None
         self.refused_mission = self.numbers = ""
-        self.ending = False
+        self.unkept = ""
+        self.ending = self.may_go_on = False
         self.heartbeat_ns = 0
         self._taken = ""
         self._plant_timeout_ns = round(fleet.control.plant_timeout_s * NS_PER_S)
@@ -132,12 +139,12 @@ class Situation:
         mission, controller, trust = self.mission, self._controller, self._trust
         self._look_at_body(now_ns, state)
         # The wrench of this tick acts from the plant's next tick on: that one starts the drive.
-        started = mission is not None and controller.acts_from_ns(now_ns) >= mission.epoch_ns
+        begun = mission is not None and controller.acts_from_ns(now_ns) >= mission.epoch_ns
         stop = ""
         if self.ending:
             stop = "the agent was told to end"
         elif self.latch.stopped:
-            stop = self.latch.stopped
+            stop = f"{self.latch.stopped}; {self.unkept}" if self.unkept else self.latch.stopped
         elif mission is not None and now_ns >= mission.epoch_ns + mission.duration_ns:
             stop = MISSION_OVER
         place = ""
@@ -145,20 +152,19 @@ class Situation:
             place = "in reserve" if self._fleet.robot(self._robot).reserve else "it has left the formation"
         neighbours = ""
         if state not in DRIVING:  # a robot that drives has begun
-            neighbours = trust.missing(now_ns, started=started) or (
-                self._listening(now_ns) if started else ""
-            )
+            neighbours = trust.missing(now_ns, started=begun) or (self._listening(now_ns) if begun else "")
+        lacks = "" if mission is not None else self.refused_mission or "for a mission"
         return Conditions(
             plant=self.plant_trouble,
             body=self.body_trouble,
             numbers=self.numbers,
             place=place,
             neighbours=neighbours,
-            mission="" if mission is not None else self.refused_mission or "for a mission",
+            mission=lacks or ("" if self.may_go_on else NOT_SAID),
             stop=stop,
             hold=self._deadman(now_ns) or trust.hold,
             degraded=self._degraded() if self.unmoved_ns else trust.degraded,
-            started=started,
+            started=begun and self.may_go_on,
             at_rest=self.at_rest,
         )
 

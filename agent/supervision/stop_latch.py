@@ -10,8 +10,6 @@ from agent.messages.types import Resume, Stop
 AWAITED: Final = "waiting to be told to resume"
 """How a reason ends where only a resume is missing."""
 
-_NEVER: Final = -1
-
 
 class StopLatch:
     """The last stop and the last resume. A stop holds until a later resume for this robot.
@@ -25,42 +23,69 @@ class StopLatch:
 
     Attributes:
         version: of the last stop or resume that is known, 0 when there was none.
+        lasting: what a process that starts again has to know of them; another object when it has changed.
     """
 
     def __init__(self, robot: int, on_resume: Callable[[], None]) -> None:
         self._robot, self._on_resume = robot, on_resume
         self._stop: Stop | None = None
         self._resume: Resume | None = None
-        self._resumed = _NEVER
+        self._own: Resume | None = None
+        """Of the resumes that name this robot or all: the greatest of all may be another's."""
         self.version = 0
+        self.lasting: tuple[Stop | Resume, ...] = ()
 
     def accept_stop(self, stop: Stop) -> str | None:
         """Takes a message; returns why it is refused, None when it is not."""
         if self._stop is not None and stop.version <= self._stop.version:
             return None if stop.version == self._stop.version else "out_of_order"
         self._stop = stop
-        self.version = max(self.version, stop.version)
+        self._changed(stop)
         return None
 
     def accept_resume(self, resume: Resume) -> str | None:
         """Takes a message; returns why it is refused, None when it is not."""
-        # Of resumes for single robots, the greatest may be another's: what counts here is the own greatest.
-        mine = (not resume.robots or self._robot in resume.robots) and resume.version > self._resumed
+        mine, known = self._is_mine(resume), self._resume
         if mine:
-            self._resumed = resume.version
+            self._own = resume
             self._on_resume()
-        if self._resume is not None and resume.version <= self._resume.version:
-            return None if mine or resume.version == self._resume.version else "out_of_order"
-        self._resume = resume
-        self.version = max(self.version, resume.version)
-        return None
+        newest = known is None or resume.version > known.version
+        if newest:
+            self._resume = resume
+        if mine or newest:
+            self._changed(resume)
+            return None
+        return None if known is not None and resume.version == known.version else "out_of_order"
+
+    def recall(self, order: Stop | Resume) -> None:
+        """Takes an order that this robot had taken before its process started again: of what a resume did
+        then, nothing is done once more."""
+        if isinstance(order, Stop):
+            self.accept_stop(order)
+            return
+        if self._is_mine(order):
+            self._own = order
+        if self._resume is None or order.version > self._resume.version:
+            self._resume = order
+        self._changed(order)
+
+    def _is_mine(self, resume: Resume) -> bool:
+        """Whether a resume is for this robot, and later than those that it has had."""
+        is_for_it = not resume.robots or self._robot in resume.robots
+        return is_for_it and (self._own is None or resume.version > self._own.version)
+
+    def _changed(self, by: Stop | Resume) -> None:
+        self.version = max(self.version, by.version)
+        own = self._own if self._own is not self._resume else None
+        self.lasting = tuple(order for order in (self._stop, self._resume, own) if order is not None)
 
     @property
     def stopped(self) -> str:
         """Why the robot must stand, "" when it need not. Of equal versions the stop holds."""
-        if self._stop is None or self._stop.version < self._resumed:
+        stop, own = self._stop, self._own
+        if stop is None or (own is not None and stop.version < own.version):
             return ""
-        return f"stop: {self._stop.reason}" if self._stop.reason else "stop"
+        return f"stop: {stop.reason}" if stop.reason else "stop"
 
     @property
     def mark(self) -> tuple[int, int]:

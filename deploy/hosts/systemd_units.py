@@ -42,6 +42,7 @@ class Places:
         keys: folder of the robots' keys and certificates, None in a fleet that is not secured.
         recordings: folder of what robots record.
         state: folder of what processes remember while the fleet is up.
+        orders: folder of operators' orders, which outlive processes and `handfast down`.
     """
 
     version: str
@@ -49,6 +50,7 @@ class Places:
     keys: str | None
     recordings: str
     state: str
+    orders: str
 
 
 def fleet_file(fleet: Fleet, text: str) -> str:
@@ -71,6 +73,7 @@ def places(fleet: Fleet, root: str, version: str, text: str) -> Places:
         keys=f"{base}/keys" if fleet.is_secured else None,
         recordings=f"{base}/recordings",
         state=f"{base}/state",
+        orders=f"{base}/orders",
     )
 
 
@@ -99,6 +102,8 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
         words += ["--keys", places.keys]
     if role == "plant" and not kind.vehicle:
         words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
+    if role != RECORDER:
+        words += ["--orders", places.orders]
     if role == RECORDER:
         words += ["--folder", f"{places.recordings}/robot-{robot}"]
     return words

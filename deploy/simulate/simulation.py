@@ -113,6 +113,7 @@ class _Host:
     Attributes:
         due_ns: true time of its next tick.
         ticked_ns: true time of its last one, below 0 before the first.
+        kept: what its disk has of operators' orders.
         life: counts up when ticks that were planned do not come: it was killed or paused.
     """
 
@@ -120,14 +121,16 @@ class _Host:
         self.rings: dict[str, Ring] = {}
         self._bus = bus
         self.life = 0
+        self.kept: tuple[bytes, ...] = ()
         self.ticked_ns = -1
         self.up = self.paused = False
         self._wrong = local
         self.start(node, now_ns)
 
     def start(self, node: Node, now_ns: int) -> None:
-        """A new process: it knows nothing, not even how long its clock has drifted."""
+        """A new process: it knows what is on its disk, and not even how long its clock has drifted."""
         self.node = node
+        node.recall(self._wrong.local_ns(now_ns), self.kept)
         self.up = True
         self._heard: Sequence[str] = ()
         self._listen()
@@ -186,6 +189,9 @@ class _Host:
                 node.receive(now_ns, key, payload)
         outgoing = node.tick(now_ns)
         self._listen()
+        if node.lasting is not self.kept:
+            self.kept = node.lasting
+            node.kept(self.kept, "")
         if missed:
             node.timed(0, missed)
         if self._local.epoch_ns is None and ticks.epoch_ns is not None:
