@@ -125,7 +125,7 @@ class OrderStore:
         Args:
             now_ns: any clock.
         """
-        if 0 <= self._look_due_ns - now_ns < LOOK_PERIOD_NS:
+        if 0 < self._look_due_ns - now_ns <= LOOK_PERIOD_NS:
             return ()
         self._look_due_ns = now_ns + LOOK_PERIOD_NS
         try:

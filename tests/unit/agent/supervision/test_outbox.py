@@ -5,10 +5,10 @@ from __future__ import annotations
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.formation.geometry import resolve
+from agent.formation.mission_choice import MissionChoice
 from agent.messages.codec import decode
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import HEARD_ROUNDS, Beacon, HandState, Wrench
-from agent.supervision.order_relay import OrderRelay
 from agent.supervision.outbox import Outbox
 from agent.supervision.stop_latch import StopLatch
 from tests.unit.agent.agent_bench import BEACON, HAND, PERIOD, START, WRENCH, fleet
@@ -21,7 +21,7 @@ def outbox() -> Outbox:
     made = fleet()
     latch = StopLatch(1, lambda: None)
     peers = Controller(made, resolve(made), 1).peers
-    return Outbox(made, 1, PERIOD // 2, peers, OrderRelay(made, 1, latch), latch)
+    return Outbox(made, 1, PERIOD // 2, peers, MissionChoice(made, resolve(made)), latch)
 
 
 def test_numbers_count_rounds_from_the_epoch_for_wrench_hand_and_beacon_alike():

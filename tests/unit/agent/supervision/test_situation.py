@@ -13,7 +13,7 @@ from agent.fleet.loading import load_fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages.types import PlantState, Removed, Resume, Stop
 from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.situation import LISTEN_ROUNDS, Situation
+from agent.supervision.situation import LISTEN_ROUNDS, NOT_SAID, Situation
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
 from deploy.console.data_files import FLEETS
@@ -44,6 +44,7 @@ def driving(*overrides: str) -> tuple[Situation, Trust]:
     made, trust = situation(*overrides)
     fleet = resolved(load_fleet(FLEETS / "pair.toml", overrides))
     made.mission = first_mission(fleet, NOW, NOW, NOW - NS_PER_S, 60 * NS_PER_S)
+    made.may_go_on = True
     made.accept_plant(plant(), NOW)
     made.check_plant(NOW - NS_PER_S)  # its first tick
     made.check_plant(NOW)
@@ -255,3 +256,23 @@ def test_what_trust_says_is_passed_on() -> None:
     conditions = made.conditions(NOW, State.RUNNING)
     assert (conditions.hold, conditions.degraded) == ("hears none", "slower: robot 2")
     assert not conditions.all_well
+
+
+def test_a_mission_of_before_the_start_waits_for_somebodys_word() -> None:
+    made, _ = driving()
+    made.may_go_on = False
+    conditions = made.conditions(NOW, State.READY)
+    assert (conditions.started, conditions.mission) == (False, NOT_SAID)
+    made.may_go_on = True
+    conditions = made.conditions(NOW, State.READY)
+    assert (conditions.started, conditions.mission) == (True, "")
+
+
+def test_a_stop_that_is_not_on_the_disk_says_so() -> None:
+    made, _ = driving()
+    made.unkept = "not on its disk: no space left on device"
+    assert made.conditions(NOW, State.RUNNING).stop == ""
+    made.latch.accept_stop(Stop(NOW, NOW, "lunch"))
+    assert made.conditions(NOW, State.RUNNING).stop == (
+        "stop: lunch; not on its disk: no space left on device"
+    )

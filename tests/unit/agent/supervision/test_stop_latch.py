@@ -128,3 +128,34 @@ def test_who_is_told_the_latest_knows_as_much_as_who_heard_all(orders: list[Stop
     started.take(*heard_all.latch.latest)
     assert started.latch.stopped == heard_all.latch.stopped
     assert started.latch.version == heard_all.latch.version
+
+
+def test_what_is_recalled_holds_as_before_and_gives_nothing_back_again():
+    before = Owner()
+    before.take(stop(3), resume(5), resume(7, 2), stop(6))
+    after = Owner()
+    for order in before.latch.lasting:
+        after.latch.recall(order)
+    assert after.leaves == 0
+    assert (after.latch.stopped, after.latch.mark) == (before.latch.stopped, before.latch.mark)
+    assert after.latch.lasting == before.latch.lasting == (stop(6), resume(7, 2), resume(5))
+    assert after.take(resume(5)) == ["out_of_order"]  # relayed again
+    assert after.leaves == 0
+    after.take(resume(8))
+    assert (after.latch.stopped, after.leaves) == ("", 1)
+
+
+@given(st.lists(st.one_of(
+    st.builds(stop, st.integers(0, 9)),
+    st.builds(resume, st.integers(0, 9)),
+    st.builds(resume, st.integers(0, 9), st.sampled_from([1, 2])),
+)))  # fmt: skip
+def test_whoever_recalls_what_lasts_is_where_it_was(orders):
+    before, after = Owner(), Owner()
+    before.take(*orders)
+    for order in before.latch.lasting:
+        after.latch.recall(order)
+    assert after.latch.stopped == before.latch.stopped
+    assert after.latch.mark == before.latch.mark
+    assert after.latch.version == before.latch.version
+    assert len(before.latch.lasting) <= 3
