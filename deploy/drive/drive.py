@@ -21,7 +21,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.drive.fleet_state import FleetState, Record
 from deploy.drive.live_view import View
-from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, refusal, stop_in_force, why
+from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, stop_in_force, why
 from deploy.drive.standstill import Standstill
 from deploy.drive.timing import Timing
 from deploy.faults.process_actions import WORDS, Action, actions
@@ -171,7 +171,7 @@ class Drive:
             self._fail("Not started: another operator said stop or resume meanwhile.")
             return False
         now_ns = self._clock.now_ns()
-        if stop.reason != OVER:
+        if not is_lifted(stop):
             self._view.say(f"lifting the stop that was given at {clock(stop.time_ns, now_ns)}{why(stop)}")
         self._fleet_state.say(self._operator.order_resume(now_ns, ()))
         return True

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from agent.fleet.model import Fleet
+from agent.runtime.runtime_folder import private_folder
 from deploy.console.interrupt import Interrupt
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
@@ -41,7 +44,8 @@ class LocalRun:
         self._source = source
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
         self._interrupt = interrupt
-        self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles)
+        self._orders = Path(tempfile.mkdtemp(prefix="orders-", dir=private_folder()))
+        self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles, orders=self._orders)
         self.reasons: list[str] = []
         self._has_vehicles = any(robot.kind.vehicle for robot in fleet.robots)
 
@@ -57,7 +61,11 @@ class LocalRun:
             self._start()
             with (
                 Registration(
-                    self._fleet.fleet.name, self._folder.path, self._folder.fleet_file, self._source
+                    self._fleet.fleet.name,
+                    self._folder.path,
+                    self._folder.fleet_file,
+                    self._source,
+                    self._orders,
                 ),
                 operator_bus(self._fleet) as bus,
             ):
@@ -70,6 +78,7 @@ class LocalRun:
             timeout_s = VEHICLES_END_TIMEOUT_S if self._has_vehicles else END_TIMEOUT_S
             for child in self._processes.end(timeout_s):
                 self._view.say(f"{child.name} did not end when asked and was killed")
+            shutil.rmtree(self._orders, ignore_errors=True)
 
     def _start(self) -> None:
         count = len(self._fleet.robots)

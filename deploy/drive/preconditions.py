@@ -12,8 +12,12 @@ from agent.messages.types import Stop
 from deploy.orders.operator import Known
 
 OVER: Final = "the run is over"
-"""Reason of the stop at the regular end of a drive. The next drive lifts it; any other stop was ordered
-for a reason, and holds until somebody resumes the fleet."""
+"""Reason of the stop at the regular end of a drive."""
+GOES_DOWN: Final = "the fleet goes down"
+"""Reason of the stop before a fleet leaves its hosts."""
+CAME_UP: Final = "the fleet came up"
+"""Reason of the stop with which a fleet begins on its hosts: whatever was ordered before is over."""
+_OF_COURSE: Final = frozenset((OVER, GOES_DOWN, CAME_UP))
 BROKEN_OFF: Final = "the drive broke off"
 """Likewise at the end of one that an error of this program or its machine has ended."""
 
@@ -38,6 +42,12 @@ def stop_in_force(known: Known) -> Stop | None:
     return stop
 
 
+def is_lifted(stop: Stop) -> bool:
+    """Whether the next drive lifts a stop of itself. Any other was ordered for a reason, and holds until
+    somebody resumes the fleet."""
+    return stop.reason in _OF_COURSE
+
+
 def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
     """Why no drive may begin now, in one sentence; "" when it may.
 
@@ -60,7 +70,7 @@ def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
             f"{name} is driving already: a mission that was given at {clock(mission.time_ns, now_ns)}{what} "
             f"and ends at {clock(end_ns, now_ns)}; wait until then, or say `handfast stop` first"
         )
-    if stop is not None and stop.reason != OVER and not resume:
+    if stop is not None and not is_lifted(stop) and not resume:
         return (
             f"the robots of {name} were told to stop at {clock(stop.time_ns, now_ns)}{why(stop)}; drive with "
             "--resume if they may drive again"

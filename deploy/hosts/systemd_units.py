@@ -100,10 +100,10 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
     words += ["--fleet", places.fleet_file, "--robot", str(robot)]
     if places.keys is not None:
         words += ["--keys", places.keys]
-    if role == "plant" and not kind.vehicle:
-        words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
     if role != RECORDER:
         words += ["--orders", places.orders]
+    if role == "plant" and not kind.vehicle:
+        words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
     if role == RECORDER:
         words += ["--folder", f"{places.recordings}/robot-{robot}"]
     return words

@@ -27,6 +27,7 @@ class Processes:
         vehicles: the fleet's simulated rovers.
         processes: which are wanted; all agents and plants unless given.
         look: bridges arm nothing: looking at a vehicle must not make it able to move.
+        orders: folder in which operators' orders outlive them; None: nowhere.
     """
 
     def __init__(
@@ -38,12 +39,13 @@ class Processes:
         processes: Sequence[Process] | None = None,
         *,
         look: bool = False,
+        orders: Path | None = None,
     ) -> None:
         self._fleet, self._fleet_file, self._log, self._vehicles = fleet, fleet_file, log, vehicles
         self._wanted = (
             [(robot, role) for robot in fleet.ids for role in ROLES] if processes is None else processes
         )
-        self._look = look
+        self._look, self._orders = look, orders
         self.ours: Final = True
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
@@ -60,6 +62,8 @@ class Processes:
         kind = self._fleet.robot(robot).kind
         module = "agent" if role == "agent" else kind.program
         arguments = ["--fleet", str(self._fleet_file), "--robot", str(robot)]
+        if self._orders is not None:
+            arguments += ["--orders", str(self._orders)]
         if role == "plant" and not kind.vehicle and pose is not None:
             # A simulated body starts at rest where it was. A vehicle goes on by itself.
             arguments.append(f"--pose={pose.x!r},{pose.y!r},{pose.heading!r}")

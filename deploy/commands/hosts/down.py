@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.model import Fleet
@@ -14,8 +14,6 @@ from deploy.inventory.running import NoAnswerError, handled
 if TYPE_CHECKING:
     from deploy.hosts.connection import HostConnection
     from deploy.hosts.view import HostsView, Row
-
-REASON: Final = "the fleet goes down"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +59,7 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
     from deploy.session.stop import stop
 
     try:
-        stopping = stop(fleet, REASON)
+        stopping = stop(fleet, _reason(fleet))
     except NoAnswerError:
         view.say("no robot answers: nothing to stop")
     except (BusError, InputError) as error:  # such as a certificate that is out of date: ssh is another way
@@ -71,6 +69,19 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
             view.say("all robots brake")
         for robot in fleet.ids if not stopping.done else ():
             view.say(stopping.outcome(robot))
+
+
+def _reason(fleet: Fleet) -> str:
+    """Why the robots stand from now on, also when they are up again: if somebody has stopped them for a
+    reason, for that."""
+    from deploy.drive.preconditions import GOES_DOWN, is_lifted, stop_in_force
+    from deploy.session.operator_session import OperatorSession
+    from deploy.session.session import connected
+
+    with connected(OperatorSession(fleet)) as session:
+        session.ask()
+        standing = stop_in_force(session.operator)
+    return GOES_DOWN if standing is None or is_lifted(standing) else standing.reason
 
 
 def _end(connection: HostConnection, row: Row, fleet: Fleet) -> None:

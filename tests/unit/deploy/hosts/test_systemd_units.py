@@ -17,7 +17,12 @@ from deploy.hosts.systemd_units import Places, arguments, roles, unit, unit_name
 from tests.unit.agent.fleet.test_hosts import FLEET
 
 PLACES = Places(
-    "/r/versions/1", "/r/fleets/two/fleet.toml", None, "/r/fleets/two/recordings", "/r/fleets/two/state"
+    "/r/versions/1",
+    "/r/fleets/two/fleet.toml",
+    None,
+    "/r/fleets/two/recordings",
+    "/r/fleets/two/state",
+    "/r/fleets/two/orders",
 )
 DATUM = "[datum]\nlatitude_deg = 1\nlongitude_deg = 1\n"
 BRIDGE = 'plant = "mavlink"\nmavlink = { connection = "udpin:0.0.0.0:14550" }'
@@ -52,7 +57,7 @@ def test_what_runs_can_be_read_from_the_file_again():
 
 
 def test_a_unit_says_which_certificate_its_processes_read():
-    secured = Places("/v", "/f", "/r/keys", "/r", "/s")
+    secured = Places("/v", "/f", "/r/keys", "/r", "/s", "/o")
     wanted = Files(Path("/r/keys"), of_robot("two", 1)).certificate
     for role in roles(fleet()):
         assert f"# reads: {json.dumps([str(wanted)])}\n" in unit(fleet(), 1, role, secured)
@@ -92,7 +97,7 @@ def test_the_recorder_can_be_left_out():
 
 
 def test_the_keys_are_named_not_shown():
-    words = arguments(fleet(), 1, "agent", Places("/v", "/f", "/r/keys", "/r", "/s"))
+    words = arguments(fleet(), 1, "agent", Places("/v", "/f", "/r/keys", "/r", "/s", "/o"))
     assert words[words.index("--keys") + 1] == "/r/keys"
 
 
