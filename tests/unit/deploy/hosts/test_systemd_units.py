@@ -43,7 +43,9 @@ def test_each_process_is_started_for_its_robot_from_the_installed_version():
     )
     for words, module in ((agent, "agent"), (plant, "plant"), (bridge, "bridges.mavlink")):
         assert words[:4] == ["/r/versions/1/bin/python", "-P", "-m", module]
-    assert agent[4:] == ["--fleet", "/r/fleets/two/fleet.toml", "--robot", "1"]
+    assert agent[4:8] == ["--fleet", "/r/fleets/two/fleet.toml", "--robot", "1"]
+    assert agent[8:] == plant[8:10] == bridge[8:] == ["--orders", "/r/fleets/two/orders"]
+    assert "--orders" not in recorder
     assert plant[-2:] == ["--pose-file", "/r/fleets/two/state/robot-1.pose"]
     assert "--pose-file" not in bridge
     assert recorder[-2:] == ["--folder", "/r/fleets/two/recordings/robot-1"]
@@ -87,7 +89,7 @@ def test_a_unit_starts_its_process_again_but_not_one_that_was_given_nonsense():
     ],
 )
 def test_paths_are_written_so_that_systemd_reads_them_as_they_are(folder: str, shown: str):
-    text = unit(fleet(), 1, "agent", Places(folder, "/f", None, "/r", "/s"))
+    text = unit(fleet(), 1, "agent", Places(folder, "/f", None, "/r", "/s", "/o"))
     assert settings(text)["ExecStart"].startswith(f"{shown} -P -m agent")
 
 
