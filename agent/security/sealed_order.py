@@ -80,6 +80,15 @@ class Sealer:
         return _packed((VERSION, now_ns, self._certificate, signature, payload))
 
 
+def payload_of(sealed: bytes) -> bytes:
+    """The order in `sealed`, whoever has sealed it.
+
+    Raises:
+        Forged: it is no sealed order.
+    """
+    return _parts(sealed)[3]
+
+
 class Opener:
     """Opens sealed orders, of operators of one fleet.
 

@@ -28,6 +28,7 @@ from deploy.faults.process_actions import WORDS, Action, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
 from deploy.processes.protocol import FleetProcesses
+from deploy.session.stop import Way
 
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
@@ -46,6 +47,8 @@ class Drive:
         resume: whether a stop that somebody else gave is to be lifted; one that the regular end of a drive
             gave always is.
         timing: how long is waited for what.
+        ways: makes the ways by which robots are stopped, besides the links that there are, after Ctrl-C or
+            when they do not answer.
 
     After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
     """
@@ -63,12 +66,13 @@ class Drive:
         orders: Sequence[OrderSection] | None = None,
         resume: bool = False,
         timing: Timing | None = None,
+        ways: Callable[[], Sequence[Way]] = tuple,
     ) -> None:
         self._fleet, self._processes, self._view, self._interrupt = fleet, processes, view, interrupt
         self._duration_s = fleet.fleet.duration_s if duration_s is None else duration_s
         self._orders = fleet.orders if orders is None else orders
         self._resume = resume
-        self._timing = timing or Timing()
+        self._timing, self._ways = timing or Timing(), ways
         self._fleet_state = FleetState(fleet, bus, processes, record)
         self._watch, self._operator = self._fleet_state.watch, self._fleet_state.operator
         self._clock, self._checks = self._fleet_state.clock, self._fleet_state.checks
@@ -97,8 +101,11 @@ class Drive:
                     self._drive()
         finally:
             begun = self._processes.ours or self._fleet_state.epoch_ns is not None
-            if begun and not self._is_left:
-                self._stop()
+            try:
+                if begun and not self._is_left:
+                    self._stop()
+            finally:
+                self._fleet_state.close()
 
     @property
     def end_ns(self) -> int:
@@ -220,7 +227,7 @@ class Drive:
 
     def _stop(self) -> None:
         """Brings every robot to a standstill, or gives up after a while."""
-        standstill = Standstill(self._fleet_state, self._interrupt, self._timing)
+        standstill = Standstill(self._fleet_state, self._interrupt, self._timing, self._ways)
         standstill.wait(self._view, self._why_stop())
         if standstill.deaf and not self._processes.ours:
             self._fail(f"Not heard to stop: {robots(standstill.deaf)}.")
@@ -243,6 +250,7 @@ class Drive:
         """Waits a moment, takes what came, does what rules order; False when the run has to end."""
         fleet_state = self._fleet_state
         time.sleep(min(POLL_S, max(0.0, self._until_next_s())))
+        fleet_state.pass_on()
         fleet_state.collect()
         news = self._watch.news(fleet_state.time_s)
         if fleet_state.epoch_ns is None and not self._processes.ours:

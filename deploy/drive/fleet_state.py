@@ -10,7 +10,7 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import Ask, Beacon, Heartbeat, Message, PlantState, Status
+from agent.messages.types import Ask, Beacon, Heartbeat, Message, PlantState, Status, Stop
 from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
@@ -23,6 +23,7 @@ from deploy.orders.operator import HEARD_NS, Operator, Order
 from deploy.processes.protocol import FleetProcesses
 from deploy.recording.recorder import RecordingError
 from deploy.session.author import author
+from deploy.session.live_operators import StopDoor
 from deploy.session.session import valid
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
@@ -66,6 +67,7 @@ class FleetState:
         self._refused: dict[int, int] = {}
         """How many missions for other fleet files each agent had refused before this one was given."""
         self._again_due_ns = self._ask_due_ns = 0
+        self._stop_door = StopDoor(fleet, bus)
         name = fleet.fleet.name
         for key in self.operator.keys.values():
             bus.declare(key)
@@ -82,6 +84,7 @@ class FleetState:
         """
         now_ns = self.clock.now_ns()
         for key, payload in self._bus.drain():
+            self._stop_door.heard(key, payload)
             message = self.record(now_ns, key, payload)
             if message is not None:
                 self.watch.feed(key, message)
@@ -146,6 +149,15 @@ class FleetState:
         """Where a robot's body was seen last."""
         seen = self._truths.get(robot) or self.states.get(robot)
         return None if seen is None else Pose(seen.x, seen.y, seen.heading, seen.speed, seen.yaw_rate)
+
+    def pass_on(self) -> None:
+        """Passes on a stop of another command on this machine, over the links that there are here."""
+        for stop in self._stop_door.step():
+            self.operator.hear(self.operator.keys[Stop], stop)
+
+    def close(self) -> None:
+        """Takes no stops of other commands any more."""
+        self._stop_door.close()
 
     # ------------------------------------------------------------------ what is said
 

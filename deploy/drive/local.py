@@ -4,21 +4,20 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from agent.fleet.model import Fleet
-from agent.runtime.runtime_folder import private_folder
 from deploy.console.interrupt import Interrupt
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
 from deploy.inventory.registry import Registration
 from deploy.processes.local import Processes
-from deploy.processes.placement import Vehicle
+from deploy.processes.placement import Vehicle, orders_folder
 from deploy.report.run_folder import RunFolder
 from deploy.session.operator_bus import operator_bus
+from deploy.session.stop_by_file import FileWay
 
 END_TIMEOUT_S: Final = 0.4
 VEHICLES_END_TIMEOUT_S: Final = 2.0
@@ -44,7 +43,8 @@ class LocalRun:
         self._source = source
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
         self._interrupt = interrupt
-        self._orders = Path(tempfile.mkdtemp(prefix="orders-", dir=private_folder()))
+        self._orders = orders_folder(fleet)
+        shutil.rmtree(self._orders, ignore_errors=True)  # of a run on these ports that was killed
         self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles, orders=self._orders)
         self.reasons: list[str] = []
         self._has_vehicles = any(robot.kind.vehicle for robot in fleet.robots)
@@ -61,16 +61,18 @@ class LocalRun:
             self._start()
             with (
                 Registration(
-                    self._fleet.fleet.name,
-                    self._folder.path,
-                    self._folder.fleet_file,
-                    self._source,
-                    self._orders,
+                    self._fleet.fleet.name, self._folder.path, self._folder.fleet_file, self._source
                 ),
                 operator_bus(self._fleet) as bus,
             ):
                 drive = Drive(
-                    self._fleet, self._processes, bus, self._folder.record, self._view, self._interrupt
+                    self._fleet,
+                    self._processes,
+                    bus,
+                    self._folder.record,
+                    self._view,
+                    self._interrupt,
+                    ways=lambda: [FileWay(self._fleet, self._orders)],
                 )
                 self.reasons = drive.reasons
                 drive.run()

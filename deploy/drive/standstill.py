@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from agent.messages import key_expressions
@@ -12,21 +13,36 @@ from deploy.drive.fleet_state import FleetState
 from deploy.drive.live_view import View
 from deploy.drive.readiness import stands
 from deploy.drive.timing import Timing
-from deploy.orders.stop_outcome import has_acknowledged
+from deploy.orders.stop_outcome import Stopping, has_acknowledged
 from deploy.recording.recorder import RecordingError
+from deploy.session.stop import Way
 
 LOOK_S: Final = 0.02
+LATE_S: Final = 0.5
+WAYS_S: Final = 8.0
+"""So long other ways may take, such as ssh to a host that is far away."""
 
 
 class Standstill:
-    """Stops every robot of a fleet.
+    """Stops every robot of a fleet: over the links that there are, and by other ways at once after Ctrl-C,
+    else when a robot has not answered for `LATE_S`.
+
+    Args:
+        ways: makes those.
 
     After `wait`, `deaf` are the robots that were not heard to stop, and `lost` is what kept what was heard
     from being recorded, None when nothing did.
     """
 
-    def __init__(self, fleet_state: FleetState, interrupt: Interrupt, timing: Timing) -> None:
+    def __init__(
+        self,
+        fleet_state: FleetState,
+        interrupt: Interrupt,
+        timing: Timing,
+        ways: Callable[[], Sequence[Way]] = tuple,
+    ) -> None:
         self._fleet_state, self._interrupt, self._timing = fleet_state, interrupt, timing
+        self._make_ways = ways
         self._hurried = interrupt.count > 0
         self.deaf: list[int] = []
         self.lost: RecordingError | None = None
@@ -39,18 +55,37 @@ class Standstill:
         fleet_state.say(stop)
         if self._hurried:
             view.say(f"{signal.Signals(self._interrupt.number).name}: stopping every robot")
+        fleet, statuses = fleet_state.fleet, fleet_state.watch.statuses
+        others = Stopping(fleet, stop.time_ns, reason, stop)
+        ways: Sequence[Way] | None = None
         begun = time.monotonic()
         again, deadline = begun + self._timing.stop_again_s, begun + self._timeout_s
-        fleet, statuses = fleet_state.fleet, fleet_state.watch.statuses
+        last = max(deadline, begun + WAYS_S)
         waiting = [
             robot for robot in fleet.ids if all(processes.up(robot, role) for role in key_expressions.ROLES)
         ]
-        while (now := time.monotonic()) < deadline and self._interrupt.count < 2:
+        while (now := time.monotonic()) < last and self._interrupt.count < 2:
+            if now >= deadline and not any(way.busy for way in ways or ()):
+                break
             self._collect()
-            rest = all(stands(statuses.get(robot), fleet_state.states.get(robot)) for robot in waiting)
+            fleet_state.pass_on()
+            if ways is None and (self._hurried or now >= begun + LATE_S):
+                ways = self._make_ways()
+                for way in ways:
+                    way.send(stop)
+            for way in ways or ():
+                way.collect(others)
+            rest = all(
+                stands(statuses.get(robot), fleet_state.states.get(robot)) or others.stands_by(robot)
+                for robot in waiting
+            )
             # Those that end now will not drive again; others must have latched the stop.
             if rest and (
-                processes.ours or all(has_acknowledged(statuses.get(robot), stop) for robot in waiting)
+                processes.ours
+                or all(
+                    has_acknowledged(statuses.get(robot), stop) or others.stands_by(robot)
+                    for robot in waiting
+                )
             ):
                 break
             if now >= again:
@@ -59,7 +94,12 @@ class Standstill:
                     fleet_state.say(stop)
             time.sleep(LOOK_S)
         self._collect()
+        for way in ways or ():
+            way.close()
         self.deaf = [robot for robot in fleet.ids if not has_acknowledged(statuses.get(robot), stop)]
+        for robot in [robot for robot in self.deaf if others.stands_by(robot)]:
+            view.say(others.outcome(robot))
+            self.deaf.remove(robot)
 
     @property
     def _timeout_s(self) -> float:

@@ -36,6 +36,9 @@ LOOK_S: Final = 0.5
 """How often an installation looks whether anybody still waits for it."""
 RESERVE_BYTES: Final = 50_000_000
 """No file is put when less than this would be left of the disk."""
+STOP_FILE: Final = "stop.json"
+"""As robots look for it (`agent.runtime.order_store`)."""
+ORDERS_BYTES_MAX: Final = 1_000_000
 COMPLETE: Final = ".complete"
 PLUGINS: Final = "handfast_plugins.txt"
 LOCK: Final = ".lock"
@@ -506,6 +509,27 @@ def status(fleet: str) -> dict[str, Any]:
         found = re.search(r"/versions/([^/]+)/bin/python ", " ".join(command_line(pid)))
         units[name] = {**about, **used(pid), "version": found[1] if found else ""}
     return {"units": units, "load": os.getloadavg()[0], "cores": os.cpu_count() or 1}
+
+
+@request
+def order(fleet: str, blob: bytes) -> None:
+    """Lays an operator's stop where the fleet's robots here look for one."""
+    folder = inside(f"fleets/{fleet}/orders")
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    write(folder / STOP_FILE, blob)
+
+
+@request
+def kept(fleet: str) -> dict[str, dict[str, str]]:
+    """What the processes of the fleet's units here say of themselves, and which orders they have kept."""
+    folder, found = inside(f"fleets/{fleet}/orders"), {}
+    for name, about in units_of(fleet).items():
+        process = name.removeprefix(f"handfast-{fleet}-").removesuffix(".service")
+        orders = ""
+        with suppress(OSError, ValueError), open(folder / f"{process}.json", encoding="ascii") as stream:
+            orders = stream.read(ORDERS_BYTES_MAX)
+        found[name] = {"says": about.get("StatusText", ""), "orders": orders}
+    return found
 
 
 def used(pid: str) -> dict[str, float]:

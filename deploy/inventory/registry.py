@@ -36,9 +36,8 @@ class NotRunningError(LookupError):
 @dataclass(frozen=True, slots=True)
 class Running:
     """One run that lives: name of its fleet, its process, its folder, the fleet file that its robots read
-    (with the ports they have), when it started (local time, ISO 8601), the fleet file that it was started
-    from, "" where there is none, and the folder in which its robots look for a stop, "" where that is not
-    here."""
+    (with the ports they have), when it started (local time, ISO 8601), and the fleet file that it was started
+    from, "" where there is none."""
 
     name: str
     pid: int
@@ -46,7 +45,6 @@ class Running:
     fleet_file: str
     started: str
     source: str = ""
-    orders: str = ""
 
     def __str__(self) -> str:
         return f"{self.name} ({self.folder}, since {self.started[11:]})"
@@ -59,17 +57,9 @@ class Registration:
         name: the fleet's.
         folder, fleet_file: the run's.
         source: the fleet file that it was started from.
-        orders: the folder in which its robots, on this machine, look for a stop.
     """
 
-    def __init__(
-        self,
-        name: str,
-        folder: Path,
-        fleet_file: Path,
-        source: Path | None = None,
-        orders: Path | None = None,
-    ) -> None:
+    def __init__(self, name: str, folder: Path, fleet_file: Path, source: Path | None = None) -> None:
         about = Running(
             name,
             os.getpid(),
@@ -77,7 +67,6 @@ class Registration:
             str(fleet_file.absolute()),
             time.strftime("%Y-%m-%dT%H:%M:%S"),
             "" if source is None else str(source.absolute()),
-            "" if orders is None else str(orders),
         )
         self._path = private_folder() / f"{_PREFIX}{about.pid}-{time.monotonic_ns()}{_SUFFIX}"
         # Under another name until it is complete and locked: nobody may take it for one that is left over.

@@ -1,8 +1,8 @@
-"""What became of a stop of a whole fleet: which robots have acknowledged it and brake (PURE)."""
+"""What became of a stop of a whole fleet: who brakes, since when, and by which way that is known (PURE)."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
@@ -14,6 +14,9 @@ BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)
 )
 """States of an agent that has acknowledged a stop."""
+PLANT_BRAKES: Final = "braking"
+"""What a plant's process says of itself then (`agent.node.Node.condition`)."""
+NEW_LINK: Final = "over a new link"
 
 
 def has_acknowledged(status: Status | None, stop: Stop) -> bool:
@@ -21,80 +24,108 @@ def has_acknowledged(status: Status | None, stop: Stop) -> bool:
     return status is not None and status.order_version >= stop.version and status.state in BRAKING
 
 
+class _Brakes(NamedTuple):
+    """Since when a process is known to brake (wall clock, ns), in what state, and by which way."""
+
+    at_ns: int
+    state: str
+    way: str
+
+
 class Stopping:
-    """What becomes of a stop, from the messages that come after it.
+    """What becomes of a stop, from what comes after it by any way.
 
     Args:
         fleet: as it runs.
         now_ns: when it is sent (wall clock).
         reason: why, for people.
+        message: the stop, where there is one already.
 
     Attributes:
         message: what to send, and to send again until `done`; it may change.
     """
 
-    def __init__(self, fleet: Fleet, now_ns: int, reason: str) -> None:
+    def __init__(self, fleet: Fleet, now_ns: int, reason: str, message: Stop | None = None) -> None:
         self._ids, self._name, self._begun_ns = fleet.ids, fleet.fleet.name, now_ns
-        self.message = Stop(now_ns // 1_000, now_ns, clipped(reason))
-        self._statuses: dict[int, Status] = {}
-        self._agents_ns: dict[int, int] = {}
-        """When each agent was heard to have stopped (wall clock, ns)."""
-        self._plants_ns: dict[int, int] = {}
-        """Since when each plant has been heard to brake (wall clock, ns)."""
-        self._plants: set[int] = set()
+        self.message = message or Stop(now_ns // 1_000, now_ns, clipped(reason))
+        self._states: dict[int, tuple[str, int]] = {}
+        """What each agent said last: its state, and the version of the stop or resume that it has."""
+        self._agents: dict[int, _Brakes] = {}
+        self._plants: dict[int, _Brakes] = {}
+        self._heard_plants: set[int] = set()
 
-    def feed(self, now_ns: int, key: str, message: Message) -> None:
-        """Takes a message that came on `key` after the stop was sent first."""
+    def feed(self, now_ns: int, key: str, message: Message, way: str = NEW_LINK) -> None:
+        """Takes a message that came on `key`, by a way, after the stop was sent first."""
         if type(message) is Status and key == key_expressions.status(self._name, message.robot):
-            self._hear_agent(now_ns, message)
+            self._hear_agent(now_ns, message.robot, message.state, message.order_version, way)
         elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
-            self._plants.add(message.robot)
+            self._heard_plants.add(message.robot)
             if message.driving:
-                self._plants_ns.pop(message.robot, None)
+                self._plants.pop(message.robot, None)
             else:
-                self._plants_ns.setdefault(message.robot, now_ns)
+                self._plants.setdefault(message.robot, _Brakes(now_ns, PLANT_BRAKES, way))
 
-    def _hear_agent(self, now_ns: int, status: Status) -> None:
-        robot = status.robot
-        self._statuses[robot] = status
-        acknowledged, most = status.order_version, self._begun_ns // 1_000 + AHEAD_US_MAX
-        if self.message.version < acknowledged <= most and robot not in self._agents_ns:
+    def found(self, now_ns: int, robot: int, role: str, state: str, version: int, way: str) -> None:
+        """Takes what a robot's computer says of one of its processes: its state, and the version of the stop
+        that it has kept, -1 without any."""
+        if role == "agent":
+            self._hear_agent(now_ns, robot, state, version, way)
+            return
+        self._heard_plants.add(robot)
+        if version >= self.message.version and state == PLANT_BRAKES:
+            self._plants.setdefault(robot, _Brakes(now_ns, state, way))
+
+    def _hear_agent(self, now_ns: int, robot: int, state: str, version: int, way: str) -> None:
+        if robot not in self._ids:
+            return
+        self._states[robot] = state, version
+        most = self._begun_ns // 1_000 + AHEAD_US_MAX
+        if self.message.version < version <= most and robot not in self._agents:
             # It has had a later resume than this stop, as when this machine's clock is behind: outdo that.
-            self.message = self.message._replace(version=acknowledged + 1)
+            self.message = self.message._replace(version=version + 1)
         elif self._obeys(robot):
-            self._agents_ns.setdefault(robot, now_ns)
+            self._agents.setdefault(robot, _Brakes(now_ns, state, way))
 
     def _obeys(self, robot: int) -> bool:
         """Whether the robot's agent has acknowledged the stop and brakes."""
-        return has_acknowledged(self._statuses.get(robot), self.message)
+        state, version = self._states.get(robot, ("", -1))
+        return version >= self.message.version and state in BRAKING
 
     def stands_by(self, robot: int) -> bool:
         """Whether agent and plant of a robot both brake."""
-        return self._obeys(robot) and robot in self._plants_ns
+        return self._obeys(robot) and robot in self._plants
 
     @property
     def done(self) -> bool:
         """Whether all robots brake."""
         return all(map(self.stands_by, self._ids))
 
+    @property
+    def heard(self) -> bool:
+        """Whether anything of the fleet was heard, by any way."""
+        return bool(self._states or self._heard_plants)
+
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""
-        return f"robot {robot}: {self._agent_words(robot)}, {self._plant_words(robot)}"
+        agent, plant = self._agents.get(robot), self._plants.get(robot)
+        ways = dict.fromkeys(each.way for each in (agent, plant) if each is not None)
+        by = f" ({', '.join(ways)})" if ways and self.stands_by(robot) else ""
+        return f"robot {robot}: {self._agent_words(robot)}, {self._plant_words(robot)}{by}"
 
     def _agent_words(self, robot: int) -> str:
-        status = self._statuses.get(robot)
-        if status is None:
+        if robot not in self._states:
             return "nothing heard from its agent"
-        if self._obeys(robot):
-            return f"{status.state} after {self._ms(self._agents_ns[robot])}"
-        if robot in self._agents_ns:
-            return f"{status.state}: another operator has let it drive again"
-        return f"{status.state}: its agent has not taken the stop"
+        state, brakes = self._states[robot][0], self._agents.get(robot)
+        if self._obeys(robot) and brakes is not None:
+            return f"{state} after {self._ms(brakes)}"
+        if brakes is not None:
+            return f"{state}: another operator has let it drive again"
+        return f"{state}: its agent has not taken the stop"
 
     def _plant_words(self, robot: int) -> str:
-        if robot in self._plants_ns:
-            return f"its plant brakes after {self._ms(self._plants_ns[robot])}"
-        return "its plant does not brake" if robot in self._plants else "nothing heard from its plant"
+        if robot in self._plants:
+            return f"its plant brakes after {self._ms(self._plants[robot])}"
+        return "its plant does not brake" if robot in self._heard_plants else "nothing heard from its plant"
 
-    def _ms(self, time_ns: int) -> str:
-        return f"{(time_ns - self._begun_ns) / 1e6:.0f} ms"
+    def _ms(self, brakes: _Brakes) -> str:
+        return f"{(brakes.at_ns - self._begun_ns) / 1e6:.0f} ms"

@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from hashlib import blake2b
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent.fleet.hosts import NetworkSection
 from agent.fleet.mavlink_section import MavlinkSection
 from agent.fleet.model import Fleet
 from agent.fleet.sections import Robot
+from agent.runtime.runtime_folder import private_folder
 from deploy.processes.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
+
+
+def mark(fleet: Fleet) -> str:
+    """Tells a running fleet from another of its name: by where its first agent is."""
+    about = f"{fleet.fleet.name} {fleet.agent_endpoint(fleet.ids[0])}"
+    return blake2b(about.encode(), digest_size=8).hexdigest()
+
+
+def orders_folder(fleet: Fleet) -> Path:
+    """Where the robots of a placed fleet keep operators' orders, and look for a stop, while it runs here.
+
+    Raises:
+        agent.runtime.runtime_folder.NotPrivateError: there is no folder for it.
+    """
+    return private_folder() / f"orders-{mark(fleet)}"
 
 
 @dataclass(frozen=True, slots=True)

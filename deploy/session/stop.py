@@ -1,67 +1,145 @@
-"""Sends a stop to a running fleet, to each of its processes as soon as it can be reached."""
+"""Stops a running fleet by every way that there is, side by side: the first that works wins.
+
+Over new links, as an operator's session has them; over those that a live operator has (`live_operators`); by
+the disk of the robots' computer, here (`stop_by_file`) or over ssh (`deploy.hosts.stop_by_ssh`).
+"""
 
 from __future__ import annotations
 
 import time
-from typing import Final
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from typing import Final, Protocol
 
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
-from agent.messages.types import Message
+from agent.messages.types import Message, Stop
+from agent.runtime.bus import BusError
+from deploy.console.arguments import InputError
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.session import ANSWER_S, INBOX, Session
 
 SEND_PERIOD_S: Final = 0.05
+WAIT_S: Final = 10.0
+"""A way that is slow, such as ssh to a host that is far away, is waited for so long."""
+
+
+class Way(Protocol):
+    """One way by which a stop reaches robots."""
+
+    def send(self, stop: Stop) -> None:
+        """Sends it; waits for nothing, and raises nothing."""
+        ...
+
+    def collect(self, stopping: Stopping) -> None:
+        """Tells what has come back until now."""
+        ...
+
+    @property
+    def busy(self) -> bool:
+        """Whether something may still come back."""
+        ...
+
+    @property
+    def troubles(self) -> Sequence[str]:
+        """What did not work, a line each."""
+        ...
+
+    def close(self) -> None:
+        """Ends what is under way."""
+        ...
 
 
 class StopSession(Session):
-    """A session that hears who brakes.
+    """The way over new links: to each of the fleet's processes as soon as it can be reached.
 
     Raises:
         agent.runtime.bus.BusError: the bus cannot be opened.
+        deploy.console.arguments.InputError: nor can it with this operator's certificate.
     """
 
-    def __init__(self, fleet: Fleet, reason: str) -> None:
+    def __init__(self, fleet: Fleet, stopping: Stopping) -> None:
         super().__init__(fleet)
         name = fleet.fleet.name
         self._key = key_expressions.stop(name)
         self.bus.declare(self._key)
-        self._stopping = Stopping(fleet, self.now_ns(), reason)
-        self._sent_to, self._sent = 0, self._stopping.message
+        self._stopping = stopping
+        self._sent_to, self._sent = 0, stopping.message
         # Before all else: what is connected already must not wait for the rest.
-        self._send()
+        self.send()
         for key in (key_expressions.status(name, "*"), key_expressions.plant_state(name, "*")):
             self.bus.subscribe(key, INBOX)
 
     def feed(self, key: str, message: Message) -> None:
         self._stopping.feed(self.now_ns(), key, message)
 
-    def _send(self) -> None:
-        self.bus.publish(self._key, encode(self._stopping.message))
+    def send(self) -> None:
+        """Sends the stop to all that are connected."""
+        self._sent_to, self._sent = len(self.alive), self._stopping.message
+        self.bus.publish(self._key, encode(self._sent))
 
     @property
-    def _send_at_once(self) -> bool:
+    def is_to_send(self) -> bool:
         """Whether a process has come since the stop was sent last, or the stop got a greater version."""
         return len(self.alive) > self._sent_to or self._stopping.message is not self._sent
 
-    def stop(self) -> Stopping:
-        """Sends the stop again, at once to every process that comes, until all brake; gives up after a while.
 
-        Raises:
-            deploy.inventory.running.NoAnswerError: nobody is there.
-        """
-        stopping, deadline = self._stopping, time.monotonic() + ANSWER_S
-        while not stopping.done and time.monotonic() < deadline:
-            self._sent_to, self._sent = len(self.alive), stopping.message
-            self.wait(lambda: stopping.done or self._send_at_once, SEND_PERIOD_S)
-            self._send()
-        if not self.alive:
-            raise self.no_answer()
-        return stopping
+def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping, list[str]]:
+    """What became of a stop of a running fleet, and what did not work of the ways by which it was sent.
+
+    It is sent again, at once to every process that comes, until all brake; a while later that is given up.
+
+    Args:
+        ways: by which it goes besides new links; they are closed.
+
+    Raises:
+        deploy.inventory.running.NoAnswerError: nobody is there, by any way.
+        agent.runtime.bus.BusError, deploy.console.arguments.InputError: there is no other way, and the bus
+            cannot be opened.
+    """
+    stopping = Stopping(fleet, time.time_ns(), reason)
+    troubles: list[str] = []
+    with ExitStack() as stack:
+        for way in ways:
+            stack.callback(way.close)
+            way.send(stopping.message)
+        session: StopSession | None = None
+        try:
+            session = stack.enter_context(StopSession(fleet, stopping))
+        except (BusError, InputError) as error:
+            if not ways:
+                raise
+            troubles.append(f"not over new links: {error}")
+        _follow(stopping, session, ways)
+        if session is not None and not stopping.heard and not session.alive and not _said(ways):
+            raise session.no_answer()
+    return stopping, [*troubles, *_said(ways)]
 
 
-def stop(fleet: Fleet, reason: str) -> Stopping:
-    """What became of a stop of a running fleet; raises as `StopSession` and `StopSession.stop`."""
-    with StopSession(fleet, reason) as session:
-        return session.stop()
+def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]) -> None:
+    """Sends the stop again, and takes what comes back, until all brake or nothing more may come."""
+    begun, sent = time.monotonic(), stopping.message
+
+    def look() -> bool:
+        for way in ways:
+            way.collect(stopping)
+        return stopping.done or stopping.message is not sent or (session is not None and session.is_to_send)
+
+    while not stopping.done:
+        waited_s = time.monotonic() - begun
+        if waited_s >= WAIT_S or (waited_s >= ANSWER_S and not any(way.busy for way in ways)):
+            return
+        if session is not None:
+            session.wait(look, SEND_PERIOD_S)
+            session.send()
+        elif not look():
+            time.sleep(SEND_PERIOD_S)
+        if stopping.message is not sent:
+            sent = stopping.message
+            for way in ways:
+                way.send(sent)
+
+
+def _said(ways: Iterable[Way]) -> list[str]:
+    return [trouble for way in ways for trouble in way.troubles]

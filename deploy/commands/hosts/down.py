@@ -56,10 +56,11 @@ def _down(options: argparse.Namespace) -> int:
 def _brake(fleet: Fleet, view: HostsView) -> None:
     """Stops all robots at once, before their processes end one by one."""
     from agent.runtime.bus import BusError
+    from deploy.session.live_operators import LiveWay
     from deploy.session.stop import stop
 
     try:
-        stopping = stop(fleet, _reason(fleet))
+        stopping, troubles = stop(fleet, _reason(fleet), [LiveWay(fleet)])
     except NoAnswerError:
         view.say("no robot answers: nothing to stop")
     except (BusError, InputError) as error:  # such as a certificate that is out of date: ssh is another way
@@ -67,8 +68,8 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
     else:
         if stopping.done:
             view.say("all robots brake")
-        for robot in fleet.ids if not stopping.done else ():
-            view.say(stopping.outcome(robot))
+        for line in [*map(stopping.outcome, fleet.ids), *troubles] if not stopping.done else ():
+            view.say(line)
 
 
 def _reason(fleet: Fleet) -> str:

@@ -146,6 +146,7 @@ def _attend(
 ) -> int:
     """Drives it to the end, and reports."""
     from agent.runtime.bus import BusError
+    from deploy.commands.running.ways import by_ssh
     from deploy.drive.attached import Attached
     from deploy.drive.drive import Drive
     from deploy.drive.live_view import make_view
@@ -161,6 +162,7 @@ def _attend(
                 duration_s=driven.fleet.duration_s,
                 orders=driven.orders,
                 resume=options.resume,
+                ways=lambda: by_ssh(fleet),
             )
             drive.run()
     except BaseException as error:
@@ -201,6 +203,7 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
 
 def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt: Interrupt) -> int:
     """Gives the mission and ends, while the robots drive on."""
+    from deploy.commands.running.ways import by_ssh
     from deploy.drive.attached import Attached
     from deploy.drive.drive import Drive
     from deploy.drive.live_view import make_view
@@ -215,6 +218,7 @@ def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt:
             duration_s=driven.fleet.duration_s,
             orders=(),
             resume=options.resume,
+            ways=lambda: by_ssh(fleet),
         )
         drive.run(detach=True)
     if drive.is_left and not drive.reasons:

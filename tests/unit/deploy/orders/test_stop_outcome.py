@@ -50,7 +50,7 @@ def test_it_is_done_when_every_agent_and_plant_brakes() -> None:
     plant(made, 8, 70, driving=False)
     agent(made, 8, 90, "stopped")
     assert made.done
-    assert made.outcome(8) == "robot 8: stopped after 40 ms, its plant brakes after 50 ms"
+    assert made.outcome(8) == "robot 8: stopped after 40 ms, its plant brakes after 50 ms (over a new link)"
 
 
 @pytest.mark.parametrize("state", ["stopped", "standby", "fault"])

@@ -1,0 +1,26 @@
+"""The ways by which commands stop a fleet from here, besides the links that they open."""
+
+from __future__ import annotations
+
+from agent.fleet.model import Fleet
+from deploy.processes.placement import orders_folder
+from deploy.session.live_operators import LiveWay
+from deploy.session.stop import Way
+from deploy.session.stop_by_file import FileWay
+
+
+def ways(fleet: Fleet) -> list[Way]:
+    """All there are for `fleet`, located: over links that are open here, by a file here, over ssh."""
+    here: list[Way] = [LiveWay(fleet)]
+    folder = orders_folder(fleet)
+    return [*here, *([FileWay(fleet, folder)] if folder.is_dir() else []), *by_ssh(fleet)]
+
+
+def by_ssh(fleet: Fleet) -> list[Way]:
+    """The way to the hosts of `fleet`, if it has any."""
+    hosts = [host for host in fleet.hosts if any(robot.host == host.name for robot in fleet.robots)]
+    if not hosts:
+        return []
+    from deploy.hosts.stop_by_ssh import SshWay
+
+    return [SshWay(fleet, hosts)]

@@ -1,0 +1,128 @@
+"""The way of a stop over ssh: to the file that the robots of a host look for, whatever its ports do."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Final
+
+from agent.fleet.hosts import HostSection
+from agent.fleet.model import Fleet
+from agent.messages.codec import encode
+from agent.messages.key_expressions import ROLES
+from agent.messages.types import Stop
+from agent.runtime.order_store import OrderFileError, packed, unpacked
+from deploy.console.arguments import InputError
+from deploy.hosts import systemd_units
+from deploy.hosts.connection import HostConnection, HostError
+from deploy.inventory.hosts import robots_on
+from deploy.orders.stop_outcome import Stopping
+from deploy.session.order_seals import sealed
+from deploy.session.stop_by_file import newest_stop
+
+LOOK_S: Final = 0.1
+FOLLOW_S: Final = 8.0
+"""So long it is asked whether the robots there have taken it."""
+
+Found = tuple[int, int, str, str, int]
+"""When it was found (wall clock, ns), of which robot and role: its state, and the version of its stop."""
+
+
+class SshWay:
+    """The way to the hosts of `fleet`, side by side, each in a thread of its own."""
+
+    def __init__(self, fleet: Fleet, hosts: Sequence[HostSection]) -> None:
+        self._fleet, self._hosts = fleet, hosts
+        self._guard = threading.Lock()
+        self._found: list[Found] = []
+        self._connections: list[HostConnection] = []
+        self._threads: list[threading.Thread] = []
+        self._order: tuple[Stop, bytes] | None = None
+        self._ended = False
+        self.troubles: list[str] = []
+
+    def send(self, stop: Stop) -> None:
+        """See `deploy.session.stop.Way`."""
+        try:
+            self._order = stop, packed(sealed(self._fleet, encode(stop)))
+        except InputError as error:
+            self.troubles.append(f"not over ssh: {error}")
+            return
+        if not self._threads:
+            self._threads = [
+                threading.Thread(target=self._run, args=(host,), name=host.name, daemon=True)
+                for host in self._hosts
+            ]
+            for thread in self._threads:
+                thread.start()
+
+    def collect(self, stopping: Stopping) -> None:
+        """See `deploy.session.stop.Way`."""
+        with self._guard:
+            found, self._found = self._found, []
+        for at_ns, robot, role, state, version in found:
+            stopping.found(at_ns, robot, role, state, version, self._words(robot))
+
+    def _words(self, robot: int) -> str:
+        return f"over ssh to {self._fleet.robot(robot).host}"
+
+    @property
+    def busy(self) -> bool:
+        """See `deploy.session.stop.Way`."""
+        return any(thread.is_alive() for thread in self._threads)
+
+    def close(self) -> None:
+        """See `deploy.session.stop.Way`."""
+        self._ended = True
+        with self._guard:
+            connections = list(self._connections)
+        for connection in connections:
+            connection.abort()
+
+    # ------------------------------------------------------------------ one host, in a thread of its own
+
+    def _run(self, host: HostSection) -> None:
+        try:
+            connection = HostConnection(host)
+            with self._guard:
+                self._connections.append(connection)
+                if self._ended:
+                    connection.abort()
+            with connection:
+                self._follow(connection)
+        except HostError as error:
+            if not self._ended:
+                self.troubles.append(f"not over ssh to {host.name}: {error}")
+
+    def _follow(self, connection: HostConnection) -> None:
+        """Lays the stop there, and looks who takes it; another one, when the stop has changed."""
+        name, robots = self._fleet.fleet.name, set(robots_on(self._fleet, connection.host))
+        laid: tuple[Stop, bytes] | None = None
+        deadline = time.monotonic() + FOLLOW_S
+        while not self._ended and time.monotonic() < deadline and robots:
+            if self._order is not laid and self._order is not None:
+                laid = self._order
+                connection.exchange("order", laid[1], fleet=name)
+            answer = connection.ask("kept", fleet=name)
+            assert laid is not None
+            for robot in sorted(robots):
+                taken = [self._look(robot, role, answer, laid[0]) for role in ROLES]
+                if all(taken):
+                    robots.discard(robot)
+            time.sleep(LOOK_S)
+
+    def _look(self, robot: int, role: str, answer: Mapping[str, Any], stop: Stop) -> bool:
+        """Notes what is said there of a process; whether it has kept the stop."""
+        about = answer.get(systemd_units.unit_name(self._fleet.fleet.name, robot, role))
+        if not isinstance(about, Mapping):
+            return False
+        state, kept = str(about.get("says", "")).partition(":")[0], about.get("orders", "")
+        version = -1
+        with suppress(OrderFileError):
+            orders = unpacked(kept.encode()) if isinstance(kept, str) and kept else ()
+            version = newest_stop(orders, is_secured=self._fleet.is_secured)
+        with self._guard:
+            self._found.append((time.time_ns(), robot, role, state, version))
+        return version >= stop.version

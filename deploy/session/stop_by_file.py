@@ -1,0 +1,81 @@
+"""The way of a stop that needs no link: the file that the robots of this machine look for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from agent.fleet.model import Fleet
+from agent.messages.codec import decode, encode
+from agent.messages.key_expressions import ROLES
+from agent.messages.types import Stop
+from agent.messages.validation import Malformed
+from agent.runtime.order_store import FILE_BYTES_MAX, STOP_FILE, OrderFileError, packed, unpacked
+from agent.security.private_files import KeyFileError, exists, read, write
+from agent.security.sealed_order import Forged, payload_of
+from agent.supervision.state_machine import State
+from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
+from deploy.session.order_seals import sealed
+
+WAY: Final = "by a file on this machine"
+
+
+def newest_stop(orders: Iterable[bytes], *, is_secured: bool) -> int:
+    """The greatest version of the stops among kept orders, -1 without any."""
+    return max((each.version for each in _stops(orders, is_secured)), default=-1)
+
+
+def _stops(orders: Iterable[bytes], is_secured: bool) -> Iterator[Stop]:
+    for order in orders:
+        try:
+            message = decode(payload_of(order) if is_secured else order)
+        except (Forged, Malformed):
+            continue
+        if isinstance(message, Stop):
+            yield message
+
+
+class FileWay:
+    """The robots of `fleet` on this machine, which keep their orders in `folder`."""
+
+    def __init__(self, fleet: Fleet, folder: Path) -> None:
+        self._fleet, self._folder = fleet, folder
+        self._found: set[tuple[int, str]] = set()
+        self.troubles: list[str] = []
+
+    def send(self, stop: Stop) -> None:
+        """See `deploy.session.stop.Way`."""
+        self._found.clear()
+        try:
+            write(self._folder / STOP_FILE, packed(sealed(self._fleet, encode(stop))), private=True)
+        except (KeyFileError, ValueError) as error:
+            self.troubles = [f"not {WAY}: {error}"]
+
+    def collect(self, stopping: Stopping) -> None:
+        """Tells who has kept the stop: who does has obeyed it before."""
+        for robot in self._fleet.ids:
+            for role in ROLES:
+                if (robot, role) in self._found:
+                    continue
+                version = newest_stop(self._kept(robot, role), is_secured=self._fleet.is_secured)
+                if version >= stopping.message.version:
+                    self._found.add((robot, role))
+                    state = State.STOPPING.value if role == "agent" else PLANT_BRAKES
+                    stopping.found(time.time_ns(), robot, role, state, version, WAY)
+
+    def _kept(self, robot: int, role: str) -> Sequence[bytes]:
+        path = self._folder / f"robot-{robot}-{role}.json"
+        try:
+            return unpacked(read(path, most=FILE_BYTES_MAX)) if exists(path) else ()
+        except (KeyFileError, OrderFileError):
+            return ()
+
+    @property
+    def busy(self) -> bool:
+        """See `deploy.session.stop.Way`."""
+        return False
+
+    def close(self) -> None:
+        """See `deploy.session.stop.Way`: the file stays, for who starts again."""
