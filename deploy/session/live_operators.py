@@ -27,7 +27,7 @@ from deploy.orders.stop_outcome import Stopping
 from deploy.processes.placement import mark
 
 WAY: Final = "over the links of a live operator"
-_PREFIX: Final = "operator"
+_PREFIX: Final = "live"
 _DATAGRAM_MAX: Final = 2 * BYTES_MAX
 AGAIN_S: Final = 0.05
 FOLLOW_S: Final = 3.0
@@ -43,7 +43,7 @@ class Publisher(Protocol):
 
 
 def _name(fleet: Fleet) -> str:
-    return f"{_PREFIX}-{mark(fleet)}"
+    return f"{_PREFIX}-{mark(fleet)[:8]}"  # the path of a socket has no more than some 100 bytes
 
 
 def _socket() -> socket.socket:
@@ -73,7 +73,8 @@ class StopDoor:
         self._again_s = 0.0
         self._socket = _socket()
         with suppress(OSError, NotPrivateError):
-            path = private_folder() / f"{_name(fleet)}-{os.getpid()}-{time.monotonic_ns()}.sock"
+            path = private_folder() / f"{_name(fleet)}-{os.getpid()}.sock"
+            path.unlink(missing_ok=True)  # of a process of the same number that was killed
             self._socket.bind(str(path))
             self._path = path
 
@@ -137,7 +138,8 @@ class LiveWay:
         with suppress(OSError, NotPrivateError):
             folder = private_folder()
             self._doors = list(folder.glob(f"{_name(fleet)}-*.sock"))
-            path = folder / f"asks-{os.getpid()}-{time.monotonic_ns()}.sock"
+            path = folder / f"asks-{os.getpid()}-{id(self):x}.sock"
+            path.unlink(missing_ok=True)
             self._socket.bind(str(path))
             self._path = path
             for size in (socket.SO_RCVBUF, socket.SO_SNDBUF):

@@ -114,8 +114,9 @@ class Robots:
         return self.folder / "logs" / f"robot-{robot}-{role}.log"
 
     def start(self, robot: int, role: str, *more: str) -> None:
-        """Starts one process; `more` are further arguments."""
-        self.run(robot, role, role, "--fleet", str(self.fleet_file), "--robot", str(robot), *more)
+        """Starts one process, which finds the orders that it kept; `more` are further arguments."""
+        orders = ("--orders", str(self.folder / "orders"))
+        self.run(robot, role, role, "--fleet", str(self.fleet_file), "--robot", str(robot), *orders, *more)
 
     def run(self, robot: int, role: str, module: str, *arguments: str) -> None:
         """Starts one process; its last words are in `log(robot, role)`."""
@@ -274,6 +275,10 @@ class Robots:
 
         self.wait(say_and_look, "every robot running")
         return epoch_ns
+
+    def publish_mission(self, mission: Mission) -> None:
+        """Gives a mission once, as an operator."""
+        self.bus.publish(key_expressions.mission(self.name), encode(mission))
 
     def mission_of(self, epoch_ns: int, duration_s: float) -> Mission:
         """The fleet file's mission, as an operator gives it now."""

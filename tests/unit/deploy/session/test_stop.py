@@ -1,0 +1,84 @@
+"""A stop by several ways at once: what is sent, what is waited for, and what is said of ways that fail."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from agent.messages.types import Stop
+from agent.runtime.bus import BusError
+from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
+from deploy.session import stop as stop_module
+from deploy.session.stop import stop
+from tests.unit.deploy.orders.order_fleets import square
+
+FLEET = square()
+
+
+class Through:
+    """A way by which all robots brake, but for some; their agents know a later resume first."""
+
+    def __init__(self, but: frozenset[int] = frozenset(), known: int = -1, trouble: str = "") -> None:
+        self.sent: list[Stop] = []
+        self._but, self._known = but, known
+        self.troubles = [trouble] if trouble else []
+        self.closed = False
+
+    def send(self, stop: Stop) -> None:
+        self.sent.append(stop)
+
+    def collect(self, stopping: Stopping) -> None:
+        for robot in FLEET.ids:
+            if robot in self._but:
+                continue
+            version = self.sent[-1].version
+            if version <= self._known:
+                stopping.found(0, robot, "agent", "running", self._known, "by hand")
+                continue
+            stopping.found(0, robot, "agent", "stopping", version, "by hand")
+            stopping.found(0, robot, "plant", PLANT_BRAKES, version, "by hand")
+
+    busy = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture(autouse=True)
+def _no_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise BusError("its port is in use")
+
+    monkeypatch.setattr(stop_module, "StopSession", fails)
+    monkeypatch.setattr(stop_module, "ANSWER_S", 0.1)
+
+
+def test_one_way_is_enough() -> None:
+    dead, way = Through(frozenset(FLEET.ids), trouble="not over ssh to h1: no route"), Through()
+    stopping, troubles = stop(FLEET, "a person", [dead, way])
+    assert stopping.done
+    assert [each.sent for each in (dead, way)] == [[stopping.message]] * 2
+    assert stopping.message.reason == "a person"
+    assert troubles == ["not over new links: its port is in use", "not over ssh to h1: no route"]
+    assert dead.closed
+    assert way.closed
+
+
+def test_who_is_not_reached_is_named() -> None:
+    stopping, _ = stop(FLEET, "", [Through(frozenset({3}))])
+    assert not stopping.done
+    assert [robot for robot in FLEET.ids if not stopping.stands_by(robot)] == [3]
+    assert "nothing heard" in stopping.outcome(3)
+
+
+def test_a_later_resume_is_outdone_by_every_way() -> None:
+    way = Through(known=time.time_ns() // 1_000 + 10**9)
+    stopping, _ = stop(FLEET, "", [way])
+    assert stopping.done
+    assert [each.version > way._known for each in way.sent] == [False, True]
+
+
+def test_without_any_other_way_what_is_wrong_is_raised() -> None:
+    with pytest.raises(BusError, match="in use"):
+        stop(FLEET, "")
