@@ -21,7 +21,7 @@ from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.drive.fleet_state import FleetState, Record
 from deploy.drive.live_view import View
-from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, stop_in_force, why
+from deploy.drive.preconditions import BROKEN_OFF, OVER, clock, is_lifted, refusal, why
 from deploy.drive.standstill import Standstill
 from deploy.drive.timing import Timing
 from deploy.faults.process_actions import WORDS, Action, actions
@@ -158,7 +158,7 @@ class Drive:
             if obstacle:
                 self._fail(f"Not started: {obstacle}.")
                 return False
-            stop = stop_in_force(self._operator)
+            stop = self._operator.stop_in_force
         ahead_ns = self._timing.epoch_ahead_ns if stop is None else self._timing.stopped_ahead_ns
         epoch_ns = next_tick_ns(now_ns + ahead_ns, self._fleet.period_ns, 0)
         self._plan(epoch_ns)
@@ -173,7 +173,7 @@ class Drive:
             if self._clock.now_ns() >= by_ns:
                 self._fail(f"Not started: {robots(late)} did not take the mission.")
                 return False
-        newest = stop_in_force(self._operator)
+        newest = self._operator.stop_in_force
         if newest is None or newest.version != stop.version:
             self._fail("Not started: another operator said stop or resume meanwhile.")
             return False
@@ -241,7 +241,7 @@ class Drive:
         if not self._is_over:
             return "; ".join(self.reasons) or BROKEN_OFF
         # One that somebody said during the drive, and nobody lifted, holds beyond it.
-        standing = stop_in_force(self._operator)
+        standing = self._operator.stop_in_force
         return OVER if standing is None else standing.reason
 
     # ------------------------------------------------------------------ every step

@@ -10,7 +10,7 @@ from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import Ask, Beacon, Heartbeat, Message, PlantState, Status, Stop
+from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
@@ -19,6 +19,7 @@ from deploy.drive.readiness import in_words, is_ready, waits
 from deploy.drive.vehicle_checks import VehicleChecks
 from deploy.drive.watch import Watch, fleet_time_s
 from deploy.faults.process_actions import Process
+from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.operator import HEARD_NS, Operator, Order
 from deploy.processes.protocol import FleetProcesses
 from deploy.recording.recorder import RecordingError
@@ -55,6 +56,9 @@ class FleetState:
         geometry = resolve(fleet)
         self.watch: Final = Watch(fleet, geometry)
         self.operator: Final = Operator(fleet, geometry)
+        self._own = OwnOrders(fleet)
+        for order in self._own.orders:
+            self.operator.hear(self.operator.keys[type(order)], order)
         self.checks: Final = VehicleChecks(fleet)
         self.author: Final = author()
         self.epoch_ns: int | None = None
@@ -88,7 +92,8 @@ class FleetState:
             message = self.record(now_ns, key, payload)
             if message is not None:
                 self.watch.feed(key, message)
-                self.operator.hear(key, message)
+                if self.operator.hear(key, message) and isinstance(message, Mission | Stop | Resume):
+                    self._own.keep(message)
                 self.checks.feed(now_ns, key, message)
                 self._locate(key, message)
                 self._note(now_ns, key, message)
@@ -163,6 +168,8 @@ class FleetState:
 
     def say(self, message: Order | Heartbeat | Ask) -> None:
         self._bus.publish(*self.operator.outgoing(message))
+        if isinstance(message, Mission | Stop | Resume):
+            self._own.keep(message)
 
     def begin(self, epoch_ns: int, duration_ns: int) -> None:
         """Gives the drive's mission."""

@@ -34,18 +34,34 @@ def why(stop: Stop) -> str:
     return f": {printable(stop.reason)}" if stop.reason else ""
 
 
-def stop_in_force(known: Known) -> Stop | None:
-    """The stop by which robots stand, None without any: a resume of single robots ends it for no others."""
-    stop, resume = known.stop, known.resume
-    if stop is None or (resume is not None and resume.version > stop.version and not resume.robots):
-        return None
-    return stop
-
-
 def is_lifted(stop: Stop) -> bool:
     """Whether the next drive lifts a stop of itself. Any other was ordered for a reason, and holds until
     somebody resumes the fleet."""
     return stop.reason in _OF_COURSE
+
+
+def under_way(known: Known, now_ns: int) -> str:
+    """Which mission is not over yet, in words, "" without any."""
+    mission = known.mission
+    if mission is None or now_ns >= mission.epoch_ns + mission.duration_ns:
+        return ""
+    end_ns = mission.epoch_ns + mission.duration_ns
+    what = f" ({printable(mission.note)})" if mission.note else ""
+    return (
+        f"a mission that was given at {clock(mission.time_ns, now_ns)}{what} and ends at "
+        f"{clock(end_ns, now_ns)}"
+    )
+
+
+def older_mission(known: Known, now_ns: int) -> str:
+    """What is to be said of a mission that is not over, though somebody has stopped the fleet since it was
+    given; "" where there is none."""
+    mission, stop = known.mission, known.stop
+    what = under_way(known, now_ns)
+    if not what or mission is None or stop is None or stop.version <= mission.version:
+        return ""
+    stands = "a resume lets the robots go on with it" if known.stop_in_force else "the robots go on with it"
+    return f"older than the stop of {clock(stop.time_ns, now_ns)}{why(stop)}: {what}; {stands}"
 
 
 def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
@@ -62,14 +78,9 @@ def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
             f"the robots of {name} read another fleet file: its digest is {known.foreign.digest[:16]}, this "
             f"one's is {digest(known.fleet)}; give the file that they read, or bring them up with this one"
         )
-    stop, mission = stop_in_force(known), known.mission
-    if stop is None and mission is not None and now_ns < mission.epoch_ns + mission.duration_ns:
-        end_ns = mission.epoch_ns + mission.duration_ns
-        what = f" ({printable(mission.note)})" if mission.note else ""
-        return (
-            f"{name} is driving already: a mission that was given at {clock(mission.time_ns, now_ns)}{what} "
-            f"and ends at {clock(end_ns, now_ns)}; wait until then, or say `handfast stop` first"
-        )
+    stop = known.stop_in_force
+    if stop is None and (what := under_way(known, now_ns)):
+        return f"{name} is driving already: {what}; wait until then, or say `handfast stop` first"
     if stop is not None and not is_lifted(stop) and not resume:
         return (
             f"the robots of {name} were told to stop at {clock(stop.time_ns, now_ns)}{why(stop)}; drive with "

@@ -125,6 +125,14 @@ class Known:
         return max((each.version for each in self.latest), default=0)
 
     @property
+    def stop_in_force(self) -> Stop | None:
+        """The stop by which robots stand, None without any: a resume of single robots ends it for no other."""
+        stop, resume = self.stop, self.resume
+        if stop is None or (resume is not None and resume.version > stop.version and not resume.robots):
+            return None
+        return stop
+
+    @property
     def latest(self) -> list[Stop | Resume]:
         """The newest stop and the newest resume, the stop first."""
         return [each for each in (self.stop, self.resume) if each is not None]
@@ -170,6 +178,10 @@ class Operator(Known):
             if (self.mission_version < mission and can_be(mission, now_ns))
             or (self.order_version < order and can_be(order, now_ns))
         ]
+
+    def without(self, stop: Stop, robots: Iterable[int]) -> list[int]:
+        """Those of these robots that have acknowledged neither a stop nor what came after it."""
+        return [robot for robot in robots if self._acknowledged[robot][1] < stop.version]
 
     # ------------------------------------------------------------------ orders
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable
 from typing import Final
 
+from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
-from agent.messages.types import Ask, Beacon, Heartbeat, Message, Status
+from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, Resume, Status, Stop
 from deploy.analysis.silent_bodies import SilentBodies
+from deploy.console.wording import robots
+from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.operator import Operator, Order
 from deploy.session.author import author
 from deploy.session.session import INBOX, Session
@@ -23,6 +28,7 @@ class OperatorSession(Session):
 
     Attributes:
         operator: what has been ordered, and gives orders.
+        own: what is known of that on this machine.
         statuses: what each agent said last.
         silent: robots that are not heard, once `listen_to_beacons` was called.
         heard: robots whose agents have said something.
@@ -40,6 +46,9 @@ class OperatorSession(Session):
         self.silent: Final = SilentBodies()
         self.heard: Final[set[int]] = set()
         self.author: Final = author()
+        self.own: Final = OwnOrders(fleet)
+        for order in self.own.orders:
+            self.operator.hear(self.operator.keys[type(order)], order)
         for key in self.operator.keys.values():
             self.bus.declare(key)
         orders = (key_expressions.mission(name), key_expressions.stop(name), key_expressions.resume(name))
@@ -47,7 +56,8 @@ class OperatorSession(Session):
             self.bus.subscribe(key, INBOX)
 
     def feed(self, key: str, message: Message) -> None:
-        self.operator.hear(key, message)
+        if self.operator.hear(key, message) and isinstance(message, Mission | Stop | Resume):
+            self.own.keep(message)
         if type(message) is Status and key == key_expressions.status(self.fleet.fleet.name, message.robot):
             self.statuses[message.robot] = message
             self.heard.add(message.robot)
@@ -66,10 +76,30 @@ class OperatorSession(Session):
 
     def say(self, message: Order | Heartbeat | Ask) -> None:
         self.bus.publish(*self.operator.outgoing(message))
+        if isinstance(message, Mission | Stop | Resume):
+            self.own.keep(message)
 
     def ask(self) -> None:
         """Asks the fleet for its last orders; waits until all was heard that its agents have acknowledged."""
         self.until(self._informed, self.say_ask, ASK_S)
+        self._remind()
+
+    def _remind(self) -> None:
+        """Says a stop again that is known here and in force, and that robots do not know: all who had kept it
+        may be gone."""
+        stop = self.operator.stop_in_force
+        if stop is None or not (lacking := self._without(stop)):
+            return
+        self.until(lambda: not self._without(stop), lambda: self.say(stop), ASK_S)
+        at, why = time.strftime("%H:%M:%S", time.localtime(stop.time_ns / 1e9)), printable(stop.reason)
+        print(
+            f"handfast: {robots(lacking)} did not know of the stop that was given at {at}"
+            f"{f': {why}' if why else ''}; told again",
+            file=sys.stderr,
+        )
+
+    def _without(self, stop: Stop) -> list[int]:
+        return self.operator.without(stop, [robot for robot in self.agents if robot in self.statuses])
 
     def say_ask(self) -> None:
         self.say(Ask(self.now_ns(), self.author))

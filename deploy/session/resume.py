@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message
+from deploy.orders.operator import Known
 from deploy.orders.resume_outcome import Resuming
 from deploy.session.operator_session import OperatorSession
 from deploy.session.session import ANSWER_S, INBOX, connected
@@ -39,12 +40,12 @@ class ResumeSession(OperatorSession):
         return resuming
 
 
-def resume(fleet: Fleet, robots: Sequence[int]) -> Resuming:
-    """What became of a resume of these robots of a running fleet, none: all.
+def resume(fleet: Fleet, robots: Sequence[int]) -> tuple[Resuming, Known]:
+    """What became of a resume of these robots of a running fleet, none: all; and what is ordered then.
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.
         agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:
-        return session.resume(robots)
+        return session.resume(robots), session.operator

@@ -17,6 +17,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Message, Stop
 from agent.runtime.bus import BusError
 from deploy.console.arguments import InputError
+from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.session import ANSWER_S, INBOX, Session
 
@@ -104,6 +105,7 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
         for way in ways:
             stack.callback(way.close)
             way.send(stopping.message)
+        own = OwnOrders(fleet)
         session: StopSession | None = None
         try:
             session = stack.enter_context(StopSession(fleet, stopping))
@@ -111,10 +113,12 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
             if not ways:
                 raise
             troubles.append(f"not over new links: {error}")
+        own.keep(stopping.message)
         _follow(stopping, session, ways)
+        own.keep(stopping.message)
         if session is not None and not stopping.heard and not session.alive and not _said(ways):
             raise session.no_answer()
-    return stopping, [*troubles, *_said(ways)]
+    return stopping, [*troubles, *_said(ways), *([own.trouble] if own.trouble else [])]
 
 
 def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]) -> None:

@@ -75,13 +75,13 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
 def _reason(fleet: Fleet) -> str:
     """Why the robots stand from now on, also when they are up again: if somebody has stopped them for a
     reason, for that."""
-    from deploy.drive.preconditions import GOES_DOWN, is_lifted, stop_in_force
+    from deploy.drive.preconditions import GOES_DOWN, is_lifted
     from deploy.session.operator_session import OperatorSession
     from deploy.session.session import connected
 
     with connected(OperatorSession(fleet)) as session:
         session.ask()
-        standing = stop_in_force(session.operator)
+        standing = session.operator.stop_in_force
     return GOES_DOWN if standing is None or is_lifted(standing) else standing.reason
 
 

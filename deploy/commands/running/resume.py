@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 
 from agent.common.exit import FAILED, PASSED
 from deploy.console.arguments import describe, robots_argument, robots_named
@@ -22,10 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _resume(options: argparse.Namespace) -> int:
+    from deploy.drive.preconditions import under_way
     from deploy.session.resume import resume
 
     fleet = running_fleet(options.fleet)
-    resuming = resume(fleet, robots_named(fleet, options))
+    resuming, known = resume(fleet, robots_named(fleet, options))
     for robot in resuming.robots:
         print(resuming.outcome(robot))
+    if goes_on := under_way(known, time.time_ns()):
+        print(f"what goes on: {goes_on}")
     return PASSED if resuming.done else FAILED

@@ -10,7 +10,7 @@ from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Stop
-from deploy.drive.preconditions import OVER, clock, refusal, stop_in_force
+from deploy.drive.preconditions import OVER, clock, refusal
 from deploy.orders.operator import Known
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
@@ -65,7 +65,7 @@ def test_a_stop_that_somebody_said_stands_until_it_is_lifted_by_name() -> None:
 def test_the_stop_at_a_drives_regular_end_is_no_obstacle() -> None:
     ended = known(MISSION, stop(3, OVER))
     assert refusal(ended, AFTER, resume=False) == ""
-    assert stop_in_force(ended) == stop(3, OVER)
+    assert ended.stop_in_force == stop(3, OVER)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_the_stop_at_a_drives_regular_end_is_no_obstacle() -> None:
     ],
 )
 def test_which_stop_is_in_force(orders: list[Stop | Resume], stands: bool) -> None:
-    assert stop_in_force(known(*orders)) == (stop(3) if stands else None)
+    assert known(*orders).stop_in_force == (stop(3) if stands else None)
 
 
 def test_robots_that_read_another_file_are_not_driven_by_this_one() -> None:

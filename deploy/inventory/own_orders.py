@@ -1,0 +1,78 @@
+"""What operators on this machine know that a fleet on hosts was ordered last, for when its robots do not.
+
+Robots keep orders too (`agent.runtime.order_store`). Where none of those that have kept a stop are left, as
+after a new disk, whoever has given it here still has it, and says it again.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+from agent.fleet.model import Fleet
+from agent.messages.codec import decode, encode, newer
+from agent.messages.types import Mission, Resume, Stop
+from agent.messages.validation import Malformed
+from agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
+from agent.security.private_files import KeyFileError, exists, private_directory, read, write
+
+Order = Mission | Stop | Resume
+_KINDS: Final = (Stop, Resume, Mission)
+
+
+def state_folder() -> Path:
+    """Where this user's programs keep what must outlive them."""
+    base = os.environ.get("XDG_STATE_HOME", "")
+    root = Path(base) if base.startswith("/") else Path.home() / ".local" / "state"
+    return root / "handfast"
+
+
+class OwnOrders:
+    """The newest stop, resume and mission of `fleet`; of a fleet without hosts, none are kept.
+
+    Attributes:
+        trouble: why what was to be kept is not, or could not be read, "" when all is well.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        on_hosts = any(robot.host is not None for robot in fleet.robots)
+        self._path = state_folder() / f"{fleet.fleet.name}.orders.json" if on_hosts else None
+        self._known: dict[type[Order], Order] = {}
+        self.trouble = ""
+        if self._path is not None:
+            self._read(self._path)
+
+    def _read(self, path: Path) -> None:
+        try:
+            kept = unpacked(read(path, most=FILE_BYTES_MAX)) if exists(path) else ()
+            for order in map(decode, kept):
+                if isinstance(order, _KINDS):
+                    self._known[type(order)] = order
+        except (KeyFileError, OrderFileError, Malformed) as error:
+            self._known = {}
+            self.trouble = f"what was ordered before is not known here: {path}: {error}"
+
+    @property
+    def orders(self) -> tuple[Order, ...]:
+        """Those that are known, a stop first."""
+        return tuple(self._known[kind] for kind in _KINDS if kind in self._known)
+
+    def keep(self, order: Order) -> None:
+        """Keeps an order, if it is newer than the one of its kind that is known."""
+        before = self._known.get(type(order))
+        if isinstance(order, Mission):
+            is_newer = newer(order, before if isinstance(before, Mission) else None)
+        else:
+            is_newer = before is None or order.version > before.version
+        if not is_newer:
+            return
+        self._known[type(order)] = order
+        if self._path is None:
+            return
+        try:
+            private_directory(self._path.parent)
+            write(self._path, packed([encode(each) for each in self.orders]), private=True)
+            self.trouble = ""
+        except KeyFileError as error:
+            self.trouble = f"this machine will not remember the order: {error}"

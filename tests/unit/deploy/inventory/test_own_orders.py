@@ -1,0 +1,68 @@
+"""What an operator's machine knows that a fleet on hosts was ordered last."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.fleet.model import Fleet
+from agent.messages.types import Mission, Resume, Stop
+from deploy.console.data_files import FLEETS
+from deploy.inventory.own_orders import OwnOrders
+
+HOSTS = """
+robot = [{ id = 1, x_m = 0, y_m = 0, host = "h" }, { id = 2, x_m = 1.5, y_m = 0.2, host = "h" }]
+fleet = { name = "two" }
+formation = { edges = [[1, 2]], offsets = [[0, 0], [1, 0]], safe_distance_m = 0.2 }
+trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
+host = { h = { address = "10.0.0.1" } }
+"""
+STOP, RESUME, MISSION = Stop(5, 5, "lunch"), Resume(6, 6, ()), Mission(7, 7, 8, 9, "digest")
+
+
+@pytest.fixture(autouse=True)
+def _state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+
+@pytest.fixture
+def fleet() -> Fleet:
+    return parse_fleet(HOSTS, source="here")
+
+
+def test_the_newest_of_each_kind_outlive_the_command(fleet: Fleet) -> None:
+    own = OwnOrders(fleet)
+    assert own.orders == ()
+    for order in (MISSION, RESUME, STOP, Stop(4, 4, "older"), Mission(6, 7, 8, 9, "older")):
+        own.keep(order)
+    assert OwnOrders(fleet).orders == (STOP, RESUME, MISSION)
+    assert own.trouble == ""
+
+
+def test_of_a_fleet_on_this_machine_nothing_is_kept(tmp_path: Path) -> None:
+    pair = load_fleet(FLEETS / "pair.toml")
+    OwnOrders(pair).keep(STOP)
+    assert OwnOrders(pair).orders == ()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_file_is_said_and_written_anew(fleet: Fleet, tmp_path: Path) -> None:
+    OwnOrders(fleet).keep(STOP)
+    path = next(tmp_path.rglob("*orders*.json"))
+    path.write_bytes(path.read_bytes()[:-9])
+    own = OwnOrders(fleet)
+    assert own.orders == ()
+    assert str(path) in own.trouble
+    assert "damaged" in own.trouble
+    own.keep(RESUME)
+    assert (own.trouble, OwnOrders(fleet).orders) == ("", (RESUME,))
+
+
+def test_a_disk_that_cannot_be_written_is_said(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")
+    own = OwnOrders(fleet)
+    own.keep(STOP)
+    assert own.orders == (STOP,)
+    assert own.trouble.startswith("this machine will not remember the order: cannot make the folder")
