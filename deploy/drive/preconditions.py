@@ -58,7 +58,7 @@ def older_mission(known: Known, now_ns: int) -> str:
     given; "" where there is none."""
     mission, stop = known.mission, known.stop
     what = under_way(known, now_ns)
-    if not what or mission is None or stop is None or stop.version <= mission.version:
+    if not what or mission is None or stop is None or stop.time_ns <= mission.time_ns:
         return ""
     stands = "a resume lets the robots go on with it" if known.stop_in_force else "the robots go on with it"
     return f"older than the stop of {clock(stop.time_ns, now_ns)}{why(stop)}: {what}; {stands}"

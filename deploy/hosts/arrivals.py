@@ -8,7 +8,9 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
+from agent.messages.types import Stop
 from agent.supervision.state_machine import DRIVING_NAMES, State
+from deploy.drive.preconditions import CAME_UP, is_lifted
 from deploy.drive.readiness import is_ready
 from deploy.faults.live import Receiver
 from deploy.session.operator_session import OperatorSession
@@ -60,6 +62,14 @@ class Arrivals(OperatorSession):
     def driving(self) -> bool:
         """Whether any robot drives."""
         return any(map(self.drives, self.fleet.ids))
+
+    def came_up(self) -> Stop:
+        """The stop with which the fleet begins: it ends whatever was ordered before. One that somebody gave
+        for a reason holds on, for that reason."""
+        standing, now_ns = self.operator.stop_in_force, self.now_ns()
+        if standing is None or is_lifted(standing):
+            return self.operator.order_stop(now_ns, CAME_UP)
+        return self.operator.order_stop(now_ns, standing.reason)
 
     def settled(self, robot: int) -> bool:
         """Whether a robot is ready to drive, drives, or has driven."""

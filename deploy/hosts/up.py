@@ -15,7 +15,10 @@ from typing import Final
 
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
+from agent.messages.codec import encode
 from agent.messages.key_expressions import ROLES
+from agent.messages.types import Stop
+from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
@@ -28,6 +31,9 @@ from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.setup import Keys, Prepared, prepare
 from deploy.hosts.view import DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
+from deploy.session.order_seals import sealed
+
+SAY_PERIOD_S: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +96,10 @@ class BringUp:
         self._halted = ""
         self._rolling = self._foreign = False
         self._listened = threading.Event()
+        self._starts, self._stopped = False, threading.Event()
+        """Whether robots start of a fleet that stands, and that a stop was made for that."""
+        self._stop: Stop | None = None
+        self._say_due = 0.0
 
     def run(self, view: HostsView, interrupt: Interrupt) -> None:
         """Brings all up; what became of each host and robot is in `rows` then.
@@ -102,6 +112,7 @@ class BringUp:
 
             def look() -> None:
                 self._arrivals.look()
+                self._say_stop()
                 if self._listened.is_set():
                     return
                 if self._arrivals.operator.behind:
@@ -119,12 +130,36 @@ class BringUp:
                 self._conclude(row)
             view.show(list(self.rows.values()))
 
+    def _say_stop(self) -> None:
+        """Says to all, while robots start, that whatever was ordered before is over."""
+        if not self._starts:
+            return
+        if self._stop is None:
+            self._stop = self._arrivals.came_up()
+            self._stopped.set()
+        if (
+            self._arrivals.operator.without(self._stop, self._arrivals.statuses)
+            and time.monotonic() > self._say_due
+        ):
+            self._say_due = time.monotonic() + SAY_PERIOD_S
+            self._arrivals.say(self._stop)
+
+    def _lay_stop(self, connection: HostConnection) -> None:
+        """Has the robots of a host find that stop before they start. Robots that were heard to stand are not
+        to drive by what somebody ordered before they started."""
+        self._starts = True
+        if not self._stopped.wait(self._timing.listen_s + 5.0) or self._stop is None:
+            raise HostError("left as it was: this machine is too busy to stop the fleet first")
+        order = packed(sealed(self._fleet, encode(self._stop)))
+        connection.exchange("order", order, fleet=self._fleet.fleet.name)
+
     def _settle(self, interrupt: Interrupt) -> None:
         """Gives those that came first a moment to find those that came last."""
         here = [robot for row in self.rows.values() for robot in row.outcomes]
         deadline = time.monotonic() + self._timing.settle_s
         while time.monotonic() < deadline and not interrupt.count:
             self._arrivals.look()
+            self._say_stop()
             if all(map(self._arrivals.settled, here)):
                 break
             time.sleep(self._timing.look_s)
@@ -189,6 +224,8 @@ class BringUp:
             row.step = f"starting {robots_words(starts)}" if starts else "looking"
             if prepared.unwanted:
                 connection.ask("remove", names=prepared.unwanted)
+            if starts:
+                self._lay_stop(connection)
             since |= self._restart(connection, prepared, starts)
         self._await(row, connection, since)
         problems = []

@@ -126,7 +126,10 @@ class Known:
 
     @property
     def stop_in_force(self) -> Stop | None:
-        """The stop by which robots stand, None without any: a resume of single robots ends it for no other."""
+        """The stop by which robots stand, None without any.
+
+        A resume of single robots ends it for no others.
+        """
         stop, resume = self.stop, self.resume
         if stop is None or (resume is not None and resume.version > stop.version and not resume.robots):
             return None
