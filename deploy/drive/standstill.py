@@ -69,23 +69,24 @@ class Standstill:
                 break
             self._collect()
             fleet_state.pass_on()
-            if ways is None and (self._hurried or now >= begun + LATE_S):
+            late = now >= begun + LATE_S
+            deaf = late and not all(has_acknowledged(statuses.get(robot), stop) for robot in waiting)
+            if ways is None and (self._hurried or deaf):
                 ways = self._make_ways()
                 for way in ways:
                     way.send(stop)
             for way in ways or ():
                 way.collect(others)
-            rest = all(
-                stands(statuses.get(robot), fleet_state.states.get(robot)) or others.stands_by(robot)
+            # Who is deaf to these links, and is known otherwise to brake, is waited for no longer.
+            waiting = [
+                robot
                 for robot in waiting
-            )
+                if not late or has_acknowledged(statuses.get(robot), stop) or not others.stands_by(robot)
+            ]
+            rest = all(stands(statuses.get(robot), fleet_state.states.get(robot)) for robot in waiting)
             # Those that end now will not drive again; others must have latched the stop.
             if rest and (
-                processes.ours
-                or all(
-                    has_acknowledged(statuses.get(robot), stop) or others.stands_by(robot)
-                    for robot in waiting
-                )
+                processes.ours or all(has_acknowledged(statuses.get(robot), stop) for robot in waiting)
             ):
                 break
             if now >= again:

@@ -19,7 +19,7 @@ from deploy.hosts import systemd_units
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.inventory.hosts import robots_on
 from deploy.orders.stop_outcome import Stopping
-from deploy.session.order_seals import sealed
+from deploy.session.sealing import sealed
 from deploy.session.stop_by_file import newest_stop
 
 LOOK_S: Final = 0.1

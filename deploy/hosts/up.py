@@ -31,7 +31,7 @@ from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.setup import Keys, Prepared, prepare
 from deploy.hosts.view import DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
-from deploy.session.order_seals import sealed
+from deploy.session.sealing import sealed
 
 SAY_PERIOD_S: Final = 0.25
 

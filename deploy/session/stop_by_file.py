@@ -17,7 +17,7 @@ from agent.security.private_files import KeyFileError, exists, read, write
 from agent.security.sealed_order import Forged, payload_of
 from agent.supervision.state_machine import State
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
-from deploy.session.order_seals import sealed
+from deploy.session.sealing import sealed
 
 WAY: Final = "by a file on this machine"
 

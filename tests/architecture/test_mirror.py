@@ -70,7 +70,6 @@ BY_OTHERS: Final = {
         deploy/session/order
         deploy/session/resume
         deploy/session/session
-        deploy/session/stop
         deploy/simulate/worker_pool
         deploy/sweep/folder
         deploy/sweep/run

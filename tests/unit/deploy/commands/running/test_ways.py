@@ -1,0 +1,39 @@
+"""Which ways there are to stop a fleet from here."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+
+import pytest
+
+from agent.fleet.loading import parse_fleet
+from agent.runtime import runtime_folder
+from agent.security.private_files import private_directory
+from deploy.commands.running.ways import by_ssh, ways
+from deploy.processes.placement import orders_folder
+from deploy.session.stop import Way
+from tests.unit.deploy.inventory.test_own_orders import HOSTS
+from tests.unit.deploy.orders.order_fleets import square
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with tempfile.TemporaryDirectory(prefix="hf") as folder:
+        monkeypatch.setattr(runtime_folder.tempfile, "gettempdir", lambda: folder)
+        yield
+
+
+def names(made: list[Way]) -> list[str]:
+    for way in made:
+        way.close()
+    return [type(way).__name__ for way in made]
+
+
+def test_a_run_here_has_a_file_and_one_elsewhere_has_ssh() -> None:
+    here, elsewhere = square(), parse_fleet(HOSTS, source="here")
+    assert names(ways(here)) == ["LiveWay"]
+    private_directory(orders_folder(here))
+    assert names(ways(here)) == ["LiveWay", "FileWay"]
+    assert names(ways(elsewhere)) == ["LiveWay", "SshWay"]
+    assert by_ssh(here) == []

@@ -1,0 +1,95 @@
+"""A stop over ssh: with the host's own program, and a systemctl that says what it is told."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
+from agent.messages.codec import decode, encode
+from agent.messages.key_expressions import ROLES
+from agent.messages.types import Stop
+from agent.runtime.order_store import STOP_FILE, packed, unpacked
+from deploy.hosts import systemd_units
+from deploy.hosts.stop_by_ssh import SshWay
+from deploy.orders.stop_outcome import Stopping
+from tests.process.harness import wait_for
+from tests.unit.deploy.hosts.test_remote_program import home  # noqa: F401
+from tests.unit.deploy.inventory.test_own_orders import HOSTS
+
+STATES = {"agent": "stopped: stop: lunch", "plant": "braking: stop: lunch"}
+
+
+@pytest.fixture
+def fleet() -> Fleet:
+    return parse_fleet(HOSTS, source="here", overrides=['network.security="off"'])
+
+
+@pytest.fixture
+def folder(home: Path) -> Path:  # noqa: F811
+    return home / ".local/share/handfast/fleets/two/orders"
+
+
+def say(home: Path, fleet: Fleet, **states: str) -> None:  # noqa: F811
+    """Has systemd say these states of all robots' processes."""
+    blocks = [
+        f"Id={systemd_units.unit_name('two', robot, role)}\nActiveState=active\nStatusText={states[role]}\n"
+        for robot in fleet.ids
+        for role in ROLES
+    ]
+    (home / "shown").write_text("\n".join(blocks))
+
+
+def looked(way: SshWay, stopping: Stopping) -> bool:
+    way.collect(stopping)
+    return stopping.done or not way.busy
+
+
+def test_it_is_laid_there_and_who_takes_it_is_told(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
+    say(home, fleet, agent="running", plant="driving")
+    stopping, way = Stopping(fleet, time.time_ns(), "lunch"), SshWay(fleet, fleet.hosts)
+    way.send(stopping.message)
+    wait_for((folder / STOP_FILE).exists, "the stop lies there")
+    laid = unpacked((folder / STOP_FILE).read_bytes())
+    assert [decode(order) for order in laid] == [stopping.message]
+    assert folder.stat().st_mode & 0o077 == 0
+    say(home, fleet, **STATES)
+    for robot in fleet.ids:
+        for role in ROLES:
+            (folder / f"robot-{robot}-{role}.json").write_bytes(packed([encode(stopping.message)]))
+    wait_for(lambda: looked(way, stopping), "all are known to brake")
+    assert stopping.done
+    assert stopping.outcome(1).endswith("(over ssh to h)")
+    way.close()
+    assert way.troubles == []
+
+
+def test_an_older_stop_there_is_not_this_one(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
+    say(home, fleet, **STATES)
+    folder.mkdir(parents=True, mode=0o700)
+    for role in ROLES:
+        (folder / f"robot-1-{role}.json").write_bytes(packed([encode(Stop(5, 5, "before"))]))
+    (folder / "robot-2-agent.json").write_bytes(b"\xff\x00 nonsense")
+    stopping, way = Stopping(fleet, time.time_ns(), "lunch"), SshWay(fleet, fleet.hosts)
+    way.send(stopping.message)
+    wait_for((folder / STOP_FILE).exists, "the stop lies there")
+    wait_for(lambda: looked(way, stopping) or stopping.heard, "it was looked at")
+    assert not any(map(stopping.stands_by, fleet.ids))
+    way.close()
+
+
+def test_a_host_that_cannot_be_reached_is_said(
+    fleet: Fleet,
+    home: Path,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (home.parent / "tools" / "ssh").write_text("#!/bin/sh\necho 'no route to host' >&2; exit 255\n")
+    stopping, way = Stopping(fleet, time.time_ns(), "lunch"), SshWay(fleet, fleet.hosts)
+    way.send(stopping.message)
+    wait_for(lambda: not way.busy, "it has given up")
+    assert len(way.troubles) == 1
+    assert way.troubles[0].startswith("not over ssh to h: ")
+    way.close()
