@@ -13,9 +13,13 @@ from typing import Final
 import pytest
 
 from agent.common.time import NS_PER_S
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet
+from agent.formation.geometry import resolved
 from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState
+from deploy.console.data_files import FLEETS
 from deploy.faults.process_actions import Action
 from deploy.simulate.simulation import Simulation
 from tests.process.small_fleets import triangle
@@ -26,11 +30,11 @@ AFTER_S: Final = 6.0
 
 
 class Field:
-    """Three robots in the middle of a drive, of which an operator has said its word and is gone."""
+    """A fleet in the middle of a drive, of which an operator has said its word and is gone."""
 
-    def __init__(self, *, cut_off: Iterable[int] = ()) -> None:
+    def __init__(self, fleet: Fleet | None = None, *, cut_off: Iterable[int] = ()) -> None:
         self.drove: set[int] = set()
-        self.simulation = Simulation(triangle(), self._hear)
+        self.simulation = Simulation(fleet or triangle(), self._hear)
         self._cut_off = frozenset(cut_off)
         put = self.simulation._bus.put
 
@@ -50,7 +54,7 @@ class Field:
         assert self.simulation.start(300 * NS_PER_S)
         self.simulation._say_again = lambda: None  # type: ignore[method-assign]
         self.pass_s(3.0)
-        assert self.drove == set(ALL)
+        assert self.drove == {robot.id for robot in self.simulation.fleet.robots if not robot.reserve}
         self._cut_off = self.heal_first
 
     def _hear(self, _now_ns: int, _key: str, payload: bytes) -> None:
@@ -88,7 +92,7 @@ class Field:
     def remember_disks(self) -> None:
         """What disks hold now, for those that are late."""
         self._before = {
-            (robot, role): self._host((robot, role)).kept for robot in ALL for role in ROLES
+            process: self._host(process).kept for process in self.simulation._order
         }  # fmt: skip
 
     def _host(self, process: tuple[int, str]) -> object:
@@ -184,6 +188,24 @@ def test_nor_does_it_when_the_others_have_lost_their_disks_and_the_fleet_came_up
     field.pass_s(2.0)
     field.crash((1, 2), disks="lost")
     field.say("stop")  # as `up` says it, before anybody drives
+    field.pass_s(2.0)
+    assert field.driven() == set()
+
+
+def delta() -> Fleet:
+    return resolved(load_fleet(FLEETS / "delta.toml"))
+
+
+@pytest.mark.parametrize("disks", ["kept", "lost"])
+def test_those_who_drove_on_out_of_reach_are_stopped_by_what_the_others_kept(disks: str) -> None:
+    """Four of six go on together, as they must. What stops them is a disk, or an `up`."""
+    field = Field(delta(), cut_off=(3, 4, 5, 6))
+    field.say("stop")
+    field.pass_s(2.0)
+    assert {3, 4, 5, 6} <= field.driven(reachable=False)
+    field.crash((1, 2), disks=disks)
+    if disks == "lost":
+        field.say("stop")  # as `up` says it
     field.pass_s(2.0)
     assert field.driven() == set()
 
