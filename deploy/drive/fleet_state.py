@@ -13,9 +13,8 @@ from agent.messages import key_expressions
 from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
-from agent.supervision.state_machine import State
 from deploy.console.wording import robots
-from deploy.drive.readiness import in_words, is_ready, waits
+from deploy.drive.readiness import in_words, is_ready, may_begin, waits
 from deploy.drive.vehicle_checks import VehicleChecks
 from deploy.drive.watch import Watch, fleet_time_s
 from deploy.faults.process_actions import Process
@@ -201,19 +200,25 @@ class FleetState:
     @property
     def is_ready(self) -> bool:
         """Whether all wait for a mission, and what was ordered before was heard."""
-        states = self.watch.states().values()
+        statuses = self.watch.statuses
+        if not all(self._begins(statuses.get(robot), self.states.get(robot)) for robot in self.fleet.ids):
+            return False
+        known = self.operator.foreign is not None or not self.operator.ahead(self.clock.now_ns())
+        return self.processes.ours or known
+
+    def _begins(self, status: Status | None, plant: PlantState | None) -> bool:
+        """Whether a robot keeps the fleet from no drive. Those that were up before may stand after a stop: a
+        new mission and a resume make them ready."""
         if self.processes.ours:
-            return all(map(is_ready, states))
-        # Those that drove before stand: a new mission and a resume make them ready.
-        return all(is_ready(state) or state == State.STOPPED.value for state in states) and (
-            self.operator.foreign is not None or not self.operator.ahead(self.clock.now_ns())
-        )
+            return status is not None and is_ready(status.state)
+        stands_by = status is not None and self.fleet.robot(status.robot).reserve
+        return may_begin(status, plant, stands_by=stands_by)
 
     def waits(self, missing: Sequence[str]) -> str:
         """What keeps the fleet from starting, in words; `missing` are processes that are not there."""
         if missing:
             return ", ".join(missing)
-        found = waits(self.fleet.ids, self.watch.statuses, self.states)
+        found = waits(self.fleet.ids, self.watch.statuses, self.states, self._begins)
         ahead = self.operator.ahead(self.clock.now_ns())
         if ahead and not found:
             says = "says" if len(ahead) == 1 else "say"

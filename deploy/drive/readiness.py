@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from agent.messages.types import PlantState, Status
 from agent.supervision.state_machine import State, at_rest
@@ -12,6 +12,16 @@ from deploy.console.wording import robots
 def is_ready(state: str) -> bool:
     """Whether a robot in this state keeps no fleet from starting: one in reserve just stays where it is."""
     return state in (State.READY.value, State.STANDBY.value)
+
+
+def may_begin(status: Status | None, plant: PlantState | None, *, stands_by: bool = False) -> bool:
+    """Whether a robot keeps no fleet from a new drive, where a resume goes with the mission: it is ready, or
+    stands after a stop and could drive, or need not, as it `stands_by`."""
+    if status is None:
+        return False
+    if status.state != State.STOPPED.value:
+        return is_ready(status.state)
+    return stands_by or (plant is not None and plant.healthy and plant.obeying)
 
 
 def stands(status: Status | None, plant: PlantState | None) -> bool:
@@ -24,9 +34,12 @@ def stands(status: Status | None, plant: PlantState | None) -> bool:
 
 
 def waits(
-    ids: Sequence[int], statuses: Mapping[int, Status], plants: Mapping[int, PlantState]
+    ids: Sequence[int],
+    statuses: Mapping[int, Status],
+    plants: Mapping[int, PlantState],
+    begins: Callable[[Status | None, PlantState | None], bool],
 ) -> dict[int, str]:
-    """What each robot that is not ready waits for.
+    """What each robot waits for that does not begin, by `may_begin` or what else is asked of it.
 
     A robot whose own body keeps it from driving also keeps its neighbours from being ready: where there is
     one, those that only wait for others are left out.
@@ -35,7 +48,7 @@ def waits(
     others: dict[int, str] = {}
     for robot in ids:
         status, plant = statuses.get(robot), plants.get(robot)
-        if status is not None and is_ready(status.state):
+        if begins(status, plant):
             continue
         if plant is None:
             own[robot] = "nothing heard from its plant"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.messages.types import PlantState, Status
-from deploy.drive.readiness import is_ready, stands, waits
+from deploy.drive.readiness import is_ready, may_begin, stands, waits
 
 
 def status(state: str, reason: str = "") -> Status:
@@ -22,7 +22,7 @@ def test_a_robot_in_reserve_keeps_no_fleet_from_starting() -> None:
     ]  # fmt: skip
     statuses = {1: status("ready"), 2: status("standby", "in reserve"), 3: status("waiting", "for robot 9")}
     plants = {robot: plant(0.0) for robot in (1, 2, 3)}
-    assert waits((1, 2, 3), statuses, plants) == {3: "for robot 9"}
+    assert waits((1, 2, 3), statuses, plants, may_begin) == {3: "for robot 9"}
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,16 @@ def test_who_stands(state: str, body: PlantState | None, does: bool) -> None:
 
 def test_a_robot_that_says_nothing_does_not_stand() -> None:
     assert not stands(None, plant(0.0))
+
+
+def test_who_stands_after_a_stop_may_begin_if_its_body_could_drive():
+    status = Status(3, 1, 1, "stopped", "", "stop: the fleet came up", 1, 1, (), (), (), ())
+    plant = PlantState(3, 1, 1, *[0.0] * 7, False, True, True, "")
+    taken = plant._replace(obeying=False, note="its operator has it: MANUAL")
+    assert may_begin(status, plant)
+    assert not may_begin(status, taken)
+    assert not may_begin(status, plant._replace(healthy=False))
+    assert not may_begin(status, None)
+    assert not may_begin(None, plant)
+    assert may_begin(status, taken, stands_by=True)
+    assert waits((3,), {3: status}, {3: taken}, may_begin) == {3: "its operator has it: MANUAL"}

@@ -164,14 +164,14 @@ def test_those_that_only_wait_for_others_are_not_named() -> None:
         3: plant(3, healthy=False, note="waiting for its GPS"),
         4: plant(4, healthy=False, note="lost just now"),
     }
-    found = waits((1, 2, 3, 4, 5), statuses, plants)
+    found = waits((1, 2, 3, 4, 5), statuses, plants, may_begin)
     assert found == {
         2: "mode MANUAL, not GUIDED",
         3: "waiting for its GPS",
         5: "nothing heard from its plant",
     }
-    assert waits((1,), statuses, plants) == {1: "silent neighbours: 2, 3"}
-    assert waits((4,), statuses, plants) == {}
+    assert waits((1,), statuses, plants, may_begin) == {1: "silent neighbours: 2, 3"}
+    assert waits((4,), statuses, plants, may_begin) == {}
 
 
 def test_robots_that_wait_for_the_same_are_named_together() -> None:
