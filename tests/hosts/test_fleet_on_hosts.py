@@ -44,7 +44,9 @@ def fleet(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -
     told = found.handfast("up", timeout=UP_TIMEOUT_S)
     measured("up from nothing, s", time.monotonic() - begun)
     for robot in range(1, 7):
-        assert f"robot {robot} on {found.host_of(robot).name}: ready: for a mission" in told.stdout
+        assert (
+            f"robot {robot} on {found.host_of(robot).name}: stopped: stop: the fleet came up" in told.stdout
+        )
     return found
 
 

@@ -70,7 +70,7 @@ def test_each_failure_is_one_clear_line_and_the_others_run(hosts: Hosts, cache: 
     for name, said in wanted.items():
         assert failed[name].startswith(f"{name}: FAILED: {said}"), failed[name]
     for robot in (1, 2):
-        assert f"robot {robot} on host{robot}: ready: for a mission" in done.stdout
+        assert f"robot {robot} on host{robot}: stopped: stop: the fleet came up" in done.stdout
     assert done.stdout.count("NOT UP") == len(wanted)
 
     told = fleet.handfast("status", status=1).stdout
@@ -89,7 +89,7 @@ def test_what_was_wrong_can_be_mended_and_up_goes_on(hosts: Hosts, cache: Path, 
     fleet.handfast("up", "--host", "host1", "--host", "host10", status=1, timeout=UP_TIMEOUT_S)
     hosts[WITHOUT_SSH].start_sshd()
     done = fleet.handfast("up", "--host", "host10", "--host", "host1", timeout=UP_TIMEOUT_S)
-    assert "robot 10 on host10: standby" in done.stdout
+    assert "robot 10 on host10: stopped: stop" in done.stdout
     told = fleet.handfast("up", "--host", "nowhere", status=2).stderr
     assert "there is no host nowhere with robots in many; there are: host1, host2" in told
     fleet.handfast("down", "--host", "host1", "--host", "host10")

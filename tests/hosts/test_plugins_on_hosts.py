@@ -58,7 +58,7 @@ def fleet(
     with installed(folder / "site"):
         found = WithExamples(hosts, folder, tables(hosts), cache)
     told = found.handfast("up", timeout=UP_TIMEOUT_S)
-    assert told.stdout.count("ready: for a mission") == 2
+    assert told.stdout.count("stopped: stop: the fleet came up") == 2
     return found
 
 

@@ -12,7 +12,7 @@ from agent.messages import key_expressions
 from agent.messages.types import Checks, PlantState, Status
 from deploy.console.data_files import FLEETS
 from deploy.drive.preflight import Found, columns, death, passed, show, summary, to_json
-from deploy.drive.readiness import in_words, waits
+from deploy.drive.readiness import in_words, may_begin, waits
 from deploy.drive.vehicle_checks import SETTLE_NS, Line, VehicleChecks
 
 ROVERS = load_fleet(FLEETS / "rovers.toml", ["robot.6.plant=unicycle"])
