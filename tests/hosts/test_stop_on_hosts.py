@@ -24,7 +24,7 @@ CALM = {"rate_hz": 25.0}
 PATIENT = {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5}
 ROBOTS = range(1, 7)
 BASE_PORT = 7600
-FLOOD_PER_S = 400
+FLOOD_PER_S = 180
 CAME_UP = "stopped: stop: the fleet came up"
 
 
@@ -61,8 +61,15 @@ def states(fleet: FleetOnHosts) -> dict[int, str]:
 
 
 def drive(fleet: FleetOnHosts, duration: str = "300") -> None:
-    """Leaves the fleet driving."""
-    fleet.handfast("drive", "--detach", "--resume", "--duration", duration)
+    """Leaves the fleet driving. After a flood, ports take some time to get through what waits there."""
+
+    def begins() -> bool:
+        return (
+            fleet.handfast("drive", "--detach", "--resume", "--duration", duration, status=None).returncode
+            == 0
+        )
+
+    wait_for(begins, "a drive begins", 90.0)
     wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive", 20.0)
 
 
