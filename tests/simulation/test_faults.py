@@ -330,10 +330,10 @@ def test_an_agent_that_starts_again_drives_again():
     run.until(5.0)
     assert run.agent(3) is not before
     run.until(5.1)
-    assert run.agent(3).condition == ("ready", "for a mission")
+    assert run.agent(3).condition == ("waiting", "hears who is near")
     assert run.plant(3).condition[0] == "braking"
     run.until(5.5)
-    assert run.agent(3).state is State.RUNNING  # its neighbours have told it of the mission
+    assert run.agent(3).state is State.RUNNING  # it has recalled the mission, and its neighbours drive by it
     run.until(8.0)
     assert run.agent_states() == {State.RUNNING}
     run.until(20.0)
@@ -346,7 +346,7 @@ def test_an_agent_that_starts_again_drives_again():
         for time_ms in missions(run, key_expressions.relayed("delta", robot))
         if time_ms > 0
     ]
-    assert 5000 < min(told) < 5300
+    assert told == []  # nobody had to
 
 
 def test_a_body_whose_plant_starts_again_stands_where_it_was():
