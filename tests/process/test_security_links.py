@@ -329,6 +329,8 @@ def test_a_robot_says_only_what_is_its_own(fleet: Fleet) -> None:
             key_expressions.relayed(FLEET, 1),
             key_expressions.wrench(FLEET, 1),
             key_expressions.hand(FLEET, "*"),
+            key_expressions.of_robot(FLEET, 2) + "anything",  # which nobody takes, but all would receive
+            key_expressions.of_robot(FLEET, 2) + "**",
             f"{FLEET}/robot/**",
             f"{FLEET}/*",
             f"{FLEET}/**",
