@@ -69,12 +69,16 @@ _OTHER: Final = "the handshake failed"
 class Refusals:
     """Takes the bytes of Zenoh's log as they come, and says now and then what was refused.
 
+    Args:
+        kinds_max: different refusals that are counted apart.
+
     Attributes:
         total: refusals since the start.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kinds_max: int = KINDS_MAX) -> None:
         self.total = 0
+        self._kinds_max = kinds_max
         self._links: OrderedDict[bytes, str] = OrderedDict()
         self._waiting: Counter[str] = Counter()
         self._said_ns: dict[str, int] = {}
@@ -97,7 +101,7 @@ class Refusals:
     def add(self, kind: str, count: int = 1) -> None:
         """Counts a refusal; `kind` says what was refused and why, of few different texts."""
         self.total += count
-        if kind not in self._waiting and len(self._waiting) >= KINDS_MAX:
+        if kind not in self._waiting and len(self._waiting) >= self._kinds_max:
             kind = "other attempts"
         self._waiting[kind] += count
 
@@ -109,7 +113,7 @@ class Refusals:
                 continue
             del self._waiting[kind]
             self._said_ns.pop(kind, None)
-            if len(self._said_ns) >= KINDS_MAX:
+            if len(self._said_ns) >= self._kinds_max:
                 del self._said_ns[next(iter(self._said_ns))]
             self._said_ns[kind] = now_ns
             times = "" if count == 1 else f" ({count} times)"
