@@ -93,6 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 log(f"cannot listen on {outside}: {(error.strerror or str(error)).lower()}")
                 return FAILED
             found.append(Door(at, where(inside)))
+        log(f"lets connections through on {' and '.join(outside for outside, _ in doors)}")
         _serve(fleet, found, options.proven, shutdown, service, log)
     return PASSED
 

@@ -19,6 +19,7 @@ BY_OTHERS: Final = {
         deploy/commands/hosts/down
         deploy/commands/hosts/export_deployment
         deploy/commands/hosts/fetch
+        deploy/commands/hosts/firewall
         deploy/commands/hosts/router
         deploy/commands/hosts/up
         deploy/commands/local/check

@@ -1,8 +1,8 @@
 """Somebody who opens connections without a certificate, many a second, from many addresses of this machine.
 
 Arguments: JSON with `targets` (a list of [address, port]), `rate` (connections a second, of all targets
-together), `sources` (so many addresses, 127.1.0.1 and on) and `kind`: what each says (`SAYS`). It prints how
-many it has opened when its standard input ends.
+together), `sources` (so many addresses, 127.1.0.1 and on; 0: the usual one) and `kind`: what each says
+(`SAYS`). It prints how many it has opened when its standard input ends.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ def main() -> None:
             made = socket.socket()
             made.setblocking(False)
             with suppress(OSError):
-                made.bind((source(opened % options["sources"]), 0))
+                if options["sources"]:
+                    made.bind((source(opened % options["sources"]), 0))
                 made.connect_ex(tuple(options["targets"][opened % len(options["targets"])]))
                 if says:
                     made.send(says)

@@ -56,6 +56,7 @@ class Behind:
         self.file.write_text(tomli_w.dumps(to_dict(self.fleet)))
         self.proven = folder / "state" / "robot-1.proven.json"
         self.errors = folder / "proxy.stderr"
+        self._begun = 0
         self.begin()
         self.one = Guarded(folder / "robot-1", of_robot(FLEET, 1), [*self.fleet.agent_listens(1)], [])
         self._processes: list[Guarded] = [self.one]
@@ -79,11 +80,11 @@ class Behind:
                 env=environment(),
                 start_new_session=True,
             )
-        wait_for(self._is_there, "the proxy listens", report=self.errors.read_text)
-
-    def _is_there(self) -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex((OUTSIDE, self.port)) == 0
+        begun = "lets connections through"
+        wait_for(
+            lambda: self.errors.read_text().count(begun) > self._begun, begun, report=self.errors.read_text
+        )
+        self._begun += 1
 
     def dialling(self, robot: int) -> Guarded:
         """A robot that dials robot 1 the way others do."""
