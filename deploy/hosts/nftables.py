@@ -6,7 +6,7 @@ nftables sees packets, not certificates: it cannot tell who was let in from who 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import Final
 
@@ -22,11 +22,12 @@ OF_ONE_BURST: Final = 8
 REMEMBERED: Final = "size 65535; flags dynamic, timeout; timeout 5m"
 
 
-def ruleset(fleet: Fleet, known: Iterable[str]) -> str:
+def ruleset(fleet: Fleet, known: Iterable[str], devices: Sequence[str] = ()) -> str:
     """The rules as ``nft -f`` reads them: a table of their own, which takes the place of one from before.
 
     Args:
         known: addresses, as numbers, that may open as many connections as they like.
+        devices: network devices through which alone connections may come, beside the loopback; none: any.
 
     Raises:
         ValueError: one is no address.
@@ -34,6 +35,7 @@ def ruleset(fleet: Fleet, known: Iterable[str]) -> str:
     first = fleet.network.base_port
     last = first + 2 * len(fleet.robots) - 1
     addresses = {ip_address(each.partition("%")[0]) for each in (*OWN, *known)}
+    only = [f'"{device}"' for device in ("lo", *devices)] if devices else []
     table = f"handfast_{fleet.fleet.name.replace('-', '_')}"
     return "\n".join(
         (
@@ -45,6 +47,7 @@ def ruleset(fleet: Fleet, known: Iterable[str]) -> str:
             *(f"  set strangers{which} {{ type ipv{which}_addr; {REMEMBERED}; }}" for which in (4, 6)),
             "  chain input {",
             "    type filter hook input priority filter; policy accept;",
+            *([f"    tcp dport {first}-{last} iifname != {{ {', '.join(only)} }} drop"] if only else []),
             f"    tcp dport {first}-{last} tcp flags & (syn | ack) == syn jump opening",
             "  }",
             "  chain opening {",

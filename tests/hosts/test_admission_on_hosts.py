@@ -127,6 +127,12 @@ def test_a_firewall_lets_few_connections_of_strangers_through(fleet: FleetOnHost
     assert opened(other, BASE_PORT) == TRIES
     assert 1 <= opened(stranger, BASE_PORT) <= TRIES // 2
     assert fleet.handfast("up").stderr.count("up, nothing to do") == 2
+    rules = fleet.handfast("firewall", "--device", "wg0").stdout
+    host.run(["nft", "-f", "-"], input=rules, check=True)
+    assert opened(other, BASE_PORT) == 0  # it comes through eth0, whatever address it asks for
+    assert opened(host, BASE_PORT) == TRIES
+    host.run(["nft", "delete", "table", "inet", f"handfast_{fleet.name}"], check=True)
+    wait_for(lambda: fleet.status()[1, "agent"]["state"] == "ready", "it is reached again")
 
 
 def test_down(fleet: FleetOnHosts) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import re
 import socket
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
 
 if TYPE_CHECKING:
     from agent.fleet.model import Fleet
+
+DEVICE: Final = r"[A-Za-z0-9][A-Za-z0-9._-]{0,14}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="address or name of an operator's computer, as robots see it; once for each",
     )
+    parser.add_argument(
+        "--device",
+        dest="devices",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="network device, such as wg0, through which alone the ports are reached; once for each",
+    )
     parser.set_defaults(command=_firewall, **no_changes())
 
 
@@ -36,9 +47,12 @@ def _firewall(options: argparse.Namespace) -> int:
     from deploy.hosts.nftables import ruleset
     from deploy.inventory.hosts import hosts_of, located
 
+    for device in options.devices:
+        if not re.fullmatch(DEVICE, device):
+            raise InputError(f"--device {device}: must be the name of a network device, such as wg0")
     fleet = load(options)
     hosts_of(fleet, str(fleet_path(options.fleet)))
-    print(ruleset(fleet, _known(located(fleet), options.known)), end="")
+    print(ruleset(fleet, _known(located(fleet), options.known), options.devices), end="")
     return PASSED
 
 

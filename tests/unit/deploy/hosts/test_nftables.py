@@ -25,6 +25,13 @@ def test_it_is_about_the_fleets_ports_alone_and_takes_its_own_place():
     assert sum("drop" in line for line in lines) == 3
 
 
+def test_it_can_close_the_ports_to_all_devices_but_some():
+    lines = ruleset(fleet(), [], ["wg0", "wg1"]).splitlines()
+    closed = lines.index('    tcp dport 7600-7603 iifname != { "lo", "wg0", "wg1" } drop')
+    assert closed < next(k for k, line in enumerate(lines) if "jump opening" in line)
+    assert "iifname" not in ruleset(fleet(), [])
+
+
 def test_a_name_is_no_address():
     with pytest.raises(ValueError, match="robot-1"):
         ruleset(fleet(), ["robot-1"])
