@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +21,7 @@ import pytest
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
-from tests.process.harness import ROOT, wait_for
+from tests.process.harness import environment, wait_for
 
 pytestmark = pytest.mark.timeout(400)
 CALM = {"rate_hz": 25.0}
@@ -70,10 +71,10 @@ def flood(stranger: Host, fleet: FleetOnHosts) -> Iterator[None]:
         for which in (0, 1)
     ]
     options = {"targets": targets, "rate": FLOOD_PER_S, "sources": 0, "kind": "broken"}
-    words = ["python3", str(ROOT / "tests" / "process" / "flood.py"), json.dumps(options)]
+    words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
     with subprocess.Popen(
-        [*stranger.space.command("mount", "net", "pid"), *words],
-        env=stranger.environment,
+        [*stranger.space.command("net"), *words],  # with this machine's files
+        env=environment(),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     ) as process:
@@ -100,7 +101,7 @@ def test_a_robot_starts_again_and_is_stopped_in_a_flood(fleet: FleetOnHosts, str
         os.kill(before, signal.SIGKILL)
         fleet.started_again(6, "agent", before)
         wait_for(lambda: fleet.status()[6, "agent"]["state"] == "ready", "it has found all others")
-        assert "stopped" in fleet.handfast("stop").stdout
+        assert "robot 6: stopping" in fleet.handfast("stop").stdout
     fleet.handfast("resume")
 
 
