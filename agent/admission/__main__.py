@@ -58,6 +58,8 @@ def read_proven(path: Path | None) -> list[str]:
 
     Raises:
         ValueError: it says something else; or, as a `KeyFileError`, cannot be read.
+        OSError: nor can its folder.
+        RecursionError: it says something else, with many brackets.
     """
     if path is None or not path.exists():
         return []
@@ -65,6 +67,48 @@ def read_proven(path: Path | None) -> list[str]:
     if not isinstance(found, list) or not all(isinstance(each, str) for each in found):
         raise ValueError("it is no list of addresses")
     return [str(ipaddress.ip_address(each)) for each in found[-PROVEN_MAX:]]
+
+
+class _Background:
+    """A thread for what may take its time, so that no link waits: name servers, and the disk.
+
+    Args:
+        budgets: whose hosts it looks up, now and then.
+        file: where it writes who has proven himself; None for nowhere.
+    """
+
+    def __init__(self, fleet: Fleet, budgets: Budgets, file: Path | None, log: Callable[[str], None]) -> None:
+        self._names = [host.address or host.name for host in fleet.hosts]
+        self._budgets, self._file, self._log = budgets, file, log
+        self._proven = budgets.proven
+        self._awake, self._ended = Event(), Event()
+        Thread(target=self._run, daemon=True).start()
+
+    def remember(self) -> None:
+        """Has it write who has proven himself by now."""
+        self._proven = self._budgets.proven
+        self._awake.set()
+
+    def end(self) -> None:
+        self._ended.set()
+        self._awake.set()
+
+    def _run(self) -> None:
+        due_s, written = 0.0, self._proven
+        while not self._ended.is_set():
+            self._awake.clear()
+            if time.monotonic() >= due_s:
+                due_s = time.monotonic() + RESOLVE_S
+                self._budgets.hosts = addresses_of(self._names) or self._budgets.hosts
+            proven = self._proven
+            if proven != written and self._file is not None:
+                written = proven
+                try:
+                    self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                    write(self._file, json.dumps(proven).encode(), private=True)
+                except (KeyFileError, OSError) as error:
+                    self._log(f"will not remember who had a certificate: {error}")
+            self._awake.wait(RESOLVE_S)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -108,31 +152,15 @@ def _serve(
 ) -> None:
     try:
         proven = read_proven(file)
-    except ValueError as error:
+    except (ValueError, OSError, RecursionError) as error:
         log(f"begins without knowing who had a certificate: {file}: {error}")
         proven = []
-    budgets, refusals, ended = Budgets(proven), Refusals(KINDS_MAX), Event()
-
-    def look_up() -> None:
-        while not ended.is_set():
-            budgets.hosts = addresses_of([host.address or host.name for host in fleet.hosts]) or budgets.hosts
-            ended.wait(RESOLVE_S)
-
-    def remember() -> None:
-        if file is None:
-            return
-        try:
-            file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write(file, json.dumps(budgets.proven).encode(), private=True)
-        except (KeyFileError, OSError) as error:
-            log(f"will not remember who had a certificate: {error}")
-
-    # A thread of its own, that nothing waits for: a name server may take its time.
-    Thread(target=look_up, daemon=True).start()
+    budgets, refusals = Budgets(proven), Refusals(KINDS_MAX)
+    background = _Background(fleet, budgets, file, log)
     deadline_s = max(DEADLINE_S, fleet.network.link_timeout_s)
     status_due_s = 0.0
     try:
-        with Proxy(doors, budgets, deadline_s, refusals.add, remember) as proxy:
+        with Proxy(doors, budgets, deadline_s, refusals.add, background.remember) as proxy:
             service.ready()
             while not shutdown.asked:
                 proxy.turn(TURN_S, time.monotonic)
@@ -148,7 +176,7 @@ def _serve(
             for line in refusals.lines(time.monotonic_ns() + 10 * NS_PER_S):
                 log(line)
     finally:
-        ended.set()
+        background.end()
     log(f"ending ({shutdown.why})")
 
 

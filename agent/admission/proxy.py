@@ -29,7 +29,7 @@ BACKLOG: Final = 1024
 """Connections that the kernel holds until they are taken."""
 DEFER_S: Final = 2
 """A connection that says nothing does not come out of the kernel for about so long."""
-NO_HELLO: Final = "it said nothing in time"
+NO_HELLO: Final = "it said nothing, or not all of it in time"
 NOT_TLS: Final = "it does not speak TLS"
 NOT_PROVEN: Final = "it has shown no certificate of this fleet"
 _CLOSE_AT_ONCE: Final = struct.pack("ii", 1, 0)
