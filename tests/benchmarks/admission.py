@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import tomli_w
 
@@ -87,6 +87,7 @@ class _Arm:
         with authority(folder / "authority", now_s) as by:
             for robot in (1, 2):
                 credentials(by, folder / str(robot), of_robot(FLEET, robot), (OUTSIDE,), now_s)
+        self.proxy: subprocess.Popen[bytes] | None = None
         proxy = name.startswith("proxy")
         fleet = guarded_fleet()
         network = replace(
@@ -119,8 +120,22 @@ class _Arm:
         return float("inf")
 
 
-def _stands(name: str, rate: int, tries: int) -> tuple[list[float], float]:
-    """How long each of several links took in a flood, s, and how many connections a second there were."""
+def _peak_mb(pid: int) -> float:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmHWM:"))
+
+
+class _Stood(NamedTuple):
+    """What a flood did: how long each of several links took, s, how many connections a second there were, and
+    the proxy's CPU (% of a core) and most memory (MB) so far, 0 without one."""
+
+    took: list[float]
+    reached: float
+    cpu_percent: float
+    peak_mb: float
+
+
+def _stands(name: str, rate: int, tries: int) -> _Stood:
     with tempfile.TemporaryDirectory() as folder, ExitStack() as opened:
         arm = _Arm(name, Path(folder), opened)
         if name != FIRST:
@@ -135,12 +150,17 @@ def _stands(name: str, rate: int, tries: int) -> tuple[list[float], float]:
             try:
                 flood.stdout.readline()
                 begun_s = time.monotonic()
+                cpu_before_s = cpu_s(arm.proxy.pid) if arm.proxy else 0.0
                 time.sleep(SETTLE_S)
                 patience_s = FIRST_PATIENCE_S if name == FIRST else PATIENCE_S
                 took = [arm.rejoins_s(patience_s) for _ in range(tries)]
                 flood.stdin.close()
                 lasted_s = time.monotonic() - begun_s
-                return took, int(flood.stdout.readline()) / lasted_s
+                reached = int(flood.stdout.readline()) / lasted_s
+                if arm.proxy is None:
+                    return _Stood(took, reached, 0.0, 0.0)
+                used = 100.0 * (cpu_s(arm.proxy.pid) - cpu_before_s) / lasted_s
+                return _Stood(took, reached, used, _peak_mb(arm.proxy.pid))
             finally:
                 flood.kill()
 
@@ -150,6 +170,7 @@ def _cost() -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder, ExitStack() as opened:
         arm = _Arm("proxy", Path(folder), opened)
         arm.rejoins_s()  # so that we are known
+        assert arm.proxy is not None
         server = opened.enter_context(socket.create_server((INSIDE, PORT + 1)))  # where the plant would be
         record = bytes((APPLICATION_DATA, 3, 3, 0, 3)) + b"abc"
         hello = bytes((HANDSHAKE, 3, 1, 0, 40, 1)) + bytes(39)
@@ -195,14 +216,15 @@ def _run_arm(name: str, quick: bool) -> dict[str, Any]:
     if name == "cost":
         return dict(zip(("added_us", "cpu_us"), _cost(), strict=True))
     if name == FIRST:
-        return {"took": [_stands(name, FIRST_RATE, 1)[0][0] for _ in range(1 if quick else 3)]}
+        return {"took": [_stands(name, FIRST_RATE, 1).took[0] for _ in range(1 if quick else 3)]}
     rows, most = [], 0.0
     for rate in RATES[:: 2 if quick else 1]:
-        took, reached = _stands(name, rate, 2 if quick else 5)
-        rows.append([rate, reached, median(took), max(took)])
+        stood = _stands(name, rate, 2 if quick else 5)
+        took = stood.took
+        rows.append([rate, stood.reached, median(took), max(took), stood.cpu_percent, stood.peak_mb])
         if max(took) > REJOIN_S:
             break
-        most = reached
+        most = stood.reached
     return {"most": most, "rows": rows}
 
 
@@ -244,7 +266,8 @@ def run(options: Options) -> Result:
             Figure(f"hostile connections a second that it stands, {name}", found["most"], "1/s", limit, False)
         )
         rows += [[f"{name}, {row[0]}/s", *map(number, row[1:])] for row in found["rows"]]
-    result.details += table(("arm", "reached 1/s", "link after s, median", "slowest"), rows)
+    heading = ("arm", "reached 1/s", "link after s, median", "slowest", "proxy's CPU %", "most memory MB")
+    result.details += table(heading, rows)
     return result
 
 
