@@ -67,6 +67,7 @@ COMMANDS: Final = (
         "hosts.export_deployment",
         "write a fleet as a folder for Ansible, to bring up hundreds of robots",
     ),
+    Command("firewall", "hosts.firewall", "print a firewall for hosts, against strangers that flood ports"),
     Command("drive", "running.drive", "drive a fleet that is up, and report"),
     Command("stop", "running.stop", "stop every robot, until `handfast resume`"),
     Command(

@@ -19,6 +19,12 @@ PORT_MIN: Final = 1024
 
 PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connections
 
+PROTECTED_ADDRESS: Final = "127.0.0.1"
+"""Where processes listen that a proxy stands before."""
+
+_NOT_BEFORE_IT: Final = {PROTECTED_ADDRESS, "localhost", "0.0.0.0", "[::]"}
+"""Addresses that no proxy can have beside `PROTECTED_ADDRESS`, on the same ports."""
+
 _ADDRESS: Final = r"[A-Za-z0-9]([A-Za-z0-9._-]{0,251}[A-Za-z0-9])?|\[[0-9A-Fa-f:.]{2,45}\]"
 
 _ADDRESS_SAYS: Final = "a host name, an IPv4 address or an IPv6 address in [ ]"
@@ -118,6 +124,12 @@ class NetworkSection:
         "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd).",
         example='["192.168.1.2:7447"]',
     )
+    admission: Literal["proxy", "off"] = setting(
+        "off",
+        '`"proxy"`: a process before each robot\'s ports lets connections through by whose they are, so that '
+        "nobody without a certificate keeps others out, however often he tries (docs/admission.md). It takes "
+        "some of the robot's processor for each message of others.",
+    )
     link_timeout_s: float = setting(
         0.4,
         "A link between robots, or to a router, that is not open by then is tried anew: so soon do robots "
@@ -150,6 +162,8 @@ def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
     if hosts is None or robots is None:
         return  # they have problems of their own
     _check_addresses(hosts, reader)
+    if values.get("network", {}).get("admission") == "proxy":
+        _check_admission(values["network"], hosts, robots, reader)
     names = [host.get("name") for host in hosts]
     given = [row["host"] for row in robots if row.get("host") is not None]
     for number, row in enumerate(robots, 1):
@@ -165,6 +179,35 @@ def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
         elif host not in names and None not in names:
             there_are = f"hosts are {', '.join(names)}" if names else "there is none"
             reader.add(place, f"there is no [host.{host}]; {there_are}")
+
+
+def _check_admission(
+    network: Mapping[str, Any],
+    hosts: Sequence[Mapping[str, Any]],
+    robots: Sequence[Mapping[str, Any]],
+    reader: Reader,
+) -> None:
+    """A proxy tells who somebody is by the TLS handshake, and needs an address of its own."""
+    has_hosts = any(row.get("host") is not None for row in robots)
+    if network.get("security") == "off" or (network.get("security") is None and not has_hosts):
+        reader.add(
+            "network.admission",
+            'needs network.security = "mtls": who has no certificate is told by that',
+        )
+        return
+    places = [
+        (f"host.{host.get('name')}.listen", host.get("listen") or host.get("address") or host.get("name"))
+        for host in hosts
+    ]
+    if not has_hosts:
+        places.append(("network.address", network.get("address")))
+    for place, address in places:
+        if address in _NOT_BEFORE_IT:
+            reader.add(
+                place,
+                f"{show(address)} leaves the proxy of network.admission no address of its own: write the one "
+                "that others reach",
+            )
 
 
 def _check_addresses(hosts: Sequence[Mapping[str, Any]], reader: Reader) -> None:

@@ -18,7 +18,7 @@ from agent.common.reader import Problem
 from agent.common.settings import about
 from agent.common.wording import printable, show
 from agent.fleet.fault_rules import FaultsSection
-from agent.fleet.hosts import HostSection, NetworkSection, RecordingSection
+from agent.fleet.hosts import PROTECTED_ADDRESS, HostSection, NetworkSection, RecordingSection
 from agent.fleet.orders import OrderSection
 from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
 from agent.fleet.sections import (
@@ -228,8 +228,28 @@ class Fleet:
         """As `agent_near`, of its plant."""
         return self._endpoint(robot_id, 1, self._near(robot_id))
 
+    def admission_doors(self, robot_id: int) -> tuple[tuple[str, str], ...]:
+        """Where the proxy before a robot's agent and plant listens, and where it passes connections on to.
+
+        Nothing where there is none. `FleetError` when there is no such robot.
+        """
+        if not self.has_admission:
+            return ()
+        outside, inside = self._listening(robot_id), self._near(robot_id)
+        return tuple(
+            (self._endpoint(robot_id, which, outside), self._endpoint(robot_id, which, inside))
+            for which in (0, 1)
+        )
+
+    @property
+    def has_admission(self) -> bool:
+        """Whether a proxy stands before each robot's ports."""
+        return self.network.admission == "proxy"
+
     def _listens(self, robot_id: int, which: int) -> tuple[str, ...]:
         address, near = self._listening(robot_id), self._near(robot_id)
+        if self.has_admission:
+            return (self._endpoint(robot_id, which, near),)
         addresses = (address,) if address == near or address in ANY_ADDRESS else (address, near)
         return tuple(self._endpoint(robot_id, which, each) for each in addresses)
 
@@ -239,6 +259,8 @@ class Fleet:
 
     def _near(self, robot_id: int) -> str:
         address = self._listening(robot_id)
+        if self.has_admission:
+            return PROTECTED_ADDRESS
         if self.host_of(robot_id) is None or LOOPBACK.fullmatch(address):
             return address
         return ANY_ADDRESS.get(address, "127.0.0.1")

@@ -121,6 +121,23 @@ def alive(fleet: str, robot: int | str, role: str) -> str:
     return f"{fleet}/alive/robot/{robot}/{role}"
 
 
+def published(fleet: str, robot: int) -> list[str]:
+    """Every key on which one robot's agent or plant publishes; its recorder publishes nothing."""
+    return [
+        hand(fleet, robot),
+        beacon(fleet, robot),
+        status(fleet, robot),
+        relayed(fleet, robot),
+        wrench(fleet, robot),
+        links(fleet, robot),
+        plant_state(fleet, robot),
+        plant_truth(fleet, robot),
+        checks(fleet, robot),
+        plant_links(fleet, robot),
+        *(faults_held(fleet, robot, role) for role in ROLES),
+    ]
+
+
 def everything(fleet: str) -> str:
     """Every message of the fleet (liveliness tokens are not messages)."""
     return f"{fleet}/**"

@@ -27,6 +27,9 @@ Mode = Literal["peer", "client", "router"]
 PAYLOAD_BYTES_MAX: Final = 65_536
 """Larger payloads are dropped at the link. Above `agent.messages.types.BYTES_MAX`, so that most are
 counted."""
+RECEIVED_BYTES_MAX: Final = 2 * PAYLOAD_BYTES_MAX
+"""A message that comes in fragments is put together up to this size: a payload, its key and all around them.
+Zenoh would hold a gigabyte for each link before it looks at the size of the payload."""
 LEASE_MS: Final = 1000
 """A peer that was silent for so long is gone."""
 LINK_TIMEOUT_S: Final = 3.0
@@ -89,6 +92,7 @@ def settings_of(
         "transport/unicast/open_timeout": link_timeout_ms,
         # Messages of one tick wait here while Zenoh's thread has not run; its default of 2 lost some.
         "transport/link/tx/queue/size/data": TX_QUEUE_SIZE,
+        "transport/link/rx/max_message_size": RECEIVED_BYTES_MAX,
         "transport/shared_memory/enabled": False,
         "low_pass_filter": [
             {

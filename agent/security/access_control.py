@@ -70,8 +70,9 @@ def access_settings(
 ) -> dict[str, Any]:
     """What each of the fleet's certificates may publish; the same for agents, plants, operators and routers.
 
-    A robot publishes under its own keys, and that it is alive. Operators give orders. A router passes on what
-    others publish: it has the same list, and has looked already. All may listen to all of the fleet.
+    A robot publishes on its own keys (`agent.messages.key_expressions.published`; none that nobody takes, no
+    wildcards), and that it is alive. Operators give orders. A router passes on what others publish: it has
+    the same list, and has looked already. All may listen to all of the fleet.
 
     Raises:
         agent.security.identity.IdentityError: a name or id that no certificate can have.
@@ -104,11 +105,10 @@ def access_settings(
         policies.append({"rules": allowed, "subjects": [group]})
 
     for robot in robots:
-        own = key_expressions.status(fleet, robot).rpartition("/")[0]
         allow(
             f"robot {robot}",
             [of_robot(fleet, robot)],
-            [key_expressions.everything(own)],
+            key_expressions.published(fleet, robot),
             [key_expressions.alive(fleet, robot, role) for role in key_expressions.ROLES],
         )
     allow("operators", [of_operator(fleet, name) for name in operators], _orders(fleet), [])

@@ -69,12 +69,17 @@ _OTHER: Final = "the handshake failed"
 class Refusals:
     """Takes the bytes of Zenoh's log as they come, and says now and then what was refused.
 
+    Args:
+        kinds_max: different refusals that are counted apart within `PERIOD_NS`, with a line each; all others
+            share one.
+
     Attributes:
         total: refusals since the start.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kinds_max: int = KINDS_MAX) -> None:
         self.total = 0
+        self._kinds_max = kinds_max
         self._links: OrderedDict[bytes, str] = OrderedDict()
         self._waiting: Counter[str] = Counter()
         self._said_ns: dict[str, int] = {}
@@ -97,20 +102,20 @@ class Refusals:
     def add(self, kind: str, count: int = 1) -> None:
         """Counts a refusal; `kind` says what was refused and why, of few different texts."""
         self.total += count
-        if kind not in self._waiting and len(self._waiting) >= KINDS_MAX:
+        apart = self._waiting.keys() | self._said_ns.keys()
+        if kind not in apart and len(apart) >= self._kinds_max:
             kind = "other attempts"
         self._waiting[kind] += count
 
     def lines(self, now_ns: int) -> Iterator[str]:
         """The lines that are due at `now_ns`, of a clock that never goes back."""
+        for kind, said_ns in list(self._said_ns.items()):
+            if now_ns - said_ns >= PERIOD_NS:
+                del self._said_ns[kind]
         for kind, count in list(self._waiting.items()):
-            before_ns = self._said_ns.get(kind)
-            if before_ns is not None and now_ns - before_ns < PERIOD_NS:
+            if kind in self._said_ns:
                 continue
             del self._waiting[kind]
-            self._said_ns.pop(kind, None)
-            if len(self._said_ns) >= KINDS_MAX:
-                del self._said_ns[next(iter(self._said_ns))]
             self._said_ns[kind] = now_ns
             times = "" if count == 1 else f" ({count} times)"
             yield f"refused: {kind}{times}"

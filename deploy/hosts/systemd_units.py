@@ -20,7 +20,9 @@ from deploy.processes.child import ONE_THREAD
 
 RECORDER: Final = "recorder"
 RECORDER_MODULE: Final = "agent.recorder"
-WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0}
+ADMISSION: Final = "admission"
+ADMISSION_MODULE: Final = "agent.admission"
+WATCHDOG_S: Final = {"agent": 1.5, "plant": 1.5, RECORDER: 90.0, ADMISSION: 3.0}
 """A process whose loop is silent for so long is killed and started again. A recorder's disk may stall."""
 RESTART_DELAY_MS: Final = 200
 STOP_TIMEOUT_S: Final = 5
@@ -79,7 +81,8 @@ def places(fleet: Fleet, root: str, version: str, text: str) -> Places:
 
 def roles(fleet: Fleet) -> tuple[str, ...]:
     """Processes that each robot has, in the order of their start."""
-    return ("plant", "agent", RECORDER) if fleet.recording.enabled else ("plant", "agent")
+    more = ((RECORDER, fleet.recording.enabled), (ADMISSION, fleet.has_admission))
+    return ("plant", "agent", *(role for role, wanted in more if wanted))
 
 
 def unit_name(fleet: str, robot: int, role: str) -> str:
@@ -95,10 +98,11 @@ def identifier(fleet: str, robot: int, role: str) -> str:
 def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
     """The command line of a process."""
     kind = fleet.robot(robot).kind
-    module = {"agent": "agent", "plant": kind.program, RECORDER: RECORDER_MODULE}[role]
+    modules = {"agent": "agent", "plant": kind.program, RECORDER: RECORDER_MODULE}
+    module = (modules | {ADMISSION: ADMISSION_MODULE})[role]
     words = [f"{places.version}/bin/python", "-P", "-m", module]
     words += ["--fleet", places.fleet_file, "--robot", str(robot)]
-    if places.keys is not None:
+    if places.keys is not None and role != ADMISSION:  # which has no use for them
         words += ["--keys", places.keys]
     if role != RECORDER:
         words += ["--orders", places.orders]
@@ -106,13 +110,15 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
         words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]
     if role == RECORDER:
         words += ["--folder", f"{places.recordings}/robot-{robot}"]
+    if role == ADMISSION:
+        words += ["--proven", f"{places.state}/robot-{robot}.proven.json"]
     return words
 
 
 def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
     """Text of a process's unit file."""
     reads = []
-    if places.keys is not None:  # with another authority it gets another one as well
+    if places.keys is not None and role != ADMISSION:  # with another authority it gets another one as well
         reads.append(f"{places.keys}/{of_robot(fleet.fleet.name, robot).common_name}.crt")
     return "\n".join(_lines(fleet, robot, role, arguments(fleet, robot, role, places), reads))
 

@@ -342,10 +342,11 @@ class BringUp:
 
     def _why(self, connection: HostConnection, robots: Sequence[int]) -> str:
         """Why robots are not there: what their processes said last."""
-        states = self._states(connection, robots)
+        needed = [role for role in systemd_units.roles(self._fleet) if role != systemd_units.RECORDER]
+        states = self._states(connection, robots, needed)
         wrong = {process: state for process, state in states.items() if state != "active"}
         lines = [self._last_words(connection, *process, state) for process, state in wrong.items()]
-        silent = [robot for robot in robots if all((robot, role) not in wrong for role in ROLES)]
+        silent = [robot for robot in robots if all((robot, role) not in wrong for role in needed)]
         if silent:
             lines.append(
                 f"{robots_words(silent)}: running there, but not heard here: is the port open "

@@ -11,6 +11,7 @@ PACKAGES: Final = ("agent", "plant", "bridges", "deploy")
 BY_OTHERS: Final = {
     "an entry point or a command: tests run it as a process, or through the command line": """
         agent/__main__
+        agent/admission/__main__
         agent/recorder/__main__
         agent/security/__main__
         bridges/mavlink/__main__
@@ -18,6 +19,7 @@ BY_OTHERS: Final = {
         deploy/commands/hosts/down
         deploy/commands/hosts/export_deployment
         deploy/commands/hosts/fetch
+        deploy/commands/hosts/firewall
         deploy/commands/hosts/router
         deploy/commands/hosts/up
         deploy/commands/local/check

@@ -41,6 +41,7 @@ NAMES: Final = (
     "bridge",
     "recording",
     "hosts",
+    "admission",
 )
 LOAD_QUIET: Final = 0.5
 

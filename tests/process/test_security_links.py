@@ -6,6 +6,7 @@ Robots 1 and 3 are processes that talk to each other all the while; whoever atta
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -38,6 +39,8 @@ GAP_S = 5.0
 ATTACK = b"attack"
 SHORT_ID = "abcdef0123456789abcdef012345678"
 """Of a session, one of sixteen of which has such a one: Zenoh leaves out zeros in front."""
+HUGE = 64_000_000
+"""Bytes of a message that no robot has reason to send."""
 Told = Callable[[dict[str, Any]], bool]
 AGO_S = 400 * 86_400.0
 
@@ -227,6 +230,13 @@ def heard(session: zenoh.Session, *where: str) -> None:
         publisher.undeclare()
 
 
+def peak_mb(pid: int) -> float:
+    """The most memory that a process ever had, 10^6 bytes."""
+    found = re.search(r"^VmHWM:\s+(\d+) kB$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+    assert found
+    return int(found[1]) * 1024 / 1e6
+
+
 def say_everything(session: zenoh.Session) -> zenoh.LivelinessToken:
     """All that a stranger could want to say; the liveliness token that it declares."""
     for key in (
@@ -319,6 +329,8 @@ def test_a_robot_says_only_what_is_its_own(fleet: Fleet) -> None:
             key_expressions.relayed(FLEET, 1),
             key_expressions.wrench(FLEET, 1),
             key_expressions.hand(FLEET, "*"),
+            key_expressions.of_robot(FLEET, 2) + "anything",  # which nobody takes, but all would receive
+            key_expressions.of_robot(FLEET, 2) + "**",
             f"{FLEET}/robot/**",
             f"{FLEET}/*",
             f"{FLEET}/**",
@@ -410,6 +422,25 @@ def test_a_flood_of_what_is_refused(fleet: Fleet) -> None:
     fleet.end()
     assert fleet.one.got == []
     assert sum("refused" in what for what in fleet.one.told) <= 4  # two kinds, and again at the end
+
+
+def test_messages_without_end_take_no_memory(fleet: Fleet) -> None:
+    """Who has a robot's key and sends what is far too large fills nobody's memory while it comes in."""
+    own = key_expressions.beacon(FLEET, 2)
+    with attacks(fleet.endpoint(), security(fleet.folder / "robot-2", of_robot(FLEET, 2))) as session:
+        heard(session, own)
+        before_mb = peak_mb(fleet.one.process.pid)
+        for _ in range(4):
+            session.put(own, bytes(HUGE), congestion_control=zenoh.CongestionControl.BLOCK)
+
+        def comes_through() -> bool:
+            session.put(own, ATTACK)
+            return own in fleet.one.got
+
+        wait_for(comes_through, "what comes after it")
+        grown_mb = measured("grown, MB", peak_mb(fleet.one.process.pid) - before_mb)
+    fleet.end()
+    assert grown_mb < 0.25 * HUGE / 1e6
 
 
 # ---------------------------------------------------------------------- through a router

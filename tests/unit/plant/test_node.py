@@ -9,8 +9,10 @@ import pytest
 
 from agent.common.time import NS_PER_S, MachineClock
 from agent.control.hand import Pose
+from agent.core import Agent
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
+from agent.formation.geometry import resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.sequence_numbers import SequenceNumbers
@@ -115,6 +117,8 @@ def test_keys_and_ticks(node: PlantNode):
     assert node.publications == (STATE_KEY, TRUTH_KEY, CHECKS_KEY, links, "two/robot/1/plant/faults")
     assert node.alive_key == key_expressions.alive("two", 1, "plant") == "two/alive/robot/1/plant"
     assert (node.period_ns, node.phase_ns) == (PERIOD, 0)
+    agents = Agent(resolved(fleet()), 1).publications
+    assert {*node.publications, *agents} == set(key_expressions.published("two", 1))  # what links let through
 
 
 def test_brakes_until_it_has_a_wrench(node: PlantNode, backend: Backend):

@@ -93,6 +93,9 @@ def test_a_robot_has_its_own_keys() -> None:
                 assert may(settings, name, "liveliness_token", token) == (robot == other)
         for order in ORDERS:
             assert not may(settings, name, "put", order(FLEET))
+        of_robot_alone = key_expressions.of_robot(FLEET, robot)
+        for other_key in ("*", "**", "hand/more", "anything", "plant/*", "plant/anything", "plant"):
+            assert not may(settings, name, "put", of_robot_alone + other_key)
         for wild in (f"{FLEET}/**", f"{FLEET}/robot/*/hand", f"{FLEET}/*", "**"):
             assert not may(settings, name, "put", wild)
         for role in ("*", "other", "agent/other"):

@@ -159,7 +159,17 @@ def test_what_is_kept_is_bounded() -> None:
     lines = [*refusals.lines(0)]
     assert len(lines) == KINDS_MAX + 1
     assert lines[-1] == f"refused: other attempts ({2 * LINKS_MAX - KINDS_MAX} times)"
-    assert len(refusals._said_ns) <= KINDS_MAX
+    assert len(refusals._said_ns) <= KINDS_MAX + 1
+
+
+def test_kinds_without_end_have_few_lines_however_often_it_is_asked() -> None:
+    refusals, said = Refusals(3), 0
+    for turn in range(200):  # of a tenth of a second
+        for number in range(50):
+            refusals.add(f"kind {turn * 7 + number}")
+        said += len([*refusals.lines(turn * PERIOD_NS // 100)])
+    assert 4 <= said <= 2 * 4
+    assert len(refusals._waiting) + len(refusals._said_ns) <= 2 * 4
 
 
 def test_garbage() -> None:

@@ -98,6 +98,19 @@ def test_the_recorder_can_be_left_out():
     assert roles(fleet("[recording]\nenabled = false")) == ("plant", "agent")
 
 
+def test_a_proxy_stands_before_a_robot_where_the_file_says_so():
+    tables = DATUM + '[network]\nadmission = "proxy"\n[host.left]\naddress = "10.0.0.1"\n'
+    left = 'host = "left"\n'
+    behind = parse_fleet(FLEET % (tables, left, left + BRIDGE), source="here")
+    assert roles(behind) == ("plant", "agent", "recorder", "admission")
+    words = arguments(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s"))
+    assert words[3:] == [
+        *("agent.admission", "--fleet", "/f", "--robot", "2", "--proven", "/s/robot-2.proven.json")
+    ]  # and no keys
+    said = settings(unit(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s")))
+    assert said["Restart"] == "always"
+
+
 def test_the_keys_are_named_not_shown():
     words = arguments(fleet(), 1, "agent", Places("/v", "/f", "/r/keys", "/r", "/s", "/o"))
     assert words[words.index("--keys") + 1] == "/r/keys"
