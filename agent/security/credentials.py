@@ -51,8 +51,9 @@ class MissingError(CredentialsError):
     """There are no credentials, or not all of them: they have to be made."""
 
 
-class NotYetValidError(CredentialsError):
-    """Credentials that will be good: this machine's clock, or the authority's, is not right."""
+class NotValidNowError(CredentialsError):
+    """Credentials that are good but for the time: not yet, or no more. A clock that is set mends it, or a
+    certificate that is renewed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +123,13 @@ def load(folder: Path, identity: Identity, now_s: float) -> Credentials:
     Raises:
         CredentialsError: a file is missing, can be read by others, does not belong to the others, is not the
             authority's work, or the certificate is not valid now; `MissingError` when a file is missing,
-            `NotYetValidError` when only the time has not come.
+            `NotValidNowError` when only the time is wrong.
     """
     found = _load(Files(folder, identity))
     try:
         found.certificate.check_time(now_s)
     except CertificateError as error:
-        kind = NotYetValidError if error.reason == "not_yet_valid" else CredentialsError
-        raise kind(f"{found.files.certificate}: {error}") from None
+        raise NotValidNowError(f"{found.files.certificate}: {error}") from None
     return found
 
 

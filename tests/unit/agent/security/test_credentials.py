@@ -16,7 +16,7 @@ from agent.security.credentials import (
     CredentialsError,
     Files,
     MissingError,
-    NotYetValidError,
+    NotValidNowError,
     load,
     make_request,
     store,
@@ -192,7 +192,7 @@ def test_a_certificate_that_ends_with_its_authority_is_not_renewed_again_and_aga
 def test_times(signed: tuple[Authority, Path]) -> None:
     _, folder = signed
     load(folder, ME, NOW_S - 300)  # a robot's clock may be a little behind
-    with pytest.raises(NotYetValidError, match="not valid yet: is this machine's clock right"):
+    with pytest.raises(NotValidNowError, match="not valid yet: is this machine's clock right"):
         load(folder, ME, NOW_S - 3600)
     with pytest.raises(CredentialsError, match="expired 2 days ago"):
         load(folder, ME, NOW_S + (CERTIFICATE_DAYS + 2) * DAY_S)
