@@ -1,5 +1,5 @@
-"""What a robot's process does while its certificate is not valid: it waits until it has been renewed, or until
-this computer's clock is right.
+"""What a robot's process does while its certificate is not valid: it waits until it has been renewed, or
+until this computer's clock is right.
 
 A computer that was off for months, or has no clock of its own, must come back without anybody at its side: a
 process that gave up would never look again.

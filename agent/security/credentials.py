@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 RENEW_DAYS: Final = 30
 """A certificate with fewer days left is renewed when there is an opportunity."""
 T = TypeVar("T")
-_PEM_CERTIFICATE: Final = re.compile(
+PEM_CERTIFICATE: Final = re.compile(
     rb"-----BEGIN CERTIFICATE-----[A-Za-z0-9+/=\s]{1,16000}-----END CERTIFICATE-----"
 )
 
@@ -166,7 +166,7 @@ def store(folder: Path, identity: Identity, bundle: bytes, now_s: float) -> Cred
         CredentialsError: it is not; what was there before is then still there.
     """
     files = Files(folder, identity)
-    parts = _PEM_CERTIFICATE.findall(bundle)
+    parts = PEM_CERTIFICATE.findall(bundle)
     if len(parts) != 2:
         raise CredentialsError(
             f"{identity}: {len(parts)} certificates came, not two: its own and the authority's"

@@ -16,7 +16,7 @@ from agent.security.credentials import CredentialsError, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator
 from deploy.console.arguments import InputError
 from deploy.faults.live import receivers
-from deploy.inventory.certificate_authority import keys_folder
+from deploy.inventory.operator_credentials import keys_folder
 
 OPERATOR: Final = "HANDFAST_OPERATOR"
 KEYS: Final = "HANDFAST_KEYS"

@@ -27,7 +27,8 @@ from agent.security.identity import (
 from agent.security.private_files import KeyFileError
 from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved
 from deploy.hosts.certificates import answer, read_requests
-from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
+from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
+from deploy.inventory.operator_credentials import keys_folder
 
 NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"
 LAST_DAYS: Final = 365

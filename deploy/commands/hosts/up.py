@@ -69,7 +69,8 @@ def _up(options: argparse.Namespace) -> int:
 def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
     """What gives robots their certificates; needs the authority that `handfast keys` has made."""
     from deploy.hosts.certificates import HostKeys
-    from deploy.inventory.certificate_authority import Authority, AuthorityError, keys_folder
+    from deploy.inventory.certificate_authority import Authority, AuthorityError
+    from deploy.inventory.operator_credentials import keys_folder
 
     folder = keys_folder(fleet.fleet.name)
     if not (folder / "authority.pem").exists():

@@ -14,7 +14,7 @@ from agent.runtime.certificate_wait import SAY_S, WAITS, wait_until_valid
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.certificates import DAY_S
 from agent.security.identity import of_robot
-from deploy.inventory.certificate_authority import CERTIFICATE_DAYS
+from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 ME = of_robot(FLEET, 1)

@@ -23,7 +23,8 @@ from agent.security.credentials import (
     wanting,
 )
 from agent.security.identity import of_operator, of_robot
-from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 DAY_S = 86_400

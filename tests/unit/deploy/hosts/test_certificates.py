@@ -22,7 +22,8 @@ from agent.security.identity import of_robot
 from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
 from deploy.hosts.certificates import HostKeys
-from deploy.inventory.certificate_authority import Authority, keys_folder
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.operator_credentials import keys_folder
 from tests.unit.agent.security.test_credentials import Standard
 from tests.unit.deploy.hosts.test_ansible import fleet
 
@@ -167,7 +168,7 @@ def test_requests_come_from_standard_input_too(
         ({"1": 2}, "must be JSON"),
         ({"9": "x"}, "there is no robot 9 in delta"),
         ({"01": "x"}, "there is no robot 01 in delta"),
-        ({"1": "x"}, "what came for robot 1 is not a certificate request"),
+        ({"1": "x"}, "the request of robot 1 is not a certificate request"),
         ({"1": "\ud800"}, "must be JSON"),
     ],
 )

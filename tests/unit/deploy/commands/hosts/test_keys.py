@@ -16,7 +16,9 @@ from agent.security.credentials import RENEW_DAYS, load, make_request
 from agent.security.identity import of_operator, of_robot, of_router
 from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
-from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from deploy.inventory.operator_credentials import keys_folder
 from tests.unit.deploy.orders.order_fleets import square
 
 Run = Callable[..., list[str]]
