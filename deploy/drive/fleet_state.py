@@ -11,7 +11,6 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Beacon, Heartbeat, Message, PlantState, Status
-from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
 from deploy.console.wording import robots
@@ -23,6 +22,7 @@ from deploy.orders.operator import HEARD_NS, Operator, Order
 from deploy.processes.protocol import FleetProcesses
 from deploy.recording.recorder import RecordingError
 from deploy.session.author import author
+from deploy.session.joined_bus import OperatorBus
 from deploy.session.session import valid
 
 AGAIN_PERIOD_NS: Final = NS_PER_S // 2
@@ -46,7 +46,7 @@ class FleetState:
         states: the latest state of each plant that is up.
     """
 
-    def __init__(self, fleet: Fleet, bus: Bus, processes: FleetProcesses, record: Record) -> None:
+    def __init__(self, fleet: Fleet, bus: OperatorBus, processes: FleetProcesses, record: Record) -> None:
         self.fleet: Final = fleet
         self.processes: Final = processes
         self._bus, self._record = bus, record

@@ -83,7 +83,7 @@ def test_what_is_no_backup_of_this_fleet(backup: bytes, tmp_path: Path) -> None:
 
 
 def test_nothing_takes_the_place_of_what_is_there(backup: bytes, tmp_path: Path) -> None:
-    with pytest.raises(AuthorityError, match="has an authority, .*: nothing to restore"):
+    with pytest.raises(AuthorityError, match=r"has an authority, .*: nothing to restore"):
         unpack(tmp_path / "keys", FLEET, backup, PASSPHRASE)
     with authority(tmp_path / "keys") as by:
         by.replace(NOW_S)

@@ -48,7 +48,7 @@ def test_of_another_authority_what_was_in_use_is_kept(tmp_path: Path) -> None:
 
 def test_where_the_authority_is_nobody_need_be_asked(tmp_path: Path) -> None:
     authority(tmp_path).close()
-    with pytest.raises(RequestError, match="is in .*: it signs without a request"):
+    with pytest.raises(RequestError, match=r"is in .*: it signs without a request"):
         request(tmp_path, ANNA)
 
 
@@ -95,7 +95,7 @@ def test_a_certificate_that_is_not_installed(tmp_path: Path) -> None:
         ):
             with pytest.raises(RequestError, match=why):
                 install(there, bundle, FLEET, OPERATORS, NOW_S)
-        with pytest.raises(RequestError, match="is one for the operator anna; network.operators"):
+        with pytest.raises(RequestError, match=r"is one for the operator anna; network.operators"):
             install(there, signs(by, asked), FLEET, ("main",), NOW_S)
     assert load(there, ANNA, NOW_S).certificate == good.certificate
     assert earlier_folders(there) == []
@@ -111,7 +111,7 @@ def test_who_has_made_a_second_authority_is_told_to_put_it_away(tmp_path: Path) 
         (there / "authority.pem").write_bytes((tmp_path / "second" / "authority.pem").read_bytes())
         (there / "authority.pem").chmod(0o600)
         (there / "ca.crt").write_bytes(second.certificate_pem)
-        with pytest.raises(RequestError, match="has another one itself, .*: put .*authority.pem away first"):
+        with pytest.raises(RequestError, match=r"has another one itself, .*: put .*authority.pem away first"):
             install(there, answer, FLEET, OPERATORS, NOW_S)
         (there / "authority.pem").unlink()
         assert install(there, answer, FLEET, OPERATORS, NOW_S).authority_fingerprint == by.fingerprint

@@ -11,11 +11,12 @@ import pytest
 from agent.fleet.model import Fleet
 from agent.security.identity import of_operator
 from deploy.console.arguments import InputError
-from deploy.session.operator_bus import KEYS, OPERATOR, operator_bus
+from deploy.inventory.operator_credentials import KEYS, OPERATOR
+from deploy.session.operator_bus import operator_bus
 from tests.trusted import authority, credentials
 from tests.unit.deploy.orders.order_fleets import square
 
-ADVICE = "; `handfast keys` makes one"
+ADVICE = "; `handfast keys` makes one (on another computer than the authority's: --request)"
 
 
 @pytest.fixture
