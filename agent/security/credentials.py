@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
+AUTHORITY_CERTIFICATE: Final = "ca.crt"
+"""File of the certificate of the authority that all in a folder have."""
 RENEW_DAYS: Final = 30
 """A certificate with fewer days left is renewed when there is an opportunity."""
 T = TypeVar("T")
@@ -66,7 +68,7 @@ class Files:
     @property
     def authority(self) -> Path:
         """The certificate of the fleet's authority."""
-        return self.folder / "ca.crt"
+        return self.folder / AUTHORITY_CERTIFICATE
 
     @property
     def certificate(self) -> Path:
@@ -125,12 +127,28 @@ def load(folder: Path, identity: Identity, now_s: float) -> Credentials:
             authority's work, or the certificate is not valid now; `MissingError` when a file is missing,
             `NotValidNowError` when only the time is wrong.
     """
-    found = _load(Files(folder, identity))
+    found = load_whenever(folder, identity)
     try:
         found.certificate.check_time(now_s)
     except CertificateError as error:
         raise NotValidNowError(f"{found.files.certificate}: {error}") from None
     return found
+
+
+def load_whenever(folder: Path, identity: Identity) -> Credentials:
+    """As `load`, whether they are valid now or not."""
+    return _load(Files(folder, identity))
+
+
+def authority_of(folder: Path) -> str:
+    """Fingerprint of the authority whose certificate is in `folder`, "" where none is that can be read."""
+    path = folder / AUTHORITY_CERTIFICATE
+    try:
+        if private_files.exists(path):
+            return fingerprint(authority_from_pem(private_files.read(path)))
+    except (KeyFileError, CertificateError):
+        pass
+    return ""
 
 
 def make_request(folder: Path, identity: Identity) -> bytes:

@@ -21,9 +21,10 @@ from agent.security.certificates import (
     pem_of,
     pem_of_key,
 )
+from agent.security.credentials import authority_of
 from agent.security.private_files import KeyFileError
 from deploy.inventory.certificate_authority import INDEX_BYTES_MAX, INDEX_FILE, AuthorityError
-from deploy.inventory.operator_credentials import AUTHORITY_FILE, known_authority, short
+from deploy.inventory.operator_credentials import AUTHORITY_FILE, short
 
 BACKUP_BYTES_MAX: Final = 2 * INDEX_BYTES_MAX
 KDF_ROUNDS: Final = 600_000
@@ -78,9 +79,9 @@ def unpack(folder: Path, fleet: str, backup: bytes, passphrase: str) -> str:
         needs_cryptography()
         if private_files.exists(folder / AUTHORITY_FILE):
             raise AuthorityError(
-                f"{folder} has an authority, {short(known_authority(folder))}: nothing to restore"
+                f"{folder} has an authority, {short(authority_of(folder))}: nothing to restore"
             )
-        known = known_authority(folder)
+        known = authority_of(folder)
     except (KeyFileError, CertificateError) as error:
         raise AuthorityError(str(error)) from None
     try:

@@ -32,15 +32,14 @@ from agent.security.certificates import (
     pem_of,
     pem_of_key,
 )
+from agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
 from agent.security.identity import Identity, IdentityError, addresses, parse
 from agent.security.private_files import KeyFileError
 from deploy.inventory.certificate_builder import self_signed, signed
 from deploy.inventory.certificate_requests import RequestError, examined
 from deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
-    CA_FILE,
     keep_as_earlier,
-    known_authority,
     short,
 )
 
@@ -227,7 +226,7 @@ class Authority:
 
     def _refuse_second(self, instead: bool) -> None:
         """Refuses to make an authority beside one that is known here, but kept elsewhere."""
-        known = known_authority(self.folder)
+        known = authority_of(self.folder)
         if known and not instead:
             raise AuthorityError(
                 f"{self.folder} has certificates of the authority {short(known)}, which is not here: ask for "
@@ -242,9 +241,9 @@ class Authority:
 
     def _generation_known(self) -> int:
         """Generation of the authority whose certificate is here, 0 for none."""
-        if not known_authority(self.folder):
+        if not authority_of(self.folder):
             return 0
-        found = authority_from_pem(private_files.read(self.folder / CA_FILE))
+        found = authority_from_pem(private_files.read(self.folder / AUTHORITY_CERTIFICATE))
         generation = common_name_of(found.subject).rpartition(".")[2]
         return int(generation) if generation.isdecimal() else 0
 
@@ -268,7 +267,7 @@ class Authority:
             raise AuthorityError(str(error)) from None
 
     def _write_certificate(self) -> None:
-        path, wanted = self.folder / CA_FILE, self.certificate_pem
+        path, wanted = self.folder / AUTHORITY_CERTIFICATE, self.certificate_pem
         if not private_files.exists(path) or private_files.read(path) != wanted:
             private_files.write(path, wanted)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.security import private_files
-from agent.security.certificates import CertificateError, authority_from_pem, fingerprint
+from agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
 from agent.security.identity import MAIN
 
 OPERATOR: Final = "HANDFAST_OPERATOR"
@@ -23,7 +23,6 @@ KEYS: Final = "HANDFAST_KEYS"
 """Variables of the environment: who gives orders here, and the folder of that operator's keys."""
 AUTHORITY_FILE: Final = "authority.pem"
 """Key and certificate of the authority, where it is on this machine."""
-CA_FILE: Final = "ca.crt"
 SHORT: Final = 16
 """So many digits of a fingerprint tell authorities apart, for people and in names of folders."""
 _EARLIER: Final = "earlier"
@@ -50,28 +49,13 @@ def short(digits: str) -> str:
     return digits[:SHORT]
 
 
-def known_authority(folder: Path) -> str:
-    """Fingerprint of the authority that the credentials in `folder` are of, "" where there is none.
-
-    Raises:
-        agent.security.private_files.KeyFileError: a file cannot be read.
-    """
-    path = folder / CA_FILE
-    if not private_files.exists(path):
-        return ""
-    try:
-        return fingerprint(authority_from_pem(private_files.read(path)))
-    except CertificateError:
-        return ""
-
-
 def keep_as_earlier(folder: Path) -> None:
     """Keeps what is in `folder`, before another authority takes the place of the one that is known there.
 
     Raises:
         agent.security.private_files.KeyFileError: it cannot be read or written.
     """
-    known = known_authority(folder)
+    known = authority_of(folder)
     target = folder / _EARLIER / short(known)
     if not known or private_files.exists(target):
         return
@@ -79,7 +63,7 @@ def keep_as_earlier(folder: Path) -> None:
     new = target.with_name(f".{target.name}.new")
     shutil.rmtree(new, ignore_errors=True)  # what was interrupted
     private_files.private_directory(new)
-    names = [AUTHORITY_FILE, CA_FILE]
+    names = [AUTHORITY_FILE, AUTHORITY_CERTIFICATE]
     names += [path.name for pattern in _KEPT for path in folder.glob(pattern) if ".next." not in path.name]
     for name in names:
         if private_files.exists(folder / name):
@@ -92,7 +76,7 @@ def keep_as_earlier(folder: Path) -> None:
 def earlier_folders(folder: Path) -> list[Path]:
     """Folders with credentials of earlier authorities, which some robots may still have."""
     try:
-        current = short(known_authority(folder))
+        current = short(authority_of(folder))
         found = sorted((folder / _EARLIER).iterdir())
     except (OSError, private_files.KeyFileError):
         return []

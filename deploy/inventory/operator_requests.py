@@ -18,13 +18,19 @@ from agent.security.certificates import (
     fingerprint,
     issued_from_pem,
 )
-from agent.security.credentials import PEM_CERTIFICATE, Credentials, CredentialsError, make_request, store
+from agent.security.credentials import (
+    PEM_CERTIFICATE,
+    Credentials,
+    CredentialsError,
+    authority_of,
+    make_request,
+    store,
+)
 from agent.security.identity import Identity, IdentityError, parse
 from deploy.inventory.certificate_requests import RequestError, examined
 from deploy.inventory.operator_credentials import (
     AUTHORITY_FILE,
     keep_as_earlier,
-    known_authority,
     short,
 )
 
@@ -43,7 +49,7 @@ def request(folder: Path, identity: Identity) -> bytes:
     """
     if private_files.exists(folder / AUTHORITY_FILE):
         raise RequestError(
-            f"the authority {short(known_authority(folder))} is in {folder}: it signs without a request; if "
+            f"the authority {short(authority_of(folder))} is in {folder}: it signs without a request; if "
             f"the fleet has another one elsewhere, put {folder / AUTHORITY_FILE} away first"
         )
     return make_request(folder, identity)
@@ -92,7 +98,7 @@ def install(folder: Path, bundle: bytes, fleet: str, operators: Collection[str],
     _refuse_stranger(identity, fleet, operators, "the certificate to install")
     if not private_files.exists(folder):
         raise CredentialsError(f"no request was made from {folder}: --request makes one")
-    known, new = known_authority(folder), fingerprint(authority)
+    known, new = authority_of(folder), fingerprint(authority)
     if private_files.exists(folder / AUTHORITY_FILE) and known != new:
         raise RequestError(
             f"it is of the authority {short(new)}, and {folder} has another one itself, {short(known)}: put "

@@ -280,7 +280,8 @@ def test_the_robots_command(
     assert (status, err, json.loads(out)["wanting"]) == (0, "", "")
     status, out, err = run(*asks, stdin=by.certificate_pem)
     told = json.loads(out)
-    assert (status, told) == (0, {"identity": ME.common_name, "wanting": ""})
+    wanted = {"identity": ME.common_name, "wanting": "", "authority": by.fingerprint}
+    assert (status, told) == (0, wanted)
     assert run("store", stdin=b"x")[::2] == (
         2,
         "robot 2: 0 certificates came, not two: its own and the authority's\n",

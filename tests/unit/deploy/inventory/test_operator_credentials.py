@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.security.credentials import load
+from agent.security.credentials import authority_of, load
 from agent.security.identity import of_operator, of_router
 from deploy.inventory.operator_credentials import (
     KEYS,
@@ -15,7 +15,6 @@ from deploy.inventory.operator_credentials import (
     earlier_folders,
     keep_as_earlier,
     keys_folder,
-    known_authority,
     operator_name,
     short,
 )
@@ -41,7 +40,7 @@ def test_what_was_in_use_is_kept_when_the_authority_is_replaced(tmp_path: Path) 
         credentials(by, folder, of_router(FLEET))
         assert earlier_folders(folder) == []
         by.replace(NOW_S)
-        assert known_authority(folder) == by.fingerprint
+        assert authority_of(folder) == by.fingerprint
         after = credentials(by, folder, ME)
     (kept,) = earlier_folders(folder)
     assert kept.name == short(before.authority_fingerprint)
@@ -83,4 +82,4 @@ def test_without_an_authority_there_is_nothing_to_keep(tmp_path: Path) -> None:
     keep_as_earlier(tmp_path)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "ca.crt").write_text("no certificate")
-    assert known_authority(tmp_path) == ""
+    assert authority_of(tmp_path) == ""

@@ -105,7 +105,7 @@ def test_who_needs_a_new_certificate_is_said(run: Run, tmp_path: Path) -> None:
     run("--router", "--address", "10.0.0.9")
     run("--robot", "3", "--out", str(tmp_path / "r3"), "--address", "10.0.0.3")
     assert [line for line in run("--replace-authority", *ann) if line.startswith("void:")] == [
-        "void: operator ann; `handfast keys delta --operator ann`",
+        "void: operator ann; `handfast keys delta --operator ann`, or --request where it is",
         "void: robot 3; `handfast keys delta --robot 3 --address 10.0.0.3 --out DIR`",
         "void: router main; `handfast keys delta --router --address 10.0.0.9`, with --out DIR to carry it",
     ]
@@ -142,7 +142,16 @@ def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.Monk
     ("arguments", "what"),
     [
         (["--list"], "delta has no authority in .*: `handfast keys delta` makes it"),
-        (["--list", "--renew"], "--list only shows"),
+        (["--list", "--renew"], "--list goes alone: leave out --renew"),
+        (["--sign", "x", "--backup", "y"], "--sign goes alone: leave out --backup"),
+        (["--request"], "--request needs --out FILE"),
+        (["--take-over"], "--take-over belongs to --sign"),
+        (["--unheard-too"], "--unheard-too belongs to --replace-authority"),
+        (["--sign", "/nowhere"], "cannot read /nowhere: no such file"),
+        (["--install", "/nowhere"], "cannot read /nowhere: no such file"),
+        (["--restore", "/nowhere"], "cannot read /nowhere: no such file"),
+        (["--backup", "/dev/null"], "/dev/null is there already: a backup takes the place of none"),
+        (["--backup", "/nowhere/b"], "delta has no authority in .*: `handfast keys delta` makes it"),
         (["--robot", "3"], "--robot and --out DIR belong together"),
         (["--out", "x"], "--robot and --out DIR belong together"),
         (["--robot", "9", "--out", "x"], "no robot 9 in delta"),
