@@ -71,7 +71,7 @@ class Certificate:
 
 
 def until(pem: bytes) -> float | None:
-    """Until when a certificate holds, s since the Unix epoch, whoever has signed it; None for what is none."""
+    """Until when a certificate holds (s since the Unix epoch), whoever signed it; None for what is none."""
     try:
         return _loaded_pem(pem).not_valid_after_utc.timestamp()
     except CertificateError:

@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         ": its unit, how often it was started again, CPU and memory "
         "(as the host says, over ssh); state of its agent, age of its neighbours' messages (as it says, "
-        "on the bus); version; how long certificates hold; how its host's clock stands to this one; robots that are not heard, and where "
-        "the others believe them to be. Exit status: 0 all processes run and "
+        "on the bus); version; how its host's clock stands to this one; how long certificates hold; robots "
+        "that are not heard, and where the others believe them to be. Exit status: 0 all processes run and "
         "all agents are heard; 1 not all; 2 bad input; 130 after Ctrl-C.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")

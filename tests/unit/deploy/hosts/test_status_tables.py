@@ -32,9 +32,9 @@ def rows(
     found = {}
     for robot, (name, version) in enumerate(zip(("left", "right"), versions, strict=True), 1):
         unit = {f"handfast-two-robot-{robot}-agent.service": UNIT | {"version": version}}
-        found[name] = host_status({"units": unit, "load": 1.5}, Clock(0.002, 0.001))
+        found[name] = host_status({"units": unit, "load": 1.5, "certificates": {}}, Clock(0.002, 0.001))
     told = [
-        process_row(FLEET, robot, role, found[name], status(robot) if robot == 1 else None)
+        process_row(FLEET, robot, role, found[name], status(robot) if robot == 1 else None, 0.0)
         for robot, name in ((1, "left"), (2, "right"))
         for role in ("plant", "agent")
     ]
@@ -69,7 +69,7 @@ def test_a_host_that_says_nonsense_is_told_from_one_that_is_well(told: Any) -> N
 
 
 def test_a_host_that_cannot_be_asked_is_unknown_not_down() -> None:
-    row = process_row(FLEET, 1, "agent", HostStatus(error="it does not answer"), status(1))
+    row = process_row(FLEET, 1, "agent", HostStatus(error="it does not answer"), status(1), 0.0)
     assert (row["unit"], row["state"]) == ("unknown", "degraded")
     about = host_rows({"left": HostStatus(error="it does not answer")})["left"]
     assert about == {
