@@ -43,8 +43,8 @@ class Rest(NamedTuple):
             return f"{robots_words(self.on_mission)} {are} on a mission: `handfast stop` first"
         if self.unknown and not unheard_too:
             return (
-                f"{robots_words(self.unknown)} cannot be asked, neither on the bus nor over ssh: bring them into "
-                "reach, or see that they stand and say --unheard-too"
+                f"{robots_words(self.unknown)} cannot be asked, neither on the bus nor over ssh: bring them "
+                "into reach, or see that they stand and say --unheard-too"
             )
         return ""
 

@@ -86,13 +86,21 @@ def host_rows(found: Mapping[str, HostStatus]) -> dict[str, dict[str, Any]]:
     }
 
 
-def robots_by_host(found: Mapping[str, HostStatus], file: str) -> list[Expiry]:
+def robots_by_host(
+    found: Mapping[str, HostStatus], robots: Mapping[str, Sequence[int]], file: str
+) -> list[Expiry]:
     """Until when robots' certificates hold, as their hosts say.
 
     Args:
+        robots: by host, whose word on others counts for nothing.
         file: the fleet's, as it is named in commands.
     """
-    ends = {robot: ends_s for host in found.values() for robot, ends_s in host.expiries.items()}
+    ends = {
+        robot: ends_s
+        for name, host in found.items()
+        for robot, ends_s in host.expiries.items()
+        if robot in robots[name]
+    }
     return [Expiry(f"robot {robot}", ends[robot], f"`handfast up {file}`") for robot in sorted(ends)]
 
 

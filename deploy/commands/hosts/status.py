@@ -109,7 +109,8 @@ def _status(options: argparse.Namespace) -> int:
         if row.state == HOST_FAILED:
             found[row.host].error = row.step
     now_s = time.time()
-    expiries = [*operators(fleet, options.fleet), *robots_by_host(found, options.fleet)]
+    on_hosts = {name: row.robots for name, row in jobs.rows.items()}
+    expiries = [*operators(fleet, options.fleet), *robots_by_host(found, on_hosts, options.fleet)]
     rows = [
         process_row(fleet, robot, role, found[host.name], statuses.get(robot), now_s)
         for host in hosts
