@@ -28,9 +28,7 @@ def test_an_expired_one_is_looked_at_again_until_it_is_renewed(tmp_path: Path) -
             *("--keys", str(at.of(of_robot(at.name, LATE))), "--folder", str(tmp_path / "recording")),
         )
         for role in ROLES:
-            robots.wait(
-                lambda role=role: WAITS in robots.log_of(LATE, role), f"the {role} says that it waits"
-            )
+            robots.wait(lambda role=role: WAITS in robots.log_of(LATE, role), f"the {role} waits")
         assert not robots.died(), robots.told()
         assert not any(robots.alive(LATE, role) for role in ("agent", "plant"))
         at.give(of_robot(at.name, LATE), at.now_s)
