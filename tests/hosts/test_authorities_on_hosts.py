@@ -167,9 +167,11 @@ def test_half_replaced_it_drives_and_stops_and_up_goes_on(fleet: Operated) -> No
     finally:
         fleet.hosts[1].start_sshd()
     assert len(earlier_folders(fleet.keys)) == 1
+    fleet.handfast("resume", status=None)
+    wait_for(lambda: {None, "stopped"}.isdisjoint(states(fleet).values()), "no robot is stopped", 30.0)
     told = fleet.handfast("stop").stdout
     assert told.count(": stop") == 2, told
-    assert None not in states(fleet).values()
+    assert set(states(fleet).values()) == {"stopped"}
     # And `up` goes on from where it was.
     told = fleet.handfast("up", timeout=UP_TIMEOUT_S).stderr
     assert "host1: up, nothing to do" in told
