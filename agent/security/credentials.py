@@ -39,6 +39,8 @@ AUTHORITY_CERTIFICATE: Final = "ca.crt"
 """File of the certificate of the authority that all in a folder have."""
 RENEW_DAYS: Final = 30
 """A certificate with fewer days left is renewed when there is an opportunity."""
+ANOTHER_AUTHORITY: Final = "the authority is another one now"
+"""Why a certificate is wanted where there is a good one, of another authority."""
 T = TypeVar("T")
 PEM_CERTIFICATE: Final = re.compile(
     rb"-----BEGIN CERTIFICATE-----[A-Za-z0-9+/=\s]{1,16000}-----END CERTIFICATE-----"
@@ -247,7 +249,7 @@ def wanting(
     except CredentialsError as error:
         return f"what is there cannot be used: {error}"
     if wanted is not None and found.authority_fingerprint != wanted:
-        return "the authority is another one now"
+        return ANOTHER_AUTHORITY
     missing = sorted(set(addresses) - set(found.certificate.addresses))
     if missing:
         return f"it does not hold for {', '.join(missing)}"

@@ -218,6 +218,9 @@ def test_while_they_drive_one_robot_at_a_time_starts_again(deployment: Deploymen
     out = tmp_path / "run"
     child = fleet.start("drive", "--duration", "300s", "--out", str(out), "--no-report")
     wait_for(lambda: drives(fleet, child), "both drive", 60.0)
+    second = Second(fleet.hosts, fleet.folder, tables(fleet.hosts), fleet.cache)
+    said = Deployment(second, tmp_path / "second").play("-e", "take_over=true", status=2)
+    assert "the fleet drives, and would fall apart with robots of two authorities" in said
     said = deployment.play(status=2)
     assert "robot 1 drives and would have to start again: -e rolling=true" in said
     assert fleet.processes() == running
