@@ -32,19 +32,18 @@ class Rest(NamedTuple):
     on_mission: tuple[int, ...]
     unknown: tuple[int, ...]
 
-    def refusal(self, *, unheard_too: bool) -> str:
-        """Why nothing may be done that needs the fleet at rest, "" when it may.
-
-        Args:
-            unheard_too: robots of which nobody knows count as standing.
-        """
+    def refusal(self) -> str:
+        """Why nothing may be done that needs the fleet at rest, "" when it may."""
         if self.on_mission:
             are = "are" if len(self.on_mission) > 1 else "is"
-            return f"{robots_words(self.on_mission)} {are} on a mission: `handfast stop` first"
-        if self.unknown and not unheard_too:
+            return (
+                f"{robots_words(self.on_mission)} {are} on a mission: `handfast stop` first (or, where "
+                "that is not to be believed, --force)"
+            )
+        if self.unknown:
             return (
                 f"{robots_words(self.unknown)} cannot be asked, neither on the bus nor over ssh: bring them "
-                "into reach, or see that they stand and say --unheard-too"
+                "into reach, or see that they stand and say --force"
             )
         return ""
 

@@ -91,9 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "fleet must be at rest",
     )
     parser.add_argument(
-        "--unheard-too",
+        "--force",
         action="store_true",
-        help="replace the authority although some robots cannot be asked whether they are on a mission",
+        help="replace the authority whatever robots do, and whether they can be asked or not",
     )
     alone = parser.add_argument_group("instead of that")
     alone.add_argument("--list", action="store_true", help="only show what there is")
@@ -157,8 +157,8 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
     if alone and len(alone) + len(others) > 1:
         rest = ", ".join(f"--{each.replace('_', '-')}" for each in [*alone, *others][1:])
         raise InputError(f"--{alone[0].replace('_', '-')} goes alone: leave out {rest}")
-    if options.unheard_too and not options.replace_authority:
-        raise InputError("--unheard-too belongs to --replace-authority")
+    if options.force and not options.replace_authority:
+        raise InputError("--force belongs to --replace-authority")
     if options.take_over and options.sign is None:
         raise InputError("--take-over belongs to --sign (or to `handfast up`)")
     if options.request and options.out is None:
@@ -223,7 +223,7 @@ ALONE: Final[Mapping[str, Alone]] = {
 
 
 def _provide_all(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    if options.replace_authority and fleet.is_secured and authority_of(folder):
+    if options.replace_authority and not options.force and fleet.is_secured and authority_of(folder):
         _refuse_on_mission(options, fleet)
     instead = options.replace_authority
     with Authority(folder, fleet.fleet.name, fleet.ids, now_s, instead=instead) as authority:
@@ -235,7 +235,7 @@ def _refuse_on_mission(options: argparse.Namespace, fleet: Fleet) -> None:
     from agent.formation.geometry import resolved
     from deploy.hosts.at_rest import rest_of
 
-    why = rest_of(resolved(fleet), options.fleet).refusal(unheard_too=options.unheard_too)
+    why = rest_of(resolved(fleet), options.fleet).refusal()
     if why:
         raise InputError(f"the authority was not replaced: {why}")
 

@@ -69,10 +69,9 @@ def test_without_a_bus_the_hosts_tell(world: World, monkeypatch: pytest.MonkeyPa
 
 
 def test_what_is_said_of_it() -> None:
-    assert Rest((), ()).refusal(unheard_too=False) == ""
-    assert Rest((1,), (2,)).refusal(unheard_too=True) == "robot 1 is on a mission: `handfast stop` first"
-    assert Rest((1, 2), ()).refusal(unheard_too=False).startswith("robots 1 and 2 are on a mission")
-    said = Rest((), (2, 6)).refusal(unheard_too=False)
+    assert Rest((), ()).refusal() == ""
+    assert Rest((1,), (2,)).refusal().startswith("robot 1 is on a mission: `handfast stop` first")
+    assert Rest((1, 2), ()).refusal().startswith("robots 1 and 2 are on a mission")
+    said = Rest((), (2, 6)).refusal()
     assert said.startswith("robots 2 and 6 cannot be asked, neither")
-    assert "--unheard-too" in said
-    assert Rest((), (2, 6)).refusal(unheard_too=True) == ""
+    assert all("--force" in each for each in (said, Rest((1,), ()).refusal()))

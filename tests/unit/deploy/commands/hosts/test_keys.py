@@ -12,10 +12,13 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.hosts import HostSection
-from agent.security.credentials import RENEW_DAYS, load, make_request
+from agent.fleet.model import Fleet
+from agent.security.credentials import RENEW_DAYS, authority_of, load, make_request
 from agent.security.identity import of_operator, of_robot, of_router
 from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
+from deploy.hosts import at_rest
+from deploy.hosts.at_rest import Rest
 from deploy.inventory.certificate_authority import Authority
 from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
 from deploy.inventory.operator_credentials import keys_folder
@@ -146,7 +149,7 @@ def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.Monk
         (["--sign", "x", "--backup", "y"], "--sign goes alone: leave out --backup"),
         (["--request"], "--request needs --out FILE"),
         (["--take-over"], "--take-over belongs to --sign"),
-        (["--unheard-too"], "--unheard-too belongs to --replace-authority"),
+        (["--force"], "--force belongs to --replace-authority"),
         (["--sign", "/nowhere"], "cannot read /nowhere: no such file"),
         (["--install", "/nowhere"], "cannot read /nowhere: no such file"),
         (["--restore", "/nowhere"], "cannot read /nowhere: no such file"),
@@ -168,3 +171,33 @@ def test_bad_input(run: Run, arguments: list[str], what: str) -> None:
         run(*arguments)
     assert len(str(raised.value).splitlines()) == 1
     assert not keys_folder(FLEET).exists(), "what cannot be done makes nothing"
+
+
+def test_the_fleet_is_asked_before_its_authority_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def rest_of(fleet: Fleet, source: str) -> Rest:
+        asked.append(fleet.fleet.name)
+        return Rest((2,), ())
+
+    monkeypatch.setattr(at_rest, "rest_of", rest_of)
+    parser = argparse.ArgumentParser()
+    keys_command.add_arguments(parser)
+
+    def run(*arguments: str) -> None:
+        secured = ("--set", 'network.security="mtls"', "--keys", str(tmp_path))
+        options = parser.parse_args([FLEET, *secured, *arguments])
+        assert options.command(options) == 0
+
+    run("--replace-authority")
+    assert asked == [], "there was none before"
+    with pytest.raises(InputError, match="the authority was not replaced: robot 2 is on a mission"):
+        run("--replace-authority")
+    run()
+    assert asked == [FLEET]
+    before = authority_of(tmp_path)
+    run("--replace-authority", "--force")
+    assert asked == [FLEET]
+    assert authority_of(tmp_path) != before
