@@ -38,6 +38,7 @@ from deploy.hosts.certificates import AnotherAuthorityError
 from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
 from deploy.inventory.certificate_requests import RequestError
 from deploy.inventory.operator_credentials import (
+    KEYS,
     OPERATOR,
     drop_earlier,
     earlier_folders,
@@ -62,7 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "certificate: --request there, --sign here, --install there. Exit status: 0; 2 bad input.",
     )
     fleet_arguments(parser)
-    parser.add_argument("--keys", metavar="DIR", help="where the keys are (~/.config/handfast/keys/FLEET)")
+    parser.add_argument(
+        "--keys", metavar="DIR", help=f"where the keys are (${KEYS}, or ~/.config/handfast/keys/FLEET)"
+    )
     parser.add_argument("--operator", metavar="NAME", help=f"who gives orders here (${OPERATOR}, or {MAIN})")
     parser.add_argument(
         "--router", action="store_const", const=MAIN, help="make the certificate of the fleet's routers, too"
