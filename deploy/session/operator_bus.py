@@ -13,6 +13,7 @@ from agent.runtime.bus import Bus, BusError
 from agent.runtime.sealed_bus import bus_for
 from agent.security.credentials import CredentialsError, MissingError, NotValidNowError
 from agent.security.identity import Identity, IdentityError, of_operator
+from agent.security.refusals import ANOTHER_AUTHORITY
 from deploy.console.arguments import InputError
 from deploy.faults.live import receivers
 from deploy.inventory.operator_credentials import OPERATOR, earlier_folders, keys_folder, operator_name
@@ -69,7 +70,10 @@ def _joined(
             try:
                 found.append(
                     bus_for(
-                        *(fleet, identity, each, _log), listen=[], connect=connect, retry_ms=JOINED_RETRY_MS
+                        *(fleet, identity, each, _log_joined),
+                        listen=[],
+                        connect=connect,
+                        retry_ms=JOINED_RETRY_MS,
                     )
                 )
             except (CredentialsError, BusError) as error:
@@ -97,6 +101,12 @@ def _advice(error: CredentialsError) -> str:
     if isinstance(error, NotValidNowError):
         return "; `handfast keys` renews it (on another computer than the authority's: --request)"
     return ""
+
+
+def _log_joined(text: str) -> None:
+    """As `_log`, without what is so by the nature of things: that each robot refuses one of the two."""
+    if not any(why in text for why in ANOTHER_AUTHORITY):
+        _log(text)
 
 
 def _log(text: str) -> None:

@@ -137,6 +137,13 @@ def test_credentials_of_before_that_cannot_be_used_keep_nobody(
     assert refusal(fleet).endswith(ADVICE)
 
 
+def test_that_each_robot_refuses_one_of_the_two_is_not_told(capsys: pytest.CaptureFixture[str]) -> None:
+    for why in ("it does not know the authority of our certificate", "its certificate has expired"):
+        module._log_joined(f"refused: the connection to tls/10.0.0.1:7600: {why} (3 times)")
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.endswith("tls/10.0.0.1:7600: its certificate has expired (3 times)")
+
+
 def test_when_it_has_expired_it_is_to_be_renewed(fleet: Fleet, tmp_path: Path) -> None:
     past_s = time.time() - 400 * 86_400
     with authority(tmp_path / "authority", past_s, fleet.fleet.name) as by:
