@@ -26,6 +26,7 @@ from agent.recorder.segment_folder import PASSING, FolderInUseError, SegmentFold
 from agent.recorder.segments import About, Received
 from agent.recorder.writer_thread import RecorderThread
 from agent.runtime.bus import Bus, BusError
+from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
 from agent.runtime.process import (
     Log,
@@ -180,7 +181,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         fleet = load_fleet(options.fleet)
         whose = about(fleet, read_text(options.fleet, "fleet file"), robot)
+
+        def asked() -> bool:
+            shutdown.look_for_parent()
+            return shutdown.asked
+
         with SystemdNotifier() as systemd:
+            wait_until_valid(fleet, robot, options.keys, asked, systemd, log)
             systemd.ready()  # it does its work: a disk that is full must not look like a start that fails
             folder = _open(path, fleet.recording.max_mb * 1_000_000, shutdown, systemd, log)
             if folder is None:

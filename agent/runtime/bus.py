@@ -64,6 +64,7 @@ def settings_of(
     connect: Sequence[str],
     security: Security | None,
     link_timeout_s: float = LINK_TIMEOUT_S,
+    retry_ms: tuple[int, int] = RETRY_MS,
 ) -> dict[str, Any]:
     """Zenoh's settings, by their paths in its configuration.
 
@@ -78,8 +79,8 @@ def settings_of(
         "connect/exit_on_failure": False,
         **({"connect/timeout_ms": link_timeout_ms} if mode == "client" else {}),
         "connect/retry": {
-            "period_init_ms": RETRY_MS[0],
-            "period_max_ms": RETRY_MS[1],
+            "period_init_ms": retry_ms[0],
+            "period_max_ms": retry_ms[1],
             "period_increase_factor": 2,
         },
         # Opening does not wait for anybody: neighbours come when they come.
@@ -138,12 +139,13 @@ def _open(
     connect: Sequence[str],
     security: Security | None,
     link_timeout_s: float = LINK_TIMEOUT_S,
+    retry_ms: tuple[int, int] = RETRY_MS,
 ) -> Any:
     """A session; raises `BusError`."""
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     _share_heap()
     try:
-        return zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s)))
+        return zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s, retry_ms)))
     except zenoh.ZError as error:
         text = str(error)
     if mode == "client":
@@ -188,6 +190,7 @@ class Bus:
         security: how links are secured, None for not at all.
         go_on_waiting: asked whether to try again when no router answers.
         link_timeout_s: a link that is not open by then is tried again.
+        retry_ms: shortest and longest pause before that.
 
     Raises:
         BusError: an endpoint cannot be listened on, or no router answers.
@@ -203,12 +206,13 @@ class Bus:
         security: Security | None = None,
         go_on_waiting: Callable[[], bool] = lambda: False,
         link_timeout_s: float = LINK_TIMEOUT_S,
+        retry_ms: tuple[int, int] = RETRY_MS,
     ) -> None:
         self._sessions: list[Any] = []
         self._near_keys = near
         try:
             if listen or connect or not routers:
-                self._sessions.append(_open("peer", listen, connect, security, link_timeout_s))
+                self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
             if routers:
                 self._sessions.append(_open_client(routers, security, go_on_waiting, link_timeout_s))
         except BaseException:

@@ -26,11 +26,12 @@ from agent.messages.codec import decode, head
 from agent.messages.types import Stop
 from agent.node import Node
 from agent.runtime.bus import Bus, BusError
+from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
 from agent.runtime.order_store import OrderStore
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
-from agent.security.credentials import CredentialsError, NotYetValidError
+from agent.security.credentials import CredentialsError, NotValidNowError
 from agent.security.identity import of_robot
 from agent.security.private_files import KeyFileError
 
@@ -229,7 +230,8 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
     """The bus of one of a robot's processes: see `agent.runtime.sealed_bus.bus_for`.
 
     Raises:
-        agent.runtime.bus.BusError: it cannot be opened now; nor can it before this computer's clock is set.
+        agent.runtime.bus.BusError: it cannot be opened now; nor can it with a certificate that is not valid
+            now (`agent.runtime.certificate_wait`).
         StartError: the fleet is secured and the robot's certificate cannot be used.
     """
     if not fleet.is_secured:
@@ -241,7 +243,7 @@ def open_bus(fleet: Fleet, robot: int, folder: str | None, log: Log, **bus: Any)
         )
     try:
         return bus_for(fleet, of_robot(fleet.fleet.name, robot), Path(folder), log, **bus)
-    except NotYetValidError as error:
+    except NotValidNowError as error:
         raise BusError(str(error)) from None
     except CredentialsError as error:
         raise StartError(str(error)) from None
@@ -279,10 +281,17 @@ def _run(
             service.waits("waiting for a router")
         waits = True
         service.lives(time.monotonic_ns())
+        return not asked()
+
+    def asked() -> bool:
         shutdown.look_for_parent()
-        return not shutdown.asked
+        return shutdown.asked
 
     fleet = load_fleet(options.fleet, options.overrides, options.law)
+    # Before the wall clock is read for good: it may be set meanwhile.
+    wait_until_valid(fleet, options.robot, options.keys, asked, service, log)
+    if shutdown.asked:
+        return
     clock = RealClock(*FaultPlan(fleet).clock(options.robot))
     node, listen, connect, close = start(fleet, options.robot, clock, log)
     node.runs_by(clock.machine)

@@ -14,7 +14,7 @@ from typing import Any
 
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
-from agent.runtime.bus import LINK_TIMEOUT_S, Bus, init_log
+from agent.runtime.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
 from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
 from agent.security.credentials import Credentials, load
@@ -52,7 +52,8 @@ def gate_of(fleet: Fleet, found: Credentials, refused: Log) -> OrderGate:
 
 
 class SealedBus(Bus):
-    """A bus whose links are authenticated and whose orders are sealed. One in a process at a time.
+    """A bus whose links are authenticated and whose orders are sealed. Of several in one process the one that
+    was opened last is closed first, and reads what Zenoh refuses.
 
     Args:
         fleet: whose it is.
@@ -140,6 +141,7 @@ def bus_for(
     near: Collection[str] = (),
     through_routers: bool = True,
     go_on_waiting: Callable[[], bool] = lambda: False,
+    retry_ms: tuple[int, int] = RETRY_MS,
 ) -> Bus:
     """The bus of one process of a fleet, secured or not, through its routers or not; see `Bus`, `SealedBus`.
 
@@ -159,6 +161,7 @@ def bus_for(
             near=near,
             go_on_waiting=go_on_waiting,
             link_timeout_s=link_timeout_s,
+            retry_ms=retry_ms,
         )
     return SealedBus(
         fleet,
@@ -171,4 +174,5 @@ def bus_for(
         near=near,
         go_on_waiting=go_on_waiting,
         link_timeout_s=link_timeout_s,
+        retry_ms=retry_ms,
     )

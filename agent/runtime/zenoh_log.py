@@ -30,7 +30,8 @@ _STDOUT: Final = 1
 class ZenohLog:
     """Takes file descriptor 1 from the process while it is open; Python's own standard output goes on.
 
-    Make it before the first session, and give Zenoh `agent.security.refusals.FILTER`. One in a process.
+    Make it before the first session, and give Zenoh `agent.security.refusals.FILTER`. Of several in
+    one process the last has all of the log, and is closed first.
 
     Who sets `WANTED` means to read Zenoh's log: it stays on standard output then. That is said, and of
     refusals only those that are added to `refusals`.

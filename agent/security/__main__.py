@@ -18,7 +18,7 @@ from typing import Final
 
 from agent.common.exit import BAD_INPUT, PASSED
 from agent.security.certificates import PEM_BYTES_MAX
-from agent.security.credentials import CredentialsError, make_request, store, wanting
+from agent.security.credentials import CredentialsError, authority_of, make_request, store, wanting
 from agent.security.identity import Identity, IdentityError, addresses, of_robot
 from agent.security.private_files import reason
 
@@ -72,7 +72,12 @@ def _requested(
     folder: Path, identity: Identity, wanted: Sequence[str], authority: bytes | None
 ) -> dict[str, object]:
     why = wanting(folder, identity, wanted, authority, time.time())
-    answer: dict[str, object] = {"identity": identity.common_name, "wanting": why}
+    # Whoever signs looks whether that is another's robot.
+    answer: dict[str, object] = {
+        "identity": identity.common_name,
+        "wanting": why,
+        "authority": authority_of(folder),
+    }
     if why:
         answer["request"] = make_request(folder, identity).decode("ascii")
     return answer

@@ -70,6 +70,14 @@ class Certificate:
         return (self.not_after_s - now_s) / DAY_S
 
 
+def until(pem: bytes) -> float | None:
+    """Until when a certificate holds (s since the Unix epoch), whoever signed it; None for what is none."""
+    try:
+        return _loaded_pem(pem).not_valid_after_utc.timestamp()
+    except CertificateError:
+        return None
+
+
 def needs_cryptography() -> None:
     """`CertificateError` when the package is not there."""
     try:

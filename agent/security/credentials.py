@@ -35,10 +35,14 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
+AUTHORITY_CERTIFICATE: Final = "ca.crt"
+"""File of the certificate of the authority that all in a folder have."""
 RENEW_DAYS: Final = 30
 """A certificate with fewer days left is renewed when there is an opportunity."""
+ANOTHER_AUTHORITY: Final = "the authority is another one now"
+"""Why a certificate is wanted where there is a good one, of another authority."""
 T = TypeVar("T")
-_PEM_CERTIFICATE: Final = re.compile(
+PEM_CERTIFICATE: Final = re.compile(
     rb"-----BEGIN CERTIFICATE-----[A-Za-z0-9+/=\s]{1,16000}-----END CERTIFICATE-----"
 )
 
@@ -51,8 +55,9 @@ class MissingError(CredentialsError):
     """There are no credentials, or not all of them: they have to be made."""
 
 
-class NotYetValidError(CredentialsError):
-    """Credentials that will be good: this machine's clock, or the authority's, is not right."""
+class NotValidNowError(CredentialsError):
+    """Credentials that are good but for the time: not yet, or no more. A clock that is set mends it, or a
+    certificate that is renewed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +70,7 @@ class Files:
     @property
     def authority(self) -> Path:
         """The certificate of the fleet's authority."""
-        return self.folder / "ca.crt"
+        return self.folder / AUTHORITY_CERTIFICATE
 
     @property
     def certificate(self) -> Path:
@@ -122,15 +127,30 @@ def load(folder: Path, identity: Identity, now_s: float) -> Credentials:
     Raises:
         CredentialsError: a file is missing, can be read by others, does not belong to the others, is not the
             authority's work, or the certificate is not valid now; `MissingError` when a file is missing,
-            `NotYetValidError` when only the time has not come.
+            `NotValidNowError` when only the time is wrong.
     """
-    found = _load(Files(folder, identity))
+    found = load_whenever(folder, identity)
     try:
         found.certificate.check_time(now_s)
     except CertificateError as error:
-        kind = NotYetValidError if error.reason == "not_yet_valid" else CredentialsError
-        raise kind(f"{found.files.certificate}: {error}") from None
+        raise NotValidNowError(f"{found.files.certificate}: {error}") from None
     return found
+
+
+def load_whenever(folder: Path, identity: Identity) -> Credentials:
+    """As `load`, whether they are valid now or not."""
+    return _load(Files(folder, identity))
+
+
+def authority_of(folder: Path) -> str:
+    """Fingerprint of the authority whose certificate is in `folder`, "" where none is that can be read."""
+    path = folder / AUTHORITY_CERTIFICATE
+    try:
+        if private_files.exists(path):
+            return fingerprint(authority_from_pem(private_files.read(path)))
+    except (KeyFileError, CertificateError):
+        pass
+    return ""
 
 
 def make_request(folder: Path, identity: Identity) -> bytes:
@@ -166,7 +186,7 @@ def store(folder: Path, identity: Identity, bundle: bytes, now_s: float) -> Cred
         CredentialsError: it is not; what was there before is then still there.
     """
     files = Files(folder, identity)
-    parts = _PEM_CERTIFICATE.findall(bundle)
+    parts = PEM_CERTIFICATE.findall(bundle)
     if len(parts) != 2:
         raise CredentialsError(
             f"{identity}: {len(parts)} certificates came, not two: its own and the authority's"
@@ -229,7 +249,7 @@ def wanting(
     except CredentialsError as error:
         return f"what is there cannot be used: {error}"
     if wanted is not None and found.authority_fingerprint != wanted:
-        return "the authority is another one now"
+        return ANOTHER_AUTHORITY
     missing = sorted(set(addresses) - set(found.certificate.addresses))
     if missing:
         return f"it does not hold for {', '.join(missing)}"

@@ -45,18 +45,23 @@ _INCOMING: Final = re.compile(rb" WARN .{0,80}zenoh_link_tls::[a-z_:]{1,40}: (.{
 _OUTGOING: Final = re.compile(
     rb"Unable to connect to[a-z ]{0,40} ([a-z]{1,8}/[A-Za-z0-9._:\[\]-]{1,270})! (.{1,600})"
 )
+ANOTHER_AUTHORITY: Final = (
+    "its certificate is not from this fleet's authority",
+    "it does not know the authority of our certificate",
+)
+"""Why links fail between those of two authorities, as the one says it and as the other."""
 _MEANINGS: Final = (
     (b"Too many open files", "this process has no file handles left"),
     (b"sent no certificate", "it has no certificate"),
-    (b"UnknownIssuer", "its certificate is not from this fleet's authority"),
-    (b"certificate: BadSignature", "its certificate is not from this fleet's authority"),
+    (b"UnknownIssuer", ANOTHER_AUTHORITY[0]),
+    (b"certificate: BadSignature", ANOTHER_AUTHORITY[0]),
     (b"certificate expired", "its certificate has expired"),
     (b"not valid yet", "its certificate is not valid yet"),
     (b"not valid for name", "its certificate is for other addresses"),
     (b"invalid peer certificate", "its certificate is not good"),
     (b"corrupt message", "it does not speak TLS"),
-    (b"alert: UnknownCA", "it does not know the authority of our certificate"),
-    (b"alert: DecryptError", "it does not know the authority of our certificate"),
+    (b"alert: UnknownCA", ANOTHER_AUTHORITY[1]),
+    (b"alert: DecryptError", ANOTHER_AUTHORITY[1]),
     (b"alert: CertificateExpired", "to it our certificate has expired"),
     (b"alert: CertificateRequired", "we have no certificate"),
     (b"alert: BadCertificate", "to it our certificate is wrong, or for other addresses"),

@@ -16,7 +16,6 @@ from agent.links.ticks import next_tick_ns
 from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Event, Heartbeat, Stop
-from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots
 from deploy.drive.fleet_state import FleetState, Record
@@ -28,6 +27,7 @@ from deploy.faults.process_actions import WORDS, Action, actions
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import HEARTBEAT_PERIOD_NS, refused
 from deploy.processes.protocol import FleetProcesses
+from deploy.session.joined_bus import OperatorBus
 from deploy.session.stop import Way
 
 POLL_S: Final = 0.04
@@ -57,7 +57,7 @@ class Drive:
         self,
         fleet: Fleet,
         processes: FleetProcesses,
-        bus: Bus,
+        bus: OperatorBus,
         record: Record,
         view: View,
         interrupt: Interrupt,

@@ -11,7 +11,6 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
-from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from deploy.console.wording import robots
 from deploy.drive.readiness import in_words, is_ready, may_begin, waits
@@ -23,6 +22,7 @@ from deploy.orders.operator import HEARD_NS, Operator, Order
 from deploy.processes.protocol import FleetProcesses
 from deploy.recording.recorder import RecordingError
 from deploy.session.author import author
+from deploy.session.joined_bus import OperatorBus
 from deploy.session.live_operators import StopDoor
 from deploy.session.session import valid
 
@@ -47,7 +47,7 @@ class FleetState:
         states: the latest state of each plant that is up.
     """
 
-    def __init__(self, fleet: Fleet, bus: Bus, processes: FleetProcesses, record: Record) -> None:
+    def __init__(self, fleet: Fleet, bus: OperatorBus, processes: FleetProcesses, record: Record) -> None:
         self.fleet: Final = fleet
         self.processes: Final = processes
         self._bus, self._record = bus, record

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
+from agent.security.credentials import ANOTHER_AUTHORITY
 from agent.supervision.state_machine import DRIVING
 from deploy.console.data_files import ANSIBLE
 from deploy.hosts import remote_program, systemd_units
@@ -120,6 +121,7 @@ def _of_all(fleet: Fleet, robots_text: str, packs: Sequence[Pack]) -> dict[str, 
         "handfast_bundles": [_bundle(pack) for pack in packs],
         "handfast_install_bytes": INSTALL_BYTES,
         "handfast_clock_error_max_s": CLOCK_ERROR_MAX_S,
+        "handfast_another_authority": ANOTHER_AUTHORITY,
         # What systemd shows of an agent that drives: its state, and why.
         "handfast_drives": f"({'|'.join(sorted(state.value for state in DRIVING))})(:|$)",
     }

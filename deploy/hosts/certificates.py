@@ -10,20 +10,47 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
+from agent.common.wording import printable
 from agent.fleet.model import Fleet
+from agent.security.certificates import PEM_BYTES_MAX, CertificateError, authority_from_pem, fingerprint
+from agent.security.credentials import AUTHORITY_CERTIFICATE
 from agent.security.identity import of_robot
 from agent.security.private_files import reason
 from deploy.console.arguments import InputError
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.inventory.certificate_authority import Authority, AuthorityError
 from deploy.inventory.hosts import located, robots_on
+from deploy.inventory.operator_credentials import short
 
 MODULE: Final = "agent.security"
 REQUESTS_BYTES_MAX: Final = 4_000_000
-REQUESTS_SHAPE: Final = 'must be JSON, a certificate request (PEM) by robot: {"1": "-----BEGIN ..."}'
+REQUESTS_SHAPE: Final = (
+    'must be JSON, by robot what `agent.security request` says of it: {"1": {"request": "-----BEGIN ...", '
+    '"authority": FINGERPRINT}}'
+)
+WHY_MAX: Final = 200
+
+
+class AnotherAuthorityError(HostError):
+    """The robots of a host have certificates of an authority that is not this machine's."""
+
+
+def refusal(found: str, own: str, file: str) -> str:
+    """Why robots that have another authority are left as they are, and what to do.
+
+    Args:
+        found, own: fingerprints of their authority, and of this machine's.
+        file: the fleet's, as it is named in commands.
+    """
+    return (
+        f"left as it was: its robots have another authority, {short(found)}; this machine's is {short(own)}. "
+        f"Ask for a certificate of theirs (`handfast keys {file} --request`), or, where theirs is lost for "
+        f"good, replace it (`handfast up {file} --take-over`)"
+    )
 
 
 class HostKeys:
@@ -31,12 +58,48 @@ class HostKeys:
 
     Args:
         fleet: located.
-        authority: of the fleet.
+        authority: of the fleet; None where it is on another computer: then robots that need a certificate
+            are refused.
+        own: the certificate of the authority that this operator knows (PEM).
+        file: the fleet's, as it is named in commands.
+        take_over: whether robots of another authority are given certificates of this one.
     """
 
-    def __init__(self, fleet: Fleet, authority: Authority) -> None:
-        self._fleet, self._authority = fleet, authority
+    def __init__(
+        self, fleet: Fleet, authority: Authority | None, own: bytes, file: str, *, take_over: bool = False
+    ) -> None:
+        self._fleet, self._authority, self._file, self._take_over = fleet, authority, file, take_over
         self._addresses = {host.name: host.address or host.name for host in fleet.hosts}
+        self._own_pem, self._own = own.decode("ascii"), fingerprint(authority_from_pem(own))
+        self._found: dict[str, str] = {}
+
+    @property
+    def is_first(self) -> bool:
+        """Whether no robot has been given a certificate by this authority yet, as far as is known here."""
+        return self._authority is not None and not self._authority.has_robots and not self._take_over
+
+    def look(self, connection: HostConnection) -> None:
+        """Looks which authority the robots of a host have, before anything changes there.
+
+        Raises:
+            AnotherAuthorityError: one that this machine's has not replaced.
+            HostError: the host does not answer.
+        """
+        keys, name = f"fleets/{self._fleet.fleet.name}/keys", AUTHORITY_CERTIFICATE
+        found = ""
+        if name in connection.ask("listing", folder=keys, pattern=name):
+            pem = connection.exchange("get", None, path=f"{keys}/{name}", most=PEM_BYTES_MAX)[1]
+            with suppress(CertificateError):  # one that is damaged rules nobody
+                found = fingerprint(authority_from_pem(pem))
+        self._found[connection.host.name] = found
+        if self._authority is not None:
+            refuse_another(self._authority, found, self._file, take_over=self._take_over)
+        elif found not in ("", self._own):
+            raise AnotherAuthorityError(refusal(found, self._own, self._file))
+
+    def replaces(self, host: str) -> bool:
+        """Whether the robots of a host that was looked at have another authority, and are to get this one."""
+        return self._found[host] not in ("", self._own)
 
     def __call__(self, connection: HostConnection, version: str, folder: str) -> None:
         """Sees to the robots of one host.
@@ -54,17 +117,21 @@ class HostKeys:
         who = ["--folder", folder, "--fleet", self._fleet.fleet.name]
         asked = ["request", *who, "--addresses", ",".join(addresses), "--ca", "-"]
         asked += [word for robot in robots for word in ("--robot", str(robot))]
-        authority = self._authority.certificate_pem.decode("ascii")
-        output = connection.ask("run", module=MODULE, arguments=asked, version=version, text=authority)
+        output = connection.ask("run", module=MODULE, arguments=asked, version=version, text=self._own_pem)
         for robot, line in zip(robots, output.splitlines(), strict=True):
             answer = json.loads(line)
             if answer["wanting"]:
-                text = self._signed(robot, answer["request"], addresses)
+                text = self._signed(robot, answer["request"], addresses, answer["wanting"])
                 words = ["store", *who, "--robot", str(robot)]
                 connection.ask("run", module=MODULE, arguments=words, version=version, text=text)
 
-    def _signed(self, robot: int, request: str, addresses: Sequence[str]) -> str:
+    def _signed(self, robot: int, request: str, addresses: Sequence[str], why: str) -> str:
         identity = of_robot(self._fleet.fleet.name, robot)
+        if self._authority is None:
+            raise HostError(
+                f"robot {robot} needs a certificate ({printable(why)[:WHY_MAX]}), and the authority "
+                f"{short(self._own)} is not on this machine: `handfast up` where it is"
+            )
         try:
             signed = self._authority.sign(identity, request.encode("ascii"), addresses, time.time())
         except AuthorityError as error:
@@ -72,52 +139,93 @@ class HostKeys:
         return signed.decode("ascii")
 
 
-def read_requests(file: str, fleet: Fleet) -> dict[int, str]:
-    """Requests by robot, from a file; ``-`` is standard input.
+def refuse_another(authority: Authority, found: str, file: str, *, take_over: bool) -> None:
+    """Raises `AnotherAuthorityError` where `found`, the fingerprint of robots' authority ("" for none), is
+    neither this one's nor one's that this one has replaced; unless they are to be taken over."""
+    if found and not take_over and not authority.has_been(found):
+        raise AnotherAuthorityError(refusal(found, authority.fingerprint, file))
+
+
+class Asked(NamedTuple):
+    """A robot's request (PEM), and the fingerprint of the authority that it has, "" for none."""
+
+    request: str
+    authority: str
+
+
+def read_input(file: str, most: int = REQUESTS_BYTES_MAX) -> bytes:
+    """What is in a file, and one byte more than `most` of one that is too large; ``-`` is standard input.
 
     Raises:
-        InputError: it cannot be read, or is something else.
+        InputError: it cannot be read.
     """
-    what = "standard input" if file == "-" else file
     try:
         with open(sys.stdin.fileno() if file == "-" else Path(file), "rb", closefd=file != "-") as stream:
-            data = stream.read(REQUESTS_BYTES_MAX + 1)
+            return stream.read(most + 1)
     except OSError as error:
         raise InputError(f"cannot read {file}: {reason(error)}") from None
+
+
+def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[int, Asked]:
+    """Requests by robot.
+
+    Args:
+        what: where they are from, for messages.
+
+    Raises:
+        InputError: it is something else.
+    """
     try:
         found = json.loads(data) if len(data) <= REQUESTS_BYTES_MAX else None
     except ValueError:  # no JSON, or no UTF-8
         found = None
-    if not isinstance(found, dict) or not all(map(_is_text, found.values())):
+    if not isinstance(found, dict) or not all(map(_is_asked, found.values())):
         raise InputError(f"{what} {REQUESTS_SHAPE}")
     for name in found:
         if name not in map(str, fleet.ids):
             raise InputError(f"{what}: there is no robot {name[:20]} in {fleet.fleet.name}")
-    return {int(name): request for name, request in found.items()}
+    return {int(name): Asked(each["request"], each["authority"]) for name, each in found.items()}
 
 
-def _is_text(value: object) -> bool:
-    return isinstance(value, str) and value.isascii()
+def _is_asked(value: object) -> bool:
+    if not isinstance(value, dict):
+        return False
+    texts = (value.get("request"), value.get("authority"))
+    return all(isinstance(text, str) and text.isascii() for text in texts)
 
 
-def answer(fleet: Fleet, authority: Authority, requests: dict[int, str], now_s: float) -> str:
+def answer(
+    fleet: Fleet,
+    authority: Authority,
+    requests: dict[int, Asked],
+    now_s: float,
+    file: str,
+    *,
+    take_over: bool = False,
+) -> str:
     """JSON: the authority's own certificate, and for each robot what ``agent.security store``
     takes.
 
     A certificate holds for the address of the robot's host.
 
+    Args:
+        file: the fleet's, as it is named in commands.
+        take_over: whether robots of another authority are given certificates of this one.
+
     Raises:
         deploy.inventory.certificate_authority.AuthorityError: a request is not one of its robot.
+        AnotherAuthorityError: it is one of a robot that has another authority.
     """
     hosts = {host.name: host for host in located(fleet).hosts}
     signed = {}
-    for robot, request in requests.items():
+    for robot, asked in requests.items():
         host = hosts.get(fleet.robot(robot).host or "")
         if host is None:
             raise InputError(
                 f"robot {robot} has no host: `handfast keys --robot {robot} --out DIR` makes its key"
             )
+        refuse_another(authority, asked.authority, file, take_over=take_over)
         where = [host.address or host.name]
         name = of_robot(fleet.fleet.name, robot)
-        signed[str(robot)] = authority.sign(name, request.encode(), where, now_s).decode("ascii")
+        signed[str(robot)] = authority.sign(name, asked.request.encode(), where, now_s).decode("ascii")
     return json.dumps({"authority": authority.certificate_pem.decode("ascii"), "signed": signed})

@@ -39,6 +39,7 @@ RESERVE_BYTES: Final = 50_000_000
 STOP_FILE: Final = "stop.json"
 """As robots look for it (`agent.runtime.order_store`)."""
 ORDERS_BYTES_MAX: Final = 1_000_000
+CERTIFICATE_BYTES_MAX: Final = 16_384
 COMPLETE: Final = ".complete"
 PLUGINS: Final = "handfast_plugins.txt"
 LOCK: Final = ".lock"
@@ -508,7 +509,22 @@ def status(fleet: str) -> dict[str, Any]:
         pid = about.get("MainPID", "0")
         found = re.search(r"/versions/([^/]+)/bin/python ", " ".join(command_line(pid)))
         units[name] = {**about, **used(pid), "version": found[1] if found else ""}
-    return {"units": units, "load": os.getloadavg()[0], "cores": os.cpu_count() or 1}
+    return {
+        "units": units,
+        "load": os.getloadavg()[0],
+        "cores": os.cpu_count() or 1,
+        "certificates": certificates(fleet),
+    }
+
+
+def certificates(fleet: str) -> dict[str, str]:
+    """The certificates (PEM) of a fleet's robots here, by file; they are public."""
+    found = {}
+    for path in sorted(inside(f"fleets/{fleet}/keys").glob("*.robot.*.crt")):
+        with suppress(OSError):
+            if not path.name.endswith(".next.crt") and path.stat().st_size <= CERTIFICATE_BYTES_MAX:
+                found[path.name] = path.read_text(errors="replace")
+    return found
 
 
 @request

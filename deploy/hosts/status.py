@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -14,10 +15,13 @@ from rich.text import Text
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.messages.types import Status
+from agent.security.certificates import DAY_S, until
+from agent.security.identity import IdentityError, parse
 from deploy.console.wording import robots
 from deploy.drive.live_view import STYLES
 from deploy.hosts import systemd_units
 from deploy.hosts.connection import Clock, HostError
+from deploy.inventory.expiry import Expiry
 
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240
@@ -33,6 +37,8 @@ class HostStatus:
     clock: Clock | None = None
     load: float | None = None
     error: str = ""
+    expiries: Mapping[int, float] = field(default_factory=dict)
+    """By robot, until when its certificate holds, s since the Unix epoch, as its host says."""
 
 
 def host_status(answer: Mapping[str, Any], clock: Clock) -> HostStatus:
@@ -50,9 +56,21 @@ def host_status(answer: Mapping[str, Any], clock: Clock) -> HostStatus:
             }
             for name, about in answer["units"].items()
         }
-        return HostStatus(found, clock, float(answer["load"]))
+        expiries = _expiries({str(name): str(pem) for name, pem in answer["certificates"].items()})
+        return HostStatus(found, clock, float(answer["load"]), expiries=expiries)
     except (TypeError, ValueError, LookupError, AttributeError, OverflowError) as error:
         raise HostError(f"what it says of its units makes no sense ({type(error).__name__})") from None
+
+
+def _expiries(certificates: Mapping[str, str]) -> dict[int, float]:
+    found = {}
+    for name, pem in certificates.items():
+        identity, ends_s = name.removesuffix(".crt"), until(pem.encode(errors="replace"))
+        with suppress(IdentityError):
+            robot = parse(identity).robot
+            if robot is not None and ends_s is not None:
+                found[robot] = ends_s
+    return found
 
 
 def host_rows(found: Mapping[str, HostStatus]) -> dict[str, dict[str, Any]]:
@@ -68,10 +86,32 @@ def host_rows(found: Mapping[str, HostStatus]) -> dict[str, dict[str, Any]]:
     }
 
 
+def robots_by_host(
+    found: Mapping[str, HostStatus], robots: Mapping[str, Sequence[int]], file: str
+) -> list[Expiry]:
+    """Until when robots' certificates hold, as their hosts say.
+
+    Args:
+        robots: by host, whose word on others counts for nothing.
+        file: the fleet's, as it is named in commands.
+    """
+    ends = {
+        robot: ends_s
+        for name, host in found.items()
+        for robot, ends_s in host.expiries.items()
+        if robot in robots[name]
+    }
+    return [Expiry(f"robot {robot}", ends[robot], f"`handfast up {file}`") for robot in sorted(ends)]
+
+
 def process_row(
-    fleet: Fleet, robot: int, role: str, host: HostStatus, status: Status | None
+    fleet: Fleet, robot: int, role: str, host: HostStatus, status: Status | None, now_s: float
 ) -> dict[str, Any]:
-    """What is known of a process, JSON values; None where it is not."""
+    """What is known of a process, JSON values; None where it is not.
+
+    Args:
+        now_s: the present, wall time.
+    """
     about = host.units.get(systemd_units.unit_name(fleet.fleet.name, robot, role), {})
     row: dict[str, Any] = {
         "robot": robot,
@@ -88,7 +128,10 @@ def process_row(
         "state": None,
         "reason": None,
         "oldest_ms": None,
+        "certificate_days": None,
     }
+    if robot in host.expiries:
+        row["certificate_days"] = round((host.expiries[robot] - now_s) / DAY_S, 1)
     if role == "agent" and status is not None:
         ages = [age_us for _, age_us, *_ in status.neighbours if age_us >= 0]
         row |= {

@@ -25,11 +25,12 @@ from deploy.console.wording import robots as robots_words
 from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
+from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.jobs import HostJobs
+from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs
 from deploy.hosts.plugin_files import plugin_modules
-from deploy.hosts.setup import Keys, Prepared, prepare
-from deploy.hosts.view import DONE, HostsView, Row
+from deploy.hosts.setup import Prepared, prepare
+from deploy.hosts.view import DOING, DONE, HostsView, Row
 from deploy.inventory.hosts import robots_text
 from deploy.session.sealing import sealed
 
@@ -73,13 +74,14 @@ class BringUp:
         rows: by host, what became of it.
         left: robots that should have started again and did not, as one before them did not come back.
         warnings: what the operator should know.
+        has_authority_of_now: whether all robots of the fleet are there, with the authority of now.
     """
 
     def __init__(
         self,
         fleet: Fleet,
         hosts: Sequence[HostSection],
-        keys: Keys | None,
+        keys: HostKeys | None,
         *,
         accept_new: bool,
         timing: Timing | None = None,
@@ -95,6 +97,10 @@ class BringUp:
         """Held by the one robot that may be down while the fleet drives."""
         self._halted = ""
         self._rolling = self._foreign = False
+        self.has_authority_of_now = False
+        self._asked: set[str] = set()
+        self._ruled: list[str] = []
+        """Hosts that were asked which authority their robots have, and those that have another one."""
         self._listened = threading.Event()
         self._starts, self._stopped = False, threading.Event()
         """Whether robots start of a fleet that stands, and that a stop was made for that."""
@@ -126,6 +132,7 @@ class BringUp:
                 jobs.wait(view, interrupt, look)
                 self._settle(interrupt)
             self._arrivals.look()
+            self.has_authority_of_now = set(self._arrivals.receivers) <= self._arrivals.with_authority_of_now
             for row in self.rows.values():
                 self._conclude(row)
             view.show(list(self.rows.values()))
@@ -187,7 +194,15 @@ class BringUp:
                 )
             if not self._rolling:
                 self._refuse_unheard(connection)
+            if self._rolling and self._replaces(connection):
+                raise HostError(
+                    "left as it was: the fleet drives, and would fall apart with robots of two authorities. "
+                    "`handfast stop` first, then up"
+                )
 
+        if self._keys is not None:
+            say("asking which authority its robots have")
+            self._refuse_another_authority(self._keys, connection)
         prepared = prepare(
             connection, self._fleet, self._text, self._program, say, self._keys, before_changes
         )
@@ -197,6 +212,28 @@ class BringUp:
         self.warnings += [f"{row.host}: {warning}" for warning in self._left_over(connection, prepared)]
         row.done(f"up, {what}")
 
+    def _refuse_another_authority(self, keys: HostKeys, connection: HostConnection) -> None:
+        """Raises `HostError` where the robots of a host have another authority; before this machine's has
+        given any robot a certificate, also where those of any other host have: a fleet shall not have two."""
+        is_first, name = keys.is_first, connection.host.name
+        try:
+            keys.look(connection)
+        except AnotherAuthorityError:
+            self._ruled.append(name)
+            raise
+        finally:
+            self._asked.add(name)
+        while is_first and not self._ruled and not self._jobs.ended:
+            known = [row for row in self.rows.values() if row.state != DOING or row.host in self._asked]
+            if len(known) >= min(len(self.rows), AT_ONCE_MAX):  # others begin when some of these have ended
+                break
+            time.sleep(self._timing.look_s)
+        if is_first and self._ruled:
+            raise HostError(f"left as it was: another authority rules on {', '.join(self._ruled)}")
+
+    def _replaces(self, connection: HostConnection) -> bool:
+        return self._keys is not None and self._keys.replaces(connection.host.name)
+
     def _refuse_unheard(self, connection: HostConnection) -> None:
         """Raises `HostError` where the fleet is heard to stand, but a robot there says that it drives."""
         units = connection.ask("status", fleet=self._fleet.fleet.name)["units"]
@@ -205,6 +242,10 @@ class BringUp:
             state = about.get("StatusText", "").partition(":")[0]
             if about.get("ActiveState") != "active" or state not in DRIVING_NAMES:
                 continue
+            if not self._arrivals.drives(robot) and self._replaces(connection):
+                raise HostError(
+                    f"left as it was: robot {robot} drives, by another authority: `handfast down` first"
+                )
             if not self._arrivals.drives(robot):
                 raise HostError(
                     f"left as it was: robot {robot} drives, but is not heard here: `handfast stop` first, or "

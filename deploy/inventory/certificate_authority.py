@@ -1,7 +1,8 @@
 """The fleet's certificate authority, on the operator's machine: whom it has signed a certificate for.
 
-Its private key never leaves this folder. There is no list of revoked certificates that robots would have to
-be given: to shut somebody out, `replace` makes a new authority, and all others get new certificates of it.
+Its private key never leaves this folder, but in a backup (`deploy.inventory.authority_backup`). There is no
+list of revoked certificates that robots would have to be given: to shut somebody out, `replace` makes a new
+authority, and all others get new certificates of it.
 """
 
 from __future__ import annotations
@@ -13,8 +14,6 @@ import threading
 import time
 from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
@@ -33,22 +32,25 @@ from agent.security.certificates import (
     pem_of,
     pem_of_key,
 )
+from agent.security.credentials import AUTHORITY_CERTIFICATE, authority_of
 from agent.security.identity import Identity, IdentityError, addresses, parse
 from agent.security.private_files import KeyFileError
+from deploy.inventory.certificate_builder import self_signed, signed
+from deploy.inventory.certificate_requests import RequestError, examined
+from deploy.inventory.operator_credentials import (
+    AUTHORITY_FILE,
+    keep_as_earlier,
+    short,
+)
 
 if TYPE_CHECKING:
-    from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
 
-AUTHORITY_DAYS: Final = 3650
-CERTIFICATE_DAYS: Final = 365
-BACK_S: Final = 600
-"""Certificates are valid from so long ago: clocks of robots may be behind."""
-REQUEST_BYTES_MAX: Final = 8192
 WAIT_S: Final = 10.0
 """How long another command that uses the keys is waited for."""
 LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
 """Agent and plant of one robot may talk over these, wherever they are."""
+INDEX_FILE: Final = "index.json"
 INDEX_BYTES_MAX: Final = 64_000_000
 _INDEX_VERSION: Final = 1
 
@@ -73,13 +75,6 @@ class Issued:
         return (self.not_after_s - now_s) / DAY_S
 
 
-def keys_folder(fleet: str) -> Path:
-    """Where the keys of a fleet are, in the user's folder for configuration."""
-    base = os.environ.get("XDG_CONFIG_HOME", "")
-    root = Path(base) if base.startswith("/") else Path.home() / ".config"
-    return root / "handfast" / "keys" / fleet
-
-
 class Authority:
     """The authority of one fleet, held for one command at a time: a context manager. Threads may share it.
 
@@ -88,29 +83,34 @@ class Authority:
         fleet: name of the fleet.
         robots: ids of the robots that may have certificates.
         now_s: the present, wall time.
+        instead: makes a new authority also where the folder knows one that is not here: that one is lost.
 
     Attributes:
         created: whether the authority is a new one.
         generation: 1, and one more for each `replace`.
 
     Raises:
-        AuthorityError: the files cannot be used, or another command uses them.
+        AuthorityError: the files cannot be used, or another command uses them; or the folder has
+            certificates of an authority that is elsewhere.
     """
 
-    def __init__(self, folder: Path, fleet: str, robots: Collection[int], now_s: float) -> None:
+    def __init__(
+        self, folder: Path, fleet: str, robots: Collection[int], now_s: float, *, instead: bool = False
+    ) -> None:
         self.folder, self.fleet = folder, fleet
         self._robots = frozenset(robots)
         self._thread_lock = threading.Lock()
         self.created = False
         self.generation = 1
         self._issued: list[Issued] = []
+        self._replaced: list[str] = []
         try:
             private_files.private_directory(folder)
             self._lock = _locked(folder, fleet)
         except KeyFileError as error:
             raise AuthorityError(str(error)) from None
         try:
-            self._open(now_s)
+            self._open(now_s, instead)
         except (KeyFileError, CertificateError) as error:
             self.close()
             raise AuthorityError(str(error)) from None
@@ -153,6 +153,15 @@ class Authority:
         """All that it has signed, the oldest first, of earlier generations too."""
         return tuple(self._issued)
 
+    def has_been(self, digits: str) -> bool:
+        """Whether an authority of this fingerprint is this one, or one that this one has replaced."""
+        return digits == self.fingerprint or digits in self._replaced
+
+    @property
+    def has_robots(self) -> bool:
+        """Whether it, or one that it has replaced, has ever signed a robot's certificate."""
+        return any(parse(entry.identity).role == "robot" for entry in self._issued)
+
     def sign(self, identity: Identity, request: bytes, where: Iterable[str], now_s: float) -> bytes:
         """A certificate for the key of a request, and the authority's own after it (PEM).
 
@@ -165,39 +174,39 @@ class Authority:
             AuthorityError: the fleet has no such robot, the request is not one of `identity`, or the
                 authority has expired.
         """
-        from cryptography import x509
-        from cryptography.hazmat.primitives.asymmetric import ec
-
-        if len(request) > REQUEST_BYTES_MAX:
-            raise AuthorityError(f"the request of {identity} is too large ({len(request)} bytes)")
         try:
-            asked = x509.load_pem_x509_csr(request)
-            sound = asked.is_signature_valid
-            key = asked.public_key()
-            name = common_name_of(asked.subject)
-        except Exception:  # several unrelated types; each means the same here
-            raise AuthorityError(f"what came for {identity} is not a certificate request") from None
-        if not sound or not isinstance(key, ec.EllipticCurvePublicKey):
-            raise AuthorityError(f"the request of {identity} is not signed with a key of the right kind")
-        if not isinstance(key.curve, ec.SECP256R1):
-            raise AuthorityError(f"the request of {identity} is for a key on {key.curve.name}, not on P-256")
-        if name != identity.common_name:
-            raise AuthorityError(f"the request of {identity} is one for {name[:80]!r}")
-        return self._sign(identity, key, where, now_s)
+            asked = examined(request, f"the request of {identity}")
+        except RequestError as error:
+            raise AuthorityError(str(error)) from None
+        if asked.common_name != identity.common_name:
+            raise AuthorityError(f"the request of {identity} is one for {asked.common_name[:80]!r}")
+        return self._sign(identity, asked.key, where, now_s)
 
     def replace(self, now_s: float) -> None:
         """A new authority instead of this one: every certificate that was signed is worth nothing any more.
+
+        Credentials of before are kept, for the robots that have no others yet
+        (`deploy.inventory.operator_credentials`).
 
         Raises:
             AuthorityError: it cannot be written.
         """
         with self._thread_lock:
+            try:
+                keep_as_earlier(self.folder)
+            except KeyFileError as error:
+                raise AuthorityError(str(error)) from None
+            self._replaced.append(self.fingerprint)
+            self._write_index()
             self._make(self.generation + 1, now_s)
 
-    def _open(self, now_s: float) -> None:
-        self._issued = self._read_index()
+    def _open(self, now_s: float, instead: bool) -> None:
+        self._read_index()
         if not private_files.exists(self._file):
-            self._make(1 + max((entry.generation for entry in self._issued), default=0), now_s)
+            self._refuse_second(instead)
+            keep_as_earlier(self.folder)
+            used = [entry.generation for entry in self._issued]
+            self._make(1 + max([*used, self._generation_known()]), now_s)
             self.created = True
             return
         data = private_files.read(self._file, private=True)
@@ -215,18 +224,41 @@ class Authority:
         self.generation = int(generation)
         self._write_certificate()
 
+    def _refuse_second(self, instead: bool) -> None:
+        """Refuses to make an authority beside one that is known here, but kept elsewhere."""
+        known = authority_of(self.folder)
+        if known and not instead:
+            raise AuthorityError(
+                f"{self.folder} has certificates of the authority {short(known)}, which is not here: ask for "
+                "new ones where it is (--request), bring it back (--restore FILE), or, if it is lost, make "
+                "another (--replace-authority)"
+            )
+        if not known and any(self.folder.glob("*.next.key")):
+            raise AuthorityError(
+                f"a request from {self.folder} waits to be signed by the fleet's authority: --install what "
+                "it has signed; to make an authority here instead, remove that folder first"
+            )
+
+    def _generation_known(self) -> int:
+        """Generation of the authority whose certificate is here, 0 for none."""
+        if not authority_of(self.folder):
+            return 0
+        found = authority_from_pem(private_files.read(self.folder / AUTHORITY_CERTIFICATE))
+        generation = common_name_of(found.subject).rpartition(".")[2]
+        return int(generation) if generation.isdecimal() else 0
+
     @property
     def _file(self) -> Path:
         """Key and certificate in one file: one of them alone can never be there."""
-        return self.folder / "authority.pem"
+        return self.folder / AUTHORITY_FILE
 
     @property
     def _index(self) -> Path:
-        return self.folder / "index.json"
+        return self.folder / INDEX_FILE
 
     def _make(self, generation: int, now_s: float) -> None:
         key = new_key()
-        certificate = _self_signed(key, f"{self.fleet}.authority.{generation}", now_s)
+        certificate = self_signed(key, f"{self.fleet}.authority.{generation}", now_s)
         try:
             private_files.write(self._file, pem_of_key(key) + pem_of(certificate), private=True)
             self._key, self._certificate, self.generation = key, certificate, generation
@@ -235,7 +267,7 @@ class Authority:
             raise AuthorityError(str(error)) from None
 
     def _write_certificate(self) -> None:
-        path, wanted = self.folder / "ca.crt", self.certificate_pem
+        path, wanted = self.folder / AUTHORITY_CERTIFICATE, self.certificate_pem
         if not private_files.exists(path) or private_files.read(path) != wanted:
             private_files.write(path, wanted)
 
@@ -257,12 +289,12 @@ class Authority:
         with self._thread_lock:
             if self._lock is None:
                 raise AuthorityError("the authority is closed")
-            signed = _signed(self._key, self._certificate, identity, key, holds_for, now_s)
-            certificate = issued_from_pem(signed, self._certificate)
+            made = signed(self._key, self._certificate, identity, key, holds_for, now_s)
+            certificate = issued_from_pem(made, self._certificate)
             # First the index: nobody has a certificate that is not in it.
             self._issued.append(self._entry(certificate))
             self._write_index()
-            return signed + self.certificate_pem
+            return made + self.certificate_pem
 
     def _entry(self, certificate: Certificate) -> Issued:
         return Issued(
@@ -275,9 +307,9 @@ class Authority:
             fingerprint=certificate.fingerprint,
         )
 
-    def _read_index(self) -> list[Issued]:
+    def _read_index(self) -> None:
         if not private_files.exists(self._index):
-            return []
+            return
         try:
             tables: Any = json.loads(private_files.read(self._index, most=INDEX_BYTES_MAX))
             if tables["version"] != _INDEX_VERSION:
@@ -285,14 +317,20 @@ class Authority:
             found = [Issued(**row | {"addresses": tuple(row["addresses"])}) for row in tables["issued"]]
             for entry in found:
                 parse(entry.identity)
+            replaced = list(map(str, tables.get("replaced", [])))
         except (ValueError, TypeError, KeyError):  # not JSON, or not as we write it
             raise AuthorityError(
                 f"{self._index} is damaged: put it away; certificates that were signed stay valid"
             ) from None
-        return found
+        self._issued, self._replaced = found, replaced
 
     def _write_index(self) -> None:
-        table = {"version": _INDEX_VERSION, "fleet": self.fleet, "issued": [*map(asdict, self._issued)]}
+        table = {
+            "version": _INDEX_VERSION,
+            "fleet": self.fleet,
+            "replaced": self._replaced,
+            "issued": [*map(asdict, self._issued)],
+        }
         try:
             private_files.write(self._index, json.dumps(table, indent=1).encode() + b"\n", private=True)
         except KeyFileError as error:
@@ -314,99 +352,3 @@ def _locked(folder: Path, fleet: str) -> int | None:
                 os.close(handle)
                 raise KeyFileError(f"another handfast command uses the keys of {fleet}: try again") from None
             time.sleep(0.05)
-
-
-def _self_signed(key: EllipticCurvePrivateKey, name: str, now_s: float) -> x509.Certificate:
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes
-
-    subject = _name(name)
-    return (
-        _dated(now_s, AUTHORITY_DAYS)
-        .subject_name(subject)
-        .issuer_name(subject)
-        .public_key(key.public_key())
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_usage(signs_certificates=True), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-
-
-def _signed(
-    key: EllipticCurvePrivateKey,
-    authority: x509.Certificate,
-    identity: Identity,
-    public_key: EllipticCurvePublicKey,
-    where: Iterable[str],
-    now_s: float,
-) -> bytes:
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes
-    from cryptography.x509.oid import ExtendedKeyUsageOID
-
-    names: list[x509.GeneralName] = [
-        x509.IPAddress(ip_address(address)) if is_ip(address) else x509.DNSName(address) for address in where
-    ]
-    certificate = (
-        _dated(now_s, CERTIFICATE_DAYS, authority.not_valid_after_utc)
-        .subject_name(_name(identity.common_name))
-        .issuer_name(authority.subject)
-        .public_key(public_key)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_usage(signs_certificates=False), critical=True)
-        # Of two agents either may dial, and either listen.
-        .add_extension(
-            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
-            critical=False,
-        )
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(key.public_key()), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    return pem_of(certificate)
-
-
-def _dated(now_s: float, days: int, at_most: datetime | None = None) -> x509.CertificateBuilder:
-    from cryptography import x509
-
-    now = datetime.fromtimestamp(int(now_s), UTC)
-    until = now + timedelta(days=days)
-    return (
-        x509.CertificateBuilder()
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - timedelta(seconds=BACK_S))
-        .not_valid_after(until if at_most is None else min(until, at_most))
-    )
-
-
-def _name(common_name: str) -> x509.Name:
-    from cryptography import x509
-    from cryptography.x509.oid import NameOID
-
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
-
-
-def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
-    from cryptography import x509
-
-    return x509.KeyUsage(
-        digital_signature=not signs_certificates,
-        key_cert_sign=signs_certificates,
-        crl_sign=signs_certificates,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
-
-
-def is_ip(address: str) -> bool:
-    """Whether an address of `agent.security.identity.addresses` is an IP address, not a host name."""
-    try:
-        ip_address(address)
-    except ValueError:
-        return False
-    return True

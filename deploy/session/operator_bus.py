@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -10,21 +9,25 @@ from typing import Final
 
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
-from agent.runtime.bus import Bus
+from agent.runtime.bus import Bus, BusError
 from agent.runtime.sealed_bus import bus_for
-from agent.security.credentials import CredentialsError, MissingError
-from agent.security.identity import MAIN, IdentityError, of_operator
+from agent.security.credentials import CredentialsError, MissingError, NotValidNowError
+from agent.security.identity import Identity, IdentityError, of_operator
+from agent.security.refusals import ANOTHER_AUTHORITY
 from deploy.console.arguments import InputError
 from deploy.faults.live import receivers
-from deploy.inventory.certificate_authority import keys_folder
+from deploy.inventory.operator_credentials import OPERATOR, earlier_folders, keys_folder, operator_name
+from deploy.session.joined_bus import JoinedBus, OperatorBus
 
-OPERATOR: Final = "HANDFAST_OPERATOR"
-KEYS: Final = "HANDFAST_KEYS"
-"""Variables of the environment: who gives orders here, and the folder of that operator's key."""
+JOINED_RETRY_MS: Final = (500, 1000)
+"""Pauses between attempts where some robots must refuse them, having another authority: each refusal costs
+the robot a tenth of a second in which it accepts nobody else."""
+BOTH: Final = "some robots may have an earlier authority still: linking with both; `handfast up` ends that"
 
 
-def operator_bus(fleet: Fleet) -> Bus:
-    """On the bus of `fleet`, connected to every agent and plant, or to one of its routers.
+def operator_bus(fleet: Fleet) -> OperatorBus:
+    """On the bus of `fleet`, connected to every agent and plant, or to one of its routers; while an authority
+    is being replaced, with the credentials of before as well.
 
     Raises:
         agent.runtime.bus.BusError: the bus cannot be opened.
@@ -37,10 +40,7 @@ def operator_bus(fleet: Fleet) -> Bus:
     ]
     if not fleet.is_secured:
         return bus_for(fleet, None, None, _log, listen=[], connect=connect)
-    name = fleet.fleet.name
-    given = os.environ.get(KEYS, "")
-    folder = Path(given).expanduser() if given else keys_folder(name)
-    who = os.environ.get(OPERATOR, MAIN)
+    name, folder, who = fleet.fleet.name, keys_folder(fleet.fleet.name), operator_name()
     try:
         identity = of_operator(name, who)
     except IdentityError as error:
@@ -50,11 +50,63 @@ def operator_bus(fleet: Fleet) -> Bus:
             f"{OPERATOR}: robots of {name} take no orders of {who}; network.operators are "
             f"{', '.join(fleet.network.operators)}"
         )
+    earlier = earlier_folders(folder)
     try:
+        if earlier:
+            return _joined(fleet, identity, folder, earlier, connect)
         return bus_for(fleet, identity, folder, _log, listen=[], connect=connect)
     except CredentialsError as error:
-        advice = "; `handfast keys` makes one" if isinstance(error, MissingError) else ""
-        raise InputError(f"{error}{advice}") from None
+        raise InputError(f"{error}{_advice(error)}") from None
+
+
+def _joined(
+    fleet: Fleet, identity: Identity, folder: Path, earlier: list[Path], connect: list[str]
+) -> OperatorBus:
+    """A bus with each of the credentials that can be used; raises as the first where there are none."""
+    found: list[Bus | None] = []
+    first: CredentialsError | BusError | None = None
+    try:
+        for each in (folder, *earlier):
+            try:
+                found.append(
+                    bus_for(
+                        *(fleet, identity, each, _log_joined),
+                        listen=[],
+                        connect=connect,
+                        retry_ms=JOINED_RETRY_MS,
+                    )
+                )
+            except (CredentialsError, BusError) as error:
+                first = first or error
+                found.append(None)
+                if each == folder and isinstance(error, CredentialsError):
+                    _log(f"{error}{_advice(error)}")
+    except BaseException:
+        JoinedBus(None, [bus for bus in found if bus is not None]).close()
+        raise
+    now, *before = found
+    usable = [bus for bus in before if bus is not None]
+    if now is None and not usable:
+        assert first is not None
+        raise first
+    if now is not None and not usable:
+        return now
+    _log(BOTH)
+    return JoinedBus(now, usable)
+
+
+def _advice(error: CredentialsError) -> str:
+    if isinstance(error, MissingError):
+        return "; `handfast keys` makes one (on another computer than the authority's: --request)"
+    if isinstance(error, NotValidNowError):
+        return "; `handfast keys` renews it (on another computer than the authority's: --request)"
+    return ""
+
+
+def _log_joined(text: str) -> None:
+    """As `_log`, without what is so by the nature of things: that each robot refuses one of the two."""
+    if not any(why in text for why in ANOTHER_AUTHORITY):
+        _log(text)
 
 
 def _log(text: str) -> None:

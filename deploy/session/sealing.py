@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 
 from agent.fleet.model import Fleet
+from agent.runtime.order_store import ORDERS_MAX
 from agent.security.credentials import CredentialsError, load
-from agent.security.identity import MAIN, IdentityError, of_operator
+from agent.security.identity import IdentityError, of_operator
 from agent.security.sealed_order import Sealer
 from deploy.console.arguments import InputError
-from deploy.inventory.certificate_authority import keys_folder
-from deploy.session.operator_bus import KEYS, OPERATOR
+from deploy.inventory.operator_credentials import earlier_folders, keys_folder, operator_name
 
 
 def sealed(fleet: Fleet, order: bytes) -> tuple[bytes, ...]:
-    """The encoded order, sealed by this operator where `fleet` is secured.
+    """The encoded order, sealed by this operator where `fleet` is secured; while an authority is being
+    replaced once with the credentials of each.
 
     Raises:
         InputError: this operator has no certificate that is valid.
@@ -24,10 +23,16 @@ def sealed(fleet: Fleet, order: bytes) -> tuple[bytes, ...]:
     if not fleet.is_secured:
         return (order,)
     name, now_ns = fleet.fleet.name, time.time_ns()
-    given = os.environ.get(KEYS, "")
-    try:
-        identity = of_operator(name, os.environ.get(OPERATOR, MAIN))
-        found = load(Path(given) if given else keys_folder(name), identity, now_ns / 1e9)
-    except (CredentialsError, IdentityError) as error:
-        raise InputError(str(error)) from None
-    return (Sealer(found).seal(order, now_ns),)
+    folder = keys_folder(name)
+    found: list[bytes] = []
+    first: CredentialsError | IdentityError | None = None
+    for each in (folder, *earlier_folders(folder)):
+        try:
+            sealer = Sealer(load(each, of_operator(name, operator_name()), now_ns / 1e9))
+        except (CredentialsError, IdentityError) as error:
+            first = first or error
+        else:
+            found.append(sealer.seal(order, now_ns))
+    if first is not None and not found:
+        raise InputError(str(first)) from None
+    return tuple(found[:ORDERS_MAX])

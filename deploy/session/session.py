@@ -16,6 +16,7 @@ from agent.runtime.clock import RealClock
 from deploy.console.interrupt import Interrupt
 from deploy.faults.live import Receiver, receivers
 from deploy.inventory.running import NoAnswerError
+from deploy.session.joined_bus import JoinedPresence
 from deploy.session.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0
@@ -65,6 +66,14 @@ class Session:
 
     def close(self) -> None:
         self.bus.close()
+
+    @property
+    def with_authority_of_now(self) -> set[Receiver]:
+        """Those that are there and believe the authority of now: all but while one is being replaced."""
+        if not isinstance(self._presence, JoinedPresence):
+            return self.alive
+        found = map(key_expressions.robot_of_alive, self._presence.alive_now)
+        return {receiver for receiver in found if receiver is not None} & self.alive
 
     def now_ns(self) -> int:
         return self.clock.now_ns()

@@ -25,7 +25,7 @@ from agent.runtime.bus import RUNTIME, settings_of
 from agent.runtime.sealed_bus import secured
 from agent.security.credentials import load
 from agent.security.identity import MAIN, of_operator
-from deploy.inventory.certificate_authority import keys_folder
+from deploy.inventory.operator_credentials import keys_folder
 
 SETTLE_S: Final = 1.0
 WAITING: Final = 4096

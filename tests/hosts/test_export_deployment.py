@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from deploy.inventory.operator_credentials import KEYS
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
 from tests.hosts.host import Setup
 from tests.hosts.hosts import Hosts
@@ -170,6 +171,39 @@ def test_again_there_is_nothing_to_do_and_up_agrees(deployment: Deployment) -> N
     assert fleet.processes() == before
 
 
+class Second(FleetOnHosts):
+    """The same fleet, for an operator on another computer: with other keys."""
+
+    def environment(self) -> dict[str, str]:
+        return super().environment() | {KEYS: str(self.folder / "second")}
+
+
+def test_another_authority_takes_nothing_over_but_where_that_is_said(
+    deployment: Deployment, tmp_path: Path
+) -> None:
+    fleet = deployment.fleet
+    second = Deployment(
+        Second(fleet.hosts, fleet.folder, tables(fleet.hosts), fleet.cache), tmp_path / "deployment"
+    )
+    second.fleet.handfast("keys")
+
+    def rules() -> list[bytes]:
+        return [
+            (host.home / ".local/share/handfast/fleets/pair/keys/ca.crt").read_bytes() for host in fleet.hosts
+        ]
+
+    before, running = rules(), fleet.processes()
+    said = second.play(status=2)
+    for host in fleet.hosts:
+        why = "left as it was: its robots have another authority"
+        assert re.search(rf"fatal: \[{host.name}\]: FAILED! => [^!]*{why}", said), said
+    assert (rules(), fleet.processes()) == (before, running)
+    second.play("-e", "take_over=true")
+    assert not set(before) & set(rules())
+    deployment.play("-e", "take_over=true")
+    assert rules() == before
+
+
 def test_while_they_drive_one_robot_at_a_time_starts_again(deployment: Deployment, tmp_path: Path) -> None:
     fleet = deployment.fleet
     newer = tmp_path / "newer"
@@ -184,6 +218,9 @@ def test_while_they_drive_one_robot_at_a_time_starts_again(deployment: Deploymen
     out = tmp_path / "run"
     child = fleet.start("drive", "--duration", "300s", "--out", str(out), "--no-report")
     wait_for(lambda: drives(fleet, child), "both drive", 60.0)
+    second = Second(fleet.hosts, fleet.folder, tables(fleet.hosts), fleet.cache)
+    said = Deployment(second, tmp_path / "second").play("-e", "take_over=true", status=2)
+    assert "the fleet drives, and would fall apart with robots of two authorities" in said
     said = deployment.play(status=2)
     assert "robot 1 drives and would have to start again: -e rolling=true" in said
     assert fleet.processes() == running

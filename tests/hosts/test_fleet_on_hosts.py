@@ -113,7 +113,8 @@ def test_status_tells_of_every_process(fleet: FleetOnHosts) -> None:
     assert len({row["version"] for row in rows.values()}) == 1
     table = fleet.handfast("status").stdout
     assert "host2: clock" in table
-    assert len(table.splitlines()) == 1 + 18 + 3 + 1
+    assert "certificates hold for: operator main 36" in table
+    assert len(table.splitlines()) == 1 + 18 + 3 + 1 + 1
 
 
 def test_units_watch_their_processes_and_hold_no_secret(fleet: FleetOnHosts) -> None:

@@ -43,7 +43,7 @@ class Keys:
         self._by = authority(folder / "authority", self.now_s - AGO_S, self.name)
         self._other = authority(folder / "other-authority", self.now_s, self.name)
         for identity in (*map(self.robot, fleet.ids), self.operator(), self.operator(EAR)):
-            credentials(self._by, self.of(identity), identity, (ADDRESS,), self.now_s)
+            self.give(identity, self.now_s)
 
     def __enter__(self) -> Keys:
         return self
@@ -63,6 +63,10 @@ class Keys:
     def of(self, identity: Identity) -> Path:
         """Where the genuine credentials of `identity` are."""
         return self.folder / str(identity).replace(" ", "-")
+
+    def give(self, identity: Identity, at_s: float) -> None:
+        """Gives `identity` genuine ones in the place of what it has, as signed at `at_s` (wall time)."""
+        credentials(self._by, self.of(identity), identity, (ADDRESS,), at_s)
 
     def files(self, identity: Identity) -> Files:
         """The genuine ones of `identity`."""

@@ -17,8 +17,8 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import HandState, Heartbeat, Resume, Status, Stop
 from deploy.drive.preconditions import OVER
+from deploy.inventory.operator_credentials import KEYS
 from deploy.recording.mcap_reader import read_run
-from deploy.session.operator_bus import KEYS
 from tests.process import attackers
 from tests.process.harness import Command, assert_same_way, hands, measured, no_trouble_in_logs
 from tests.process.secured_fleet import EAR, TAKEN, SecuredRobots, secured_robots, three

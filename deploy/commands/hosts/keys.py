@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from agent.common.exit import PASSED
 from agent.fleet.model import Fleet
-from agent.security import private_files
 from agent.security.certificates import DAY_S
-from agent.security.credentials import RENEW_DAYS, CredentialsError, load, make_request, store, wanting
+from agent.security.credentials import (
+    RENEW_DAYS,
+    CredentialsError,
+    authority_of,
+    load,
+    make_request,
+    store,
+    wanting,
+)
 from agent.security.identity import (
     MAIN,
     Identity,
@@ -25,11 +32,23 @@ from agent.security.identity import (
     parse,
 )
 from agent.security.private_files import KeyFileError
+from deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
 from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved
-from deploy.hosts.certificates import answer, read_requests
-from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued, keys_folder
+from deploy.hosts.certificates import AnotherAuthorityError
+from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
+from deploy.inventory.certificate_requests import RequestError
+from deploy.inventory.operator_credentials import (
+    KEYS,
+    OPERATOR,
+    drop_earlier,
+    earlier_folders,
+    keys_folder,
+    operator_name,
+    short,
+)
 
 NEW_AUTHORITY: Final = "every certificate of before is void; who has no new one yet is shut out"
+KEPT: Final = "that of before is kept in {}, so that `handfast stop` reaches all, until `handfast up` has too"
 LAST_DAYS: Final = 365
 """An authority that is about to end is warned of for so long: no certificate outlives it."""
 
@@ -40,11 +59,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         ": the fleet's authority and this operator's certificate, if "
         "they are missing or expire soon. Robots with a host get theirs from `handfast up`; their private "
-        "keys never leave them. Exit status: 0; 2 bad input.",
+        "keys never leave them. A second operator, on another computer, asks the authority's for a "
+        "certificate: --request there, --sign here, --install there. Exit status: 0; 2 bad input.",
     )
     fleet_arguments(parser)
-    parser.add_argument("--keys", metavar="DIR", help="where the keys are (~/.config/handfast/keys/FLEET)")
-    parser.add_argument("--operator", metavar="NAME", default=MAIN, help=f"who gives orders here ({MAIN})")
+    parser.add_argument(
+        "--keys", metavar="DIR", help=f"where the keys are (${KEYS}, or ~/.config/handfast/keys/FLEET)"
+    )
+    parser.add_argument("--operator", metavar="NAME", help=f"who gives orders here (${OPERATOR}, or {MAIN})")
     parser.add_argument(
         "--router", action="store_const", const=MAIN, help="make the certificate of the fleet's routers, too"
     )
@@ -59,58 +81,93 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A",
         help="address that others reach the router or the robot at, repeatedly",
     )
-    parser.add_argument("--out", metavar="DIR", help="folder for what is to be carried to another computer")
+    parser.add_argument(
+        "--out", metavar="PATH", help="folder, or file, for what is to be carried to another computer"
+    )
     parser.add_argument(
         "--renew", action="store_true", help="new certificates also where they are still good"
     )
     parser.add_argument(
         "--replace-authority",
         action="store_true",
-        help="shut out whoever has a certificate now: a new authority, and new certificates for all",
+        help="shut out whoever has a certificate now: a new authority, and new certificates for all; the "
+        "fleet must be at rest",
     )
-    parser.add_argument("--list", action="store_true", help="only show what there is")
     parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace the authority whatever robots do, and whether they can be asked or not",
+    )
+    alone = parser.add_argument_group("instead of that")
+    alone.add_argument("--list", action="store_true", help="only show what there is")
+    alone.add_argument(
+        "--request",
+        action="store_true",
+        help="make a key for this operator, and a request for its certificate (--out FILE)",
+    )
+    alone.add_argument(
         "--sign",
         metavar="FILE",
-        help="only sign robots' requests, JSON {ROBOT: PEM}, - for standard input; prints "
-        '{"authority": PEM, "signed": {ROBOT: PEM}}',
+        help="sign an operator's request (PEM; --out FILE); or robots', JSON {ROBOT: {request: PEM, "
+        'authority: FINGERPRINT}}, - for standard input: prints {"authority": PEM, "signed": {ROBOT: PEM}}',
+    )
+    alone.add_argument(
+        "--take-over", action="store_true", help="with --sign: also for robots that have another authority"
+    )
+    alone.add_argument("--install", metavar="FILE", help="take what --sign wrote, for the key of --request")
+    alone.add_argument(
+        "--backup", metavar="FILE", help="write the authority to a new file, under a passphrase"
+    )
+    alone.add_argument("--restore", metavar="FILE", help="bring the authority back from such a file")
+    alone.add_argument(
+        "--drop-earlier",
+        action="store_true",
+        help="forget authorities of before: robots that still have one are given up",
     )
     parser.set_defaults(command=_keys)
 
 
 def _keys(options: argparse.Namespace) -> int:
     fleet = load_unresolved(options)
-    try:
-        _check(options, fleet)
-    except IdentityError as error:
-        raise InputError(str(error)) from None
     name = fleet.fleet.name
     folder = Path(options.keys).expanduser() if options.keys is not None else keys_folder(name)
-    now_s = time.time()
+    options.operator = operator_name() if options.operator is None else options.operator
     try:
-        requests = read_requests(options.sign, fleet) if options.sign is not None else None
-        if (options.list or requests is not None) and not private_files.exists(folder / "authority.pem"):
-            raise InputError(f"{name} has no authority in {folder}: `handfast keys {options.fleet}` makes it")
-        with Authority(folder, name, fleet.ids, now_s) as authority:
-            if requests is not None:
-                print(answer(fleet, authority, requests, now_s))
-                return PASSED
-            if not options.list:
-                _make(options, fleet, authority, now_s)
-            _show(authority, now_s)
-    except (AuthorityError, CredentialsError, IdentityError, KeyFileError) as error:
+        _check(options, fleet)
+        alone = next((action for option, action in ALONE.items() if _given(options, option)), None)
+        (alone or _provide_all)(options, fleet, folder, time.time())
+    except (
+        AnotherAuthorityError,
+        AuthorityError,
+        CredentialsError,
+        IdentityError,
+        KeyFileError,
+        RequestError,
+    ) as error:
         raise InputError(str(error)) from None
     return PASSED
 
 
+def _given(options: argparse.Namespace, option: str) -> bool:
+    return getattr(options, option) not in (None, False)
+
+
 def _check(options: argparse.Namespace, fleet: Fleet) -> None:
-    if options.sign is not None and (options.list or options.renew or options.replace_authority):
-        raise InputError("--sign only signs: leave out the other options")
-    if options.sign is not None and (options.robot is not None or options.router is not None):
-        raise InputError("--sign has robots in its file: leave out the other options")
-    if options.list and (options.renew or options.replace_authority or options.router or options.robot):
-        raise InputError("--list only shows what there is: leave out the other options")
-    if (options.robot is not None) != (options.out is not None) and options.router is None:
+    alone = [option for option in ALONE if _given(options, option)]
+    others = [
+        option for option in ("renew", "replace_authority", "router", "robot") if _given(options, option)
+    ]
+    if alone and len(alone) + len(others) > 1:
+        rest = ", ".join(f"--{each.replace('_', '-')}" for each in [*alone, *others][1:])
+        raise InputError(f"--{alone[0].replace('_', '-')} goes alone: leave out {rest}")
+    if options.force and not options.replace_authority:
+        raise InputError("--force belongs to --replace-authority")
+    if options.take_over and options.sign is None:
+        raise InputError("--take-over belongs to --sign (or to `handfast up`)")
+    if options.request and options.out is None:
+        raise InputError("--request needs --out FILE, which is carried to where the authority is")
+    to_file = options.request or options.sign is not None
+    if (options.robot is not None) != (options.out is not None) and options.router is None and not to_file:
         raise InputError("--robot and --out DIR belong together: key and certificate are made in DIR")
     if options.robot is not None and options.router is not None:
         raise InputError("--robot or --router, not both")
@@ -131,13 +188,73 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
         raise InputError("--router needs --address, at which robots reach it, or network.routers")
 
 
+# ---------------------------------------------------------------------- what goes alone
+
+
+def _list(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
+    with existing(options, fleet, folder, now_s) as authority:
+        _show(authority, now_s)
+
+
+def _restore(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
+    restore(options, fleet, folder, now_s)
+    options.restore = None
+    _provide_all(options, fleet, folder, now_s)
+
+
+def _drop(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
+    gone = [path.name for path in earlier_folders(folder)]
+    drop_earlier(folder)
+    print(f"forgotten: {', '.join(gone)}" if gone else "there is no authority of before")
+
+
+OTHERS: Final = ("renew", "replace_authority", "router", "robot")
+Alone = Callable[[argparse.Namespace, Fleet, Path, float], None]
+ALONE: Final[Mapping[str, Alone]] = {
+    "list": _list,
+    "request": request,
+    "sign": sign,
+    "install": install,
+    "backup": backup,
+    "restore": _restore,
+    "drop_earlier": _drop,
+}
+"""What is done instead of providing certificates, by the option that says so."""
+
+
+# ---------------------------------------------------------------------- certificates of this computer's
+
+
+def _provide_all(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
+    if options.replace_authority and not options.force and fleet.is_secured and authority_of(folder):
+        _refuse_on_mission(options, fleet)
+    instead = options.replace_authority
+    with Authority(folder, fleet.fleet.name, fleet.ids, now_s, instead=instead) as authority:
+        _make(options, fleet, authority, now_s)
+        _show(authority, now_s)
+
+
+def _refuse_on_mission(options: argparse.Namespace, fleet: Fleet) -> None:
+    from agent.formation.geometry import resolved
+    from deploy.hosts.at_rest import rest_of
+
+    why = rest_of(resolved(fleet), options.fleet).refusal()
+    if why:
+        raise InputError(f"the authority was not replaced: {why}")
+
+
 def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s: float) -> None:
     name = fleet.fleet.name
     if authority.created:
-        print(f"made the authority of {name} in {authority.folder}: keep a copy where nobody else has it")
+        print(
+            f"made the authority of {name} in {authority.folder}: keep a copy where nobody else has it "
+            "(--backup); if the fleet has one on another computer, remove this one, and --request"
+        )
     elif options.replace_authority:
         authority.replace(now_s)
         print(f"made authority {authority.generation} of {name}: {NEW_AUTHORITY}")
+    if options.replace_authority and (kept := earlier_folders(authority.folder)):
+        print(KEPT.format(kept[0].parent))
     _provide(authority, authority.folder, of_operator(name, options.operator), [], options.renew, now_s)
     if options.robot is not None:
         where = options.addresses or [address_of(fleet, options.robot)]
@@ -161,7 +278,7 @@ def _void(file: str, fleet: Fleet, authority: Authority) -> Iterator[str]:
             continue
         reached = "".join(f" --address {each}" for each in entry.addresses if each not in LOOPBACK)
         if who.role == "operator" and who.name in fleet.network.operators:
-            yield f"void: {who}; `handfast keys {file} --operator {who.name}`"
+            yield f"void: {who}; `handfast keys {file} --operator {who.name}`, or --request where it is"
         elif who.role == "router":
             yield f"void: {who}; `handfast keys {file} --router{reached}`, with --out DIR to carry it"
         elif who.robot in fleet.ids:
@@ -200,7 +317,12 @@ def _provide(
 def _show(authority: Authority, now_s: float) -> None:
     days = authority.days_left(now_s)
     rows: list[tuple[str, ...]] = [
-        ("authority", f"generation {authority.generation}", _date(now_s, days), _ending(days))
+        (
+            "authority",
+            f"{authority.generation} {short(authority.fingerprint)}",
+            _date(now_s, days),
+            _ending(days),
+        )
     ]
     for name, entry in sorted(_latest(authority).items(), key=lambda item: _order(item[0])):
         rows.append(

@@ -107,7 +107,7 @@ def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
     from agent.runtime.sealed_bus import secured
     from agent.security.credentials import CredentialsError, MissingError, load
     from agent.security.identity import IdentityError, of_router
-    from deploy.inventory.certificate_authority import keys_folder
+    from deploy.inventory.operator_credentials import keys_folder
 
     name = fleet.fleet.name
     folder = keys_folder(name) if options.keys is None else Path(options.keys).expanduser()

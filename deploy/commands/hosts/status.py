@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         ": its unit, how often it was started again, CPU and memory "
         "(as the host says, over ssh); state of its agent, age of its neighbours' messages (as it says, "
-        "on the bus); version; how its host's clock stands to this one; robots that are not heard, and where "
-        "the others believe them to be. Exit status: 0 all processes run and "
+        "on the bus); version; how its host's clock stands to this one; how long certificates hold; robots "
+        "that are not heard, and where the others believe them to be. Exit status: 0 all processes run and "
         "all agents are heard; 1 not all; 2 bad input; 130 after Ctrl-C.",
     )
     parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
@@ -55,9 +55,17 @@ def _status(options: argparse.Namespace) -> int:
     from deploy.hosts import systemd_units
     from deploy.hosts.connection import HostConnection
     from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.status import HostStatus, host_rows, host_status, print_table, process_row
+    from deploy.hosts.status import (
+        HostStatus,
+        host_rows,
+        host_status,
+        print_table,
+        process_row,
+        robots_by_host,
+    )
     from deploy.hosts.view import FAILED as HOST_FAILED
     from deploy.hosts.view import Row
+    from deploy.inventory.expiry import operators, summary
     from deploy.inventory.hosts import hosts_of, located
     from deploy.session.operator_session import OperatorSession
 
@@ -100,8 +108,11 @@ def _status(options: argparse.Namespace) -> int:
     for row in jobs.rows.values():
         if row.state == HOST_FAILED:
             found[row.host].error = row.step
+    now_s = time.time()
+    on_hosts = {name: row.robots for name, row in jobs.rows.items()}
+    expiries = [*operators(fleet, options.fleet), *robots_by_host(found, on_hosts, options.fleet)]
     rows = [
-        process_row(fleet, robot, role, found[host.name], statuses.get(robot))
+        process_row(fleet, robot, role, found[host.name], statuses.get(robot), now_s)
         for host in hosts
         for robot in jobs.rows[host.name].robots
         for role in systemd_units.roles(fleet)
@@ -114,11 +125,12 @@ def _status(options: argparse.Namespace) -> int:
             "hosts": host_rows(found),
             "processes": rows,
             "silent": [body.row for body in bodies],
+            "certificates": [{"who": each.who, "days": round(each.days(now_s), 1)} for each in expiries],
         }
         print(json.dumps(about, indent=2))
     else:
         print_table(rows, found)
-        for line in in_words(bodies):
+        for line in (*in_words(bodies), *summary(expiries, now_s)):
             print(line)
     good = all(row["unit"] == "active" and (row["role"] != "agent" or row["state"]) for row in rows)
     return PASSED if good else FAILED

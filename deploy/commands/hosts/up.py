@@ -38,6 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="take the key of a host that this machine has never met for its own",
     )
     parser.add_argument(
+        "--take-over",
+        action="store_true",
+        help="give robots that have another authority certificates of this machine's: theirs is lost",
+    )
+    parser.add_argument(
         "--no-check", dest="check", action="store_false", help="go on even where `check` finds errors"
     )
     parser.set_defaults(command=handled(_up), quiet=False, **no_changes())
@@ -47,7 +52,9 @@ def _up(options: argparse.Namespace) -> int:
     from deploy.drive.outcome import refuse_errors
     from deploy.hosts.up import BringUp
     from deploy.hosts.view import make_hosts_view
+    from deploy.inventory.expiry import operators, warnings
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated
+    from deploy.inventory.operator_credentials import drop_earlier, keys_folder
 
     interrupt = Interrupt()
     with interrupt.caught():
@@ -58,29 +65,45 @@ def _up(options: argparse.Namespace) -> int:
         refuse_errors(options, fleet)
         fleet = located(fleet)
         with ExitStack() as stack:
-            keys = stack.enter_context(_keys(fleet, options.fleet)) if fleet.is_secured else None
+            keys = stack.enter_context(_keys(fleet, options)) if fleet.is_secured else None
             work = BringUp(fleet, hosts, keys, accept_new=options.accept_new_host_keys)
             view = stack.enter_context(make_hosts_view())
+            work.warnings += warnings(operators(fleet, options.fleet), time.time())
             work.run(view, interrupt)
+            if work.has_authority_of_now:
+                drop_earlier(keys_folder(fleet.fleet.name))
     return _say(work, interrupt)
 
 
 @contextmanager
-def _keys(fleet: Fleet, what: str) -> Iterator[HostKeys]:
-    """What gives robots their certificates; needs the authority that `handfast keys` has made."""
+def _keys(fleet: Fleet, options: argparse.Namespace) -> Iterator[HostKeys]:
+    """What gives robots their certificates, by the authority that `handfast keys` has made; with an
+    operator's credentials alone, what leaves robots be that need none."""
+    from agent.security.certificates import CertificateError
+    from agent.security.credentials import AUTHORITY_CERTIFICATE
+    from agent.security.private_files import KeyFileError, exists, read
     from deploy.hosts.certificates import HostKeys
-    from deploy.inventory.certificate_authority import Authority, AuthorityError, keys_folder
+    from deploy.inventory.certificate_authority import Authority, AuthorityError
+    from deploy.inventory.operator_credentials import AUTHORITY_FILE, keys_folder
 
-    folder = keys_folder(fleet.fleet.name)
-    if not (folder / "authority.pem").exists():
-        raise InputError(
-            f"{fleet.fleet.name} is secured and has no authority in {folder}: `handfast keys {what}` makes "
-            'it (or, on a network that you trust entirely: network.security = "off")'
-        )
+    name, what = fleet.fleet.name, options.fleet
+    folder = keys_folder(name)
     try:
-        with Authority(folder, fleet.fleet.name, fleet.ids, time.time()) as authority:
-            yield HostKeys(fleet, authority)
-    except AuthorityError as error:
+        if exists(folder / AUTHORITY_FILE):
+            with Authority(folder, name, fleet.ids, time.time()) as authority:
+                own = authority.certificate_pem
+                yield HostKeys(fleet, authority, own, what, take_over=options.take_over)
+        elif options.take_over:
+            raise InputError(f"--take-over needs an authority in {folder}: `handfast keys {what}` makes it")
+        elif exists(folder / AUTHORITY_CERTIFICATE):
+            yield HostKeys(fleet, None, read(folder / AUTHORITY_CERTIFICATE), what)
+        else:
+            raise InputError(
+                f"{name} is secured and has no authority in {folder}: `handfast keys {what}` makes it; where "
+                f"it is on another computer, `handfast keys {what} --request` asks there for a certificate "
+                '(or, on a network that you trust entirely: network.security = "off")'
+            )
+    except (AuthorityError, CertificateError, KeyFileError) as error:
         raise InputError(str(error)) from None
 
 

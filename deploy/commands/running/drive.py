@@ -85,6 +85,7 @@ def _drive(options: argparse.Namespace) -> int:
         fleet, driven = _fleets(options)
         _refuse_what_cannot_be(options, driven)
         refuse_errors(options, driven)
+        _warn_of_certificates(options, fleet)
         why = refused(fleet, interrupt, resume=options.resume)
         if interrupt.count:
             return INTERRUPTED
@@ -94,6 +95,15 @@ def _drive(options: argparse.Namespace) -> int:
             return _detach(options, fleet, driven, interrupt)
         folder = run_folder(options, driven, "run")
         return _attend(options, fleet, driven, folder, interrupt)
+
+
+def _warn_of_certificates(options: argparse.Namespace, fleet: Fleet) -> None:
+    """Says which certificates end soon, as far as this machine knows."""
+    from deploy.inventory.expiry import operators, robots_by_index, warnings
+
+    now_s = time.time()
+    for text in warnings((*operators(fleet, options.fleet), *robots_by_index(fleet, options.fleet)), now_s):
+        print(f"warning: {text}", file=sys.stderr)
 
 
 def _fleets(options: argparse.Namespace) -> tuple[Fleet, Fleet]:

@@ -13,7 +13,7 @@ import pytest
 from agent.__main__ import start
 from agent.runtime import process
 from agent.runtime.bus import BusError
-from agent.security.credentials import CredentialsError, NotYetValidError
+from agent.security.credentials import CredentialsError, NotValidNowError
 from tests.unit.agent.runtime.test_systemd_notify import all_of
 
 FLEET = """
@@ -62,8 +62,8 @@ def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.soc
 @pytest.mark.parametrize(
     ("error", "status"),
     [
-        (NotYetValidError("the certificate of robot 1 is not valid yet"), process.FAILED),
-        (CredentialsError("the certificate of robot 1 has expired"), process.BAD_INPUT),
+        (NotValidNowError("the certificate of robot 1 is not valid yet"), process.FAILED),
+        (CredentialsError("the certificate of robot 1 is not for its key"), process.BAD_INPUT),
         (BusError("cannot listen"), process.FAILED),
     ],
 )

@@ -37,6 +37,31 @@ def test_only_what_the_library_writes_is_taken() -> None:
     assert (done.stdout, done.stderr) == ("before\nmeanwhile\nafter\n", "")
 
 
+TWO = """
+import os
+from agent.runtime.zenoh_log import ZenohLog
+first, second = ZenohLog(), ZenohLog()
+print("meanwhile")
+os.write(1, b"from the library\\n")
+second.close()
+os.write(1, b"from the library\\n")
+print("between")
+first.close()
+print("after")
+"""
+
+
+def test_of_two_the_last_is_closed_first_and_the_output_is_given_back() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", TWO],
+        cwd=Path(__file__).parents[4],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert (done.stdout, done.stderr) == ("meanwhile\nbetween\nafter\n", "")
+
+
 def test_a_log_that_somebody_wants_is_left_to_him(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,14 +16,15 @@ from agent.security.credentials import (
     CredentialsError,
     Files,
     MissingError,
-    NotYetValidError,
+    NotValidNowError,
     load,
     make_request,
     store,
     wanting,
 )
 from agent.security.identity import of_operator, of_robot
-from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 DAY_S = 86_400
@@ -192,7 +193,7 @@ def test_a_certificate_that_ends_with_its_authority_is_not_renewed_again_and_aga
 def test_times(signed: tuple[Authority, Path]) -> None:
     _, folder = signed
     load(folder, ME, NOW_S - 300)  # a robot's clock may be a little behind
-    with pytest.raises(NotYetValidError, match="not valid yet: is this machine's clock right"):
+    with pytest.raises(NotValidNowError, match="not valid yet: is this machine's clock right"):
         load(folder, ME, NOW_S - 3600)
     with pytest.raises(CredentialsError, match="expired 2 days ago"):
         load(folder, ME, NOW_S + (CERTIFICATE_DAYS + 2) * DAY_S)
@@ -279,7 +280,8 @@ def test_the_robots_command(
     assert (status, err, json.loads(out)["wanting"]) == (0, "", "")
     status, out, err = run(*asks, stdin=by.certificate_pem)
     told = json.loads(out)
-    assert (status, told) == (0, {"identity": ME.common_name, "wanting": ""})
+    wanted = {"identity": ME.common_name, "wanting": "", "authority": by.fingerprint}
+    assert (status, told) == (0, wanted)
     assert run("store", stdin=b"x")[::2] == (
         2,
         "robot 2: 0 certificates came, not two: its own and the authority's\n",

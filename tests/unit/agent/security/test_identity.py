@@ -15,7 +15,7 @@ from agent.security.identity import (
     of_router,
     parse,
 )
-from deploy.inventory.certificate_authority import is_ip
+from deploy.inventory.certificate_builder import is_ip
 
 
 @pytest.mark.parametrize(

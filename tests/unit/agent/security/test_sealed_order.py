@@ -25,7 +25,8 @@ from agent.security.sealed_order import (
     Order,
     Sealer,
 )
-from deploy.inventory.certificate_authority import CERTIFICATE_DAYS, Authority
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from tests.trusted import FLEET, NOW_S, authority, credentials
 
 PAYLOAD = encode(Heartbeat(int(NOW_S * 1e9), "ann"))

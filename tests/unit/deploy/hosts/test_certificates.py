@@ -17,12 +17,15 @@ from agent.fleet.hosts import HostSection
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
 from agent.security import __main__
-from agent.security.credentials import load, make_request, store
+from agent.security.credentials import authority_of, load, make_request, store
 from agent.security.identity import of_robot
 from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
-from deploy.hosts.certificates import HostKeys
-from deploy.inventory.certificate_authority import Authority, keys_folder
+from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
+from deploy.hosts.connection import HostError
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.operator_credentials import keys_folder
+from tests.trusted import credentials
 from tests.unit.agent.security.test_credentials import Standard
 from tests.unit.deploy.hosts.test_ansible import fleet
 
@@ -55,7 +58,7 @@ def located() -> Fleet:
 def keys(tmp_path: Path) -> Iterator[HostKeys]:
     whole = located()
     with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time()) as authority:
-        yield HostKeys(whole, authority)
+        yield HostKeys(whole, authority, authority.certificate_pem, "f.toml")
 
 
 @pytest.fixture
@@ -89,7 +92,117 @@ def test_only_robots_that_need_one_get_one(keys: HostKeys, there: There, tmp_pat
     assert there.asked == ["request", "store", "request"]
 
 
+def other_authority(tmp_path: Path, robots: Path) -> str:
+    """Robots 1, 3 and 5 have certificates of somebody else's authority; its fingerprint."""
+    whole = located()
+    with Authority(tmp_path / "other", whole.fleet.name, whole.ids, time.time()) as other:
+        for robot in (1, 3, 5):
+            credentials(other, robots, of_robot("delta", robot), now_s=time.time())
+        return other.fingerprint
+
+
+def looked(keys: HostKeys, robots: Path, host: HostSection) -> None:
+    """Has `keys` look at a host whose robots' keys are in a folder."""
+
+    class Looked:
+        def __init__(self) -> None:
+            self.host = host
+
+        def ask(self, what: str, *, folder: str, pattern: str) -> dict[str, tuple[int, float]]:
+            assert (what, folder) == ("listing", "fleets/delta/keys")
+            return {path.name: (1, 1.0) for path in robots.glob(pattern)}
+
+        def exchange(self, what: str, blob: None, *, path: str, most: int) -> tuple[None, bytes]:
+            assert (what, path) == ("get", "fleets/delta/keys/ca.crt")
+            return None, (robots / "ca.crt").read_bytes()[:most]
+
+    keys.look(Looked())  # type: ignore[arg-type]
+
+
+def test_robots_of_another_authority_are_refused_and_what_to_do_is_said(
+    keys: HostKeys, there: There, tmp_path: Path
+) -> None:
+    robots = tmp_path / "keys"
+    other = other_authority(tmp_path, robots)
+    with pytest.raises(AnotherAuthorityError) as caught:
+        looked(keys, robots, there.host)
+    own = authority_of(tmp_path / "authority")
+    assert str(caught.value) == (
+        f"left as it was: its robots have another authority, {other[:16]}; this machine's is {own[:16]}. Ask "
+        "for a certificate of theirs (`handfast keys f.toml --request`), or, where theirs is lost for good, "
+        "replace it (`handfast up f.toml --take-over`)"
+    )
+
+
+def test_they_are_taken_over_where_that_is_asked(there: There, tmp_path: Path) -> None:
+    robots, whole = tmp_path / "keys", located()
+    other_authority(tmp_path, robots)
+    with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time()) as by:
+        assert HostKeys(whole, by, by.certificate_pem, "f.toml").is_first
+        keys = HostKeys(whole, by, by.certificate_pem, "f.toml", take_over=True)
+        looked(keys, robots, there.host)
+        assert keys.replaces("rover1")
+        assert not keys.is_first
+        keys(there, "1-aa", str(robots))  # type: ignore[arg-type]
+        looked(keys, robots, there.host)
+        assert not keys.replaces("rover1")
+        assert {load(robots, of_robot("delta", n), time.time()).authority_fingerprint for n in (1, 3, 5)} == {
+            by.fingerprint
+        }
+
+
+def test_those_of_an_authority_that_this_one_has_replaced_get_new_ones(there: There, tmp_path: Path) -> None:
+    robots, whole = tmp_path / "keys", located()
+    with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time()) as by:
+        HostKeys(whole, by, by.certificate_pem, "f.toml")(there, "1-aa", str(robots))  # type: ignore[arg-type]
+        by.replace(time.time())
+        by.replace(time.time())
+        keys = HostKeys(whole, by, by.certificate_pem, "f.toml")
+        looked(keys, robots, there.host)
+        assert keys.replaces("rover1")
+        keys(there, "1-aa", str(robots))  # type: ignore[arg-type]
+        assert load(robots, of_robot("delta", 1), time.time()).authority_fingerprint == by.fingerprint
+
+
+def test_hosts_without_an_authority_or_with_a_damaged_one_are_fine(
+    keys: HostKeys, there: There, tmp_path: Path
+) -> None:
+    robots = tmp_path / "none"
+    looked(keys, robots, there.host)
+    assert keys.is_first
+    robots.mkdir()
+    (robots / "ca.crt").write_text("half")
+    looked(keys, robots, there.host)
+    assert not keys.replaces("rover1")
+
+
+def test_an_operator_without_the_authority_leaves_robots_be_that_need_nothing(
+    there: There, tmp_path: Path
+) -> None:
+    robots, whole = tmp_path / "keys", located()
+    with Authority(tmp_path / "authority", whole.fleet.name, whole.ids, time.time()) as by:
+        HostKeys(whole, by, by.certificate_pem, "f.toml")(there, "1-aa", str(robots))  # type: ignore[arg-type]
+        annas = HostKeys(whole, None, by.certificate_pem, "f.toml")
+        there.asked.clear()
+        looked(annas, robots, there.host)
+        annas(there, "1-aa", str(robots))  # type: ignore[arg-type]
+        assert there.asked == ["request"]
+        (robots / "delta.robot.3.crt").unlink()
+        with pytest.raises(HostError, match=r"robot 3 needs a certificate \(it has none yet\), and the auth"):
+            annas(there, "1-aa", str(robots))  # type: ignore[arg-type]
+        by.replace(time.time())
+        keys = HostKeys(whole, by, by.certificate_pem, "f.toml")
+        keys(there, "1-aa", str(robots))  # type: ignore[arg-type]
+    with pytest.raises(AnotherAuthorityError, match="left as it was: its robots have another authority"):
+        looked(annas, robots, there.host)
+
+
 Sign = Callable[..., dict[str, Any]]
+
+
+def asks(folder: Path, robot: int) -> dict[str, str]:
+    """As a robot without any certificate asks for its first."""
+    return {"request": make_request(folder, of_robot("delta", robot)).decode(), "authority": ""}
 
 
 @pytest.fixture
@@ -127,9 +240,7 @@ def sign(run: Callable[..., str], tmp_path: Path) -> Sign:
 def test_a_robot_takes_what_the_authority_answers(run: Callable[..., str], sign: Sign, tmp_path: Path):
     run()
     assert sign({}) == {"authority": (keys_folder("delta") / "ca.crt").read_text(), "signed": {}}
-    asked = {
-        str(robot): make_request(tmp_path / str(robot), of_robot("delta", robot)).decode() for robot in (1, 2)
-    }
+    asked = {str(robot): asks(tmp_path / str(robot), robot) for robot in (1, 2)}
     told = sign(asked)
     assert set(told["signed"]) == {"1", "2"}
     for robot, address in ((1, "10.0.0.1"), (2, "10.0.0.2")):
@@ -143,9 +254,21 @@ def test_a_robot_takes_what_the_authority_answers(run: Callable[..., str], sign:
 
 def test_one_robot_does_not_get_anothers_certificate(run: Callable[..., str], sign: Sign, tmp_path: Path):
     run()
-    asked = make_request(tmp_path / "1", of_robot("delta", 1)).decode()
+    asked = asks(tmp_path / "1", 1)
     with pytest.raises(InputError, match=r"the request of robot 2 is one for 'delta.robot.1'"):
         sign({"2": asked})
+
+
+def test_robots_of_another_authority_get_no_signature_unless_they_are_taken_over(
+    run: Callable[..., str], sign: Sign, tmp_path: Path
+):
+    """The same for whoever carries requests, such as Ansible."""
+    run()
+    asked = asks(tmp_path / "1", 1) | {"authority": "ab" * 32}
+    with pytest.raises(InputError, match="left as it was: its robots have another authority, abababab"):
+        sign({"1": asked})
+    assert "1" in sign({"1": asked}, "--take-over")["signed"]
+    assert "1" in sign({"1": asked | {"authority": authority_of(keys_folder("delta"))}})["signed"]
 
 
 def test_requests_come_from_standard_input_too(
@@ -162,13 +285,16 @@ def test_requests_come_from_standard_input_too(
 @pytest.mark.parametrize(
     ("requests", "what"),
     [
-        ("no json", "must be JSON, a certificate request .PEM. by robot"),
+        ("no json", "must be JSON, by robot what"),
         ([], "must be JSON"),
         ({"1": 2}, "must be JSON"),
-        ({"9": "x"}, "there is no robot 9 in delta"),
-        ({"01": "x"}, "there is no robot 01 in delta"),
-        ({"1": "x"}, "what came for robot 1 is not a certificate request"),
-        ({"1": "\ud800"}, "must be JSON"),
+        ({"1": "-----BEGIN CERTIFICATE REQUEST-----"}, "must be JSON"),
+        ({"1": {"request": "x"}}, "must be JSON"),
+        ({"1": {"request": "x", "authority": None}}, "must be JSON"),
+        ({"9": {"request": "x", "authority": ""}}, "there is no robot 9 in delta"),
+        ({"01": {"request": "x", "authority": ""}}, "there is no robot 01 in delta"),
+        ({"1": {"request": "x", "authority": ""}}, "the request of robot 1 is not a certificate request"),
+        ({"1": {"request": "\ud800", "authority": ""}}, "must be JSON"),
     ],
 )
 def test_bad_requests(run: Callable[..., str], sign: Sign, requests: Any, what: str):
@@ -181,11 +307,9 @@ def test_it_makes_nothing_and_does_nothing_else(sign: Sign):
     with pytest.raises(InputError, match=r"delta has no authority in .*: `handfast keys .*` makes it"):
         sign({})
     assert not keys_folder("delta").exists()
-    for option in (["--list"], ["--renew"], ["--replace-authority"]):
-        with pytest.raises(InputError, match="--sign only signs"):
+    for option in (["--renew"], ["--replace-authority"], ["--robot", "1", "--out", "x"]):
+        with pytest.raises(InputError, match=f"--sign goes alone: leave out {option[0]}"):
             sign({}, *option)
-    with pytest.raises(InputError, match="--sign has robots in its file"):
-        sign({}, "--robot", "1", "--out", "x")
 
 
 def test_a_file_that_cannot_be_read(run: Callable[..., str]):

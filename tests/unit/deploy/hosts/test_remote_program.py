@@ -182,6 +182,16 @@ def test_a_version_is_that_of_the_process_not_of_the_file(home: Path, host: Host
     assert host.ask("status", fleet="two")["units"][AGENT]["version"] == ""
 
 
+def test_certificates_are_told_and_no_keys(home: Path, host: HostConnection) -> None:
+    keys = remote_program.inside("fleets/delta/keys")
+    keys.mkdir(parents=True)
+    for name in ("delta.robot.1.crt", "delta.robot.1.key", "delta.robot.1.next.crt", "ca.crt"):
+        (keys / name).write_text(name)
+    (keys / "delta.robot.2.crt").write_text("x" * (remote_program.CERTIFICATE_BYTES_MAX + 1))
+    assert host.ask("status", fleet="delta")["certificates"] == {"delta.robot.1.crt": "delta.robot.1.crt"}
+    assert host.ask("status", fleet="none")["certificates"] == {}
+
+
 def test_down_stops_and_removes_all_and_says_what_is_left(home: Path, host: HostConnection) -> None:
     host.ask("units", wanted={AGENT: "a"})
     state = home / ".local/share/handfast/fleets/two/state"

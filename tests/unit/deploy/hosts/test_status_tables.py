@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from agent.messages.types import Status
+from agent.security.certificates import DAY_S
+from agent.security.identity import of_robot
 from deploy.hosts.connection import Clock, HostError
-from deploy.hosts.status import HostStatus, host_rows, host_status, print_table, process_row
+from deploy.hosts.status import (
+    HostStatus,
+    host_rows,
+    host_status,
+    print_table,
+    process_row,
+    robots_by_host,
+)
 from deploy.hosts.view import Lines, Row
+from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from tests.trusted import NOW_S, authority, credentials
 from tests.unit.agent.fleet.test_hosts import fleet
 
 FLEET = fleet()
@@ -32,9 +44,9 @@ def rows(
     found = {}
     for robot, (name, version) in enumerate(zip(("left", "right"), versions, strict=True), 1):
         unit = {f"handfast-two-robot-{robot}-agent.service": UNIT | {"version": version}}
-        found[name] = host_status({"units": unit, "load": 1.5}, Clock(0.002, 0.001))
+        found[name] = host_status({"units": unit, "load": 1.5, "certificates": {}}, Clock(0.002, 0.001))
     told = [
-        process_row(FLEET, robot, role, found[name], status(robot) if robot == 1 else None)
+        process_row(FLEET, robot, role, found[name], status(robot) if robot == 1 else None, 0.0)
         for robot, name in ((1, "left"), (2, "right"))
         for role in ("plant", "agent")
     ]
@@ -57,6 +69,8 @@ def test_a_row_has_what_the_host_and_the_robot_say() -> None:
     [
         [],
         {"units": {"a.service": UNIT}},
+        {"units": {"a.service": UNIT}, "load": 1.0},
+        {"units": {"a.service": UNIT}, "load": 1.0, "certificates": 7},
         {"units": [], "load": 1.0},
         {"units": {"a.service": 7}, "load": 1.0},
         {"units": {"a.service": UNIT | {"cpu_s": "much"}}, "load": 1.0},
@@ -68,8 +82,34 @@ def test_a_host_that_says_nonsense_is_told_from_one_that_is_well(told: Any) -> N
         host_status(told, Clock(0.0, 0.1))
 
 
+def test_how_long_certificates_hold(tmp_path: Path) -> None:
+    name = FLEET.fleet.name
+    with authority(tmp_path, NOW_S, name) as by:
+        pem = credentials(by, tmp_path / "r", of_robot(name, 2)).files.certificate.read_text()
+    told = {
+        "units": {},
+        "load": 1.0,
+        "certificates": {f"{name}.robot.2.crt": pem, f"{name}.robot.1.crt": "half", "x": pem},
+    }
+    host = host_status(told, Clock(0.0, 0.1))
+    assert host.expiries == {2: NOW_S + CERTIFICATE_DAYS * DAY_S}
+    days = {
+        robot: process_row(FLEET, robot, "agent", host, None, NOW_S + 10 * DAY_S)["certificate_days"]
+        for robot in (1, 2)
+    }
+    assert days == {2: CERTIFICATE_DAYS - 10, 1: None}
+    assert robots_by_host({"left": host}, {"left": (1,)}, "f.toml") == [], "it says so of another's"
+    (found,) = robots_by_host({"left": host}, {"left": (1, 2)}, "f.toml")
+    assert found.warning(NOW_S) == ""
+    late_s = NOW_S + (CERTIFICATE_DAYS - 3) * DAY_S
+    assert (
+        found.warning(late_s)
+        == "the certificate of robot 2 expires in 3 days: `handfast up f.toml` renews it"
+    )
+
+
 def test_a_host_that_cannot_be_asked_is_unknown_not_down() -> None:
-    row = process_row(FLEET, 1, "agent", HostStatus(error="it does not answer"), status(1))
+    row = process_row(FLEET, 1, "agent", HostStatus(error="it does not answer"), status(1), 0.0)
     assert (row["unit"], row["state"]) == ("unknown", "degraded")
     about = host_rows({"left": HostStatus(error="it does not answer")})["left"]
     assert about == {

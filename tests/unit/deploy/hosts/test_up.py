@@ -21,6 +21,7 @@ from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import Bundle
+from deploy.hosts.certificates import AnotherAuthorityError
 from deploy.hosts.connection import Clock, HostError
 from deploy.hosts.systemd_units import roles, unit_name
 from deploy.hosts.up import BringUp, Timing
@@ -215,8 +216,33 @@ def ssh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 QUICK = Timing(look_s=0.005, listen_s=0.2, units_period_s=0.02, idle_s=0.05, settle_s=0.1)
 
 
-def bring(world: World, view: View | None = None, timing: Timing = QUICK) -> BringUp:
-    work = BringUp(world.fleet, hosts_of(world.fleet, "here"), None, accept_new=False, timing=timing)
+class Keys:
+    """Stands for `deploy.hosts.certificates.HostKeys`.
+
+    Args:
+        ruled: hosts whose robots have another authority.
+        earlier: hosts whose robots have one that was replaced.
+        is_first: whether this machine's has given none a certificate yet.
+    """
+
+    def __init__(self, ruled: Sequence[str] = (), earlier: Sequence[str] = (), *, is_first: bool) -> None:
+        self.ruled, self.earlier, self.is_first = ruled, earlier, is_first
+        self.looked: list[str] = []
+
+    def look(self, connection: There) -> None:
+        self.looked.append(connection.host.name)
+        if connection.host.name in self.ruled:
+            raise AnotherAuthorityError("another one")
+
+    def replaces(self, host: str) -> bool:
+        return host in self.earlier
+
+
+def bring(
+    world: World, view: View | None = None, timing: Timing = QUICK, keys: Keys | None = None
+) -> BringUp:
+    hosts = hosts_of(world.fleet, "here")
+    work = BringUp(world.fleet, hosts, keys, accept_new=False, timing=timing)  # type: ignore[arg-type]
     work.run(view or View(), Interrupt())  # type: ignore[arg-type]
     return work
 
@@ -313,6 +339,72 @@ def test_a_robot_that_drives_but_is_not_heard_is_not_touched(world: World) -> No
             "left as it was: robot 3 drives, but is not heard here: `handfast stop` first, or open the ports",
         )
     assert world.log == []
+
+
+def test_where_another_authority_rules_nothing_changes(world: World) -> None:
+    world.everybody("ready")
+    world.stale, world.after = {1, 2}, {1: "ready", 2: "ready"}
+    work = bring(world, keys=Keys(["rover2"], is_first=False))
+    assert ends(work)["rover2"] == (FAILED, "another one")
+    assert ends(work)["rover1"] == (DONE, "up, robot 1 started")
+    assert world.restarted == [[1]]
+    assert work.has_authority_of_now, "all are heard, with the one that this session has"
+
+
+def test_an_authority_that_rules_nobody_yet_asks_all_hosts_before_it_begins(world: World) -> None:
+    """Else a second operator's would get those hosts that have none, and the fleet would have two."""
+    world.everybody("ready")
+    world.stale = {1, 2}
+    keys = Keys(["rover2"], is_first=True)
+    work = bring(world, keys=keys)
+    assert ends(work) == {
+        "rover1": (FAILED, "left as it was: another authority rules on rover2"),
+        "rover2": (FAILED, "another one"),
+    }
+    assert sorted(keys.looked) == ["rover1", "rover2"]
+    assert world.log == []
+
+
+def test_a_host_that_cannot_be_asked_keeps_the_others_not_for_good(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = There.__enter__
+
+    def enter(there: There) -> There:
+        if there.host.name == "rover2":
+            raise HostError("it does not answer")
+        return real(there)
+
+    monkeypatch.setattr(There, "__enter__", enter)
+    world.everybody("ready")
+    work = bring(world, keys=Keys(is_first=True))
+    assert ends(work) == {"rover1": (DONE, "up, nothing to do"), "rover2": (FAILED, "it does not answer")}
+
+
+def test_while_they_drive_no_authority_is_replaced(world: World) -> None:
+    """Robots that start again would hear none of the others any more."""
+    world.everybody("running")
+    world.stale = {1, 3, 5}
+    work = bring(world, keys=Keys(earlier=["rover1"], is_first=False))
+    state, step = ends(work)["rover1"]
+    assert (state, step.partition(":")[0]) == (FAILED, "left as it was")
+    assert "robots of two authorities. `handfast stop` first" in step
+    assert world.restarted == []
+
+
+def test_who_drives_by_an_authority_that_is_lost_is_not_taken_over(world: World) -> None:
+    world.says = {3: "running"}
+    work = bring(world, keys=Keys(earlier=["rover1"], is_first=False))
+    assert ends(work)["rover1"] == (
+        FAILED,
+        "left as it was: robot 3 drives, by another authority: `handfast down` first",
+    )
+
+
+def test_robots_that_are_not_there_may_have_the_authority_of_before(world: World) -> None:
+    world.everybody("ready")
+    world.go(4)
+    assert not bring(world).has_authority_of_now
 
 
 def test_without_having_listened_nothing_is_touched(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,9 @@ from agent.security.certificates import pem_of_key
 from agent.security.credentials import CredentialsError, load, make_request, store
 from agent.security.identity import of_operator, of_robot, of_router
 from deploy.inventory import certificate_authority as module
-from deploy.inventory.certificate_authority import (
-    AUTHORITY_DAYS,
-    CERTIFICATE_DAYS,
-    Authority,
-    AuthorityError,
-    keys_folder,
-)
+from deploy.inventory.certificate_authority import Authority, AuthorityError
+from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from deploy.inventory.operator_credentials import keys_folder
 from tests.trusted import FLEET, NOW_S, ROBOTS, authority, credentials
 
 DAY_S = 86_400
@@ -142,8 +138,32 @@ def test_replaced(tmp_path: Path) -> None:
     with authority(tmp_path / "a") as again:
         assert (again.generation, again.fingerprint) == (2, after.authority_fingerprint)
     (tmp_path / "a" / "authority.pem").unlink()
-    with authority(tmp_path / "a") as third:  # a name is never used twice
-        assert third.generation == 3
+    with pytest.raises(AuthorityError, match=f"of the authority {again.fingerprint[:16]}, which is not here"):
+        authority(tmp_path / "a")
+    with Authority(tmp_path / "a", FLEET, ROBOTS, NOW_S, instead=True) as third:  # a name is never used twice
+        assert (third.generation, third.created) == (3, True)
+        assert not third.has_been(again.fingerprint), "it may be somebody else's, whose robots are not ours"
+
+
+def test_it_knows_what_it_was(tmp_path: Path) -> None:
+    with authority(tmp_path / "a") as by:
+        before = by.fingerprint
+        assert not by.has_robots
+        by.sign(of_operator(FLEET), make_request(tmp_path / "o", of_operator(FLEET)), (), NOW_S)
+        assert not by.has_robots
+        credentials(by, tmp_path / "r", ME)
+        by.replace(NOW_S)
+    with authority(tmp_path / "a") as again, authority(tmp_path / "b") as other:
+        assert again.has_robots
+        assert again.has_been(before)
+        assert again.has_been(again.fingerprint)
+        assert not again.has_been(other.fingerprint)
+
+
+def test_where_a_request_waits_none_is_made(tmp_path: Path) -> None:
+    make_request(tmp_path, of_operator(FLEET, "anna"))
+    with pytest.raises(AuthorityError, match=r"a request from .* waits to be signed by the fleet's"):
+        authority(tmp_path)
 
 
 def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:

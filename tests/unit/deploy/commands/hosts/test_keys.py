@@ -12,11 +12,16 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.hosts import HostSection
-from agent.security.credentials import RENEW_DAYS, load, make_request
+from agent.fleet.model import Fleet
+from agent.security.credentials import RENEW_DAYS, authority_of, load, make_request
 from agent.security.identity import of_operator, of_robot, of_router
 from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
-from deploy.inventory.certificate_authority import AUTHORITY_DAYS, CERTIFICATE_DAYS, Authority, keys_folder
+from deploy.hosts import at_rest
+from deploy.hosts.at_rest import Rest
+from deploy.inventory.certificate_authority import Authority
+from deploy.inventory.certificate_builder import AUTHORITY_DAYS, CERTIFICATE_DAYS
+from deploy.inventory.operator_credentials import keys_folder
 from tests.unit.deploy.orders.order_fleets import square
 
 Run = Callable[..., list[str]]
@@ -103,7 +108,7 @@ def test_who_needs_a_new_certificate_is_said(run: Run, tmp_path: Path) -> None:
     run("--router", "--address", "10.0.0.9")
     run("--robot", "3", "--out", str(tmp_path / "r3"), "--address", "10.0.0.3")
     assert [line for line in run("--replace-authority", *ann) if line.startswith("void:")] == [
-        "void: operator ann; `handfast keys delta --operator ann`",
+        "void: operator ann; `handfast keys delta --operator ann`, or --request where it is",
         "void: robot 3; `handfast keys delta --robot 3 --address 10.0.0.3 --out DIR`",
         "void: router main; `handfast keys delta --router --address 10.0.0.9`, with --out DIR to carry it",
     ]
@@ -140,7 +145,16 @@ def test_an_authority_about_to_end_is_told_of(run: Run, monkeypatch: pytest.Monk
     ("arguments", "what"),
     [
         (["--list"], "delta has no authority in .*: `handfast keys delta` makes it"),
-        (["--list", "--renew"], "--list only shows"),
+        (["--list", "--renew"], "--list goes alone: leave out --renew"),
+        (["--sign", "x", "--backup", "y"], "--sign goes alone: leave out --backup"),
+        (["--request"], "--request needs --out FILE"),
+        (["--take-over"], "--take-over belongs to --sign"),
+        (["--force"], "--force belongs to --replace-authority"),
+        (["--sign", "/nowhere"], "cannot read /nowhere: no such file"),
+        (["--install", "/nowhere"], "cannot read /nowhere: no such file"),
+        (["--restore", "/nowhere"], "cannot read /nowhere: no such file"),
+        (["--backup", "/dev/null"], "/dev/null is there already: a backup takes the place of none"),
+        (["--backup", "/nowhere/b"], "delta has no authority in .*: `handfast keys delta` makes it"),
         (["--robot", "3"], "--robot and --out DIR belong together"),
         (["--out", "x"], "--robot and --out DIR belong together"),
         (["--robot", "9", "--out", "x"], "no robot 9 in delta"),
@@ -157,3 +171,33 @@ def test_bad_input(run: Run, arguments: list[str], what: str) -> None:
         run(*arguments)
     assert len(str(raised.value).splitlines()) == 1
     assert not keys_folder(FLEET).exists(), "what cannot be done makes nothing"
+
+
+def test_the_fleet_is_asked_before_its_authority_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def rest_of(fleet: Fleet, source: str) -> Rest:
+        asked.append(fleet.fleet.name)
+        return Rest((2,), ())
+
+    monkeypatch.setattr(at_rest, "rest_of", rest_of)
+    parser = argparse.ArgumentParser()
+    keys_command.add_arguments(parser)
+
+    def run(*arguments: str) -> None:
+        secured = ("--set", 'network.security="mtls"', "--keys", str(tmp_path))
+        options = parser.parse_args([FLEET, *secured, *arguments])
+        assert options.command(options) == 0
+
+    run("--replace-authority")
+    assert asked == [], "there was none before"
+    with pytest.raises(InputError, match="the authority was not replaced: robot 2 is on a mission"):
+        run("--replace-authority")
+    run()
+    assert asked == [FLEET]
+    before = authority_of(tmp_path)
+    run("--replace-authority", "--force")
+    assert asked == [FLEET]
+    assert authority_of(tmp_path) != before

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import time
 from pathlib import Path
 
 import pytest
 import tomli_w
 
 from agent.fleet.loading import to_dict
+from agent.security.certificates import DAY_S
+from agent.security.identity import of_operator
 from deploy.commands.hosts import down, status
 from deploy.console.arguments import no_changes
+from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from tests.trusted import authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
 
@@ -52,6 +57,17 @@ def test_a_slow_host_is_not_told_as_interrupted(
     ssh(secured, "exec sleep 60")
     assert status._status(options(secured)) == 1
     assert "left: it has not said all within 0 s" in capsys.readouterr().out
+
+
+def test_the_operators_own_certificate_is_told_too(secured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, made_s = secured.parent / "none", time.time() - (CERTIFICATE_DAYS - 12.5) * DAY_S
+    with authority(folder, made_s, "two") as by:
+        credentials(by, folder, of_operator("two"), now_s=made_s)
+    ssh(secured, "exit 255")
+    assert status._status(options(secured)) == 1
+    out = capsys.readouterr().out
+    assert "certificates hold for: operator main 12 days, the authority 3" in out
+    assert f"operator main expires in 12 days: `handfast keys {secured}` renews it" in out
 
 
 def test_down_goes_on_over_ssh_where_it_may_not_stop(

@@ -12,13 +12,18 @@ import pytest
 
 from agent.runtime.bus import BusError
 from agent.runtime.runtime_folder import NotPrivateError
+from agent.security.certificates import DAY_S
+from agent.security.identity import of_operator, of_robot
 from deploy.cli import main
 from deploy.console.arguments import InputError
 from deploy.console.data_files import FLEETS
+from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from deploy.inventory.operator_credentials import KEYS
 from deploy.processes.ports import Reservation
 from deploy.recording.mcap_reader import read_run
 from deploy.recording.recorder import RecordingError
 from tests.process.fleet_harness import BASE_PORT
+from tests.trusted import authority, credentials
 
 PAIR = (FLEETS / "pair.toml").read_text()
 
@@ -194,3 +199,23 @@ def is_complete(folder: Path) -> bool:
     with pytest.raises(RecordingError, match=r"holds no message") as caught:
         read_run(folder)
     return "cut short" not in str(caught.value)
+
+
+def test_certificates_that_end_soon_are_warned_of_before_it_begins(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(KEYS, str(tmp_path / "keys"))
+    monkeypatch.setattr("deploy.session.session.CONNECT_S", 0.1)
+    made_s = time.time() - (CERTIFICATE_DAYS - 19.5) * DAY_S
+    with authority(tmp_path / "keys", made_s, "pair") as by:
+        credentials(by, tmp_path / "keys", of_operator("pair"), now_s=made_s)
+        credentials(by, tmp_path / "robot", of_robot("pair", 2), now_s=made_s)
+    secured = PAIR.replace("[network]", '[network]\nsecurity = "mtls"')
+    (tmp_path / "fleet.toml").write_text(secured)
+    path = str(tmp_path / "fleet.toml")
+    assert main(["drive", path]) == 1
+    warned = [line for line in capsys.readouterr().err.splitlines() if "certificate" in line]
+    assert warned == [
+        f"warning: the certificate of operator main expires in 19 days: `handfast keys {path}` renews it",
+        f"warning: the certificate of robot 2 expires in 19 days: `handfast up {path}` renews it",
+    ]

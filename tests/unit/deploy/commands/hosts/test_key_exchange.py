@@ -1,0 +1,113 @@
+"""What `handfast keys` passes between computers, on the command line."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from agent.security.credentials import authority_of, load
+from agent.security.identity import of_operator, of_robot
+from deploy.commands.hosts import keys as keys_command
+from deploy.console.arguments import InputError
+from deploy.console.passphrase import PASSPHRASE
+from deploy.inventory import authority_backup
+from deploy.inventory.authority_backup import BACKUP_BYTES_MAX
+from deploy.inventory.operator_credentials import KEYS, OPERATOR, earlier_folders, keys_folder, short
+
+Run = Callable[..., str]
+FLEET = "delta"
+TWO = ("--set", 'network.operators=["main", "anna"]')
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """`handfast keys delta ...` of an operator: what it prints. Each has a folder of keys."""
+    monkeypatch.setattr(authority_backup, "KDF_ROUNDS", 1000)
+    monkeypatch.setenv(PASSPHRASE, "correct horse battery")
+    parser = argparse.ArgumentParser()
+    keys_command.add_arguments(parser)
+
+    def keys(who: str, *arguments: str) -> str:
+        monkeypatch.setenv(KEYS, str(tmp_path / who))
+        monkeypatch.setenv(OPERATOR, who)
+        options = parser.parse_args([FLEET, *TWO, *arguments])
+        assert options.command(options) == 0
+        said = capsys.readouterr()
+        assert "PRIVATE" not in said.out + said.err
+        return said.out
+
+    return keys
+
+
+def test_a_second_operator(run: Run, tmp_path: Path) -> None:
+    run("main")
+    asked, signed = str(tmp_path / "anna.csr"), str(tmp_path / "anna.crt")
+    assert "handfast keys delta --sign anna.csr --out FILE" in run("anna", "--request", "--out", asked)
+    rules = authority_of(tmp_path / "main")
+    assert short(rules) in run("main", "--sign", asked, "--out", signed)
+    assert short(rules) in run("anna", "--install", signed)
+    assert keys_folder(FLEET) == tmp_path / "anna", "the environment says where"
+    assert load(tmp_path / "anna", of_operator(FLEET, "anna"), time.time()).authority_fingerprint == rules
+    assert not (tmp_path / "anna" / "authority.pem").exists()
+    assert "operator   anna" in run("main", "--list")
+    with pytest.raises(InputError, match=r"of the authority .*, which is not here"):
+        run("anna")
+    # Another authority: she asks again, and what was in use is kept.
+    run("main", "--replace-authority")
+    run("anna", "--request", "--out", asked)
+    run("main", "--sign", asked, "--out", signed)
+    run("anna", "--install", signed)
+    assert len(earlier_folders(tmp_path / "anna")) == 1
+    assert f"forgotten: {short(rules)}" in run("anna", "--drop-earlier")
+    assert "there is no authority of before" in run("anna", "--drop-earlier")
+
+
+def test_who_is_no_operator_gets_no_signature(run: Run, tmp_path: Path) -> None:
+    run("main")
+    run("anna", "--request", "--out", str(tmp_path / "anna.csr"))
+    with pytest.raises(InputError, match=r"the request in .*anna.csr is one for the operator anna;"):
+        run("main", "--set", 'network.operators=["main"]', "--sign", str(tmp_path / "anna.csr"))
+
+
+def test_a_backup_and_its_restoration(run: Run, tmp_path: Path) -> None:
+    run("main", "--robot", "3", "--out", str(tmp_path / "r3"))
+    before = load(tmp_path / "r3", of_robot(FLEET, 3), time.time())
+    file = tmp_path / "backup"
+    assert short(before.authority_fingerprint) in run("main", "--backup", str(file))
+    assert file.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(InputError, match="is there already: a backup takes the place of none"):
+        run("main", "--backup", str(file))
+    with pytest.raises(InputError, match="nothing to restore"):
+        run("main", "--restore", str(file))
+    shutil.rmtree(tmp_path / "main")
+    said = run("main", "--restore", str(file))
+    assert said.startswith(f"restored the authority {short(before.authority_fingerprint)} of delta into")
+    assert "operator main: made" in said
+    assert "robot      3" in said
+    run("main", "--robot", "3", "--out", str(tmp_path / "r3"))
+    assert load(tmp_path / "r3", of_robot(FLEET, 3), time.time()).certificate == before.certificate
+
+
+def test_a_passphrase_that_is_not_its_own(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("main")
+    run("main", "--backup", str(tmp_path / "backup"))
+    monkeypatch.setenv(PASSPHRASE, "another horse battery")
+    with pytest.raises(InputError, match="the passphrase is not that of this backup"):
+        run("anna", "--restore", str(tmp_path / "backup"))
+    assert not (tmp_path / "anna").exists()
+
+
+def test_what_is_too_large_is_not_read(run: Run, tmp_path: Path) -> None:
+    with open(tmp_path / "large", "wb") as stream:
+        stream.truncate(BACKUP_BYTES_MAX + 1)
+    with pytest.raises(InputError, match="is too large for a backup"):
+        run("main", "--restore", str(tmp_path / "large"))
+    run("main")
+    for option, why in (("--install", "these are not two certificates"), ("--sign", "must be JSON")):
+        with pytest.raises(InputError, match=why):
+            run("main", option, str(tmp_path / "large"))
