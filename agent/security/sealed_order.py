@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgpack
 
+from agent.common.time import NS_PER_S
 from agent.messages.types import MISSION_BYTES_MAX, TIME_NS_MAX
 from agent.security.certificates import DER_BYTES_MAX, Certificate, CertificateError, issued
 from agent.security.credentials import Credentials
@@ -127,6 +128,13 @@ class Opener:
             _remember(self._orders, sealed, (certificate, sealed_ns, payload), ORDERS_MAX)
         return Order(sealed_ns, payload)
 
+    def open_recorded(self, sealed: bytes) -> Order:
+        """The order in `sealed`, recorded at some time: its operator's certificate must have been valid when
+        it was sealed. Raises as `open`."""
+        if len(sealed) > SEALED_BYTES_MAX:
+            raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
+        return self.open(sealed, _parts(sealed)[0] / NS_PER_S)
+
     def _certificate(self, der: bytes, now_s: float) -> Certificate:
         certificate = self._certificates.get(der)
         if certificate is None:
@@ -158,6 +166,17 @@ class Opener:
             certificate.check_time(now_s)
         except CertificateError as error:
             raise Forged(error.reason, str(error)) from None
+
+
+def unverified(sealed: bytes) -> bytes:
+    """The payload of what looks like a sealed order: nothing says who made it.
+
+    Raises:
+        Forged: it is none.
+    """
+    if len(sealed) > SEALED_BYTES_MAX:
+        raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
+    return _parts(sealed)[3]
 
 
 def _packed(parts: tuple[int, int, bytes, bytes, bytes]) -> bytes:

@@ -12,8 +12,11 @@ from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.runtime.bus import Bus
 from agent.runtime.sealed_bus import bus_for
-from agent.security.credentials import CredentialsError, MissingError
+from agent.security import private_files
+from agent.security.certificates import CertificateError, authority_from_pem
+from agent.security.credentials import CredentialsError, Files, MissingError
 from agent.security.identity import MAIN, IdentityError, of_operator
+from agent.security.sealed_order import Opener
 from deploy.console.arguments import InputError
 from deploy.faults.live import receivers
 from deploy.inventory.certificate_authority import keys_folder
@@ -38,8 +41,7 @@ def operator_bus(fleet: Fleet) -> Bus:
     if not fleet.is_secured:
         return bus_for(fleet, None, None, _log, listen=[], connect=connect)
     name = fleet.fleet.name
-    given = os.environ.get(KEYS, "")
-    folder = Path(given).expanduser() if given else keys_folder(name)
+    folder = _keys(name)
     who = os.environ.get(OPERATOR, MAIN)
     try:
         identity = of_operator(name, who)
@@ -55,6 +57,30 @@ def operator_bus(fleet: Fleet) -> Bus:
     except CredentialsError as error:
         advice = "; `handfast keys` makes one" if isinstance(error, MissingError) else ""
         raise InputError(f"{error}{advice}") from None
+
+
+def order_opener(fleet: Fleet) -> Opener | None:
+    """Opens what operators of a secured fleet have sealed; None where the authority's certificate is not here.
+
+    Raises:
+        InputError: it is here, and cannot be read.
+    """
+    name = fleet.fleet.name
+    path = Files(_keys(name), of_operator(name, MAIN)).authority
+    try:
+        authority = authority_from_pem(private_files.read(path))
+    except private_files.KeyFileError as error:
+        if not private_files.exists(path):
+            return None
+        raise InputError(str(error)) from None
+    except CertificateError as error:
+        raise InputError(f"{path}: {error}") from None
+    return Opener(name, fleet.network.operators, authority)
+
+
+def _keys(fleet: str) -> Path:
+    given = os.environ.get(KEYS, "")
+    return Path(given).expanduser() if given else keys_folder(fleet)
 
 
 def _log(text: str) -> None:

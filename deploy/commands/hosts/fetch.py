@@ -35,12 +35,12 @@ def _fetch(options: argparse.Namespace) -> int:
     from deploy.drive.outcome import conclude
     from deploy.hosts.fetch import Fetching
     from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.merge import Choice, merge
-    from deploy.hosts.robot_recording import MergeError
     from deploy.hosts.view import FAILED as HOST_FAILED
     from deploy.hosts.view import make_hosts_view
     from deploy.inventory.folders import out_folder, refuse_full
     from deploy.inventory.hosts import hosts_of, located
+    from deploy.merging.merge import Choice, merge
+    from deploy.merging.robot_recording import MergeError
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
 

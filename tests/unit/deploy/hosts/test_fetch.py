@@ -215,7 +215,7 @@ def test_ctrl_c_ends_the_merging(file: Path, monkeypatch: pytest.MonkeyPatch) ->
         def wait(self, *_: object) -> None: ...
 
     monkeypatch.setattr("deploy.hosts.jobs.HostJobs", Jobs)
-    monkeypatch.setattr("deploy.hosts.merge.merge", merging)
+    monkeypatch.setattr("deploy.merging.merge.merge", merging)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` leaves it ignored
     try:
         with pytest.raises(KeyboardInterrupt):
