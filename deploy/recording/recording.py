@@ -152,14 +152,12 @@ class Recording:
         return self.fleet_time_s(min(times)) if times else None
 
     def _knows_of_before(self, robot: int, begun_s: float) -> bool:
-        """Whether a robot's agent said in the drive that the last stop or resume that it knew was the last stop
-        from before the drive, or later, when none was given in the drive yet."""
+        """Whether a robot's agent said in the drive, before any stop or resume was given there, that it knew
+        of the last stop from before."""
         stops = [stop.version for stop in self.stops if self.fleet_time_s(stop.time_ns) < begun_s]
-        later = [
-            order.version
-            for order in (*self.stops, *self.resumes)
-            if self.fleet_time_s(order.time_ns) >= begun_s
-        ]
+        given = [(order.time_ns, order.version) for order in self.stops]
+        given += [(order.time_ns, order.version) for order in self.resumes]
+        later = [version for time_ns, version in given if self.fleet_time_s(time_ns) >= begun_s]
         status = self.robots[robot].status
         known = status.order_versions[status.t >= begun_s]
         return bool(((known >= max(stops, default=0)) & (known < min(later, default=inf))).any())

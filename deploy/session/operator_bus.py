@@ -60,7 +60,7 @@ def operator_bus(fleet: Fleet) -> Bus:
 
 
 def order_opener(fleet: Fleet) -> Opener | None:
-    """Opens what operators of a secured fleet have sealed; None where the authority's certificate is not here.
+    """Opens what a secured fleet's operators have sealed; None where the authority's certificate is not here.
 
     Raises:
         InputError: it is here, and cannot be read.

@@ -356,7 +356,7 @@ def test_a_fleet_file_of_another_version(tmp_path: Path) -> None:
     computer = Computer(tmp_path, 1)
     computer.about = computer.about._replace(fleet_toml="[fleet]\nname = 'made-up'\nwarp = 9\n")
     computer.record(said(1))
-    with pytest.raises(MergeError, match=r"no recording can be used: what robot 1 recorded: the fleet file in it"):
+    with pytest.raises(MergeError, match="no recording can be used: what robot 1 recorded: the fleet file"):
         merged([computer.folder], tmp_path / "run")
 
 
