@@ -245,15 +245,21 @@ def clock_offsets(recording: Recording) -> list[dict[str, Any]]:
 def clock_warnings(recording: Recording, offsets: list[dict[str, Any]]) -> list[str]:
     """One sentence for each robot whose clock is off by more than `control.clock_skew_max_s`.
 
-    Two robots alone cannot tell whose clock is wrong. The one that most others disagree with is named.
+    Two robots alone cannot tell whose clock is wrong. The one that most others disagree with is named. What
+    one end of a link says and the other denies counts for nothing: both find the same offset.
     """
     limit_ms = 1e3 * recording.fleet.control.clock_skew_max_s
     wrong: dict[frozenset[int], list[tuple[int, int, float, float]]] = {}
+    denied: set[frozenset[int]] = set()
     for entry in offsets:
         offset, error = entry["offset_ms"], entry["error_ms"]
+        robot, neighbour = entry["robot"], entry["neighbour"]
+        pair = frozenset((robot, neighbour))
         if abs(offset) - error > limit_ms:
-            robot, neighbour = entry["robot"], entry["neighbour"]
-            wrong.setdefault(frozenset((robot, neighbour)), []).append((neighbour, robot, offset, error))
+            wrong.setdefault(pair, []).append((neighbour, robot, offset, error))
+        elif abs(offset) + error <= limit_ms:
+            denied.add(pair)
+    wrong = {pair: found for pair, found in wrong.items() if pair not in denied}
     out = []
     while wrong:
         counts = {robot: sum(robot in pair for pair in wrong) for pair in wrong for robot in pair}
