@@ -15,7 +15,7 @@ from agent.links.timed_rules import link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, mean, number, percentile
-from deploy.console.wording import robots
+from deploy.console.wording import robots, some
 from deploy.faults.windows import LiveSet, live_sets, windows
 from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.recording.link_table import Ints, LinkTable
@@ -336,16 +336,17 @@ def idle_rules(recording: Recording, a: Analysis) -> list[str]:
 def audit_warnings(found: Mapping[str, Any]) -> list[str]:
     """A sentence when what was recorded is not what the rules give."""
     differing, unrecorded = found["differing"], found["unrecorded"]
+    links = some(found["doubtful"])
     out = []
     if differing:
         out.append(
             f"Of {found['decided']} recorded decisions on messages {differing} are not those that the rules "
             "and the seed give: the recording or its fleet file was changed, or another version of "
-            "handfast made it."
+            f"handfast made it. They are on {links}."
         )
     if unrecorded:
         out.append(
             f"The recording lacks {unrecorded} of the {found['decided']} messages that were decided on: what "
-            "was done to them cannot be checked."
+            f"was done to them cannot be checked. They were on {links}."
         )
     return out
