@@ -19,6 +19,9 @@ from agent.common.quantities import UNITS, Unit, quantity
 from agent.common.settings import Entry, Sectioned, Setting, entries
 from agent.common.wording import describe, example, joined, key_text, nearest, printable, show
 
+# What would move a terminal's cursor or turn the direction of writing.
+_CONTROL: Final = re.compile("[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+_LINES_CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _INVALID: Final = object()  # what a value that has a problem reads as
 
 _POSITION = re.compile(r"\[\d+\]")
@@ -262,6 +265,8 @@ class Reader:
             self.add(place, f"must be text in UTF-8, got {show(raw)}")
         elif said.pattern is not None and not re.fullmatch(said.pattern, raw):
             self.add(place, f"must be {said.pattern_says}, got {show(raw)}")
+        elif (_LINES_CONTROL if said.lines else _CONTROL).search(raw):  # what prints it need not look again
+            self.add(place, f"must be text without control characters, got {show(raw)}")
         else:
             return raw
         return _INVALID

@@ -37,6 +37,7 @@ class Setting:
     required: bool = False  # the file must give it although the class has a default
     pattern: str | None = None  # of a string, matched in full
     pattern_says: str = ""  # the pattern in words: "must be ..."
+    lines: bool = False  # of a string that may have several lines
     example: str | None = None  # TOML text of a value
     shared: tuple[str, type] | None = None  # array of tables: key and model of the table of defaults
     parse: Callable[[object], object] | None = None  # reads the value; ValueError says what is right

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,6 +18,7 @@ SHARED_LINKS: Final = ("tcp:", "udpout:")
 LINK_FIELDS: Final = ("connection", "baud", "signing_key")
 """Fields of `MavlinkSection` that only say how its own computer reaches a vehicle."""
 _HOST: Final = r"([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])"
+_LOOPBACK: Final = re.compile(r"localhost|127\.[0-9.]+|\[::1\]", re.IGNORECASE)
 _PORT: Final = r"([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"
 
 
@@ -91,7 +93,7 @@ class MavlinkSection:
 
 def check_links(kind: str, rows: Sequence[tuple[int, Mapping[str, Any]]], reader: Reader) -> None:
     """Each of these robots is reached in a way of its own."""
-    known: dict[str, list[tuple[int, Any]]] = {}
+    known: dict[tuple[str, str | None], list[tuple[int, Any]]] = {}
     for number, row in rows:
         if kind not in row:
             continue  # it has a problem of its own
@@ -107,7 +109,9 @@ def check_links(kind: str, rows: Sequence[tuple[int, Mapping[str, Any]]], reader
             # A router's port takes several bridges; a serial port, or one that is listened on, a single one.
             shared = connection.startswith(SHARED_LINKS)
             system = link.get("system", -number)
-            others = known.setdefault(connection, [])
+            # Ports of one computer are not those of another.
+            is_local = not shared or bool(_LOOPBACK.fullmatch(connection.split(":", 1)[1].rpartition(":")[0]))
+            others = known.setdefault((connection, row.get("host") if is_local else None), [])
             for other, its_system in others:
                 if not shared or None in (system, its_system) or system == its_system:
                     way = "a link, or a system on it," if shared else "a link"

@@ -10,7 +10,7 @@ from agent.common import plugins
 from agent.common.reader import Problem, Reader
 from agent.common.settings import Entry, entries
 from agent.fleet import plants
-from agent.fleet.sections import LAWS_GROUP, Body, ControlSection, Robot, load_law
+from agent.fleet.sections import LAWS, LAWS_GROUP, Body, ControlSection, Robot, load_law
 
 NAMES_A_PLUGIN: Final = re.compile(
     r"\s*((robot_defaults|robot\s*\.[^.=]*)\s*\.\s*plant|control\s*\.\s*law)\s*="
@@ -44,6 +44,11 @@ def read_plugins(raw: Mapping[str, Any], reader: Reader) -> list[Problem]:
     reader.sections = {holder: tuple(held.values()) for holder, held in tables.items()}
     reader.unread = frozenset(unread)
     return problems
+
+
+def plugins_named(raw: Mapping[str, Any]) -> frozenset[str]:
+    """The plugins that the tables `raw` of a fleet file name; none of them is loaded."""
+    return frozenset(reference for _, reference, *_ in _references(raw) if reference not in LAWS)
 
 
 def complete(values: Mapping[str, Any], reader: Reader) -> None:

@@ -69,7 +69,10 @@ class FleetSection:
         0, "Seed of everything random: noise, link faults. Same seed, same run.", ge=0, le=2**63 - 1
     )
     description: str = setting(
-        "", "A sentence for people; nothing depends on it.", example='"Six robots in a triangle"'
+        "",
+        "A sentence for people; nothing depends on it.",
+        lines=True,
+        example='"Six robots in a triangle"',
     )
 
 

@@ -116,6 +116,15 @@ def near(fleet: str, robot: int) -> list[str]:
     return [plant_state(fleet, robot), wrench(fleet, robot), relayed(fleet, robot)]
 
 
+def said_by(fleet: str, robot: int) -> list[str]:
+    """All keys on which one robot's agent and plant publish, but that on which they relay orders."""
+    return [
+        *(key(fleet, robot) for key in (hand, status, plant_state, plant_truth, wrench, beacon, checks)),
+        *(key(fleet, robot) for key in (links, plant_links)),
+        *(faults_held(fleet, robot, role) for role in ROLES),
+    ]
+
+
 def alive(fleet: str, robot: int | str, role: str) -> str:
     """Liveliness token of one process; `role` is one of `ROLES` (or ``*``)."""
     return f"{fleet}/alive/robot/{robot}/{role}"

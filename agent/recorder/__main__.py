@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S
@@ -166,7 +166,9 @@ def _open(
 def _bus(fleet: Fleet, robot: int, folder: str | None, log: Log) -> Bus:
     os.nice(NICE)  # before Zenoh's threads are there, which have the niceness of who starts them
     endpoints = [fleet.agent_near(robot), fleet.plant_near(robot)]
-    return open_bus(fleet, robot, folder, log, listen=[], connect=endpoints, through_routers=False)
+    ends: dict[str, Any] = {"listen": [], "connect": endpoints, "through_routers": False}
+    # An order without its seal proves nothing to who fetches the recording.
+    return open_bus(fleet, robot, folder, log, **ends, keep_seals=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -60,6 +60,7 @@ class SealedBus(Bus):
         folder: with the files of `identity`: a robot's, or an operator's, who seals what it says.
         log: writes a line of the log for what is refused.
         go_on_waiting: as of a `Bus`; asked after what was refused meanwhile has been said.
+        keep_seals: gives orders sealed, as they came, to who keeps them as evidence.
         bus: what else a `Bus` takes.
 
     Raises:
@@ -74,9 +75,10 @@ class SealedBus(Bus):
         identity: Identity,
         log: Log,
         go_on_waiting: Callable[[], bool] = lambda: False,
+        keep_seals: bool = False,
         **bus: Any,
     ) -> None:
-        self._log = log
+        self._log, self._keep_seals = log, keep_seals
         self._zenoh_log = ZenohLog()
         try:
             init_log(FILTER)
@@ -117,12 +119,13 @@ class SealedBus(Bus):
         return self._gate.recall(came)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
-        """As `Bus.drain`, with orders opened; those that are not genuine are left out and logged."""
+        """As `Bus.drain`, with orders opened, unless seals are kept; what is not genuine is left out and
+        logged."""
         now_ns = time.time_ns()
         for key, payload in super().drain():
             opened = self._gate.let_in(key, payload, now_ns)
             if opened is not None:
-                yield key, opened
+                yield key, payload if self._keep_seals else opened
         self._say_refusals()
 
     def _say_refusals(self, later_ns: int = 0) -> None:
@@ -142,12 +145,14 @@ def bus_for(
     through_routers: bool = True,
     go_on_waiting: Callable[[], bool] = lambda: False,
     retry_ms: tuple[int, int] = RETRY_MS,
+    keep_seals: bool = False,
 ) -> Bus:
     """The bus of one process of a fleet, secured or not, through its routers or not; see `Bus`, `SealedBus`.
 
     Args:
         identity, folder: of a secured fleet; None else.
         through_routers: False for a process that speaks only with its own robot's.
+        keep_seals: as of a `SealedBus`.
     """
     scheme = "tls" if fleet.is_secured else "tcp"
     routers = [f"{scheme}/{router}" for router in fleet.network.routers] if through_routers else []
@@ -173,6 +178,7 @@ def bus_for(
         routers=routers,
         near=near,
         go_on_waiting=go_on_waiting,
+        keep_seals=keep_seals,
         link_timeout_s=link_timeout_s,
         retry_ms=retry_ms,
     )

@@ -148,6 +148,13 @@ class Opener:
             _remember(self._orders, sealed, (certificate, sealed_ns, payload), ORDERS_MAX)
         return Order(sealed_ns, payload)
 
+    def open_recorded(self, sealed: bytes) -> Order:
+        """The order in `sealed`, recorded at some time: its operator's certificate must have been valid when
+        it was sealed. Raises as `open`."""
+        if len(sealed) > SEALED_BYTES_MAX:
+            raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
+        return self.open(sealed, _parts(sealed)[0] / NS_PER_S)
+
     def _certificate(self, der: bytes, now_s: float) -> Certificate:
         certificate = self._certificates.get(der)
         if certificate is None:
@@ -179,6 +186,17 @@ class Opener:
             certificate.check_time(now_s)
         except CertificateError as error:
             raise Forged(error.reason, str(error)) from None
+
+
+def unverified(sealed: bytes) -> bytes:
+    """The payload of what looks like a sealed order: nothing says who made it.
+
+    Raises:
+        Forged: it is none.
+    """
+    if len(sealed) > SEALED_BYTES_MAX:
+        raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
+    return _parts(sealed)[3]
 
 
 def _packed(parts: tuple[int, int, bytes, bytes, bytes]) -> bytes:

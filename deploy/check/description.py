@@ -34,7 +34,8 @@ def describe(fleet: Fleet) -> str:
     For a fleet that cannot be resolved it says what it can; `check` says why.
     """
     n, edges = len(fleet.members), len(fleet.formation.edges)
-    about = f": {fleet.fleet.description}" if fleet.fleet.description else ""
+    description = " ".join(fleet.fleet.description.split())
+    about = f": {description}" if description else ""
     lines = [f"{fleet.fleet.name}{about}"]
     lines.append(
         f"  {n} robot{'s' * (n != 1)} ({some([robot.id for robot in fleet.members])}), {edges} "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
+from statistics import median_low
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from agent.fleet.fault_rules import Rule
@@ -50,38 +51,56 @@ def live_sets(recording: Recording) -> list[LiveSet]:
     processes say that they hold it no more.
     """
     epoch_ns = recording.epoch_ns or 0
-    first: dict[tuple[str, int], Faults] = {}
-    ends_ns: dict[tuple[str, int], float] = {}
-    changes: list[tuple[str, int, int]] = []  # author, version that is over, when
+    held: dict[tuple[str, int], dict[int, _Held]] = {}
+    dropped: list[tuple[str, int, int]] = []  # author, version that is over, when
     for received_ns, robot, _, message in recording.live_faults:
         author, version = message.author, message.version
-        if not message.rules:
-            # A process says when it dropped a set; an operator's empty one works once it has come.
-            changes.append((author, version, message.time_ns if robot else received_ns))
-            continue
         if not robot:
+            if not message.rules:  # an operator's empty set works once it has come
+                dropped.append((author, version, received_ns))
             continue  # what nobody held did nothing
-        key = author, version
-        if key not in first:
-            first[key] = message
-            changes.append((author, version - 1, received_ns))
-        lease_end = message.time_ns + message.lease_ns if message.lease_ns else inf
-        ends_ns[key] = max(ends_ns.get(key, 0.0), lease_end)
+        if message.rules:
+            of_robot = held.setdefault((author, version), {}).setdefault(robot, _Held(message, received_ns))
+            lease_end = message.time_ns + message.lease_ns if message.lease_ns else inf
+            of_robot.lease_end_ns = max(of_robot.lease_end_ns, lease_end)
+            continue
+        for (whose, earlier), robots in held.items():  # a process says when it dropped a set
+            since = robots.get(robot)
+            if author not in (whose, EVERY_AUTHOR) or since is None or version < earlier:
+                continue
+            if message.time_ns >= since.message.time_ns:
+                since.dropped_ns = min(since.dropped_ns, message.time_ns)
+    # One robot's word does not decide when a set began or ended for all: what half of its holders say does.
+    for (author, version), robots in held.items():
+        dropped.append((author, version - 1, median_low(each.received_ns for each in robots.values())))
     found = []
     ids = recording.ids
-    for (author, version), message in first.items():
+    for (author, version), robots in held.items():
+        by_time = sorted(robots.values(), key=lambda each: each.message.time_ns)
+        message = by_time[(len(by_time) - 1) // 2].message
         over = [
             when
-            for who, until, when in changes
-            if (who in (author, EVERY_AUTHOR)) and until >= version and when >= message.time_ns
+            for who, until, when in dropped
+            if who in (author, EVERY_AUTHOR) and until >= version and when >= message.time_ns
         ]
         try:
             rules = named(parse_scenario(message.rules, ids).rules, "live rule")
         except ScenarioError:
             continue  # no node takes such a one either
-        end_ns = min([ends_ns[author, version], *over])
+        own = median_low(min(each.lease_end_ns, each.dropped_ns) for each in robots.values())
+        end_ns = min([own, *over])
         found.append(LiveSet(message, rules, (message.origin_ns - epoch_ns) / 1e9, (end_ns - epoch_ns) / 1e9))
     return sorted(found, key=lambda held: (held.origin_s, held.message.author, held.message.version))
+
+
+@dataclass
+class _Held:
+    """What one robot's processes said of a set: as they said it first, when that came, and its end."""
+
+    message: Faults
+    received_ns: int
+    lease_end_ns: float = 0.0
+    dropped_ns: float = inf
 
 
 def spans(recording: Recording, end_s: float) -> list[Span]:

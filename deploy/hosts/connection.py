@@ -24,11 +24,12 @@ GREETING_TIMEOUT_S: Final = 20.0
 ANSWER_TIMEOUT_S: Final = 60.0
 NOISE_BYTES_MAX: Final = 100_000
 """A login may print before our program speaks, so much at most."""
-# A host must not fill this computer's memory: more is no answer of our program's.
-LINE_BYTES_MAX: Final = 64_000_000
-DATA_BYTES_MAX: Final = 16_000_000
-ANSWERS_MAX: Final = 4
-"""So many may wait to be looked at."""
+# A host must not fill this computer's memory, and what JSON stands for takes some thirty times its bytes: a
+# longer answer is none of our program's. What it says of units is some 3 kB for each robot.
+ANSWER_BYTES: Final = 65_536
+ROBOT_BYTES: Final = 16_384
+ERROR_MAX: Final = 500
+"""Characters of what a host says is wrong."""
 STDERR_BYTES_MAX: Final = 20_000
 CLOCK_ROUNDS: Final = 5
 CLOSE_S: Final = 0.5
@@ -38,6 +39,9 @@ NO_PYTHON: Final = "handfast finds no python"
 START: Final = (
     'import sys; s = sys.stdin.buffer; exec(compile(s.read(int(s.readline())), "host_program", "exec"))'
 )
+
+
+Answer = tuple[dict[str, Any], bytes]
 
 
 class HostError(RuntimeError):
@@ -73,6 +77,7 @@ class HostConnection:
     answers, leaving it ends the program. `abort` and `close` may be called before.
 
     Args:
+        robots: how many there are on it: so much longer its answers may be.
         accept_new: takes the key of a host that was never met before for its own.
 
     Attributes:
@@ -82,8 +87,9 @@ class HostConnection:
         HostError: there is no ssh here.
     """
 
-    def __init__(self, host: HostSection, *, accept_new: bool = False) -> None:
+    def __init__(self, host: HostSection, robots: int = 1, *, accept_new: bool = False) -> None:
         self.host: Final = host
+        self._answer_bytes = ANSWER_BYTES + robots * ROBOT_BYTES
         self.about: dict[str, Any] = {}
         self._said = ""
         try:
@@ -96,7 +102,8 @@ class HostConnection:
             )
         except FileNotFoundError:
             raise HostError(ssh.NO_SSH) from None
-        self._answers: queue.Queue[tuple[dict[str, Any], bytes] | None] = queue.Queue(ANSWERS_MAX)
+        self._asked: queue.SimpleQueue[_Asked | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[Answer | HostError | None] = queue.SimpleQueue()
         self._listener = threading.Thread(target=self._listen_errors, daemon=True)
         self._listener.start()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -107,9 +114,9 @@ class HostConnection:
         try:
             program = PROGRAM.read_bytes()
             self._write(str(len(program)).encode() + b"\n" + program)
-            greeting = self._next(GREETING_TIMEOUT_S)[0]
+            greeting, _ = self._next(GREETING_TIMEOUT_S)
             if "no_python" in greeting:
-                raise HostError(_no_python(self.host, greeting["no_python"]))
+                raise HostError(_no_python(self.host, printable(greeting["no_python"])))
             self.about = self.ask("hello")
         except BaseException:
             self.close()
@@ -125,6 +132,7 @@ class HostConnection:
         """Ends the conversation; safe to call twice, and from another thread."""
         stdin = self._process.stdin
         assert stdin is not None
+        self._asked.put(None)
         with suppress(OSError):
             stdin.close()
         try:
@@ -142,27 +150,46 @@ class HostConnection:
 
     # ------------------------------------------------------------------ questions
 
-    def ask(self, what: str, *, timeout_s: float = ANSWER_TIMEOUT_S, **arguments: Any) -> Any:
+    def ask(
+        self,
+        what: str,
+        *,
+        timeout_s: float = ANSWER_TIMEOUT_S,
+        answer_bytes: int | None = None,
+        **arguments: Any,
+    ) -> Any:
         """The answer to a request without data.
+
+        Args:
+            answer_bytes: the longest answer that there may be; by the number of robots unless given.
 
         Raises:
             HostError: it cannot be done there, or the connection was lost.
         """
-        return self.exchange(what, None, timeout_s=timeout_s, **arguments)[0]
+        return self.exchange(what, None, timeout_s=timeout_s, answer_bytes=answer_bytes, **arguments)[0]
 
     def exchange(
-        self, what: str, blob: bytes | None, *, timeout_s: float = ANSWER_TIMEOUT_S, **arguments: Any
+        self,
+        what: str,
+        blob: bytes | None,
+        *,
+        timeout_s: float = ANSWER_TIMEOUT_S,
+        answer_bytes: int | None = None,
+        data_bytes: int = 0,
+        **arguments: Any,
     ) -> tuple[Any, bytes]:
-        """The answer to a request with data, and the data that came with it; raises as `ask`."""
+        """The answer to a request with data, and the data that came with it, `data_bytes` at most; else as
+        `ask`."""
         head: dict[str, Any] = {"do": what, **arguments}
         if blob is not None:
             head["blob"] = len(blob)
+        self._asked.put(_Asked(what, answer_bytes or self._answer_bytes, data_bytes))
         self._write(json.dumps(head).encode() + b"\n")
         if blob:
             self._write(blob)
         answer, data = self._next(timeout_s)
         if "error" in answer:
-            raise HostError(printable(str(answer["error"])))
+            raise HostError(printable(str(answer["error"])[:ERROR_MAX]))
         return answer.get("ok"), data
 
     def clock(self) -> Clock:
@@ -172,6 +199,8 @@ class HostConnection:
             asked_ns = time.time_ns()
             there_ns = self.ask("clock")
             answered_ns = time.time_ns()
+            if type(there_ns) is not int or not 0 <= there_ns < 2**63:
+                raise HostError("it does not say what time it is there")
             error_s = (answered_ns - asked_ns) / 2e9
             if best is None or error_s < best.error_s:
                 best = Clock((there_ns - (asked_ns + answered_ns) / 2) / 1e9, error_s)
@@ -187,12 +216,15 @@ class HostConnection:
             stdin.write(data)
             stdin.flush()
 
-    def _next(self, timeout_s: float) -> tuple[dict[str, Any], bytes]:
+    def _next(self, timeout_s: float) -> Answer:
         try:
             answer = self._answers.get(timeout=timeout_s)
         except queue.Empty:
             self._process.kill()
             raise HostError(f"it did not answer within {timeout_s:.0f} s") from None
+        if isinstance(answer, HostError):
+            self._process.kill()
+            raise answer
         if answer is None:
             raise self._lost()
         return answer
@@ -215,27 +247,57 @@ class HostConnection:
                     self._said += data.decode(errors="replace")
 
     def _read(self) -> None:
-        """Passes on answers as they come; None when there will be no more."""
+        """Passes on the greeting, and an answer for each question; None when there will be no more."""
         stream = self._process.stdout
         assert stream is not None
         try:
-            # Cut in the middle of an answer, or none of our program's.
-            with stream, suppress(OSError, ValueError, TypeError, RecursionError):
-                if (greeting := _greeting(stream)) is not None:
-                    self._answers.put((greeting, b""))
-                    while "no_python" not in greeting and (answer := _answer(stream)) is not None:
-                        self._answers.put(answer)
+            with stream, suppress(OSError, ValueError):  # closed here
+                if (greeting := _greeting(stream)) is None:
+                    return
+                self._answers.put((greeting, b""))
+                # Nothing is read that was not asked for: it waits in the pipe.
+                while "no_python" not in greeting and (asked := self._asked.get()) is not None:
+                    if (answer := _answer(stream, asked)) is None:
+                        return
+                    self._answers.put(answer)
+        except HostError as error:
+            self._answers.put(error)
         finally:
             self._answers.put(None)
 
 
-def _answer(stream: IO[bytes]) -> tuple[dict[str, Any], bytes] | None:
-    """The next answer, None when there is none that is whole. Raises what a line that is none may raise."""
-    head = json.loads(stream.readline(LINE_BYTES_MAX) or "null")
-    is_answer = isinstance(head, dict) and ("ok" in head or "error" in head)
-    size = int(head.get("blob") or 0) if is_answer else -1
-    if not 0 <= size <= DATA_BYTES_MAX:
+class _Asked(NamedTuple):
+    """A question, and how long its answer may be."""
+
+    what: str
+    answer_bytes: int
+    data_bytes: int
+
+
+def _answer(stream: IO[bytes], asked: _Asked) -> Answer | None:
+    """The next answer and its data, None when it ends before.
+
+    Raises:
+        HostError: it is longer than it can be, or no answer.
+    """
+    line = stream.readline(asked.answer_bytes + 1)
+    if len(line) > asked.answer_bytes:
+        raise HostError(
+            f"its answer to {asked.what} is longer than {asked.answer_bytes} bytes: it is not read on"
+        )
+    if not line.endswith(b"\n"):
         return None
+    try:
+        head = json.loads(line)
+    except (ValueError, RecursionError):
+        head = None
+    size = head.get("blob") or 0 if isinstance(head, dict) and ("ok" in head or "error" in head) else None
+    if type(size) is not int or size < 0:
+        raise HostError(f"its answer to {asked.what} makes no sense: {printable(repr(line[:60])[1:])}")
+    if size > asked.data_bytes:
+        raise HostError(
+            f"its answer to {asked.what} has {size} bytes of data, {asked.data_bytes} were asked for at most"
+        )
     data = stream.read(size)
     return (head, data) if len(data) == size else None
 

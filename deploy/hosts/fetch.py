@@ -20,6 +20,17 @@ SHARE_MAX: Final = 10
 """More than so many times what a robot's recording may take is not brought: the file may have allowed more
 once, but no host may fill this disk."""
 
+FILES_MAX: Final = 10_000
+"""Of one robot so many files are brought, the newest: they are large as a rule, but each start of a recorder
+begins another."""
+NAME_BYTES: Final = 128
+"""What a host says of one file."""
+# A host that gives its recordings drop by drop does not keep the command from its end.
+START_S: Final = 60.0
+RATE_MIN: Final = 20_000
+"""Bytes in a second."""
+FILE_S: Final = 2.0
+
 Listed = dict[str, tuple[int, float]]
 """Segments on a host, by name: size (bytes), when it was written to last (wall clock there, s)."""
 
@@ -35,12 +46,16 @@ class Fetching:
 
     Attributes:
         folders: by robot, what was brought.
+        fetched_before: robots of which that was some time ago.
     """
 
     def __init__(self, fleet: Fleet, since_s: float | None) -> None:
         self._fleet, self._since_s = fleet, since_s
         self._into = cache_folder("recordings") / fleet.fleet.name
         self.folders: dict[int, Path] = {}
+        self.fetched_before: set[int] = set()
+        self._not_kept: dict[int, str] = {}
+        """By robot, why this computer cannot keep what its host gives."""
 
     def __call__(self, connection: HostConnection, row: Row) -> None:
         """Brings the recordings of one host's robots; see `deploy.hosts.jobs.Work`.
@@ -54,14 +69,14 @@ class Fetching:
             try:
                 got += self._bring(connection, row, robot)
             except OSError as error:
-                raise HostError(
-                    f"cannot keep copies in {self._folder(robot)}: {error.strerror or error}"
-                ) from None
+                why = f"this computer cannot keep it in {self._folder(robot)}: {error.strerror or error}"
+                self._not_kept |= dict.fromkeys(robots_on(self._fleet, connection.host), why)
+                raise HostError(why) from None
             self.folders[robot] = self._folder(robot)
         row.done(f"fetched {got / 1e6:.1f} MB")
 
     def fall_back(self, robot: int) -> str | None:
-        """Takes a robot's recording as it was fetched before, since its host does not give it now.
+        """Takes a robot's recording as it was fetched before, since it was not brought now.
 
         Returns a warning, None where nothing was fetched before.
         """
@@ -73,8 +88,10 @@ class Fetching:
         if fetched_s is None:
             return None
         self.folders[robot] = folder
+        self.fetched_before.add(robot)
+        why = self._not_kept.get(robot, "its host does not give it now")
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(fetched_s))
-        return f"what robot {robot} recorded is as fetched at {when}: its host does not give it now"
+        return f"what robot {robot} recorded is as fetched at {when}: {why}"
 
     def _folder(self, robot: int) -> Path:
         return self._into / f"robot-{robot}"
@@ -92,21 +109,26 @@ class Fetching:
             if self._since_s is None or written_s >= self._since_s
         }
         got, total = 0, sum(max(0, each) for each in lacking.values())
+        deadline_s = time.monotonic() + START_S + total / RATE_MIN + len(lacking) * FILE_S
         for name in lacking:
             row.step = f"robot {robot}: {got / 1e6:.0f} of {total / 1e6:.0f} MB"
             try:
-                got += _copy(connection, f"{there}/{name}", folder / name, listed[name][0])
+                got += _copy(connection, f"{there}/{name}", folder / name, listed[name][0], deadline_s)
             except HostError:
-                if name in self._listing(connection, robot, there):
+                if time.monotonic() > deadline_s or name in self._listing(connection, robot, there):
                     raise
                 # It has made room for newer ones meanwhile.
         os.utime(folder)  # when all of it was here: see `fall_back`
         return got
 
     def _listing(self, connection: HostConnection, robot: int, there: str) -> Listed:
-        answer = connection.ask("listing", folder=there, pattern="*.segment")
+        answer = connection.ask(
+            "listing", folder=there, pattern="*.segment", most=FILES_MAX, answer_bytes=FILES_MAX * NAME_BYTES
+        )
         if not isinstance(answer, dict):
             raise HostError(f"does not say what robot {robot} recorded")
+        if len(answer) > FILES_MAX:
+            raise HostError(f"says that robot {robot} recorded {len(answer)} files, asked for {FILES_MAX}")
         # The name becomes that of a file here.
         listed: Listed = {
             name: _about(name, about) for name, about in answer.items() if SEGMENT_NAME.fullmatch(name)
@@ -148,8 +170,8 @@ def _size(path: Path) -> int:
     return 0
 
 
-def _copy(connection: HostConnection, there: str, here: Path, size: int) -> int:
-    """Brings what is missing of one file; how much that was."""
+def _copy(connection: HostConnection, there: str, here: Path, size: int, deadline_s: float) -> int:
+    """Brings what is missing of one file until a time by the monotonic clock; how much that was."""
     begun = _size(here)
     if begun > size:
         begun = 0  # another file of that name
@@ -159,11 +181,12 @@ def _copy(connection: HostConnection, there: str, here: Path, size: int) -> int:
         stream.truncate()
         while begun + got < size:
             most = min(PART_BYTES, size - begun - got)
-            _, data = connection.exchange("get", None, path=there, offset=begun + got, most=most)
-            if len(data) > most:
-                raise HostError(f"gave {len(data)} bytes of {there}, asked for {most}")
-            if not data:
-                break
+            if time.monotonic() > deadline_s:
+                raise HostError(f"is too slow: less than {RATE_MIN // 1000} kB/s came")
+            offset = begun + got
+            _, data = connection.exchange("get", None, data_bytes=most, path=there, offset=offset, most=most)
             stream.write(data)
             got += len(data)
+            if len(data) < most:
+                break  # it is shorter by now
     return got

@@ -95,7 +95,7 @@ class HostJobs:
     def _run(self, host: HostSection) -> None:
         row = self.rows[host.name]
         try:
-            connection = HostConnection(host, accept_new=self._accept_new)
+            connection = HostConnection(host, len(row.robots), accept_new=self._accept_new)
             with self._guard:  # before it answers, which may take its time: Ctrl-C must reach it
                 self._connections.append(connection)
                 if self.ended:

@@ -575,10 +575,10 @@ def run(module: str, arguments: list[str], version: str, text: str = "") -> str:
 
 
 @request
-def listing(folder: str, pattern: str) -> dict[str, tuple[int, float]]:
-    """Files in a folder of ours, by name: their sizes, and when they were written to last (s)."""
+def listing(folder: str, pattern: str, most: int) -> dict[str, tuple[int, float]]:
+    """Files in a folder of ours, the `most` last by name: their sizes, when they were written to last (s)."""
     found = {}
-    for path in sorted(inside(folder).glob(pattern)):
+    for path in sorted(inside(folder).glob(pattern))[-most:]:
         with suppress(OSError):
             if path.is_file():
                 about = path.stat()

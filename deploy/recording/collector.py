@@ -113,11 +113,9 @@ class RunData:
             key_expressions.ask(prefix): Ask,
         }
         for robot in self._plant:
-            self._ignored |= {
-                key_expressions.checks(prefix, robot): Checks,
-                key_expressions.beacon(prefix, robot): Beacon,
-            }
+            self._ignored[key_expressions.checks(prefix, robot)] = Checks
         """Messages that are recorded for people, and of which no table is made."""
+        self._beacons_from = {key_expressions.beacon(prefix, robot): robot for robot in self._plant}
         self._beacons: dict[int, deque[Beacon]] = {robot: deque(maxlen=BEACONS) for robot in self._plant}
         self._over_ns = inf
         """When the drive is over, by the last mission."""
@@ -160,7 +158,7 @@ class RunData:
             )
         elif type(message) is Event and key == self._events_key:
             self.events.append(message)
-        elif type(message) is Beacon and self._ignored.get(key) is Beacon:
+        elif type(message) is Beacon and self._beacons_from.get(key) == message.robot:
             if message.time_ns <= self._over_ns:
                 self._beacons[message.robot].append(message)
         elif self._ignored.get(key) is not type(message):

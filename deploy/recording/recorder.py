@@ -22,6 +22,7 @@ from mcap.writer import CompressionType, Writer
 from agent.common.errors import Error
 from agent.fleet.loading import law_name, to_dict
 from agent.fleet.model import Fleet
+from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, PlantState
 from agent.messages.validation import Malformed
@@ -86,6 +87,10 @@ class Recorder:
         self._flush_due_ns: int | None = None
         self._now_ns = 0
         self._scene = Scene(fleet)
+        name = fleet.fleet.name
+        self._missions_from = {key_expressions.mission(name)}
+        self._missions_from |= {key_expressions.relayed(name, robot) for robot in fleet.ids}
+        self._bodies_from = {key_expressions.plant_state(name, robot): robot for robot in fleet.ids}
         self._stream: IO[bytes] | None = None
         run = {
             "version": handfast_version(),
@@ -139,9 +144,9 @@ class Recorder:
         """Write one message that is decoded already (a simulation has it at hand)."""
         sequence = getattr(message, "sequence", getattr(message, "version", 0))
         self._write(received_ns, key, type(message), to_json(message), message.time_ns, sequence)
-        if type(message) is Mission:
+        if type(message) is Mission and key in self._missions_from:
             self._scene.take(message)
-        elif type(message) is PlantState and not key.endswith("/truth"):
+        elif type(message) is PlantState and self._bodies_from.get(key) == message.robot:
             for scene_key, name, content in self._scene.update(received_ns, message):
                 self._write(received_ns, scene_key, name, content, received_ns, 0)
 

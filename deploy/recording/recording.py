@@ -130,14 +130,47 @@ class Recording:
 
     def halts(self, robot: int) -> list[tuple[float, float]]:
         """Fleet times (start, end) within which a robot had to stand: from a stop to the resume that ends it,
-        which has a greater version and is for this robot; inf where none did."""
+        which has a greater version and is for this robot; inf where none did.
+
+        A stop from before the drive was given holds in the drive only for a robot whose agent says so: one
+        that came up after it is not held.
+        """
+        found = self._halts(robot)
+        begun_s = self._begun_s
+        if begun_s is None or not found or found[-1][1] <= begun_s or self._knows_of_before(robot, begun_s):
+            return found
+        # Stops within the drive count all the same.
+        return [
+            *((start, min(end, begun_s)) for start, end in found if start < begun_s),
+            *self._halts(robot, begun_s),
+        ]
+
+    @cached_property
+    def _begun_s(self) -> float | None:
+        """Fleet time at which the drive was ordered, None when it was not."""
+        times = [mission.time_ns for mission in self.missions if mission.epoch_ns == self.epoch_ns]
+        return self.fleet_time_s(min(times)) if times else None
+
+    def _knows_of_before(self, robot: int, begun_s: float) -> bool:
+        """Whether a robot's agent said in the drive, before any stop or resume was given there, that it knew
+        of the last stop from before."""
+        stops = [stop.version for stop in self.stops if self.fleet_time_s(stop.time_ns) < begun_s]
+        given = [(order.time_ns, order.version) for order in self.stops]
+        given += [(order.time_ns, order.version) for order in self.resumes]
+        later = [version for time_ns, version in given if self.fleet_time_s(time_ns) >= begun_s]
+        status = self.robots[robot].status
+        known = status.order_versions[status.t >= begun_s]
+        return bool(((known >= max(stops, default=0)) & (known < min(later, default=inf))).any())
+
+    def _halts(self, robot: int, from_s: float = -inf) -> list[tuple[float, float]]:
+        """See `halts`: as the orders from `from_s` on have it."""
         orders: list[tuple[float, Stop | Resume]] = []
         orders += [(self.fleet_time_s(stop.time_ns), stop) for stop in self.stops]
         orders += [(self.fleet_time_s(resume.time_ns), resume) for resume in self.resumes]
         found: list[tuple[float, float]] = []
         stopped = resumed = -1
         since_s: float | None = None
-        for t, order in sorted(orders, key=lambda entry: entry[0]):
+        for t, order in sorted((entry for entry in orders if entry[0] >= from_s), key=lambda entry: entry[0]):
             if isinstance(order, Stop):
                 stopped = max(stopped, order.version)
             elif not order.robots or robot in order.robots:

@@ -74,6 +74,7 @@ class AuditResult:
     it.
     unheard: sent during the drive under a rule, by a neighbour or a plant, but without a decision: they
     never reached the receiver (the network lost them, or it was not there).
+    doubtful: links, such as ``1->2``, with any that differ or are not recorded.
     """
 
     decided: int = 0
@@ -83,6 +84,12 @@ class AuditResult:
     unrecorded: int = 0
     unheard: int = 0
     differences: list[Difference] = field(default_factory=list)
+    doubtful: list[str] = field(default_factory=list)
+
+    def doubt(self, link: Link) -> None:
+        name = f"{link.source}->{link.destination}"
+        if name not in self.doubtful:
+            self.doubtful.append(name)
 
 
 def audit(recording: Recording, a: Analysis) -> AuditResult:
@@ -116,6 +123,7 @@ def audit(recording: Recording, a: Analysis) -> AuditResult:
             messages = int(rows.first_copies.sum())
             result.decided += messages
             result.unrecorded += messages
+            result.doubt(link)
     return result
 
 
@@ -210,12 +218,15 @@ class _Node:
                 result.unchecked += 1
             else:
                 result.differing += 1
+                result.doubt(link)
                 if len(result.differences) < DIFFERENCES_MAX:
                     result.differences.append(Difference(link, sequence, stamp, found, wanted or ()))
         if rows is not None and recorded:
             left = np.isin(rows.stamp_ns, list(recorded)) & rows.first_copies
             driven = left & (rows.t >= 0.0) & (rows.t <= self._recording.end_s)
             result.unrecorded += int(driven.sum())
+            if driven.any():
+                result.doubt(link)
             # Before the drive the operator may not have listened yet, after it no more.
             result.unchecked += int(left.sum() - driven.sum())
 

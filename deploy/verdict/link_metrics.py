@@ -15,7 +15,7 @@ from agent.links.timed_rules import link_effects
 from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, mean, number, percentile
-from deploy.console.wording import robots
+from deploy.console.wording import robots, some
 from deploy.faults.windows import LiveSet, live_sets, windows
 from deploy.faults.wording import acts_on_links, described, effects_text, gives_link_effects, when, words
 from deploy.recording.link_table import Ints, LinkTable
@@ -245,15 +245,21 @@ def clock_offsets(recording: Recording) -> list[dict[str, Any]]:
 def clock_warnings(recording: Recording, offsets: list[dict[str, Any]]) -> list[str]:
     """One sentence for each robot whose clock is off by more than `control.clock_skew_max_s`.
 
-    Two robots alone cannot tell whose clock is wrong. The one that most others disagree with is named.
+    Two robots alone cannot tell whose clock is wrong. The one that most others disagree with is named. What
+    one end of a link says and the other denies counts for nothing: both find the same offset.
     """
     limit_ms = 1e3 * recording.fleet.control.clock_skew_max_s
     wrong: dict[frozenset[int], list[tuple[int, int, float, float]]] = {}
+    denied: set[frozenset[int]] = set()
     for entry in offsets:
         offset, error = entry["offset_ms"], entry["error_ms"]
+        robot, neighbour = entry["robot"], entry["neighbour"]
+        pair = frozenset((robot, neighbour))
         if abs(offset) - error > limit_ms:
-            robot, neighbour = entry["robot"], entry["neighbour"]
-            wrong.setdefault(frozenset((robot, neighbour)), []).append((neighbour, robot, offset, error))
+            wrong.setdefault(pair, []).append((neighbour, robot, offset, error))
+        elif abs(offset) + error <= limit_ms:
+            denied.add(pair)
+    wrong = {pair: found for pair, found in wrong.items() if pair not in denied}
     out = []
     while wrong:
         counts = {robot: sum(robot in pair for pair in wrong) for pair in wrong for robot in pair}
@@ -330,16 +336,17 @@ def idle_rules(recording: Recording, a: Analysis) -> list[str]:
 def audit_warnings(found: Mapping[str, Any]) -> list[str]:
     """A sentence when what was recorded is not what the rules give."""
     differing, unrecorded = found["differing"], found["unrecorded"]
+    links = some(found["doubtful"])
     out = []
     if differing:
         out.append(
             f"Of {found['decided']} recorded decisions on messages {differing} are not those that the rules "
             "and the seed give: the recording or its fleet file was changed, or another version of "
-            "handfast made it."
+            f"handfast made it. They are on {links}."
         )
     if unrecorded:
         out.append(
             f"The recording lacks {unrecorded} of the {found['decided']} messages that were decided on: what "
-            "was done to them cannot be checked."
+            f"was done to them cannot be checked. They were on {links}."
         )
     return out

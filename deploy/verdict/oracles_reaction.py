@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Collection
 from typing import Final
 
 import numpy as np
@@ -82,9 +84,10 @@ def _first(times: Floats, bad: Flags, down: Down, limit_s: float, end_s: float) 
 
 def stopped(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
     """After a stop no plant drives until a resume, and every body comes to a stand."""
-    limit_s = STOP_S + reaction_s(recording) - REACTION_S + _wrench_delay_s(recording)
+    reacts_s = STOP_S + reaction_s(recording) - REACTION_S
     found, is_checked = [], False
     for robot, data in recording.robots.items():
+        limit_s = reacts_s + _wrench_delay_s(recording, robot)
         for start_s, end_s in recording.halts(robot):
             is_checked = True
             t = data.plant.t
@@ -126,9 +129,9 @@ def _moves(
     return float(late[0]) if len(late) else None
 
 
-def _wrench_delay_s(recording: Recording) -> float:
+def _wrench_delay_s(recording: Recording, robot: int) -> float:
     links = recording.links
-    delays = links.delay_us[links.topic == TOPICS.index("wrench")]
+    delays = links.delay_us[(links.topic == TOPICS.index("wrench")) & (links.destination == robot)]
     return float(delays.max(initial=0)) / 1e6
 
 
@@ -143,6 +146,15 @@ def _cuts(faults: Impairments) -> bool:
     return any(loss is not None and loss.rate > _LOSS_MAX for loss in losses) or any(
         delay is not None and (delay.trace or delay.mean + delay.jitter > _DELAY_MAX_S) for delay in delays
     )
+
+
+def _newest(recording: Recording, said: Collection[int]) -> int:
+    """Version of the last stop or resume that agents say they have: one that was recorded, or that most have,
+    as it may have been given before. What one agent alone claims makes no others late."""
+    given = {order.version for order in recording.stops} | {order.version for order in recording.resumes}
+    counts = Counter(said)
+    credible = [version for version in counts if version in given or 2 * counts[version] > len(said)]
+    return max(credible or counts)
 
 
 def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violation] | None:
@@ -171,7 +183,7 @@ def one_mission(recording: Recording, a: Analysis, fleet: Fleet) -> list[Violati
     found = []
     for number, what in ((0, "mission"), (1, "last stop or resume")):
         versions = {robot: pair[number] for robot, pair in known.items()}
-        newest = max([*versions.values(), a.mission_version] if number == 0 else versions.values())
+        newest = a.mission_version if number == 0 else _newest(recording, versions.values())
         behind = [robot for robot, version in versions.items() if version != newest]
         if behind:
             message = (

@@ -57,7 +57,7 @@ BY_OTHERS: Final = {
         deploy/faults/live
         deploy/faults/live_rules
         deploy/hosts/arrivals
-        deploy/hosts/robot_recording
+        deploy/merging/robot_recording
         deploy/hosts/setup
         deploy/hosts/view
         deploy/inventory/running

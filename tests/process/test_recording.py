@@ -19,7 +19,7 @@ from agent.messages.codec import decode
 from agent.messages.validation import Malformed
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import MESSAGES, Received, Segment
-from deploy.hosts.merge import merge
+from deploy.merging.merge import merge
 from deploy.report.run_folder import RunFolder, rebuild
 from tests.process.fleet_harness import Heard, Robots, make_fleet, placed
 from tests.process.harness import PATIENCE_S, measured, no_trouble_in_logs, wait_for

@@ -7,6 +7,7 @@ import sys
 import time
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
+from agent.common.wording import printable
 from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
@@ -35,14 +36,15 @@ def _fetch(options: argparse.Namespace) -> int:
     from deploy.drive.outcome import conclude
     from deploy.hosts.fetch import Fetching
     from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.merge import Choice, merge
-    from deploy.hosts.robot_recording import MergeError
     from deploy.hosts.view import FAILED as HOST_FAILED
     from deploy.hosts.view import make_hosts_view
     from deploy.inventory.folders import out_folder, refuse_full
     from deploy.inventory.hosts import hosts_of, located
+    from deploy.merging.merge import Choice, Known, merge
+    from deploy.merging.robot_recording import MergeError
     from deploy.recording.recorder import RecordingError
     from deploy.report.run_folder import FolderError
+    from deploy.session.sealing import order_opener
 
     now_s = time.time()
     since_s, until_s = (_time(options, name, now_s) for name in ("since", "until"))
@@ -70,12 +72,19 @@ def _fetch(options: argparse.Namespace) -> int:
     if not fetching.folders:
         return FAILED
     choice = Choice(name, _ns(since_s), _ns(until_s), options.all)
+    opener = order_opener(fleet) if fleet.is_secured else None
+    if fleet.is_secured and opener is None:
+        warnings.append(
+            f"the certificate of {name}'s authority is not here, so nobody looked at the seals of orders: "
+            "those count that most robots recorded"
+        )
+    known = Known(fleet, opener, fetching.fetched_before)
     try:
-        merged = merge(fetching.folders, out, choice, warnings=warnings, report=options.report)
+        merged = merge(fetching.folders, out, choice, known=known, warnings=warnings, report=options.report)
     except (MergeError, FolderError, RecordingError) as error:
         for warning in warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-        raise InputError(str(error)) from None
+            print(f"warning: {printable(warning)}", file=sys.stderr)
+        raise InputError(printable(str(error))) from None
     print(f"{merged.messages} messages of {len(merged.robots)} robots in {merged.folder}")
     conclude(merged.result, merged.folder)
     return FAILED if any(row.state == HOST_FAILED for row in rows) else PASSED

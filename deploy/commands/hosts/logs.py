@@ -43,7 +43,13 @@ HOLD_S: Final = 0.6
 LOOK_S: Final = 0.2
 """How often it is looked for Ctrl-C while nothing comes."""
 CLOSE_S: Final = 0.2
-LINE_BYTES_MAX: Final = 4_000_000
+# A host must not fill this computer's memory.
+LINE_BYTES_MAX: Final = 1_000_000
+TEXT_MAX: Final = 4000
+"""Characters of a line that are shown."""
+WAITING_MAX: Final = 1000
+"""Lines of a host that wait, and that are taken at once; the others wait on their host."""
+TIME_US_MAX: Final = 10**17
 SAID_BYTES_MAX: Final = 20_000
 
 
@@ -142,7 +148,7 @@ class Reader:
     def __init__(self, host: HostSection, remote: str) -> None:
         self.host = host
         self.error = ""
-        self._lines: queue.Queue[Line | None] = queue.Queue(100_000)
+        self._lines: queue.Queue[Line | None] = queue.Queue(WAITING_MAX)
         self._said = b""
         try:
             self._process = subprocess.Popen(
@@ -205,8 +211,11 @@ def _parsed(host: str, data: bytes) -> Line | None:
         message = entry.get("MESSAGE")
         if isinstance(message, list):  # bytes that are no text
             message = bytes(message).decode(errors="replace")
-        return Line(int(entry["__REALTIME_TIMESTAMP"]), host, printable(str(message)))
-    except (ValueError, KeyError, TypeError):
+        time_us = int(entry["__REALTIME_TIMESTAMP"])
+        text = str(message)
+        cut = "" if len(text) <= TEXT_MAX else f"... ({len(text)} characters)"
+        return Line(time_us, host, printable(text[:TEXT_MAX]) + cut) if 0 <= time_us < TIME_US_MAX else None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
 
 
@@ -235,9 +244,11 @@ def followed(readers: Sequence[Reader], interrupt: Interrupt) -> Iterator[Line]:
         now = time.monotonic()
         for reader in list(open_readers):
             with suppress(queue.Empty):
-                while (line := reader.next(0.0)) is not None:
+                for _ in range(WAITING_MAX):  # one that says more than can be shown does not keep the others
+                    if (line := reader.next(0.0)) is None:
+                        open_readers.remove(reader)
+                        break
                     heapq.heappush(waiting, (line, now + HOLD_S))
-                open_readers.remove(reader)
         while waiting and (waiting[0][1] <= now or not open_readers):
             yield heapq.heappop(waiting)[0]
         time.sleep(0.05)

@@ -239,3 +239,29 @@ def test_how_its_own_computer_reaches_a_vehicle_is_no_affair_of_the_others() -> 
         "robot.3.plant=unicycle",
     ):
         assert digest(small(override, text=MIXED)) != base, override
+
+
+@pytest.mark.parametrize(
+    ("connection", "shared"),
+    [
+        ("/dev/serial0", False),
+        ("udpin:0.0.0.0:14550", False),
+        ("udpout:127.0.0.1:14550", False),
+        ("tcp:localhost:5760", False),
+        ("tcp:10.0.0.1:5760", True),
+        ("udpout:10.0.0.1:14550", True),
+    ],
+)
+def test_what_is_on_a_computer_is_its_own(connection: str, shared: bool) -> None:
+    """Two robots on one host may not have one link; on two hosts they may, unless it leads to one place."""
+    hosts = [f"[host.{name}]\naddress = '10.0.1.{number}'\n" for number, name in enumerate("abc", 1)]
+    text = ROVERS + "".join(hosts)
+    linked = [f"robot_defaults.mavlink.connection={connection}"]
+    apart = [f"robot.{robot}.host={host}" for robot, host in zip((3, 7, 5), "abc", strict=True)]
+    together = [f"robot.{robot}.host={host}" for robot, host in zip((3, 7, 5), "aba", strict=True)]
+    if shared:
+        assert len(problems(*linked, *apart, text=text)) == 2
+        return
+    small(*linked, *apart, text=text)
+    (found,) = problems(*linked, *together, text=text)
+    assert found.startswith(f'robot[3].mavlink.connection: robot[1] has "{connection}" already')

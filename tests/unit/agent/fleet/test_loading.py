@@ -6,6 +6,7 @@ import math
 import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -423,3 +424,25 @@ def test_it_starts_without_numpy() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
     )
     assert done.stdout == "[]\n", "every process of a fleet imports this first"
+
+
+@pytest.mark.parametrize("control", ["\x1b[2J", "\x07", "\x9b31m", "\u202e", "\x00"])
+def test_control_characters_are_refused_wherever_a_text_is_free(control: str) -> None:
+    texts = {
+        "fleet.description": {"fleet": {"description": f"Six{control}"}},
+        "faults.rule[1].name": {"faults": {"rule": [{"name": f"cut{control}", "loss": "50 %"}]}},
+        "order[1].reason": {"order": [{"at": 1, "kind": "stop", "reason": f"{control}lunch"}]},
+        "robot[1].mavlink.connection": {"robot": [{"mavlink": {"connection": f"/dev/x{control}"}}]},
+    }
+    for place, tables in texts.items():
+        raw = tomllib.loads(SMALL)
+        for name, table in tables.items():
+            if name == "robot":
+                raw["robot"][0] |= {"plant": "mavlink"} | table[0]
+            else:
+                raw[name] = table if isinstance(table, list) else raw.get(name, {}) | table
+        with pytest.raises(FleetError) as caught:
+            parse_fleet(tomli_w.dumps(raw), source="here")
+        (found,) = [problem for problem in caught.value.problems if problem.place == place]
+        assert found.message.isprintable()
+        assert "control characters" in found.message or "must be" in found.message

@@ -1,4 +1,4 @@
-"""The bus of a secured fleet while no router answers."""
+"""The bus of a secured fleet: while no router answers, and for who keeps the seals of orders."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from typing import Any
 
 import pytest
 
+from agent.messages import key_expressions
+from agent.messages.codec import encode
+from agent.messages.types import Stop
 from agent.runtime import sealed_bus
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.sealed_bus import SealedBus
-from agent.security.identity import of_robot
+from agent.security.identity import MAIN, of_operator, of_robot
 from agent.security.refusals import Refusals
+from agent.security.sealed_order import Sealer
 from tests.process.guarded import guarded_fleet
 from tests.trusted import FLEET, authority, credentials
 
@@ -65,3 +69,26 @@ def test_why_no_router_answers_is_said_while_it_is_waited_for(
         "refused: the connection to tls/10.0.0.9:7447: its certificate is for other addresses"
     ]
     assert len(asked) == 3
+
+
+@pytest.mark.parametrize("keep_seals", [False, True])
+def test_who_keeps_evidence_gets_orders_as_they_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep_seals: bool
+) -> None:
+    """What is no operator's is left out in any case."""
+    now_s = time.time()
+    with authority(tmp_path / "authority", now_s) as by, authority(tmp_path / "other", now_s) as other:
+        credentials(by, tmp_path / "one", of_robot(FLEET, 1), now_s=now_s)
+        ann = credentials(by, tmp_path / "ann", of_operator(FLEET, MAIN), now_s=now_s)
+        eve = credentials(other, tmp_path / "eve", of_operator(FLEET, MAIN), now_s=now_s)
+    order, told = encode(Stop(3, round(now_s * 1e9), "lunch")), key_expressions.relayed(FLEET, 1)
+    sealed, forged = (Sealer(who).seal(order, round(now_s * 1e9)) for who in (ann, eve))
+    came = [(told, sealed), (told, forged), (told, order), (key_expressions.hand(FLEET, 1), b"hand")]
+    monkeypatch.setattr(sealed_bus, "ZenohLog", Log)
+    monkeypatch.setattr(sealed_bus, "init_log", lambda _: None)
+    monkeypatch.setattr(Bus, "__init__", lambda *_, **__: None)
+    monkeypatch.setattr(Bus, "close", lambda _: None)
+    monkeypatch.setattr(Bus, "drain", lambda _: iter(came))
+    identity = of_robot(FLEET, 1)
+    with SealedBus(guarded_fleet(), tmp_path / "one", identity, lambda _: None, keep_seals=keep_seals) as bus:
+        assert list(bus.drain()) == [(told, sealed if keep_seals else order), came[-1]]

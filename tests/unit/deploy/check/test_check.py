@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 
+from agent.fleet.loading import parse_fleet, to_dict
 from agent.fleet.model import Fleet
 from agent.fleet.sections import ControlSection, FleetSection, FormationSection, Robot, TrajectorySection
 from agent.formation.geometry import resolve, start_hands
@@ -568,3 +570,8 @@ def test_a_fleet_that_cannot_be_driven_is_described_as_far_as_possible():
     text = describe(fleet(edges=((1, 9),)))
     assert "cannot be driven" in text
     assert "robot 9" in text
+
+
+def test_a_description_of_several_lines_is_told_on_one() -> None:
+    text = tomli_w.dumps(to_dict(fleet())).replace('description = ""', 'description = "Six\\n\\t robots"')
+    assert describe(parse_fleet(text, source="here")).splitlines()[0] == "test: Six robots"

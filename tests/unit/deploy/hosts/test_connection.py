@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import shlex
 import stat
 import sys
@@ -74,7 +75,8 @@ def test_files_are_put_whole_and_only_within_the_folder(here: Path):
         assert there.read_bytes() == data
         assert stat.S_IMODE(there.stat().st_mode) == 0o600
         assert stat.S_IMODE(there.parent.stat().st_mode) == 0o700
-        _, part = connection.exchange("get", None, path="fleets/a/x.bin", offset=1_000_000, most=10)
+        part_of = {"path": "fleets/a/x.bin", "offset": 1_000_000, "most": 10}
+        _, part = connection.exchange("get", None, data_bytes=10, **part_of)
         assert part == data[1_000_000:1_000_010]
         for path in ("../x", "/etc/x", "fleets/../../x"):
             with pytest.raises(HostError, match="is not within"):
@@ -156,8 +158,48 @@ def test_a_program_there_that_ends_is_not_taken_for_ssh(
 def test_an_answer_that_is_none_ends_the_conversation(here: Path, answer: str):
     text = f"echo; printf %s {shlex.quote(remote_program.GREETING.decode())}; echo '{answer}'; exit 0"
     say(here.parent / "tools", f"#!/bin/sh\n{text}\n")
-    with pytest.raises(HostError, match="the program there ended"):
+    with pytest.raises(HostError, match=r"its answer to hello (makes no sense|has 99999999999 bytes)"):
         connect()
+
+
+def test_a_host_does_not_choose_how_much_memory_its_answer_takes(here: Path):
+    """Tens of MB of JSON without an end; what it stands for would take GB."""
+    (here / "flood.py").write_text(
+        "import sys\n"
+        f"sys.stdout.write({remote_program.GREETING.decode()!r} + '{{\"ok\": [')\n"
+        "while True:\n"
+        "    sys.stdout.write('[],' * 100_000)\n"
+    )
+    say(here.parent / "tools", f"#!/bin/sh\necho\nexec {sys.executable} {here}/flood.py\n")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(HostError, match="its answer to hello is longer than 81920 bytes"):
+        connect()
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000  # kB
+
+
+def test_answers_of_many_robots_may_be_long(here: Path):
+    """Units of 200 robots, each with a long word of its own."""
+    paths = {f"{robot}-{'x' * 3000}": "" for robot in range(200)}
+    with HostConnection(HOST, 200) as connection:
+        assert len(connection.ask("states", names=list(paths))) == 200
+    with HostConnection(HOST, 1) as connection, pytest.raises(HostError, match="longer than 81920 bytes"):
+        connection.ask("states", names=list(paths))
+
+
+def test_data_that_was_not_asked_for_is_refused(here: Path):
+    with HostConnection(HOST) as connection:
+        connection.exchange("put", b"abc", path="a")
+        with pytest.raises(HostError, match="its answer to get has 3 bytes of data, 2 were asked for"):
+            connection.exchange("get", None, path="a", data_bytes=2)
+
+
+@pytest.mark.parametrize("answer", ["null", '"now"', "-1", "1.5", "true", "1" * 4000])
+def test_a_clock_that_tells_nonsense(here: Path, answer: str):
+    text = f"echo; printf %s {shlex.quote(remote_program.GREETING.decode())}; echo '{{\"ok\": {{}}}}'; "
+    text += f"echo '{{\"ok\": {answer}}}'; sleep 60"
+    say(here.parent / "tools", f"#!/bin/sh\n{text}\n")
+    with HostConnection(HOST) as connection, pytest.raises(HostError, match="does not say what time it is"):
+        connection.clock()
 
 
 def test_it_can_be_aborted_before_it_has_answered(here: Path):

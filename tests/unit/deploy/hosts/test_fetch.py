@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +17,7 @@ from agent.fleet.loading import to_dict
 from deploy.commands.hosts import fetch as fetch_command
 from deploy.console.arguments import InputError, no_changes
 from deploy.hosts.connection import HostError
-from deploy.hosts.fetch import SHARE_MAX, Fetching
+from deploy.hosts.fetch import FILES_MAX, NAME_BYTES, SHARE_MAX, Fetching
 from deploy.hosts.view import Row
 from tests.unit.agent.fleet.test_hosts import HOSTS, fleet
 
@@ -39,12 +41,15 @@ class There:
         self.before_get: Callable[[str], None] = lambda _: None
         self.sent = 0
 
-    def ask(self, what: str, *, folder: str, pattern: str) -> Any:
+    def ask(self, what: str, *, folder: str, pattern: str, most: int, answer_bytes: int) -> Any:
         assert (what, folder, pattern) == ("listing", "fleets/two/recordings/robot-1", "*.segment")
+        assert (most, answer_bytes) == (FILES_MAX, FILES_MAX * NAME_BYTES)
         return self.listing()
 
-    def exchange(self, what: str, _: None, *, path: str, offset: int, most: int) -> tuple[None, bytes]:
-        assert what == "get"
+    def exchange(
+        self, what: str, _: None, *, data_bytes: int, path: str, offset: int, most: int
+    ) -> tuple[None, bytes]:
+        assert (what, data_bytes) == ("get", most)
         file = path.rpartition("/")[2]
         self.before_get(file)
         if file not in self.files:
@@ -125,11 +130,47 @@ def test_a_host_that_says_nonsense_is_refused(cache: Path, listing: Any, why: st
     assert kept(cache) == {}
 
 
-def test_a_part_is_not_longer_than_was_asked_for(cache: Path) -> None:
-    there = There(**{name(1): b"one"})
-    there.exchange = lambda *_, **__: (None, bytes(1000))  # type: ignore[method-assign]
-    with pytest.raises(HostError, match="gave 1000 bytes"):
+def test_more_files_than_were_asked_for_are_refused(cache: Path) -> None:
+    there = There()
+    there.listing = lambda: {name(number): [1, 1e9] for number in range(FILES_MAX + 1)}
+    with pytest.raises(HostError, match="says that robot 1 recorded 10001 files, asked for 10000"):
         bring(there)
+    assert kept(cache) == {}
+
+
+def test_a_host_that_gives_drop_by_drop_is_given_up(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each part within its time: it would take days."""
+    now_s = 0.0
+
+    def hour(_: str) -> None:
+        nonlocal now_s
+        now_s += 59.0
+
+    monkeypatch.setattr("deploy.hosts.fetch.time.monotonic", lambda: now_s)
+    monkeypatch.setattr("deploy.hosts.fetch.PART_BYTES", 4)
+    there = There(**{name(1): bytes(100_000)})
+    there.before_get = hour
+    with pytest.raises(HostError, match="is too slow: less than 20 kB/s came"):
+        bring(there)
+    assert there.sent < 100
+
+
+def test_a_disk_that_is_full_here_is_said_to_be_ours(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = There(**{name(1): b"one"})
+    bring(there)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    there.files[name(2)] = b"two"
+    monkeypatch.setattr("deploy.hosts.fetch.PART_BYTES", 1)
+    there.before_get = full
+    work = Fetching(FLEET, None)
+    why = rf"this computer cannot keep it in {cache}: No space left on device"
+    with pytest.raises(HostError, match=f"^{why}$"):
+        work(there, Row(HOST.name, (ROBOT,)))  # type: ignore[arg-type]
+    assert (work.fall_back(ROBOT) or "").endswith(why)
+    assert work.fetched_before == {ROBOT}
 
 
 def test_what_makes_room_while_it_is_brought_is_skipped(cache: Path) -> None:
@@ -215,7 +256,7 @@ def test_ctrl_c_ends_the_merging(file: Path, monkeypatch: pytest.MonkeyPatch) ->
         def wait(self, *_: object) -> None: ...
 
     monkeypatch.setattr("deploy.hosts.jobs.HostJobs", Jobs)
-    monkeypatch.setattr("deploy.hosts.merge.merge", merging)
+    monkeypatch.setattr("deploy.merging.merge.merge", merging)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` leaves it ignored
     try:
         with pytest.raises(KeyboardInterrupt):

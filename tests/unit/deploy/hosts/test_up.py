@@ -101,7 +101,7 @@ class World:
 
     # ------------------------------------------------------------------ as hosts
 
-    def host(self, host: HostSection, *, accept_new: bool) -> There:
+    def host(self, host: HostSection, robots: int, *, accept_new: bool) -> There:
         return There(self, host)
 
 

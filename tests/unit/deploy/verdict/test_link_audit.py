@@ -13,7 +13,7 @@ from agent.messages import key_expressions
 from agent.messages.types import EVERY_AUTHOR, LOST, TOPICS, Decision, Faults, HandState, LinkTrace, Message
 from deploy.analysis.analysis import analyse
 from deploy.faults.windows import live_sets, spans
-from deploy.recording.recording import Recording
+from deploy.recording.recording import LiveFaults, Recording
 from deploy.verdict.link_audit import AuditResult
 from deploy.verdict.link_audit import audit as audit_of
 from tests.unit.deploy.simulated_run import Sent, driven, recorded, trio
@@ -261,6 +261,27 @@ def test_live_rules_are_proven_from_what_processes_said_they_held() -> None:
     result = audit(recording)
     assert (result.differing, result.unheard, result.unrecorded) == (0, 0, 0)
     assert result.agreeing > 0.98 * result.decided
+
+
+def test_one_robot_does_not_say_for_all_when_live_rules_held() -> None:
+    fleet = trio(LOSSY, duration=3.0)
+
+    def live(epoch_ns: int) -> list[tuple[float, Faults]]:
+        return [(0.5, Faults(7, epoch_ns + SECOND // 2, "ana", epoch_ns + SECOND // 2, 0, CUT))]
+
+    recording = recorded(fleet, driven(fleet, live))
+    (held,) = live_sets(recording)
+    (since,) = (each for each in recording.live_faults[:1])
+    gone = since.message._replace(rules="", time_ns=since.message.time_ns + SECOND)
+    early = LiveFaults(since.received_ns - SECOND, 2, "agent", since.message)
+    lies = replace(
+        recording,
+        live_faults=[early, *recording.live_faults, LiveFaults(since.received_ns, 2, "agent", gone)],
+    )
+    assert live_sets(lies) == [held]
+    said = [LiveFaults(since.received_ns, robot, "agent", gone) for robot in (1, 2)]
+    (ended,) = live_sets(replace(recording, live_faults=[*recording.live_faults, *said]))
+    assert ended.end_s == pytest.approx(1.5, abs=0.1)
 
 
 def test_live_rules_end_with_their_lease() -> None:

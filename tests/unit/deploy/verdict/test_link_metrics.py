@@ -217,6 +217,13 @@ def test_of_two_robots_nobody_knows_whose_clock_is_off() -> None:
     assert warning.endswith("It may be the other one's that is wrong.")
 
 
+def test_what_one_end_says_of_clocks_and_the_other_denies_accuses_nobody() -> None:
+    recording = clocks(r2n1=(900_000, 1_000), r1n2=(100, 1_000))
+    assert clock_warnings(recording, clock_offsets(recording)) == []
+    both = clocks(r2n1=(900_000, 1_000), r1n2=(-900_000, 1_000))
+    assert len(clock_warnings(both, clock_offsets(both))) == 1
+
+
 @pytest.mark.parametrize("seen", [(40_000, 1_000), (500_000, 460_000), (999_000, -1)])
 def test_a_clock_that_is_not_proven_to_be_off_is_not_warned_of(seen: tuple[int, int]) -> None:
     recording = clocks(r1n2=seen)

@@ -35,10 +35,11 @@ from deploy.recording.recording import Recording
 from deploy.verdict.oracles import ORACLES, examine
 from deploy.verdict.oracles_drive import formed_by_s
 from deploy.verdict.violations import Violation
-from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing
+from tests.unit.deploy.synthetic_run import EPOCH_NS, Sent, make_fleet, messages, standing, triangle
 from tests.unit.deploy.synthetic_run import Path as Way
 
 PAIR = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=4.0)
+TRIO = make_fleet(*triangle(2), duration_s=4.0)
 LONG = make_fleet([(0.0, 0.0), (1.0, 0.0)], [(1, 2)], duration_s=30.0, rate_hz=10.0)
 NAME = PAIR.fleet.name
 Change = Callable[[float, Any], Message | None]
@@ -355,6 +356,46 @@ def test_stopped_waits_for_what_is_delayed_on_purpose() -> None:
     assert found("stopped", PAIR, extra=[stop(1.0), delayed], change=late) == []
 
 
+def test_what_one_robot_says_of_its_delays_does_not_excuse_another() -> None:
+    """Nor does what it says in the name of the other."""
+    late = both(braking(1, 1.1), braking(2, 1.6))
+    for robot, key in ((1, 1), (2, 1)):
+        trace = LinkTrace(robot, 0, ns(1.0), (Decision(robot, 2, 8, ns(1.0), 0, 500_000),))
+        delayed = (ns(1.0), key_expressions.plant_links(NAME, key), trace)
+        (sentence,) = found("stopped", PAIR, extra=[stop(1.0), delayed], change=late) or []
+        assert sentence.startswith("The plant of robot 2 drove at 1.22 s")
+
+
+def test_a_stop_from_before_the_drive_holds_for_whom_it_still_held() -> None:
+    """Robots that came up after it know nothing of it: it is none of this drive's."""
+
+    def drove_on(**options: Any) -> list[str]:
+        violations = examined(recorded(PAIR, *_in_place(PAIR), **options))["stopped"]
+        return [violation.message for violation in violations or ()]
+
+    before = stop(-9.0, 7)
+    assert drove_on(extra=[before]) == []
+    known = drove_on(extra=[before], change=knows(2, order_version=7))
+    assert [sentence[:28] for sentence in known] == ["The plant of robot 2 drove a"]
+    lifted = [before, resume(-0.3, 8)]
+    assert (
+        found(
+            "stopped", PAIR, extra=lifted, change=both(knows(1, order_version=8), knows(2, order_version=8))
+        )
+        == []
+    )
+    # What it hears of later orders says nothing of that one.
+    later = both(
+        lambda t, m: m._replace(order_version=9) if type(m) is Status and t > 2.0 else m,
+        braking(1, 2.1),
+        braking(2, 2.1),
+    )
+    assert drove_on(extra=[before, stop(2.0, 9)], change=later) == []
+    drives_on = drove_on(extra=[before, stop(1.0, 9)], change=later)
+    assert len(drives_on) == 2
+    assert all("after the stop at 1.00 s" in sentence for sentence in drives_on)
+
+
 def test_stopped_robots_stand() -> None:
     def rolls(t: float, m: Message) -> Message:
         return m._replace(driving=False, speed=0.2) if type(m) is PlantState and t > 1.1 else m
@@ -393,6 +434,15 @@ def test_one_mission() -> None:
     assert found("one_mission", PAIR, change=knows(1, order_version=3)) == [
         "At 4.0 s not all had acknowledged the same last stop or resume: robot 2 had version 0, the newest "
         "is 3."
+    ]
+    # One alone that claims more makes no others late.
+    alone = found("one_mission", TRIO, change=knows(2, order_version=10**9)) or []
+    assert [sentence.partition(": robot ")[2] for sentence in alone] == [
+        "2 had version 1000000000, the newest is 0."
+    ]
+    ahead = found("one_mission", TRIO, change=knows(2, mission_version=10**9)) or []
+    assert [sentence.partition(": robot ")[2] for sentence in ahead] == [
+        "2 had version 1000000000, the newest is 1."
     ]
     nobody = both(knows(1, mission_version=0), knows(2, mission_version=0))
     assert len(found("one_mission", PAIR, change=nobody) or []) == 1

@@ -58,6 +58,38 @@ def test_a_line_is_safe_to_print(entry: dict[str, Any], text: str) -> None:
     assert line == Line(17, "a", text)
 
 
+def test_a_long_line_is_cut() -> None:
+    entry = {"MESSAGE": "x" * 100_000, "__REALTIME_TIMESTAMP": "17"}
+    line = logs_command._parsed("a", json.dumps(entry).encode())
+    assert line is not None
+    assert line.text == "x" * logs_command.TEXT_MAX + "... (100000 characters)"
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[1]", json.dumps({"MESSAGE": [10**9], "x": 1})])
+def test_what_makes_no_sense_is_left_out(text: str) -> None:
+    assert logs_command._parsed("a", text.encode()) is None
+
+
+@pytest.mark.parametrize("time_us", [-1, 10**18, 10**300, "x"])
+def test_a_time_that_cannot_be_is_left_out(time_us: object) -> None:
+    entry = json.dumps({"MESSAGE": "hello", "__REALTIME_TIMESTAMP": str(time_us)})
+    assert logs_command._parsed("a", entry.encode()) is None
+
+
+def test_a_host_that_floods_keeps_neither_the_others_nor_this_computers_memory() -> None:
+    taken = 0
+
+    def flood(_: float) -> Line:
+        nonlocal taken
+        taken += 1
+        return Line(100 + taken, "a", "x")
+
+    readers = [cast(Reader, SimpleNamespace(next=flood)), reader("b", 1)]
+    line = next(logs_command.followed(readers, Interrupt()))
+    assert line == Line(1, "b", "1")
+    assert taken < 100 * logs_command.WAITING_MAX
+
+
 def test_what_is_no_entry_is_left_out() -> None:
     assert logs_command._parsed("a", b"-- no entries --") is None
     assert logs_command._parsed("a", b"{}") is None

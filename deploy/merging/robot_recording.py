@@ -1,8 +1,8 @@
 """What robots' computers recorded (`agent.recorder`), in folders that were brought here: what
 there is of it, and its messages by time.
 
-A recording is believed about its own robot only: whose it is its folder says, and what its robot and its
-recorder could not have heard there is left out.
+A recording is believed about its own robot only: whose it is its folder says, and what its robot could not
+have said is left out.
 """
 
 from __future__ import annotations
@@ -15,9 +15,6 @@ from typing import Final, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.messages import key_expressions
-from agent.messages.codec import decode
-from agent.messages.types import Mission, Resume, Stop
-from agent.messages.validation import Malformed
 from agent.recorder.recorder import order_keys
 from agent.recorder.segment_folder import segment_paths
 from agent.recorder.segments import ABOUT, KNOWN, MESSAGES, ORDERS, OVERFLOW, About, Received, Segment
@@ -28,13 +25,6 @@ GAP_NS: Final = NS_PER_S
 
 class MergeError(RuntimeError):
     """Recordings that no run can be made of; the text is one clear message."""
-
-
-class RecordedOrder(NamedTuple):
-    """An order as a robot's computer recorded it."""
-
-    received: Received
-    order: Mission | Stop | Resume
 
 
 class Loss(NamedTuple):
@@ -49,7 +39,8 @@ class Loss(NamedTuple):
 class SegmentFile:
     """One segment: what the heads of its blocks say.
 
-    `stretches` are the times (first, last ns) in which it has messages without a gap of `GAP_NS`.
+    `stretches` are the times (first, last ns) in which it has messages without a gap of `GAP_NS`; `orders`
+    what came as an order, sealed or not, each once: nobody has looked at it yet.
     """
 
     path: Path
@@ -57,7 +48,7 @@ class SegmentFile:
     messages: int
     stretches: Sequence[tuple[int, int]]
     losses: Sequence[Loss] = ()
-    orders: Sequence[RecordedOrder] = ()
+    orders: Sequence[bytes] = ()
 
     @property
     def first_ns(self) -> int:
@@ -131,7 +122,7 @@ def about_of(path: Path) -> About | None:
 
 
 def scan(path: Path, about: About) -> SegmentFile:
-    """What the heads of one segment's blocks say, and its orders.
+    """What the heads of one segment's blocks say, and what came as orders.
 
     Raises:
         OSError: it cannot be read.
@@ -139,7 +130,7 @@ def scan(path: Path, about: About) -> SegmentFile:
     messages = 0
     stretches: list[tuple[int, int]] = []
     losses: list[Loss] = []
-    orders: dict[tuple[str, bytes], RecordedOrder] = {}
+    orders: dict[bytes, None] = {}  # a set in the order of time
     wanted = order_keys(about.fleet, about.robot)
     with open(path, "rb") as stream:
         segment = Segment(stream)
@@ -147,11 +138,7 @@ def scan(path: Path, about: About) -> SegmentFile:
             if block.kind == ABOUT:
                 continue
             if block.kind == KNOWN or block.flags & ORDERS:
-                for received in segment.messages(block):
-                    if received[1] not in wanted or received[1:] in orders:
-                        continue  # orders are sent again and again: the first time counts
-                    if (order := _order(received[2])) is not None:
-                        orders[received[1:]] = RecordedOrder(received, order)
+                orders |= {payload: None for _, key, payload in segment.messages(block) if key in wanted}
             if block.kind == KNOWN:
                 continue
             messages += block.messages
@@ -161,21 +148,14 @@ def scan(path: Path, about: About) -> SegmentFile:
                 stretches.append((block.first_ns, block.last_ns))
             if block.lost or block.flags & OVERFLOW:
                 losses.append(Loss(block.first_ns, block.lost, bool(block.flags & OVERFLOW)))
-    return SegmentFile(path, about, messages, stretches, losses, list(orders.values()))
-
-
-def _order(payload: bytes) -> Mission | Stop | Resume | None:
-    try:
-        message = decode(payload)
-    except Malformed:
-        return None
-    return message if isinstance(message, (Mission, Stop, Resume)) else None
+    return SegmentFile(path, about, messages, stretches, losses, list(orders))
 
 
 def by_time(
     segments: Sequence[SegmentFile], since_ns: int, until_ns: int, damage: Damage
 ) -> Iterator[Received]:
-    """The messages of all segments in the order of their reception, with a block of each robot in memory.
+    """The messages of all segments but orders, in the order of their reception, with a block of each robot in
+    memory.
 
     Raises:
         MergeError: a file cannot be read.
@@ -199,7 +179,8 @@ def by_time(
 
 
 def _messages(segment: SegmentFile, since_ns: int, until_ns: int, damage: Damage) -> Iterator[Received]:
-    own = key_expressions.of_robot(segment.about.fleet, segment.about.robot)
+    """What the robot's agent and plant said; orders, which others gave, are left out."""
+    own = frozenset(key_expressions.said_by(segment.about.fleet, segment.about.robot))
     orders = order_keys(segment.about.fleet, segment.about.robot)
     foreign = 0
     try:
@@ -208,9 +189,9 @@ def _messages(segment: SegmentFile, since_ns: int, until_ns: int, damage: Damage
             for block in reader.blocks():
                 if block.kind == MESSAGES and block.first_ns <= until_ns and block.last_ns >= since_ns:
                     for received in reader.messages(block):
-                        if not since_ns <= received[0] <= until_ns:
+                        if not since_ns <= received[0] <= until_ns or received[1] in orders:
                             continue
-                        if received[1].startswith(own) or received[1] in orders:
+                        if received[1] in own:
                             yield received
                         else:
                             foreign += 1
