@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -62,6 +62,7 @@ class BringUp:
         keys: gives robots of a secured fleet their certificates; None where it is not secured.
         accept_new: takes the keys of hosts that were never met before for their own.
         timing: how long things may take.
+        before_changes: called with a host's name before anything of the fleet changes there, in a thread.
 
     Attributes:
         rows: by host, what became of it.
@@ -77,7 +78,9 @@ class BringUp:
         *,
         accept_new: bool,
         timing: Timing | None = None,
+        before_changes: Callable[[str], None] = lambda host: None,
     ) -> None:
+        self._before_changes = before_changes
         self._fleet, self._keys, self._timing = fleet, keys, timing or Timing()
         self._jobs = HostJobs(fleet, hosts, self._bring, accept_new=accept_new, look_s=self._timing.look_s)
         self.rows: Final = self._jobs.rows
@@ -152,6 +155,7 @@ class BringUp:
                 )
             if not self._rolling:
                 self._refuse_unheard(connection)
+            self._before_changes(row.host)
 
         prepared = prepare(
             connection, self._fleet, self._text, self._program, say, self._keys, before_changes

@@ -36,7 +36,6 @@ BY_OTHERS: Final = {
         deploy/commands/running/replace
         deploy/commands/running/reshape
         deploy/commands/running/resume
-        deploy/commands/running/stop
     """,
     "works with processes, sockets or files: tests have real ones, in tests/process and tests/hosts too": """
         agent/runtime/version
