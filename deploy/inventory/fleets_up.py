@@ -13,7 +13,7 @@ import os
 import shutil
 import time
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -70,19 +70,25 @@ class FleetUp:
         return f"{self.name} (up on {names} since {self.since.replace('T', ' ')})"
 
 
-def fleets_up() -> tuple[list[FleetUp], list[Path]]:
-    """All that are up, by name, and the records that cannot be read."""
+def fleets_up() -> tuple[list[FleetUp], list[str]]:
+    """All that are up, by name, and a sentence for each record that cannot be read."""
     found, unreadable = [], []
-    with suppress(FileNotFoundError, NotADirectoryError):
-        for folder in sorted(_folder().iterdir()):
-            if not folder.is_dir():
-                continue
-            try:
-                found.append(_read(folder))
-            except FileNotFoundError:
-                continue  # it went down just now, or is just being noted
-            except (OSError, ValueError, TypeError, LookupError, RecursionError):
-                unreadable.append(folder / _RECORD_FILE)
+    try:
+        folders = sorted(folder for folder in _folder().iterdir() if folder.is_dir())
+    except (FileNotFoundError, NotADirectoryError):
+        folders = []
+    except OSError as error:
+        return [], [f"which fleets are up on hosts cannot be told: {error}"]
+    for folder in folders:
+        try:
+            found.append(_read(folder))
+        except FileNotFoundError:
+            continue  # it went down just now, or is just being noted
+        except (OSError, ValueError, TypeError, LookupError, RecursionError):
+            unreadable.append(
+                f"whether {folder.name.rpartition('-')[0]} is up on hosts cannot be told: "
+                f"{folder / _RECORD_FILE} is damaged; when you know that it is down, remove that folder"
+            )
     return found, unreadable
 
 

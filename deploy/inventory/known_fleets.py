@@ -207,12 +207,7 @@ def meant(what: str) -> list[KnownFleet]:
 
 def unreadable() -> list[str]:
     """Sentences about fleets that are there, or may be, and of which no more is known."""
-    runs = [str(run) for run in entries()[1]]
-    return runs + [
-        f"whether {path.parent.name.rpartition('-')[0]} is up on hosts cannot be told: {path} is damaged; "
-        "when you know that it is down, remove that folder"
-        for path in fleets_up()[1]
-    ]
+    return entries()[1] + fleets_up()[1]
 
 
 def _with_run(look: Callable[[Running], bool]) -> list[KnownFleet]:

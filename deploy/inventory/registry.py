@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent.runtime.runtime_folder import private_folder
+from agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 _PREFIX: Final = "run-"
 _SUFFIX: Final = ".json"
@@ -42,21 +42,6 @@ class Running:
 
     def __str__(self) -> str:
         return f"{self.name} ({self.folder}, since {self.started[11:]})"
-
-
-@dataclass(frozen=True, slots=True)
-class Unreadable:
-    """A run that lives and whose entry says nothing: the entry's path and, by its name, the process."""
-
-    path: Path
-    pid: int | None
-
-    def __str__(self) -> str:
-        who = "a run of this user" if self.pid is None else f"the run of process {self.pid}"
-        how = "Ctrl-C where it was started"
-        if self.pid is not None:
-            how += f", or `kill -INT {self.pid}`,"
-        return f"{who} cannot be told: {self.path} is damaged, or another version's; {how} stops it"
 
 
 class Registration:
@@ -115,11 +100,15 @@ def running() -> list[Running]:
     return entries()[0]
 
 
-def entries() -> tuple[list[Running], list[Unreadable]]:
-    """This user's runs that live on this machine, by name, and those of which no more than that is known.
-    Removes what others left."""
+def entries() -> tuple[list[Running], list[str]]:
+    """This user's runs that live on this machine, by name, and a sentence for each of which no more than that
+    is known. Removes what others left."""
     found, unreadable = [], []
-    for path in sorted(private_folder().glob(f"{_PREFIX}*{_SUFFIX}")):
+    try:
+        folder = private_folder()
+    except NotPrivateError as error:  # nothing here can be believed; what is on hosts is known all the same
+        return [], [f"which fleets run here cannot be told: {error}"]
+    for path in sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}")):
         number = _NAME.fullmatch(path.name)
         pid = None if number is None else int(number[1])
         try:
@@ -128,7 +117,7 @@ def entries() -> tuple[list[Running], list[Unreadable]]:
             continue  # it ended just now
         except OSError:
             if pid is None or _lives(pid):
-                unreadable.append(Unreadable(path, pid))
+                unreadable.append(_unreadable(path, pid))
             continue
         try:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -136,13 +125,20 @@ def entries() -> tuple[list[Running], list[Unreadable]]:
             try:
                 found.append(_entry(os.read(handle, _ENTRY_BYTES_MAX)))
             except (ValueError, TypeError, RecursionError, OSError):
-                unreadable.append(Unreadable(path, pid))
+                unreadable.append(_unreadable(path, pid))
         else:
             with suppress(OSError):  # what cannot be removed is still known to be nobody's
                 path.unlink()
         finally:
             os.close(handle)
     return sorted(found, key=lambda run: (run.name, run.started, run.pid)), unreadable
+
+
+def _unreadable(path: Path, pid: int | None) -> str:
+    """What to say of a run that lives and whose entry says nothing but, by its name, which process it is."""
+    who = "a run of this user" if pid is None else f"the run of process {pid}"
+    how = "Ctrl-C where it was started" + (f", or `kill -INT {pid}`," if pid is not None else "")
+    return f"{who} cannot be told: {path} is damaged, or another version's; {how} stops it"
 
 
 def _lives(pid: int) -> bool:

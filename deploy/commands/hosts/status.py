@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
@@ -83,6 +84,7 @@ def _status(options: argparse.Namespace) -> int:
             "hosts": host_rows(seen.hosts),
             "processes": seen.rows,
             "silent": [body.row for body in seen.bodies],
+            "runs": [asdict(run) for run in known.runs],
         }
         print(json.dumps(about, indent=2))
     else:

@@ -50,10 +50,12 @@ def _stop(options: argparse.Namespace) -> int:
     except SeveralError as error:
         everyone = f"or stop them all: handfast stop {quote(options.fleet)} --all"
         raise NotRunningError(error.text("handfast stop", everyone)) from None
-    lines, done = _outcome(as_running(one), options.reason)
+    try:
+        lines, done = _outcome(as_running(one), options.reason)
+    finally:
+        _say_unreadable()  # it may be what is meant
     for line in lines:
         print(line)
-    _say_unreadable()
     return PASSED if done else FAILED
 
 

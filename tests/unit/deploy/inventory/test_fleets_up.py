@@ -111,9 +111,24 @@ def test_a_damaged_record_is_told_and_kept(state: Path, text: str) -> None:
     note_up(fleet(), SOURCE, BOTH, complete=True)
     record = next(state.rglob("up.json"))
     record.write_text(text)
-    assert fleets_up.fleets_up() == ([], [record])
+    assert fleets_up.fleets_up() == (
+        [],
+        [
+            f"whether two is up on hosts cannot be told: {record} is damaged; when you know that it is down, "
+            "remove that folder"
+        ],
+    )
     note_up(fleet(), SOURCE, BOTH, complete=True)  # and made good by the next `up`
     assert json.loads(record.read_text())["name"] == "two"
+
+
+def test_a_folder_that_cannot_be_looked_into(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def iterdir(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    says = f"[Errno 13] Permission denied: '{state / 'handfast' / 'fleets'}'"
+    assert fleets_up.fleets_up() == ([], [f"which fleets are up on hosts cannot be told: {says}"])
 
 
 def test_what_cannot_be_written_is_an_error(state: Path) -> None:

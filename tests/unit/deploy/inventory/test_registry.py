@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.runtime.runtime_folder import NotPrivateError
 from deploy.inventory import registry
 from deploy.inventory.registry import Registration, entries, running
 
@@ -61,7 +62,7 @@ def test_a_live_run_whose_entry_says_nothing_is_told(tmp_path: Path, folder: Pat
         entry.write_text(text)
         runs, unreadable = entries()
         assert [run.name for run in runs] == ["delta"]
-        assert [str(each) for each in unreadable] == [
+        assert unreadable == [
             f"the run of process {os.getpid()} cannot be told: {entry} is damaged, or another version's; "
             f"Ctrl-C where it was started, or `kill -INT {os.getpid()}`, stops it"
         ]
@@ -73,3 +74,15 @@ def test_what_is_no_file_is_no_run(folder: Path) -> None:
     (folder / "run-1-3.json").symlink_to(folder / "none")
     os.mkfifo(folder / "run-1-4.json")
     assert entries() == ([], [])
+
+
+def test_a_folder_that_is_not_this_users_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def private_folder() -> Path:
+        raise NotPrivateError("/tmp/x must be a folder of this user")
+
+    monkeypatch.setattr(registry, "private_folder", private_folder)
+    assert entries() == ([], ["which fleets run here cannot be told: /tmp/x must be a folder of this user"])
+    with pytest.raises(NotPrivateError):
+        a_run(tmp_path, "pair", "a")

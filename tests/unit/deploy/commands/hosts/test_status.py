@@ -123,7 +123,9 @@ def rows(text: str) -> dict[tuple[int, str], dict[str, Any]]:
 def test_of_a_run_the_table_of_processes_tells(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with of_run(run):
         assert main(["status", "pair-here", "--json"]) == 1
-        found = rows(capsys.readouterr().out)
+        text = capsys.readouterr().out
+        found = rows(text)
+        assert [each["folder"] for each in json.loads(text)["runs"]] == [str(run)]
         assert {process: row["unit"] for process, row in found.items()} == {
             (1, "agent"): "active",
             (1, "plant"): "paused",
