@@ -21,6 +21,7 @@ from typing import Any, Final
 from agent.fleet.hosts import HostSection
 from agent.fleet.loading import to_dict
 from agent.fleet.model import Fleet
+from deploy.console.wording import some
 from deploy.inventory.folders import state_folder
 from deploy.inventory.hosts import robots_on
 
@@ -66,7 +67,7 @@ class FleetUp:
         return sorted(robot for host in self.hosts for robot in host.robots)
 
     def __str__(self) -> str:
-        names = ", ".join(host.name for host in self.hosts)
+        names = some(host.name for host in self.hosts)
         return f"{self.name} (up on {names} since {self.since.replace('T', ' ')})"
 
 

@@ -20,7 +20,7 @@ from agent.fleet.model import Fleet, FleetError
 from agent.fleet.sections import Robot
 from deploy.console.arguments import fleet_path
 from deploy.console.data_files import bundled
-from deploy.console.wording import NAMES_SHOWN
+from deploy.console.wording import NAMES_SHOWN, some
 from deploy.inventory.fleets_up import FleetUp, fleets_up
 from deploy.inventory.hosts import located
 from deploy.inventory.registry import Running, entries
@@ -114,7 +114,7 @@ class KnownFleet:
         """Where it is and since when, in a few words."""
         where = [f"{run.folder}, since {run.started[11:]}" for run in self.runs[-1:]]
         if self.up is not None:
-            where.append(f"on {', '.join(self.hosts)}, since {self.up.since.replace('T', ' ')}")
+            where.append(f"on {some(self.hosts)}, since {self.up.since.replace('T', ' ')}")
         return "; ".join(where) or str(self.fleet_file)
 
     @cached_property

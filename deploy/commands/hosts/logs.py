@@ -32,7 +32,6 @@ from deploy.console.arguments import (
 from deploy.console.interrupt import Interrupt
 from deploy.console.times import FORMS, point_in_time
 from deploy.hosts import systemd_units
-from deploy.hosts.this_machine import logs_of
 from deploy.inventory import ssh
 from deploy.inventory.hosts import hosts_of, located, robots_on
 from deploy.inventory.known_fleets import KnownFleet, NotRunningError, find
@@ -140,6 +139,8 @@ def _here(
     Raises:
         InputError: there are none, or they cannot answer what is asked.
     """
+    from deploy.hosts.this_machine import logs_of  # here: it needs packages that hosts' logs do not
+
     folder = logs_of(known) if known.runs else known.fleet_file.parent / LOG_FOLDER
     if folder is None or not folder.is_dir():
         raise InputError(

@@ -14,6 +14,7 @@ from agent.common.wording import printable
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import FleetError
 from deploy.console.arguments import describe
+from deploy.console.wording import some
 from deploy.inventory.running import handled
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def row(fleet: KnownFleet) -> dict[str, Any]:
     states = [_state(run) for run in runs]
     if up is not None:
         lacking = [host.name for host in up.hosts if not host.complete]
-        states.append(f"up (perhaps not on {', '.join(lacking)})" if lacking else "up")
+        states.append(f"up (perhaps not on {some(lacking)})" if lacking else "up")
     return {
         "fleet": fleet.name,
         "hosts": fleet.hosts or None,
@@ -98,7 +99,7 @@ def table(rows: Sequence[dict[str, Any]]) -> list[str]:
     cells = [HEADINGS] + [
         (
             row["fleet"],
-            ", ".join(row["hosts"] or ["here"]),
+            some(row["hosts"] or ["here"]),
             str(len(row["robots"])),
             row["since"].replace("T", " "),
             row["state"],
