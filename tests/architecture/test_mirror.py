@@ -19,7 +19,6 @@ BY_OTHERS: Final = {
         deploy/commands/hosts/export_deployment
         deploy/commands/hosts/fetch
         deploy/commands/hosts/router
-        deploy/commands/hosts/up
         deploy/commands/local/check
         deploy/commands/local/export
         deploy/commands/local/new
