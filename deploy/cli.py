@@ -58,8 +58,9 @@ COMMANDS: Final = (
     Command("keys", "hosts.keys", "make and renew the certificates that a secured fleet trusts"),
     Command("router", "hosts.router", "run a Zenoh router for a fleet, until Ctrl-C"),
     Command("up", "hosts.up", "bring a fleet up on its hosts"),
-    Command("status", "hosts.status", "say what each process of a fleet does on its host"),
-    Command("logs", "hosts.logs", "print what the processes of a fleet say on their hosts"),
+    Command("list", "running.list_fleets", "say which fleets run here or are up, and how to stop each"),
+    Command("status", "hosts.status", "say what each process of a fleet does, on its host or here"),
+    Command("logs", "hosts.logs", "print what the processes of a fleet say, on their hosts or here"),
     Command("fetch", "hosts.fetch", "bring what robots recorded into one run's folder"),
     Command("down", "hosts.down", "end a fleet on its hosts"),
     Command(

@@ -114,6 +114,12 @@ def host_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def refuse_hosts(fleet: Fleet, options: argparse.Namespace) -> None:
+    """`InputError` where ``--host`` is given for a fleet that runs on this machine."""
+    if options.hosts:
+        raise InputError(f"--host: {fleet.fleet.name} runs on this machine, and has no hosts: leave it out")
+
+
 def no_changes() -> dict[str, object]:
     """What `load` needs of a command without options that change a fleet."""
     return {"overrides": [], "law": None, "faults": None, "duration": None, "seed": None, "orders": None}

@@ -57,30 +57,23 @@ class LocalRun:
             deploy.recording.recorder.RecordingError: the recording cannot be written (the fleet is stopped
             first).
         """
-        try:
-            self._start()
-            with (
-                Registration(
-                    self._fleet.fleet.name, self._folder.path, self._folder.fleet_file, self._source
-                ),
-                operator_bus(self._fleet) as bus,
-            ):
-                drive = Drive(
-                    self._fleet,
-                    self._processes,
-                    bus,
-                    self._folder.record,
-                    self._view,
-                    self._interrupt,
-                    ways=lambda: [FileWay(self._fleet, self._orders)],
-                )
-                self.reasons = drive.reasons
-                drive.run()
-        finally:
-            timeout_s = VEHICLES_END_TIMEOUT_S if self._has_vehicles else END_TIMEOUT_S
-            for child in self._processes.end(timeout_s):
-                self._view.say(f"{child.name} did not end when asked and was killed")
-            shutil.rmtree(self._orders, ignore_errors=True)
+        # Known before it starts and until it has ended: whoever wants to stop it must find it.
+        with Registration(self._fleet.fleet.name, self._folder.path, self._folder.fleet_file, self._source):
+            try:
+                self._start()
+                with operator_bus(self._fleet) as bus:
+                    drive = Drive(
+                        *(self._fleet, self._processes, bus, self._folder.record),
+                        *(self._view, self._interrupt),
+                        ways=lambda: [FileWay(self._fleet, self._orders)],
+                    )
+                    self.reasons = drive.reasons
+                    drive.run()
+            finally:
+                timeout_s = VEHICLES_END_TIMEOUT_S if self._has_vehicles else END_TIMEOUT_S
+                for child in self._processes.end(timeout_s):
+                    self._view.say(f"{child.name} did not end when asked and was killed")
+                shutil.rmtree(self._orders, ignore_errors=True)
 
     def _start(self) -> None:
         count = len(self._fleet.robots)

@@ -23,6 +23,7 @@ from deploy.hosts import systemd_units
 from deploy.hosts.connection import Clock, HostError
 from deploy.inventory.expiry import Expiry
 
+HERE: Final = "here"
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240
 _WORDS: Final = ("ActiveState", "Result", "StatusText", "version")
@@ -31,7 +32,8 @@ _NUMBERS: Final = ("cpu_s", "age_s", "memory_bytes")
 
 @dataclass
 class HostStatus:
-    """What a host says: of its units (`deploy.hosts.remote_program.status`), its clock and load."""
+    """What a host says: of its units (`deploy.hosts.remote_program.status`; of processes here
+    `deploy.hosts.this_machine`), its clock and load."""
 
     units: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     clock: Clock | None = None
@@ -169,7 +171,7 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
         why = (row["reason"] if row["state"] else row["says"]) or ""
         table.add_row(
             str(row["robot"]),
-            row["host"],
+            row["host"] or HERE,
             row["role"],
             Text(printable(unit), style="" if row["unit"] == "active" else "bold red"),
             _shown(row["restarts"], "d"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +22,7 @@ from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
+from deploy.drive.preconditions import older_mission
 from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
@@ -69,6 +70,7 @@ class BringUp:
         keys: gives robots of a secured fleet their certificates; None where it is not secured.
         accept_new: takes the keys of hosts that were never met before for their own.
         timing: how long things may take.
+        before_changes: called with a host's name before anything of the fleet changes there, in a thread.
 
     Attributes:
         rows: by host, what became of it.
@@ -85,7 +87,9 @@ class BringUp:
         *,
         accept_new: bool,
         timing: Timing | None = None,
+        before_changes: Callable[[str], None] = lambda host: None,
     ) -> None:
+        self._before_changes = before_changes
         self._fleet, self._keys, self._timing = fleet, keys, timing or Timing()
         self._jobs = HostJobs(fleet, hosts, self._bring, accept_new=accept_new, look_s=self._timing.look_s)
         self.rows: Final = self._jobs.rows
@@ -132,6 +136,8 @@ class BringUp:
                 jobs.wait(view, interrupt, look)
                 self._settle(interrupt)
             self._arrivals.look()
+            if goes_on := older_mission(self._arrivals.operator, self._arrivals.now_ns()):
+                self.warnings.append(goes_on)
             self.has_authority_of_now = set(self._arrivals.receivers) <= self._arrivals.with_authority_of_now
             for row in self.rows.values():
                 self._conclude(row)
@@ -199,6 +205,7 @@ class BringUp:
                     "left as it was: the fleet drives, and would fall apart with robots of two authorities. "
                     "`handfast stop` first, then up"
                 )
+            self._before_changes(row.host)
 
         if self._keys is not None:
             say("asking which authority its robots have")

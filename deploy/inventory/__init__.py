@@ -1,2 +1,2 @@
-"""What there is to operate: hosts and how they are reached, fleets that run on this machine, the certificate
-authority."""
+"""What there is to operate: hosts and how they are reached, fleets that run on this machine or are up, the
+certificate authority."""

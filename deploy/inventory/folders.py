@@ -1,4 +1,4 @@
-"""Folders that commands make: caches, and what ``--out`` names."""
+"""Folders that commands make: caches, what is remembered, and what ``--out`` names."""
 
 from __future__ import annotations
 
@@ -13,6 +13,13 @@ def cache_folder(kind: str) -> Path:
     """Where this user keeps what need not be fetched again."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "handfast" / kind
+
+
+def state_folder(kind: str) -> Path:
+    """Where this user keeps what later commands must know."""
+    base = os.environ.get("XDG_STATE_HOME", "")
+    root = Path(base) if base.startswith("/") else Path.home() / ".local" / "state"
+    return root / "handfast" / kind
 
 
 def out_folder(out: str | Path | None, name: str, above: str = "runs") -> Path:

@@ -6,7 +6,6 @@ after a new disk, whoever has given it here still has it, and says it again.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Final
 
@@ -16,16 +15,10 @@ from agent.messages.types import Mission, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
 from agent.security.private_files import KeyFileError, exists, private_directory, read, write
+from deploy.inventory.folders import state_folder
 
 Order = Mission | Stop | Resume
 _KINDS: Final = (Stop, Resume, Mission)
-
-
-def state_folder() -> Path:
-    """Where this user's programs keep what must outlive them."""
-    base = os.environ.get("XDG_STATE_HOME", "")
-    root = Path(base) if base.startswith("/") else Path.home() / ".local" / "state"
-    return root / "handfast"
 
 
 class OwnOrders:
@@ -37,7 +30,7 @@ class OwnOrders:
 
     def __init__(self, fleet: Fleet) -> None:
         on_hosts = any(robot.host is not None for robot in fleet.robots)
-        self._path = state_folder() / f"{fleet.fleet.name}.orders.json" if on_hosts else None
+        self._path = state_folder("orders") / f"{fleet.fleet.name}.json" if on_hosts else None
         self._known: dict[type[Order], Order] = {}
         self.trouble = ""
         if self._path is not None:

@@ -1,7 +1,7 @@
-"""Which fleets run on this machine, and where their files are: so that a command finds a fleet by its name.
+"""The runs and drives of this user that live on this machine, and where their files are.
 
-Every run keeps a small file in this user's private folder. The file is locked while the run lives, however
-it ends, so that one that is left over is known as such.
+Each keeps a small file in this user's private folder. The file is locked while the run lives, however it
+ends, so that one that is left over is known as such.
 """
 
 from __future__ import annotations
@@ -9,35 +9,28 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from agent.common.wording import show
-from agent.fleet.loading import load_fleet
-from agent.fleet.model import Fleet, FleetError
-from agent.runtime.runtime_folder import private_folder
-from deploy.console.arguments import fleet_path
-from deploy.console.data_files import bundled
-from deploy.console.wording import NAMES_SHOWN
+from agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 _PREFIX: Final = "run-"
 _SUFFIX: Final = ".json"
-
-
-class NotRunningError(LookupError):
-    """No fleet is meant by what was given, or more than one; the text is one clear message."""
+_NAME: Final = re.compile(rf"{_PREFIX}(\d+)-\d+{re.escape(_SUFFIX)}")
+_ENTRY_BYTES_MAX: Final = 65_536
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
     """One run that lives: name of its fleet, its process, its folder, the fleet file that its robots read
-    (with the ports they have), when it started (local time, ISO 8601), and the fleet file that it was started
-    from, "" where there is none."""
+    (with the ports they have), when it started (local time, ISO 8601), the fleet file that it was started
+    from, "" where there is none, and whether its robots are others' processes, as `handfast drive` has
+    them."""
 
     name: str
     pid: int
@@ -45,6 +38,7 @@ class Running:
     fleet_file: str
     started: str
     source: str = ""
+    attached: bool = False
 
     def __str__(self) -> str:
         return f"{self.name} ({self.folder}, since {self.started[11:]})"
@@ -57,9 +51,18 @@ class Registration:
         name: the fleet's.
         folder, fleet_file: the run's.
         source: the fleet file that it was started from.
+        attached: whether the robots are others' processes.
     """
 
-    def __init__(self, name: str, folder: Path, fleet_file: Path, source: Path | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        fleet_file: Path,
+        source: Path | None = None,
+        *,
+        attached: bool = False,
+    ) -> None:
         about = Running(
             name,
             os.getpid(),
@@ -67,6 +70,7 @@ class Registration:
             str(fleet_file.absolute()),
             time.strftime("%Y-%m-%dT%H:%M:%S"),
             "" if source is None else str(source.absolute()),
+            attached,
         )
         self._path = private_folder() / f"{_PREFIX}{about.pid}-{time.monotonic_ns()}{_SUFFIX}"
         # Under another name until it is complete and locked: nobody may take it for one that is left over.
@@ -92,89 +96,65 @@ class Registration:
 
 
 def running() -> list[Running]:
-    """This user's runs that live on this machine, by name; removes what others left."""
-    found = []
-    for path in private_folder().glob(f"{_PREFIX}*{_SUFFIX}"):
+    """This user's runs that live on this machine, by name."""
+    return entries()[0]
+
+
+def entries() -> tuple[list[Running], list[str]]:
+    """This user's runs that live on this machine, by name, and a sentence for each of which no more than that
+    is known. Removes what others left."""
+    found, unreadable = [], []
+    try:
+        folder = private_folder()
+    except NotPrivateError as error:  # nothing here can be believed; what is on hosts is known all the same
+        return [], [f"which fleets run here cannot be told: {error}"]
+    for path in sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}")):
+        number = _NAME.fullmatch(path.name)
+        pid = None if number is None else int(number[1])
         try:
-            handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         except FileNotFoundError:
             continue  # it ended just now
+        except OSError:
+            if pid is None or _lives(pid):
+                unreadable.append(_unreadable(path, pid))
+            continue
         try:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
-            with suppress(ValueError, TypeError):  # of another version of this program
-                found.append(Running(**json.loads(os.read(handle, 65_536))))
+            try:
+                found.append(_entry(os.read(handle, _ENTRY_BYTES_MAX)))
+            except (ValueError, TypeError, RecursionError, OSError):
+                unreadable.append(_unreadable(path, pid))
         else:
-            path.unlink(missing_ok=True)
+            with suppress(OSError):  # what cannot be removed is still known to be nobody's
+                path.unlink()
         finally:
             os.close(handle)
-    return sorted(found, key=lambda run: (run.name, run.started, run.pid))
+    return sorted(found, key=lambda run: (run.name, run.started, run.pid)), unreadable
 
 
-def find(what: str) -> Path:
-    """The placed fleet file that is meant: of a fleet that runs here by its name, of a run by its folder.
-
-    A fleet file means the run of its fleet here; where there is none it is taken as it is, with its own
-    addresses and ports, for a fleet that was started otherwise. So does the name of a bundled fleet. A fleet
-    on hosts is not meant by a run here that only has its name: it was started from this file, or drives it.
-
-    Raises:
-        NotRunningError: nothing of the kind runs here, or two runs have that name.
-        agent.fleet.model.FleetError: it is a fleet file that is not valid.
-    """
-    path, runs = Path(what), running()
-    if path.is_dir():
-        here = [run for run in runs if Path(run.folder).resolve() == path.resolve()]
-        if here:
-            return Path(here[0].fleet_file)
-        # Else a folder that happens to have a fleet's name.
-        if all(run.name != what for run in runs) and what not in bundled():
-            raise NotRunningError(f"no run lives in the folder {path}{_those(runs)}")
-    if path.is_file():
-        exact = [run for run in runs if Path(run.fleet_file).resolve() == path.resolve()]
-        if exact:
-            return Path(exact[0].fleet_file)
-        fleet = load_fleet(path)
-        if _is_on_hosts(fleet):
-            runs = [run for run in runs if _started_from(run, path) or _drives_hosts(run)]
-        return _only(fleet.fleet.name, runs) or path
-    if path.suffix == ".toml" or len(path.parts) > 1:
-        raise NotRunningError(f"{show(what)[1:-1]}: there is no such file{_those(runs)}")
-    found = _only(what, runs)
-    if found is None and what in bundled():
-        return fleet_path(what)
-    if found is None:
-        raise NotRunningError(f"no fleet of the name {show(what)} runs here{_those(runs)}")
-    return found
+def _unreadable(path: Path, pid: int | None) -> str:
+    """What to say of a run that lives and whose entry says nothing but, by its name, which process it is."""
+    who = "a run of this user" if pid is None else f"the run of process {pid}"
+    how = "Ctrl-C where it was started" + (f", or `kill -INT {pid}`," if pid is not None else "")
+    return f"{who} cannot be told: {path} is damaged, or another version's; {how} stops it"
 
 
-def _is_on_hosts(fleet: Fleet) -> bool:
-    return any(robot.host is not None for robot in fleet.robots)
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True
 
 
-def _started_from(run: Running, path: Path) -> bool:
-    return bool(run.source) and Path(run.source).resolve() == path.resolve()
-
-
-def _drives_hosts(run: Running) -> bool:
-    with suppress(FleetError):  # its file may be gone by now
-        return _is_on_hosts(load_fleet(run.fleet_file, recorded=True))
-    return False
-
-
-def _only(name: str, runs: Sequence[Running]) -> Path | None:
-    same = [run for run in runs if run.name == name]
-    if len(same) > 1:
-        folders = "\n".join(f"  {run.folder} (since {run.started[11:]})" for run in same)
-        raise NotRunningError(
-            f"{len(same)} fleets of the name {name} run here: give the folder of one\n{folders}"
-        )
-    return Path(same[0].fleet_file) if same else None
-
-
-def _those(runs: Sequence[Running]) -> str:
-    if not runs:
-        return "; no fleet runs here"
-    shown = ", ".join(map(str, runs[:NAMES_SHOWN]))
-    more = f" and {len(runs) - NAMES_SHOWN} more" if len(runs) > NAMES_SHOWN else ""
-    return f"; running here: {shown}{more}"
+def _entry(data: bytes) -> Running:
+    """What an entry says; raises ValueError, TypeError or RecursionError where it says nothing."""
+    run = Running(**json.loads(data))
+    texts = (run.name, run.folder, run.fleet_file, run.started, run.source)
+    if not (all(isinstance(text, str) for text in texts) and type(run.pid) is int and run.pid > 0):
+        raise TypeError
+    return run

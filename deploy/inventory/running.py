@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from agent.common.exit import BAD_INPUT, FAILED
-from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
 
+if TYPE_CHECKING:
+    from deploy.inventory.known_fleets import KnownFleet
+
 MEANING = (
-    "FLEET is the name of a fleet that runs on this machine, the folder of its run, or a fleet file; the "
-    "name of a bundled fleet means its file where no such fleet runs here."
+    "FLEET is the name of a fleet that runs on this machine or that was brought up on hosts from here "
+    "(`handfast list`), the number of its process, the folder of its run, or a fleet file; the name of a "
+    "bundled fleet means its file where no such fleet is known."
 )
 
 Command = Callable[[argparse.Namespace], int]
@@ -27,17 +31,19 @@ def running_fleet(what: str) -> Fleet:
     """The fleet that is meant, as its processes read it, with the addresses of its hosts.
 
     Raises:
-        deploy.inventory.registry.NotRunningError, agent.fleet.model.FleetError: see
-        `deploy.inventory.registry.find`. InputError: nobody knows where a host is.
+        deploy.inventory.known_fleets.NotRunningError, agent.fleet.model.FleetError: see
+        `deploy.inventory.known_fleets.find`. InputError: nobody knows where a host is.
     """
-    from deploy.inventory.registry import find
+    from deploy.inventory.known_fleets import find
 
-    fleet = load_fleet(find(what))
-    if any(robot.host is not None for robot in fleet.robots):
-        from deploy.inventory.hosts import located
+    return as_running(find(what))
 
-        return located(fleet)
-    return fleet
+
+def as_running(known: KnownFleet) -> Fleet:
+    """A known fleet as its processes read it, with the addresses of its hosts; raises as `running_fleet`."""
+    from deploy.inventory.hosts import located
+
+    return located(known.fleet) if known.on_hosts else known.fleet
 
 
 def handled(command: Command) -> Command:
@@ -47,7 +53,7 @@ def handled(command: Command) -> Command:
         # Here: opening the bus takes its time, and most commands do not.
         from agent.runtime.bus import BusError
         from agent.runtime.runtime_folder import NotPrivateError
-        from deploy.inventory.registry import NotRunningError
+        from deploy.inventory.known_fleets import NotRunningError
 
         try:
             return command(options)

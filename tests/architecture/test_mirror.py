@@ -21,7 +21,6 @@ BY_OTHERS: Final = {
         deploy/commands/hosts/fetch
         deploy/commands/hosts/firewall
         deploy/commands/hosts/router
-        deploy/commands/hosts/up
         deploy/commands/local/check
         deploy/commands/local/export
         deploy/commands/local/new
@@ -38,7 +37,6 @@ BY_OTHERS: Final = {
         deploy/commands/running/replace
         deploy/commands/running/reshape
         deploy/commands/running/resume
-        deploy/commands/running/stop
     """,
     "works with processes, sockets or files: tests have real ones, in tests/process and tests/hosts too": """
         agent/runtime/version

@@ -81,6 +81,23 @@ class FleetOnHosts:
             assert done.returncode == status, said
         return done
 
+    def by_name(self, command: str, *arguments: str) -> str:
+        """What a command prints that is given no fleet file."""
+        done = self.hosts.operator.run(
+            [sys.executable, "-P", "-m", "deploy.cli", command, *arguments],
+            # The operator shares this machine's folder for temporary files: others' fleets may run here.
+            env=self.environment() | {"TMPDIR": str(self.folder)},
+            cwd=self.folder,
+            timeout=COMMAND_TIMEOUT_S,
+        )
+        assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+        return str(done.stdout)
+
+    def listed(self) -> list[dict[str, Any]]:
+        """What `handfast list` shows."""
+        rows: list[dict[str, Any]] = json.loads(self.by_name("list", "--json"))["fleets"]
+        return rows
+
     def start(self, command: str, *arguments: str) -> subprocess.Popen[str]:
         return self.hosts.operator.popen(
             self.words(command, *arguments), env=self.environment(), cwd=self.folder

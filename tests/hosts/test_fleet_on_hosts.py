@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -115,6 +116,20 @@ def test_status_tells_of_every_process(fleet: FleetOnHosts) -> None:
     assert "host2: clock" in table
     assert "certificates hold for: operator main 36" in table
     assert len(table.splitlines()) == 1 + 18 + 3 + 1 + 1
+
+
+def test_it_is_known_by_its_name(fleet: FleetOnHosts) -> None:
+    (row,) = fleet.listed()
+    assert (row["fleet"], row["state"], row["robots"]) == ("delta", "up", [1, 2, 3, 4, 5, 6])
+    assert row["hosts"] == [host.name for host in fleet.hosts]
+    assert (row["stop"], row["down"]) == ("handfast stop delta", f"handfast down {fleet.file}")
+    rows = json.loads(fleet.by_name("status", "delta", "--json"))["processes"]
+    assert {(row["robot"], row["role"]) for row in rows} == set(fleet.status())
+    assert "host2: robot 2 agent: ready: for a mission" in fleet.by_name("logs", "delta", "--robot", "2")
+    told = fleet.by_name("stop", "--all", "--reason", "all of them")
+    assert told.startswith("delta (on host1, host2, host3, since ")
+    assert told.count("its plant brakes") == 6
+    fleet.by_name("resume", "delta")
 
 
 def test_units_watch_their_processes_and_hold_no_secret(fleet: FleetOnHosts) -> None:
@@ -294,7 +309,9 @@ def test_a_host_that_was_away_runs_another_version_which_is_said(fleet: FleetOnH
 
 
 def test_down_leaves_nothing(fleet: FleetOnHosts) -> None:
+    assert len(fleet.listed()) == 1
     told = fleet.handfast("down")
+    assert fleet.listed() == []
     assert "all robots brake" in told.stderr
     assert fleet.processes() == set()
     for host in fleet.hosts:

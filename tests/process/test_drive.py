@@ -19,7 +19,8 @@ from agent.messages.codec import encode
 from agent.messages.types import Stop
 from deploy.commands.running.drive import ROBOTS_FILE
 from deploy.drive.preconditions import OVER
-from deploy.inventory.registry import find, running
+from deploy.inventory.known_fleets import find
+from deploy.inventory.registry import running
 from deploy.recording.mcap_reader import read_run
 from tests.process.fleet_harness import Robots, all_ready
 from tests.process.harness import Command, environment, last_lines, no_trouble_in_logs
@@ -75,7 +76,7 @@ def test_one_drive_after_another(tmp_path: Path) -> None:
         with drive(fleet, "--duration", "12", "--orders", str(orders)) as (command, folder):
             # Commands find it by its name, and robots take their orders: by the file that they read.
             (run,) = [each for each in running() if each.name == fleet.name]
-            assert find(fleet.name) == Path(run.fleet_file) == folder.resolve() / ROBOTS_FILE
+            assert find(fleet.name).fleet_file == Path(run.fleet_file) == folder.resolve() / ROBOTS_FILE
             assert fleet.told_by("drive")[0] == 2
             fleet.signal(2, "agent", signal.SIGKILL)
             fleet.processes[2, "agent"].wait()

@@ -34,6 +34,7 @@ def _down(options: argparse.Namespace) -> int:
     from deploy.hosts.jobs import HostJobs
     from deploy.hosts.view import DONE as HOST_DONE
     from deploy.hosts.view import make_hosts_view
+    from deploy.inventory.fleets_up import note_down
     from deploy.inventory.hosts import hosts_of, located
 
     interrupt = Interrupt()
@@ -48,6 +49,10 @@ def _down(options: argparse.Namespace) -> int:
                 jobs.wait(view, interrupt)
             rows = list(jobs.rows.values())
             view.show(rows)
+            try:
+                note_down(fleet, [row.host for row in rows if row.state == HOST_DONE])
+            except OSError as error:
+                view.say(f"`handfast list` still shows what is down: cannot note it: {error}")
     if interrupt.count:
         return INTERRUPTED
     return PASSED if all(row.state == HOST_DONE for row in rows) else FAILED

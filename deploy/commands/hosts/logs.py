@@ -1,4 +1,5 @@
-"""The command ``handfast logs``: what the processes of a fleet say, from all hosts, in the order of time."""
+"""The command ``handfast logs``: what the processes of a fleet say, from all hosts, in the order of time; or
+from the files of a run on this machine."""
 
 from __future__ import annotations
 
@@ -11,8 +12,9 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
@@ -22,10 +24,8 @@ from agent.fleet.model import Fleet
 from deploy.console.arguments import (
     InputError,
     describe,
-    fleet_path,
     host_argument,
-    load,
-    no_changes,
+    refuse_hosts,
     robots_argument,
     robots_named,
 )
@@ -34,7 +34,11 @@ from deploy.console.times import FORMS, point_in_time
 from deploy.hosts import systemd_units
 from deploy.inventory import ssh
 from deploy.inventory.hosts import hosts_of, located, robots_on
-from deploy.inventory.running import handled
+from deploy.inventory.known_fleets import KnownFleet, NotRunningError, find
+from deploy.inventory.registry import running
+from deploy.inventory.running import MEANING, handled
+from deploy.processes.log_files import LogFile, log_files
+from deploy.recording.run_files import FLEET_FILE, LOG_FOLDER
 
 FOLLOWED_LINES: Final = 20
 """Lines of each host that are shown before those that are followed."""
@@ -65,16 +69,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast logs`` takes."""
     describe(
         parser,
-        ", merged by the clocks of their hosts. Exit status: 0 fine; "
-        "1 a host's log cannot be read; 2 bad input; 130 after Ctrl-C.",
+        ", merged by the clocks of their hosts; of a run on this machine, also of one that is over, process "
+        f"by process from its folder. {MEANING} Exit status: 0 fine; 1 a log cannot be read; 2 bad input; "
+        "130 after Ctrl-C.",
     )
-    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running, or the folder of a run")
     host_argument(parser)
     robots_argument(parser)
     parser.add_argument("-f", "--follow", action="store_true", help="go on with what is said from now on")
     parser.add_argument("--since", metavar="TIME", help=f"from when on: {FORMS} (default: all)")
-    parser.add_argument("-n", "--lines", type=int, metavar="N", help="only the last N lines of each host")
-    parser.set_defaults(command=handled(_logs), **no_changes())
+    parser.add_argument("-n", "--lines", type=int, metavar="N", help="only the last N lines of each")
+    parser.set_defaults(command=handled(_logs))
 
 
 def _logs(options: argparse.Namespace) -> int:
@@ -88,10 +93,14 @@ def _logs(options: argparse.Namespace) -> int:
         raise InputError(f"--lines must not be negative, got {options.lines}")
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
-        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
-        fleet = located(fleet)
+        known = _meant(options.fleet)
+        fleet = known.fleet
         wanted = set(robots_named(fleet, options) or fleet.ids)
+        if not known.on_hosts:
+            refuse_hosts(fleet, options)
+            return _here(known, wanted, options, interrupt)
+        hosts = hosts_of(fleet, str(known.fleet_file), options.hosts)
+        fleet = located(fleet)
         readers = [
             Reader(host, command(fleet, host, robots, since_s, options))
             for host in hosts
@@ -110,6 +119,68 @@ def _logs(options: argparse.Namespace) -> int:
     if interrupt.count:
         return INTERRUPTED
     return FAILED if any(reader.error for reader in readers) else PASSED
+
+
+def _meant(what: str) -> KnownFleet:
+    """The fleet that is meant; the folder of a run may also be that of one that is over.
+
+    Raises: see `deploy.inventory.known_fleets.find`.
+    """
+    folder = Path(what)
+    try:
+        return find(what)
+    except NotRunningError:
+        if not (folder / LOG_FOLDER).is_dir() or not (folder / FLEET_FILE).is_file():
+            raise
+    return KnownFleet(folder.name, folder / FLEET_FILE)
+
+
+def _here(
+    known: KnownFleet, robots: Collection[int], options: argparse.Namespace, interrupt: Interrupt
+) -> int:
+    """Prints the logs of these robots' processes from the files that a run on this machine writes.
+
+    Lines of files bear no time: what is there already comes process by process, what is followed as it comes.
+
+    Raises:
+        InputError: there are none, or they cannot answer what is asked.
+    """
+    from deploy.hosts.this_machine import logs_of  # here: it needs packages that hosts' logs do not
+
+    folder = logs_of(known) if known.runs else known.fleet_file.parent / LOG_FOLDER
+    if folder is None or not folder.is_dir():
+        raise InputError(
+            f"there are no logs of {known.name} here: no `handfast run` has started its processes (of a run "
+            "that is over give the folder)"
+        )
+    if options.since is not None:
+        raise InputError("--since: what a run on this machine says bears no time: give --lines N instead")
+    count = options.lines
+    if options.follow and count is None:
+        count = FOLLOWED_LINES
+    logs: dict[str, LogFile] = {}
+    status = PASSED
+    for log in log_files(folder, robots):
+        logs[log.name] = log
+        try:
+            for line in log.last(count, complete=options.follow):
+                if interrupt.count:
+                    return INTERRUPTED
+                print(f"{log.name}: {printable(line)}")
+        except OSError as error:
+            print(f"handfast: {log.name}: cannot read its log: {error}", file=sys.stderr)
+            status = FAILED
+    while options.follow and not interrupt.count:
+        is_over = set(known.runs).isdisjoint(running())
+        for new in log_files(folder, robots):
+            log = logs.setdefault(new.name, new)
+            with suppress(OSError):
+                for line in log.lines(complete=not is_over):
+                    _print(Line(time.time_ns() // 1000, log.name, printable(line)))
+        if is_over:
+            return status
+        time.sleep(LOOK_S)
+    return INTERRUPTED if interrupt.count else status
 
 
 def command(

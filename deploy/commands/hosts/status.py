@@ -1,4 +1,4 @@
-"""The command ``handfast status``: what each process of a fleet does, on its host and on the bus."""
+"""The command ``handfast status``: what each process of a fleet does, on its host or here, and on the bus."""
 
 from __future__ import annotations
 
@@ -8,15 +8,25 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Final
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
-from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
+from agent.fleet.model import Fleet
+from deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
 from deploy.console.interrupt import Interrupt
-from deploy.inventory.running import handled
+from deploy.inventory.running import MEANING, handled
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from agent.fleet.hosts import HostSection
     from agent.messages.types import Status
+    from deploy.analysis.silent_bodies import SilentBody
+    from deploy.hosts.status import HostStatus
+    from deploy.inventory.expiry import Expiry
+    from deploy.inventory.known_fleets import KnownFleet
+    from deploy.session.operator_session import OperatorSession
 
 LISTEN_S: Final = 2.0
 HOSTS_TIMEOUT_S: Final = 60.0
@@ -28,15 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     describe(
         parser,
         ": its unit, how often it was started again, CPU and memory "
-        "(as the host says, over ssh); state of its agent, age of its neighbours' messages (as it says, "
-        "on the bus); version; how its host's clock stands to this one; how long certificates hold; robots "
-        "that are not heard, and where the others believe them to be. Exit status: 0 all processes run and "
-        "all agents are heard; 1 not all; 2 bad input; 130 after Ctrl-C.",
+        "(as the host says, over ssh; here, as the table of processes has them); state of its "
+        "agent, age of its neighbours' messages (as it says, on the bus); version; how its host's clock "
+        "stands to this one; how long certificates hold; robots that are not heard, and where the others "
+        "believe them to be; a mission that is older than the last stop. "
+        f"{MEANING} Exit status: 0 all processes run and all agents are heard; 1 not all; 2 bad input; 130 "
+        "after Ctrl-C.",
     )
-    parser.add_argument("fleet", metavar="FLEET", help="fleet file with [host.NAME] tables")
+    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
     host_argument(parser)
     parser.add_argument("--json", action="store_true", help="for programs: one JSON document")
-    parser.set_defaults(command=handled(_status), **no_changes())
+    parser.set_defaults(command=handled(_status))
 
 
 def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
@@ -50,87 +62,183 @@ def wait_for(look: Callable[[], bool], timeout_s: float) -> bool:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from agent.runtime.bus import BusError
-    from deploy.analysis.silent_bodies import SilentBodies, in_words
-    from deploy.hosts import systemd_units
-    from deploy.hosts.connection import HostConnection
-    from deploy.hosts.jobs import HostJobs
-    from deploy.hosts.status import (
-        HostStatus,
-        host_rows,
-        host_status,
-        print_table,
-        process_row,
-        robots_by_host,
-    )
-    from deploy.hosts.view import FAILED as HOST_FAILED
-    from deploy.hosts.view import Row
-    from deploy.inventory.expiry import operators, summary
+    from agent.formation.geometry import resolved
+    from deploy.analysis.silent_bodies import in_words
+    from deploy.hosts.status import host_rows, print_table
+    from deploy.inventory.expiry import summary
     from deploy.inventory.hosts import hosts_of, located
-    from deploy.session.operator_session import OperatorSession
+    from deploy.inventory.known_fleets import find
 
     interrupt = Interrupt()
     with interrupt.caught():
-        fleet = load(options)
-        hosts = hosts_of(fleet, str(fleet_path(options.fleet)), options.hosts)
-        fleet = located(fleet)
-        found = {host.name: HostStatus() for host in hosts}
-
-        def ask(connection: HostConnection, row: Row) -> None:
-            answer = connection.ask("status", fleet=fleet.fleet.name)
-            found[row.host] = host_status(answer, connection.clock())
-
-        with ExitStack() as stack:
-            statuses: dict[int, Status] = {}
-            wait, expected = wait_for, 0
-            silent, operator = SilentBodies(), None
-            try:
-                session = stack.enter_context(OperatorSession(fleet))
-                wait, statuses, expected = session.wait, session.statuses, len(fleet.ids)
-                silent, operator = session.silent, session.operator
-                session.listen_to_beacons()
-            except (BusError, InputError) as error:
-                print(f"handfast: agents are not heard, only hosts are asked: {error}", file=sys.stderr)
-            jobs = stack.enter_context(HostJobs(fleet, hosts, ask))
-
-            def asked() -> bool:
-                return interrupt.count > 0 or not jobs.busy
-
-            def known() -> bool:
-                return asked() and (interrupt.count > 0 or len(statuses) >= expected <= silent.senders)
-
-            if not wait(known, LISTEN_S):
-                wait(asked, HOSTS_TIMEOUT_S)
-            if not interrupt.count:
-                jobs.end(f"it has not said all within {LISTEN_S + HOSTS_TIMEOUT_S:.0f} s")
+        known = find(options.fleet)
+        fleet = resolved(known.fleet)
+        if known.on_hosts:
+            hosts = hosts_of(fleet, str(known.fleet_file), options.hosts)
+            seen = _on_hosts(located(fleet), hosts, options.fleet, interrupt)
+        else:
+            refuse_hosts(fleet, options)
+            seen = _here(fleet, known, interrupt)
     if interrupt.count:
         return INTERRUPTED
+    now_s = time.time()
+    if options.json:
+        about = {
+            "fleet": fleet.fleet.name,
+            "hosts": host_rows(seen.hosts),
+            "processes": seen.rows,
+            "silent": [body.row for body in seen.bodies],
+            "runs": [asdict(run) for run in known.runs],
+            "certificates": [{"who": each.who, "days": round(each.days(now_s), 1)} for each in seen.expiries],
+            "older_mission": seen.older_mission,
+        }
+        print(json.dumps(about, indent=2))
+    else:
+        print_table(seen.rows, seen.hosts)
+        for line in (*seen.lines, *in_words(seen.bodies), *summary(seen.expiries, now_s)):
+            print(line)
+        if seen.older_mission:
+            print(seen.older_mission)
+    good = all(row["unit"] == "active" and (row["role"] != "agent" or row["state"]) for row in seen.rows)
+    return PASSED if good else FAILED
+
+
+class Seen(NamedTuple):
+    """What is known of a fleet: a row for each process, what its hosts say of themselves, bodies that are not
+    heard, a mission that is older than the last stop, more lines for people, and how long certificates hold.
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    hosts: Mapping[str, HostStatus]
+    bodies: Sequence[SilentBody]
+    older_mission: str
+    lines: Sequence[str] = ()
+    expiries: Sequence[Expiry] = ()
+
+
+class Ears:
+    """An ear on a fleet's bus, deaf where that cannot be opened. A context manager.
+
+    Attributes:
+        statuses: what each agent said last.
+        session: None where it is deaf.
+    """
+
+    def __init__(self, fleet: Fleet, otherwise: str) -> None:
+        self._fleet, self._otherwise = fleet, otherwise
+        self._stack = ExitStack()
+        self.session: OperatorSession | None = None
+        self.statuses: Mapping[int, Status] = {}
+
+    def __enter__(self) -> Ears:
+        from agent.runtime.bus import BusError
+        from deploy.session.operator_session import OperatorSession
+
+        try:
+            self.session = self._stack.enter_context(OperatorSession(self._fleet))
+        except (BusError, InputError) as error:
+            print(f"handfast: agents are not heard{self._otherwise}: {error}", file=sys.stderr)
+        else:
+            self.statuses = self.session.statuses
+            self.session.listen_to_beacons()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def know(self) -> bool:
+        """Whether all that can be heard was heard."""
+        session, expected = self.session, len(self._fleet.ids)
+        return session is None or len(session.statuses) >= expected <= session.silent.senders
+
+    def wait(self, look: Callable[[], bool], timeout_s: float) -> None:
+        """Listens until `look` says True, or `timeout_s` are over."""
+        if self.session is not None:
+            self.session.wait(look, timeout_s)
+        else:
+            wait_for(look, timeout_s)
+
+    def bodies(self) -> list[SilentBody]:
+        """Robots that are not heard."""
+        if self.session is None:
+            return []
+        mission = self.session.operator.mission
+        return self.session.silent.bodies(mission.removed if mission else ())
+
+    def older_mission(self) -> str:
+        """What is to be said of a mission that is older than the last stop."""
+        from deploy.drive.preconditions import older_mission
+
+        session = self.session
+        if session is None or not session.statuses:
+            return ""
+        session.ask()
+        return older_mission(session.operator, session.now_ns())
+
+
+def _here(fleet: Fleet, known: KnownFleet, interrupt: Interrupt) -> Seen:
+    """What is known of a fleet that runs on this machine.
+
+    Raises:
+        deploy.inventory.running.NoAnswerError: none of its processes is there.
+    """
+    from agent.messages.key_expressions import ROLES
+    from deploy.hosts.status import process_row
+    from deploy.hosts.this_machine import logs_of, run_words, this_machine
+
+    with Ears(fleet, "") as ears:
+        ears.wait(lambda: interrupt.count > 0 or ears.know, LISTEN_S)
+        bodies, older = ears.bodies(), ears.older_mission()
+        here = this_machine(fleet, known.fleet_file, logs_of(known))
+        rows = [
+            process_row(fleet, robot, role, here, ears.statuses.get(robot), time.time())
+            for robot in fleet.ids
+            for role in ROLES
+        ]
+        nobody = not known.runs and not ears.statuses and all(row["unit"] == "none" for row in rows)
+        if nobody and ears.session is not None and not interrupt.count:
+            raise ears.session.no_answer()
+    return Seen(rows, {}, bodies, older, [run_words(run) for run in known.runs])
+
+
+def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: Interrupt) -> Seen:
+    """What is known of a fleet (located) on these hosts of its; `what`: as the user named it."""
+    from deploy.hosts import systemd_units
+    from deploy.hosts.connection import HostConnection
+    from deploy.hosts.jobs import HostJobs
+    from deploy.hosts.status import HostStatus, host_status, process_row, robots_by_host
+    from deploy.hosts.view import FAILED as HOST_FAILED
+    from deploy.hosts.view import Row
+    from deploy.inventory.expiry import operators
+
+    found = {host.name: HostStatus() for host in hosts}
+
+    def ask(connection: HostConnection, row: Row) -> None:
+        answer = connection.ask("status", fleet=fleet.fleet.name)
+        found[row.host] = host_status(answer, connection.clock())
+
+    with Ears(fleet, ", only hosts are asked") as ears, HostJobs(fleet, hosts, ask) as jobs:
+
+        def asked() -> bool:
+            return interrupt.count > 0 or not jobs.busy
+
+        ears.wait(lambda: asked() and (interrupt.count > 0 or ears.know), LISTEN_S)
+        if not asked():
+            ears.wait(asked, HOSTS_TIMEOUT_S)
+        if not interrupt.count:
+            jobs.end(f"it has not said all within {LISTEN_S + HOSTS_TIMEOUT_S:.0f} s")
+        bodies, older = ears.bodies(), "" if interrupt.count else ears.older_mission()
     for row in jobs.rows.values():
         if row.state == HOST_FAILED:
             found[row.host].error = row.step
     now_s = time.time()
     on_hosts = {name: row.robots for name, row in jobs.rows.items()}
-    expiries = [*operators(fleet, options.fleet), *robots_by_host(found, on_hosts, options.fleet)]
+    expiries = [*operators(fleet, what), *robots_by_host(found, on_hosts, what)]
     rows = [
-        process_row(fleet, robot, role, found[host.name], statuses.get(robot), now_s)
+        process_row(fleet, robot, role, found[host.name], ears.statuses.get(robot), now_s)
         for host in hosts
         for robot in jobs.rows[host.name].robots
         for role in systemd_units.roles(fleet)
     ]
-    mission = None if operator is None else operator.mission
-    bodies = silent.bodies(mission.removed if mission else ())
-    if options.json:
-        about = {
-            "fleet": fleet.fleet.name,
-            "hosts": host_rows(found),
-            "processes": rows,
-            "silent": [body.row for body in bodies],
-            "certificates": [{"who": each.who, "days": round(each.days(now_s), 1)} for each in expiries],
-        }
-        print(json.dumps(about, indent=2))
-    else:
-        print_table(rows, found)
-        for line in (*in_words(bodies), *summary(expiries, now_s)):
-            print(line)
-    good = all(row["unit"] == "active" and (row["role"] != "agent" or row["state"]) for row in rows)
-    return PASSED if good else FAILED
+    return Seen(rows, found, bodies, older, expiries=expiries)

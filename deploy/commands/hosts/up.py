@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agent.common.exit import FAILED, INTERRUPTED, PASSED
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _up(options: argparse.Namespace) -> int:
     from deploy.drive.outcome import refuse_errors
     from deploy.hosts.up import BringUp
+    from deploy.hosts.view import DONE as HOST_DONE
     from deploy.hosts.view import make_hosts_view
     from deploy.inventory.expiry import operators, warnings
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated
@@ -66,13 +68,46 @@ def _up(options: argparse.Namespace) -> int:
         fleet = located(fleet)
         with ExitStack() as stack:
             keys = stack.enter_context(_keys(fleet, options)) if fleet.is_secured else None
-            work = BringUp(fleet, hosts, keys, accept_new=options.accept_new_host_keys)
+            notes = Notes(fleet, Path(source))
+            work = BringUp(
+                fleet,
+                hosts,
+                keys,
+                accept_new=options.accept_new_host_keys,
+                before_changes=lambda host: notes.up([host], complete=False),
+            )
             view = stack.enter_context(make_hosts_view())
             work.warnings += warnings(operators(fleet, options.fleet), time.time())
             work.run(view, interrupt)
             if work.has_authority_of_now:
                 drop_earlier(keys_folder(fleet.fleet.name))
+        notes.up([row.host for row in work.rows.values() if row.state == HOST_DONE], complete=True)
+        work.warnings += notes.problems
     return _say(work, interrupt)
+
+
+class Notes:
+    """Notes where a fleet is up, for `handfast list`; a disk that is full keeps no fleet from coming up.
+
+    Attributes:
+        problems: what could not be noted, for the operator.
+    """
+
+    def __init__(self, fleet: Fleet, source: Path) -> None:
+        self._fleet, self._source = fleet, source
+        self.problems: list[str] = []
+
+    def up(self, hosts: Sequence[str], *, complete: bool) -> None:
+        """It is up on these hosts, or is about to be."""
+        from deploy.inventory.fleets_up import note_up
+
+        try:
+            if hosts:
+                note_up(self._fleet, self._source, hosts, complete=complete)
+        except OSError as error:
+            why = f"`handfast list` does not know that it is up: cannot note it: {error}"
+            if why not in self.problems:
+                self.problems.append(why)
 
 
 @contextmanager

@@ -203,7 +203,7 @@ def _registered(fleet: Fleet, folder: Path) -> Registration:
     path = folder / ROBOTS_FILE
     try:
         path.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
-        return Registration(fleet.fleet.name, folder, path)
+        return Registration(fleet.fleet.name, folder, path, attached=True)
     except NotPrivateError:
         raise
     except OSError as error:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from shlex import quote
+from typing import TYPE_CHECKING
 
 from agent.common.exit import FAILED, PASSED
 from agent.common.wording import printable
-from deploy.console.arguments import describe
-from deploy.inventory.running import MEANING, handled, running_fleet
+from agent.fleet.model import Fleet, FleetError
+from deploy.console.arguments import InputError, describe
+from deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
+
+if TYPE_CHECKING:
+    from deploy.inventory.known_fleets import KnownFleet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,19 +27,78 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "stop as soon as another one relays it. Exit status: 0 all agents and plants brake; 1 not all; 2 bad "
         "input.",
     )
-    parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
+    parser.add_argument("fleet", metavar="FLEET", nargs="?", help="a fleet that is running")
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="every fleet of that name, or without FLEET every one that `handfast list` shows, side by side",
+    )
     parser.add_argument("--reason", default="", metavar="TEXT", help="why, for people")
     parser.set_defaults(command=handled(_stop))
 
 
 def _stop(options: argparse.Namespace) -> int:
+    from deploy.inventory.known_fleets import NONE, NotRunningError, SeveralError, find, known, meant
+
+    if options.all:
+        fleets = known() if options.fleet is None else meant(options.fleet)
+        status = PASSED if options.fleet is not None else _say_unreadable()
+        if not fleets and status == PASSED:
+            raise NotRunningError(f"{NONE}, and none is up: nothing to stop")
+        return max(_stop_all(fleets, options.reason), status)
+    if options.fleet is None:
+        raise InputError("stop: which fleet? Give its name, or --all; `handfast list` shows all")
+    try:
+        one = find(options.fleet)
+    except SeveralError as error:
+        everyone = f"or stop them all: handfast stop {quote(options.fleet)} --all"
+        raise NotRunningError(error.text("handfast stop", everyone)) from None
+    try:
+        lines, done = _outcome(as_running(one), options.reason)
+    finally:
+        _say_unreadable()  # it may be what is meant
+    for line in lines:
+        print(line)
+    return PASSED if done else FAILED
+
+
+def _outcome(fleet: Fleet, reason: str) -> tuple[list[str], bool]:
+    """What became of a stop, in words, and whether all brake; raises as `deploy.session.stop.stop`."""
     from deploy.commands.running.ways import ways
     from deploy.session.stop import stop
 
-    fleet = running_fleet(options.fleet)
-    stopping, troubles = stop(fleet, options.reason, ways(fleet))
-    for robot in fleet.ids:
-        print(stopping.outcome(robot))
-    for trouble in troubles if not stopping.done else ():
-        print(printable(trouble), file=sys.stderr)
-    return PASSED if stopping.done else FAILED
+    stopping, troubles = stop(fleet, reason, ways(fleet))
+    said = [] if stopping.done else [printable(trouble) for trouble in troubles]
+    return [*map(stopping.outcome, fleet.ids), *said], stopping.done
+
+
+def _stop_all(fleets: list[KnownFleet], reason: str) -> int:
+    """Stops them side by side, so that none waits for another, and says of each what came of it."""
+    from agent.runtime.bus import BusError
+    from deploy.inventory.known_fleets import NotRunningError
+
+    def one(fleet: KnownFleet) -> tuple[list[str], bool]:
+        try:
+            return _outcome(as_running(fleet), reason)
+        except (BusError, FleetError, InputError, NoAnswerError, NotRunningError) as error:
+            return [f"NOT stopped: {error}"], False
+
+    status = PASSED
+    if fleets:
+        with ThreadPoolExecutor(len(fleets), "stop") as pool:
+            jobs = {pool.submit(one, fleet): fleet for fleet in fleets}
+            for job in as_completed(jobs):
+                lines, done = job.result()
+                print(f"{jobs[job].name} ({jobs[job].about}):", *lines, sep="\n  ", flush=True)
+                status = status if done else FAILED
+    return status
+
+
+def _say_unreadable() -> int:
+    """Says what cannot be stopped, as it is not known what it is."""
+    from deploy.inventory.known_fleets import unreadable
+
+    lines = unreadable()
+    for line in lines:
+        print(f"handfast: {line}", file=sys.stderr)
+    return FAILED if lines else PASSED

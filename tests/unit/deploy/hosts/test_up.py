@@ -42,6 +42,7 @@ class World:
         after: what becomes of a robot that starts again: the state of its agent, or an error.
         broken: (robot, role) of units that fail.
         log: what hosts were asked that changes anything.
+        noted: hosts where something was about to change, and what had been until then.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -54,6 +55,7 @@ class World:
         self.after: dict[int, str | HostError] = {}
         self.broken: set[tuple[int, str]] = set()
         self.log: list[tuple[str, Any]] = []
+        self.noted: list[tuple[str, list[tuple[str, Any]]]] = []
         self.first = threading.Event()
         self.first.set()
         self._changes: deque[tuple[str, bool]] = deque()
@@ -241,8 +243,14 @@ class Keys:
 def bring(
     world: World, view: View | None = None, timing: Timing = QUICK, keys: Keys | None = None
 ) -> BringUp:
-    hosts = hosts_of(world.fleet, "here")
-    work = BringUp(world.fleet, hosts, keys, accept_new=False, timing=timing)  # type: ignore[arg-type]
+    work = BringUp(
+        world.fleet,
+        hosts_of(world.fleet, "here"),
+        keys,  # type: ignore[arg-type]
+        accept_new=False,
+        timing=timing,
+        before_changes=lambda host: world.noted.append((host, list(world.log))),
+    )
     work.run(view or View(), Interrupt())  # type: ignore[arg-type]
     return work
 
@@ -267,6 +275,7 @@ def test_while_none_drives_robots_of_a_host_start_together(world: World) -> None
     world.after = {1: "ready", 3: "ready"}
     work = bring(world)
     assert ends(work)["rover1"] == (DONE, "up, robots 1 and 3 started")
+    assert ("rover1", []) in world.noted, "before anything changes there"
     at_rover1 = [entry for entry in world.log if entry[0] in ("units", "restart")]
     assert at_rover1 == [("units", [1, 3]), ("restart", [1, 3])]
     assert ("remove", tuple(world.unwanted)) in world.log
@@ -338,7 +347,7 @@ def test_a_robot_that_drives_but_is_not_heard_is_not_touched(world: World) -> No
             FAILED,
             "left as it was: robot 3 drives, but is not heard here: `handfast stop` first, or open the ports",
         )
-    assert world.log == []
+    assert world.log == world.noted == []
 
 
 def test_where_another_authority_rules_nothing_changes(world: World) -> None:

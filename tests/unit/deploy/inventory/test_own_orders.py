@@ -50,7 +50,7 @@ def test_of_a_fleet_on_this_machine_nothing_is_kept(tmp_path: Path) -> None:
 
 def test_a_damaged_file_is_said_and_written_anew(fleet: Fleet, tmp_path: Path) -> None:
     OwnOrders(fleet).keep(STOP)
-    path = next(tmp_path.rglob("*orders*.json"))
+    path = next(tmp_path.rglob("orders/*.json"))
     path.write_bytes(path.read_bytes()[:-9])
     own = OwnOrders(fleet)
     assert own.orders == ()

@@ -1,17 +1,16 @@
-"""Finding a fleet that runs on this machine."""
+"""The runs of this user that live on this machine."""
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
-from agent.fleet.hosts import HostSection
-from deploy.console.data_files import FLEETS
-from deploy.inventory import registry, ssh
-from deploy.inventory.registry import NotRunningError, Registration, find, running
-from deploy.inventory.running import running_fleet
+from agent.runtime.runtime_folder import NotPrivateError
+from deploy.inventory import registry
+from deploy.inventory.registry import Registration, entries, running
 
 
 @pytest.fixture(autouse=True)
@@ -23,122 +22,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return private
 
 
-def a_run(tmp_path: Path, name: str, folder: str, source: Path | None = None) -> Registration:
-    path = tmp_path / folder
-    path.mkdir()
-    (path / "fleet.toml").write_text((FLEETS / "pair.toml").read_text().replace('"pair"', f'"{name}"'))
-    return Registration(name, path, path / "fleet.toml", source)
+def a_run(tmp_path: Path, name: str, folder: str) -> Registration:
+    return Registration(name, tmp_path / folder, tmp_path / folder / "fleet.toml")
 
 
-def test_found_by_name_while_it_lives(tmp_path: Path, folder: Path) -> None:
+def test_known_while_it_lives(tmp_path: Path, folder: Path) -> None:
     with a_run(tmp_path, "pair", "a"), a_run(tmp_path, "delta", "b"):
-        assert find("pair") == tmp_path / "a" / "fleet.toml"
         assert [run.name for run in running()] == ["delta", "pair"]
         assert str(running()[1]).startswith(f"pair ({tmp_path / 'a'}, since ")
     assert list(folder.iterdir()) == []
     assert running() == []
-
-
-def test_found_by_the_folder_of_its_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with a_run(tmp_path, "pair", "a"), a_run(tmp_path, "pair", "b"):
-        assert find(str(tmp_path / "b")) == tmp_path / "b" / "fleet.toml"
-        assert find("b") == tmp_path / "b" / "fleet.toml"
-        (tmp_path / "c").mkdir()
-        with pytest.raises(NotRunningError, match="no run lives in the folder c; running here: pair"):
-            find("c")
-
-
-def test_a_folder_of_a_fleets_name_does_not_hide_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "pair").mkdir()
-    with a_run(tmp_path, "pair", "a"):
-        assert find("pair") == tmp_path / "a" / "fleet.toml"
-
-
-def test_two_of_one_name_are_listed(tmp_path: Path) -> None:
-    with (
-        a_run(tmp_path, "pair", "a"),
-        a_run(tmp_path, "pair", "b"),
-        pytest.raises(NotRunningError) as refused,
-    ):
-        find("pair")
-    text = str(refused.value)
-    assert text.startswith("2 fleets of the name pair run here: give the folder of one\n")
-    assert f"{tmp_path / 'a'} (since " in text
-    assert f"{tmp_path / 'b'} (since " in text
-
-
-def test_a_fleet_file_means_the_run_of_its_fleet(tmp_path: Path) -> None:
-    ours = FLEETS / "pair.toml"
-    with a_run(tmp_path, "pair", "a") as first:
-        assert find(str(ours)) == tmp_path / "a" / "fleet.toml"
-        with a_run(tmp_path, "pair", "b"):
-            with pytest.raises(NotRunningError, match="2 fleets of the name pair"):
-                find(str(ours))
-            assert find(str(tmp_path / "b" / "fleet.toml")) == tmp_path / "b" / "fleet.toml"
-        first.close()
-        assert find(str(ours)) == ours  # started otherwise: its own addresses and ports
-
-
-@pytest.mark.parametrize(
-    ("what", "says"),
-    [
-        ("pairs", 'no fleet of the name "pairs" runs here; running here: pair ('),
-        ("none.toml", "none.toml: there is no such file; running here: pair ("),
-        ("no/where", "no/where: there is no such file; running here: pair ("),
-    ],
-)
-def test_nothing_of_the_kind_runs(tmp_path: Path, what: str, says: str) -> None:
-    with a_run(tmp_path, "pair", "a"), pytest.raises(NotRunningError) as refused:
-        find(what)
-    assert str(refused.value).startswith(says)
-
-
-def test_a_bundled_fleet_that_runs_elsewhere_is_found_by_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As one that `handfast drive pair --detach` has left to drive alone."""
-    assert find("pair") == FLEETS / "pair.toml"
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "pair").mkdir()
-    assert find("pair") == FLEETS / "pair.toml"
-    with a_run(tmp_path, "pair", "a"):
-        assert find("pair") == tmp_path / "a" / "fleet.toml"
-
-
-def test_hosts_of_a_running_fleet_have_their_addresses(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def address_of(host: HostSection) -> str:
-        return {"left": "10.0.0.7"}[host.name]
-
-    monkeypatch.setattr(ssh, "address_of", address_of)
-    path = tmp_path / "fleet.toml"
-    text = (FLEETS / "pair.toml").read_text().replace("[[robot]]", '[[robot]]\nhost = "left"')
-    path.write_text(text + "[host.left]\n")
-    assert running_fleet(str(path)).agent_endpoint(1) == "tls/10.0.0.7:7650"
-
-
-def test_a_fleet_on_hosts_is_not_a_run_here_that_has_its_name(tmp_path: Path) -> None:
-    ours = tmp_path / "on-hosts.toml"
-    text = (FLEETS / "pair.toml").read_text().replace("[[robot]]", '[[robot]]\nhost = "left"')
-    ours.write_text(text + '[host.left]\naddress = "10.0.0.7"\n')
-    with a_run(tmp_path, "pair", "other"):
-        assert find(str(ours)) == ours
-        assert find("pair") == tmp_path / "other" / "fleet.toml"
-    with a_run(tmp_path, "pair", "own", source=ours):
-        assert find(str(ours)) == tmp_path / "own" / "fleet.toml"
-    with a_run(tmp_path, "pair", "drive") as drive:
-        (tmp_path / "drive" / "fleet.toml").write_text(ours.read_text())
-        assert find(str(ours)) == tmp_path / "drive" / "fleet.toml"
-        drive.close()
-        assert find(str(ours)) == ours
-
-
-def test_nothing_runs_at_all() -> None:
-    with pytest.raises(NotRunningError, match=r'^no fleet of the name "none" runs here; no fleet runs here$'):
-        find("none")
 
 
 def test_what_a_killed_run_left_is_removed(tmp_path: Path, folder: Path) -> None:
@@ -151,9 +44,45 @@ def test_what_a_killed_run_left_is_removed(tmp_path: Path, folder: Path) -> None
         assert [path.name for path in folder.iterdir()] == [entry.name]
 
 
-def test_an_entry_of_another_version_is_left_alone(tmp_path: Path, folder: Path) -> None:
-    with a_run(tmp_path, "pair", "a"):
-        entry = next(folder.iterdir())
-        entry.write_text('{"name": "pair"}')
-        assert running() == []
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"name": "pair"}',
+        "{",
+        "",
+        "[" * 5000,
+        '{"name": 5, "pid": 1, "folder": "", "fleet_file": "", "started": ""}',
+        '{"name": "a", "pid": "1", "folder": "", "fleet_file": "", "started": ""}',
+        '{"name": "a", "pid": 1, "folder": "", "fleet_file": "", "started": "", "new": 1}',
+    ],
+)
+def test_a_live_run_whose_entry_says_nothing_is_told(tmp_path: Path, folder: Path, text: str) -> None:
+    with a_run(tmp_path, "pair", "a"), a_run(tmp_path, "delta", "b"):
+        entry = min(folder.iterdir(), key=lambda path: int(path.stem.split("-")[2]))
+        entry.write_text(text)
+        runs, unreadable = entries()
+        assert [run.name for run in runs] == ["delta"]
+        assert unreadable == [
+            f"the run of process {os.getpid()} cannot be told: {entry} is damaged, or another version's; "
+            f"Ctrl-C where it was started, or `kill -INT {os.getpid()}`, stops it"
+        ]
         assert entry.exists()
+
+
+def test_what_is_no_file_is_no_run(folder: Path) -> None:
+    (folder / "run-1-2.json").mkdir()
+    (folder / "run-1-3.json").symlink_to(folder / "none")
+    os.mkfifo(folder / "run-1-4.json")
+    assert entries() == ([], [])
+
+
+def test_a_folder_that_is_not_this_users_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def private_folder() -> Path:
+        raise NotPrivateError("/tmp/x must be a folder of this user")
+
+    monkeypatch.setattr(registry, "private_folder", private_folder)
+    assert entries() == ([], ["which fleets run here cannot be told: /tmp/x must be a folder of this user"])
+    with pytest.raises(NotPrivateError):
+        a_run(tmp_path, "pair", "a")

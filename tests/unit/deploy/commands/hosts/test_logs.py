@@ -16,11 +16,14 @@ import pytest
 import tomli_w
 
 from agent.fleet.loading import to_dict
+from deploy.cli import main
 from deploy.commands.hosts import logs as logs_command
 from deploy.commands.hosts.logs import Line, Reader
 from deploy.console.arguments import InputError, no_changes
+from deploy.console.data_files import FLEETS
 from deploy.console.interrupt import Interrupt
-from deploy.inventory import ssh
+from deploy.inventory import registry, ssh
+from deploy.inventory.registry import Registration
 from tests.unit.agent.fleet.test_hosts import fleet
 
 
@@ -182,3 +185,91 @@ def test_without_ssh_it_is_one_line(tools: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("PATH", str(tools))
     with pytest.raises(InputError, match="there is no ssh on this machine"):
         run(tools)
+
+
+# --- a run on this machine ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a run that has said something."""
+    (tmp_path / "private").mkdir()
+    monkeypatch.setattr(registry, "private_folder", lambda: tmp_path / "private")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    logs = tmp_path / "run" / "logs"
+    logs.mkdir(parents=True)
+    text = (FLEETS / "pair.toml").read_text().replace('"pair"', '"pair-here"')
+    (tmp_path / "run" / "fleet.toml").write_text(text)
+    for robot in (1, 2):
+        name = f"robot {robot} agent"
+        (logs / f"robot-{robot}-agent.log").write_text(f"{name}: ready\n{name}: a\x1b[31mb\n")
+    return tmp_path / "run"
+
+
+def of_run(folder: Path) -> Registration:
+    return Registration("pair-here", folder, folder / "fleet.toml")
+
+
+def test_of_a_run_here_its_files_are_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [f"robot {robot} agent: {text}\n" for robot in (1, 2) for text in ("ready", "a\\x1b[31mb")]
+    with of_run(folder):
+        assert main(["logs", "pair-here"]) == 0
+        assert capsys.readouterr().out == "".join(lines)
+        assert main(["logs", "pair-here", "--robot", "2", "-n", "1"]) == 0
+        assert capsys.readouterr().out == lines[3]
+    assert main(["logs", str(folder)]) == 0, "when it is over, too"
+    assert capsys.readouterr().out == "".join(lines)
+
+
+def test_of_a_run_here_lines_are_followed_to_its_end(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps: list[Any] = []
+    with of_run(folder) as run, open(folder / "logs" / "robot-2-agent.log", "a") as log:
+
+        def say(text: str) -> None:
+            print(text, end="", file=log, flush=True)
+
+        def end() -> None:
+            say("ed\nthe last words")
+            (folder / "logs" / "robot-1-plant.log").write_text("robot 1 plant: ending\n")
+            run.close()
+
+        steps = [lambda: say("robot 2 agent: stopp"), end]
+        monkeypatch.setattr(logs_command.time, "sleep", lambda _: steps.pop(0)())
+        assert main(["logs", "pair-here", "--follow", "-n", "1"]) == 0
+    first, second, *later = capsys.readouterr().out.splitlines()
+    assert (first, second) == ("robot 1 agent: a\\x1b[31mb", "robot 2 agent: a\\x1b[31mb")
+    stamped = [line[len("2026-11-20 10:00:00.000 ") :] for line in later]
+    assert sorted(stamped) == [
+        "robot 1 plant: ending",
+        "robot 2 agent: stopped",
+        "robot 2 agent: the last words",
+    ]
+
+
+def test_of_a_run_here_ctrl_c_ends_following(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logs_command.time, "sleep", lambda _: signal.raise_signal(signal.SIGINT))
+    with of_run(folder):
+        assert main(["logs", "pair-here", "--follow"]) == 130
+
+
+def test_of_a_run_here_what_cannot_be(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def says(*arguments: str) -> str:
+        assert main(["logs", *arguments]) == 2
+        return capsys.readouterr().err.removeprefix("handfast: ")
+
+    assert says("pair-here").startswith('no fleet of the name "pair-here" runs here; ')
+    with of_run(folder):
+        assert says("pair-here", "--since", "1 h").startswith(
+            "--since: what a run on this machine says bears no"
+        )
+        assert says("pair-here", "--host", "a").startswith("--host: pair-here runs on this machine")
+        assert says("pair-here", "--robot", "3").startswith("there is no robot 3 in pair-here")
+        (folder / "logs" / "robot-1-plant.log").mkdir()
+        assert main(["logs", "pair-here", "-n", "0"]) == 1
+        assert "robot 1 plant: cannot read its log: " in capsys.readouterr().err
+    with Registration("pair-here", folder, folder / "fleet.toml", attached=True):
+        assert says("pair-here").startswith(
+            "there are no logs of pair-here here: no `handfast run` has started"
+        )

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
+import re
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
@@ -12,9 +15,14 @@ import tomli_w
 from agent.fleet.loading import to_dict
 from agent.security.certificates import DAY_S
 from agent.security.identity import of_operator
+from deploy.cli import main
 from deploy.commands.hosts import down, status
 from deploy.console.arguments import no_changes
+from deploy.console.data_files import FLEETS
+from deploy.inventory import registry
 from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
+from deploy.inventory.registry import Registration
+from deploy.processes.table import PAUSED, RUNS, ProcessState
 from tests.trusted import authority, credentials
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, fleet
 
@@ -94,3 +102,72 @@ def test_down_goes_on_over_ssh_where_it_may_not_stop(
     err = capsys.readouterr().err
     assert "not stopped over the bus, robots brake as their processes end: " in err
     assert "left: down, 2 units ended and removed" in err
+
+
+# --- a run on this machine ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a run that lives, with processes that only seem to; nobody is heard on its bus."""
+    (tmp_path / "private").mkdir()
+    monkeypatch.setattr(registry, "private_folder", lambda: tmp_path / "private")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(status, "LISTEN_S", 0.0)
+    folder = tmp_path / "run"
+    (folder / "logs").mkdir(parents=True)
+    text = (FLEETS / "pair.toml").read_text().replace('"pair"', '"pair-here"')
+    (folder / "fleet.toml").write_text(text)
+    (folder / "logs" / "robot-2-plant.log").write_text("robot 2 plant: braking\n")
+    table = {
+        (1, "agent"): ProcessState(7, RUNS, 20.0, 1.0, 50_000_000),
+        (1, "plant"): ProcessState(8, PAUSED, 20.0, 1.0, 50_000_000),
+        (2, "agent"): ProcessState(9, RUNS, 20.0, 1.0, 50_000_000),
+    }
+    monkeypatch.setattr("deploy.hosts.this_machine.fleet_processes", lambda fleet, file: table)
+    return folder
+
+
+def of_run(folder: Path) -> Registration:
+    return Registration("pair-here", folder, folder / "fleet.toml")
+
+
+def rows(text: str) -> dict[tuple[int, str], dict[str, Any]]:
+    return {(row["robot"], row["role"]): row for row in json.loads(text)["processes"]}
+
+
+def test_of_a_run_the_table_of_processes_tells(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with of_run(run):
+        assert main(["status", "pair-here", "--json"]) == 1
+        text = capsys.readouterr().out
+        found = rows(text)
+        assert [each["folder"] for each in json.loads(text)["runs"]] == [str(run)]
+        assert {process: row["unit"] for process, row in found.items()} == {
+            (1, "agent"): "active",
+            (1, "plant"): "paused",
+            (2, "agent"): "active",
+            (2, "plant"): "none",
+        }
+        assert found[2, "plant"]["says"] == "braking"
+        assert main(["status", str(run)]) == 1
+        out = capsys.readouterr().out
+    assert re.search(r"(?m)^ +2  here  plant    none .* braking$", out), out
+    assert re.search(rf"(?m)^run by process \d+ since \S+: {run}$", out), out
+
+
+def test_a_fleet_that_runs_here_has_no_hosts(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with of_run(run):
+        assert main(["status", "pair-here", "--host", "left"]) == 2
+    assert capsys.readouterr().err == (
+        "handfast: --host: pair-here runs on this machine, and has no hosts: leave it out\n"
+    )
+
+
+def test_where_nothing_is_there_it_says_so(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("deploy.hosts.this_machine.fleet_processes", lambda fleet, file: {})
+    assert main(["status", str(run / "fleet.toml")]) == 1
+    assert capsys.readouterr().err.startswith("handfast: fleet pair-here does not answer: none of its 4 ")
+    assert main(["status", "pair-here"]) == 2
+    assert capsys.readouterr().err.startswith('handfast: no fleet of the name "pair-here" runs here; ')

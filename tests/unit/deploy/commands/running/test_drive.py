@@ -162,7 +162,7 @@ def test_a_drive_that_cannot_begin_leaves_a_complete_recording(
     error: Exception,
     says: str,
 ) -> None:
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise error
 
     place = (

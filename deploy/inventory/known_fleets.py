@@ -1,0 +1,256 @@
+"""Which fleets there are: those that run on this machine and those that are up on hosts; and which one is
+meant by what a user gives.
+
+Nobody is asked over the network. Fleets of other users of this machine are not among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from shlex import quote
+from typing import Final
+
+from agent.common.wording import show
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet, FleetError
+from agent.fleet.sections import Robot
+from deploy.console.arguments import fleet_path
+from deploy.console.data_files import bundled
+from deploy.console.wording import NAMES_SHOWN, some
+from deploy.inventory.fleets_up import FleetUp, fleets_up
+from deploy.inventory.hosts import located
+from deploy.inventory.registry import Running, entries
+
+NONE: Final = "no fleet runs here"
+
+
+class NotRunningError(LookupError):
+    """No fleet is meant by what was given, or more than one; the text is one clear message."""
+
+
+class SeveralError(NotRunningError):
+    """More than one fleet is meant; `fleets` are all of them."""
+
+    def __init__(self, fleets: Sequence[KnownFleet]) -> None:
+        self.fleets: Final = fleets
+        super().__init__(self.text())
+
+    def text(self, command: str = "", last: str = "") -> str:
+        """What to say, with each fleet as the argument of a command, and a last line."""
+        name = self.fleets[0].name
+        lines = [f"{len(self.fleets)} fleets of the name {name} run here or are up: say which one"]
+        words = [f"{command} {quote(each.selector)}".strip() for each in self.fleets]
+        width = max(map(len, words))
+        lines += [f"  {word:{width}}  # {each.about}" for word, each in zip(words, self.fleets, strict=True)]
+        return "\n".join([*lines, last] if last else lines)
+
+
+@dataclass(frozen=True)
+class KnownFleet:
+    """A fleet that somebody may mean.
+
+    Attributes:
+        name: its name.
+        fleet_file: the fleet as its robots read it.
+        runs: processes of this user that run it or drive it, by start; none where it is only up, or was
+            started otherwise.
+        up: where it is up on hosts, as this operator knows; None where that is not known.
+    """
+
+    name: str
+    fleet_file: Path
+    runs: tuple[Running, ...] = ()
+    up: FleetUp | None = None
+
+    @cached_property
+    def fleet(self) -> Fleet:
+        """What `fleet_file` holds.
+
+        Raises:
+            NotRunningError: its process lives, but its file cannot be read any more.
+            agent.fleet.model.FleetError: another file is not valid.
+        """
+        try:
+            return load_fleet(self.fleet_file)
+        except FleetError as error:
+            if not self.runs:
+                raise
+            pid = self.runs[-1].pid
+            raise NotRunningError(
+                f"{error}; {self.name} runs here all the same: Ctrl-C where it was started, or "
+                f"`kill -INT {pid}`, stops it"
+            ) from None
+
+    @property
+    def robots(self) -> Sequence[Robot]:
+        """Its robots; none where its file cannot be read."""
+        with suppress(FleetError, NotRunningError):
+            return self.fleet.robots
+        return ()
+
+    @property
+    def hosts(self) -> list[str]:
+        """Names of the hosts that its robots are on, as far as is known; none where they are here."""
+        if self.up is not None:
+            return [host.name for host in self.up.hosts]
+        return list(dict.fromkeys(robot.host for robot in self.robots if robot.host is not None))
+
+    @property
+    def on_hosts(self) -> bool:
+        """Whether its robots are on hosts."""
+        return bool(self.hosts)
+
+    @property
+    def endpoints(self) -> frozenset[str]:
+        """Where its agents listen: two fleets of one name that share one are the same. Empty when unknown."""
+        return frozenset(self.fleet.agent_endpoint(robot.id) for robot in self.robots)
+
+    @property
+    def about(self) -> str:
+        """Where it is and since when, in a few words."""
+        where = [f"{run.folder}, since {run.started[11:]}" for run in self.runs[-1:]]
+        if self.up is not None:
+            where.append(f"on {some(self.hosts)}, since {self.up.since.replace('T', ' ')}")
+        return "; ".join(where) or str(self.fleet_file)
+
+    @cached_property
+    def selector(self) -> str:
+        """The shortest argument that means this fleet and no other."""
+        words = [
+            self.name,
+            *(str(run.pid) for run in self.runs[-1:]),
+            *(run.folder for run in self.runs[-1:]),
+        ]
+        if self.up is not None:
+            words.insert(1, self.up.source)
+        for word in words:
+            with suppress(NotRunningError, FleetError, OSError):
+                if [each.fleet_file for each in meant(word)] == [self.fleet_file]:
+                    return word
+        return str(self.fleet_file)
+
+    def __str__(self) -> str:
+        return str(self.runs[-1]) if self.runs else str(self.up or self.name)
+
+
+def known(name: str | None = None) -> list[KnownFleet]:
+    """All fleets that run here or are up, or those of a name."""
+    found: list[KnownFleet] = [
+        KnownFleet(up.name, up.fleet_file, up=up) for up in fleets_up()[0] if name in (None, up.name)
+    ]
+    for run in entries()[0]:
+        if name not in (None, run.name):
+            continue
+        new = KnownFleet(run.name, Path(run.fleet_file), (run,))
+        same = [each for each in found if each.name == run.name]
+        # Only where there may be two of one name: reading their files takes its time.
+        shared = [len(each.endpoints & new.endpoints) for each in same]
+        if not any(shared):
+            found.append(new)
+            continue
+        best = same[shared.index(max(shared))]
+        found[found.index(best)] = KnownFleet(run.name, new.fleet_file, (*best.runs, run), best.up)
+    return sorted(found, key=lambda each: (each.name, not each.runs, each.about))
+
+
+def find(what: str) -> KnownFleet:
+    """The fleet that is meant by a name, the number or the folder of a run, or a fleet file.
+
+    Raises:
+        SeveralError: more than one is meant.
+        NotRunningError, agent.fleet.model.FleetError, deploy.console.arguments.InputError: see `meant`.
+    """
+    fleets = meant(what)
+    if len(fleets) > 1:
+        raise SeveralError(fleets)
+    return fleets[0]
+
+
+def meant(what: str) -> list[KnownFleet]:
+    """All fleets that may be meant, one at least: those that run here or are up, by name, by the number of a
+    run's process, by its folder, or by fleet file.
+
+    A fleet file means what runs of its fleet here; where nothing does it is taken as it is, with its own
+    addresses and ports, for a fleet that was started otherwise. So does the name of a bundled fleet. A fleet
+    on hosts is not meant by a run here that only has its name: it was started from this file, or drives it.
+
+    Raises:
+        NotRunningError: nothing of the kind is known.
+        agent.fleet.model.FleetError: it is a fleet file that is not valid.
+        deploy.console.arguments.InputError: nobody knows where a host of that file is.
+    """
+    path = Path(what)
+    if path.is_dir():
+        inside = _with_run(lambda run: Path(run.folder).resolve() == path.resolve())
+        if inside:
+            return inside
+        # Else a folder that happens to have a fleet's name.
+        if not known(what) and what not in bundled():
+            raise NotRunningError(f"no run lives in the folder {path}{_those()}")
+    if path.is_file():
+        return _of_file(path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        raise NotRunningError(f"{show(what)[1:-1]}: there is no such file{_those()}")
+    found = known(what)
+    if not found and what.isdecimal():
+        found = _with_run(lambda run: str(run.pid) == what)
+    if not found and what in bundled():
+        return [KnownFleet(what, fleet_path(what))]
+    if not found:
+        raise NotRunningError(f"no fleet of the name {show(what)} runs here{_those()}")
+    return found
+
+
+def unreadable() -> list[str]:
+    """Sentences about fleets that are there, or may be, and of which no more is known."""
+    return entries()[1] + fleets_up()[1]
+
+
+def _with_run(look: Callable[[Running], bool]) -> list[KnownFleet]:
+    """The fleets that have a run of this kind; with its own file, where several drive them."""
+    return [
+        KnownFleet(each.name, Path(run.fleet_file), (*(r for r in each.runs if r != run), run), each.up)
+        for each in known()
+        for run in each.runs
+        if look(run)
+    ]
+
+
+def _of_file(path: Path) -> list[KnownFleet]:
+    exact = _with_run(lambda run: Path(run.fleet_file).resolve() == path.resolve())
+    if exact:
+        return exact
+    itself = KnownFleet(load_fleet(path).fleet.name, path)
+    same = known(itself.name)
+    exact = [each for each in same if each.up is not None and each.up.fleet_file.resolve() == path.resolve()]
+    if exact or not same:
+        return exact or [itself]
+    if not itself.on_hosts:
+        return [each for each in same if not each.on_hosts] or [itself]
+    endpoints = _located_endpoints(itself.fleet)
+    found = [
+        each
+        for each in same
+        if (each.on_hosts and endpoints & each.endpoints)
+        or any(run.source and Path(run.source).resolve() == path.resolve() for run in each.runs)
+    ]
+    return found or [itself]
+
+
+def _located_endpoints(fleet: Fleet) -> frozenset[str]:
+    placed = located(fleet)
+    return frozenset(placed.agent_endpoint(robot) for robot in placed.ids)
+
+
+def _those() -> str:
+    """What there is instead, in words."""
+    fleets = known()
+    text = "; running here: " if any(each.runs for each in fleets) else "; known: "
+    shown = ", ".join(map(str, fleets[:NAMES_SHOWN]))
+    more = f" and {len(fleets) - NAMES_SHOWN} more" if len(fleets) > NAMES_SHOWN else ""
+    text = f"{text}{shown}{more}" if fleets else f"; {NONE}"
+    return "; ".join([text, *unreadable()])

@@ -1,0 +1,52 @@
+"""What is known here of the processes of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.fleet.loading import load_fleet
+from deploy.console.data_files import FLEETS
+from deploy.hosts import this_machine
+from deploy.hosts.status import process_row
+from deploy.hosts.this_machine import logs_of, run_words
+from deploy.inventory.known_fleets import KnownFleet
+from deploy.inventory.registry import Running
+from deploy.processes.table import PAUSED, RUNS, ProcessState
+
+FILE = FLEETS / "pair.toml"
+FLEET = load_fleet(FILE)
+RUN = Running("pair", 4711, "/runs/pair", "/runs/pair/fleet.toml", "2026-11-20T10:00:00")
+DRIVE = Running("pair", 4712, "/runs/drive", "/runs/drive/robots.toml", "2026-11-20T10:00:05", attached=True)
+
+
+def test_a_row_of_each_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "robot-1-agent.log").write_text("robot 1 agent: running\n")
+    (tmp_path / "robot-2-agent.log").write_text("robot 2 agent: ending (SIGTERM)\n")
+    monkeypatch.setattr(
+        this_machine,
+        "fleet_processes",
+        lambda *_: {(1, "agent"): ProcessState(7, RUNS, 20.0, 1.0, 50_000_000)},
+    )
+    here = this_machine.this_machine(FLEET, FILE, tmp_path)
+    row = process_row(FLEET, 1, "agent", here, None)
+    assert (row["unit"], row["host"], row["cpu_percent"], row["memory_mb"]) == ("active", None, 5.0, 50.0)
+    assert (row["up_s"], row["says"], row["restarts"]) == (20.0, "running", None)
+    gone = process_row(FLEET, 2, "agent", here, None)
+    assert (gone["unit"], gone["says"], gone["up_s"]) == ("none", "ending (SIGTERM)", None)
+    assert process_row(FLEET, 2, "plant", this_machine.this_machine(FLEET, FILE, None), None)["says"] is None
+
+
+def test_logs_are_those_of_the_run_that_has_started_the_processes() -> None:
+    assert logs_of(KnownFleet("pair", FILE, (DRIVE, RUN))) == Path("/runs/pair/logs")
+    assert logs_of(KnownFleet("pair", FILE, (DRIVE,))) is None
+
+
+def test_a_run_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(this_machine, "state_of", {4711: RUNS, 4712: PAUSED}.__getitem__)
+    assert run_words(RUN) == "run by process 4711 since 10:00:00: /runs/pair"
+    assert run_words(DRIVE) == (
+        "driven by process 4712 since 10:00:05, PAUSED: `fg` there or `kill -CONT 4712` lets it go on: "
+        "/runs/drive"
+    )
