@@ -43,6 +43,7 @@ NAMES: Final = (
     "hosts",
     "admission",
     "stop_under_flood",
+    "attack_memory",
 )
 LOAD_QUIET: Final = 0.5
 
