@@ -42,6 +42,7 @@ NAMES: Final = (
     "recording",
     "hosts",
     "admission",
+    "many_hosts",
 )
 LOAD_QUIET: Final = 0.5
 
