@@ -17,12 +17,17 @@ from agent.runtime.order_store import OrderFileError, packed, unpacked
 from deploy.console.arguments import InputError
 from deploy.hosts import systemd_units
 from deploy.hosts.connection import HostConnection, HostError
+from deploy.inventory import ssh
 from deploy.inventory.hosts import robots_on
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.sealing import sealed
 from deploy.session.stop_by_file import newest_stop
 
 LOOK_S: Final = 0.1
+LOOK_LATER: Final = 1.5
+LOOK_S_MAX: Final = 1.0
+"""A host is asked at first after `LOOK_S`, then less and less often: hundreds that are asked ten times a
+second would hold up those that have not got the stop yet."""
 FOLLOW_S: Final = 8.0
 """So long it is asked whether the robots there have taken it."""
 
@@ -51,6 +56,7 @@ class SshWay:
             self.troubles.append(f"not over ssh: {error}")
             return
         if not self._threads:
+            ssh.allow_many()
             self._threads = [
                 threading.Thread(target=self._run, args=(host,), name=host.name, daemon=True)
                 for host in self._hosts
@@ -100,18 +106,21 @@ class SshWay:
         """Lays the stop there, and looks who takes it; another one, when the stop has changed."""
         name, robots = self._fleet.fleet.name, set(robots_on(self._fleet, connection.host))
         laid: tuple[Stop, bytes] | None = None
-        deadline = time.monotonic() + FOLLOW_S
+        deadline, look_s = time.monotonic() + FOLLOW_S, LOOK_S
         while not self._ended and time.monotonic() < deadline and robots:
             if self._order is not laid and self._order is not None:
                 laid = self._order
                 connection.exchange("order", laid[1], fleet=name)
+                look_s = LOOK_S
             answer = connection.ask("kept", fleet=name)
             assert laid is not None
             for robot in sorted(robots):
                 taken = [self._look(robot, role, answer, laid[0]) for role in ROLES]
                 if all(taken):
                     robots.discard(robot)
-            time.sleep(LOOK_S)
+            if robots:
+                time.sleep(look_s)
+                look_s = min(look_s * LOOK_LATER, LOOK_S_MAX)
 
     def _look(self, robot: int, role: str, answer: Mapping[str, Any], stop: Stop) -> bool:
         """Notes what is said there of a process; whether it has kept the stop."""

@@ -29,7 +29,7 @@ from agent.messages.types import Mission, PlantState
 from agent.recorder.recorder import RobotRecorder, order_keys
 from agent.recorder.segment_folder import SegmentFolder
 from agent.recorder.segments import About, Received
-from deploy.hosts.systemd_units import unit_name
+from deploy.hosts.systemd_units import roles, unit_name
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.processes import BenchmarkError, environment, handfast
 from tests.benchmarks.simulated_hosts import DELAY, SSH
@@ -148,12 +148,12 @@ class Simulated:
 
     def reset(self) -> None:
         """Has all units run, as after `up`."""
-        says = {"agent": "stopped: stop", "plant": "braking: stop"}
+        says = {"agent": "stopped: stop", "plant": "braking: stop", "recorder": "records"}
         for index, robot in enumerate(self._fleet.ids):
             blocks = [
                 f"Id={unit_name(NAME, robot, role)}\nActiveState=active\nResult=success\nMainPID=0\n"
                 f"NRestarts=0\nStatusText={says[role]}\n"
-                for role in ROLES
+                for role in roles(self._fleet)
             ]
             (self._home(index) / "shown").write_text("\n".join(blocks))
 

@@ -13,7 +13,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Stop
 from agent.runtime.order_store import STOP_FILE, packed, unpacked
-from deploy.hosts import systemd_units
+from deploy.hosts import stop_by_ssh, systemd_units
 from deploy.hosts.stop_by_ssh import SshWay
 from deploy.orders.stop_outcome import Stopping
 from tests.process.harness import wait_for
@@ -93,3 +93,37 @@ def test_a_host_that_cannot_be_reached_is_said(
     assert len(way.troubles) == 1
     assert way.troubles[0].startswith("not over ssh to h: ")
     way.close()
+
+
+def test_hosts_are_asked_less_and_less_often(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hundreds that are asked ten times a second hold up those that have not got the stop yet."""
+    now_s, slept = 0.0, []
+
+    class Clock:
+        time_ns = time.time_ns
+
+        @staticmethod
+        def monotonic() -> float:
+            return now_s
+
+        @staticmethod
+        def sleep(seconds: float) -> None:
+            nonlocal now_s
+            now_s += seconds
+            slept.append(seconds)
+
+    class Silent:
+        host = fleet.hosts[0]
+
+        def exchange(self, *_: object, **__: object) -> None: ...
+
+        def ask(self, *_: object, **__: object) -> dict[str, object]:
+            return {}
+
+    monkeypatch.setattr(stop_by_ssh, "time", Clock)
+    way = SshWay(fleet, [])
+    way.send(Stopping(fleet, 0, "lunch").message)
+    way._follow(Silent())  # type: ignore[arg-type]
+    assert slept[0] == stop_by_ssh.LOOK_S, "at first at once"
+    assert len(slept) < 20
+    assert sum(slept) >= stop_by_ssh.FOLLOW_S
