@@ -23,7 +23,6 @@ from deploy.console.wording import FEW, robots
 from deploy.drive.live_view import STYLES
 from deploy.hosts import systemd_units
 from deploy.hosts.connection import Clock, HostError
-from deploy.hosts.setup import CLOCK_ERROR_MAX_S
 from deploy.inventory.expiry import Expiry
 
 HERE: Final = "here"
@@ -151,11 +150,16 @@ def process_row(
 
 
 def print_table(
-    rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus], *, each: bool = False
+    rows: Sequence[Mapping[str, Any]],
+    found: Mapping[str, HostStatus],
+    clock_skew_max_s: float,
+    *,
+    each: bool = False,
 ) -> None:
     """Prints the table, and a line for each host.
 
     Args:
+        clock_skew_max_s: a host whose clock is further off is not well.
         each: also where there are many robots; else of these only those are shown where something is wrong,
             and the rest is summed up.
     """
@@ -165,7 +169,7 @@ def print_table(
             versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
     sums: list[str] = []
     if not each and len({row["robot"] for row in rows}) > FEW:
-        rows, found, sums = _wrong(rows, found)
+        rows, found, sums = _wrong(rows, found, clock_skew_max_s)
     # A pipe has no width of its own: there each process is one line, however long.
     width = None if sys.stdout.isatty() else PIPE_WIDTH
     console = Console(highlight=False, soft_wrap=True, width=width)
@@ -227,11 +231,13 @@ def print_table(
 
 
 def _wrong(
-    rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus]
+    rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus], clock_skew_max_s: float
 ) -> tuple[list[Mapping[str, Any]], dict[str, HostStatus], list[str]]:
     """Those rows and hosts where something is wrong, and sums of all of them, a line each."""
     is_heard = any(row["state"] for row in rows)
-    wrong_hosts = {name: host for name, host in found.items() if host.error or _is_off(host.clock)}
+    wrong_hosts = {
+        name: host for name, host in found.items() if host.error or _is_off(host.clock, clock_skew_max_s)
+    }
     wrong = [
         row
         for row in rows
@@ -254,8 +260,8 @@ def _wrong(
     return wrong, wrong_hosts, lines
 
 
-def _is_off(clock: Clock | None) -> bool:
-    return clock is not None and abs(clock.offset_s) - clock.error_s > CLOCK_ERROR_MAX_S
+def _is_off(clock: Clock | None, most_s: float) -> bool:
+    return clock is not None and abs(clock.offset_s) - clock.error_s > most_s
 
 
 def _counted(counts: Counter[str]) -> str:
