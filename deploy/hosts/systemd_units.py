@@ -15,6 +15,7 @@ from typing import Final
 
 from agent.common.exit import BAD_INPUT
 from agent.fleet.model import Fleet
+from agent.messages.key_expressions import ROLES
 from agent.security.identity import of_robot
 from deploy.processes.child import ONE_THREAD
 
@@ -104,7 +105,7 @@ def arguments(fleet: Fleet, robot: int, role: str, places: Places) -> list[str]:
     words += ["--fleet", places.fleet_file, "--robot", str(robot)]
     if places.keys is not None and role != ADMISSION:  # which has no use for them
         words += ["--keys", places.keys]
-    if role != RECORDER:
+    if role in ROLES:
         words += ["--orders", places.orders]
     if role == "plant" and not kind.vehicle:
         words += ["--pose-file", f"{places.state}/robot-{robot}.pose"]

@@ -96,8 +96,9 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there, by any way.
-        agent.runtime.bus.BusError, deploy.console.arguments.InputError: there is no other way, and the bus
-            cannot be opened.
+        agent.runtime.bus.BusError: there is no other way, and the bus cannot be opened.
+        deploy.console.arguments.InputError: nor can it with this operator's certificate, and nobody is heard
+            by any other way.
     """
     stopping = Stopping(fleet, time.time_ns(), reason)
     troubles: list[str] = []
@@ -107,15 +108,19 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
             way.send(stopping.message)
         own = OwnOrders(fleet)
         session: StopSession | None = None
+        why: Exception | None = None
         try:
             session = stack.enter_context(StopSession(fleet, stopping))
         except (BusError, InputError) as error:
             if not ways:
                 raise
             troubles.append(f"not over new links: {error}")
+            why = error
         own.keep(stopping.message)
         _follow(stopping, session, ways)
         own.keep(stopping.message)
+        if isinstance(why, InputError) and not stopping.heard:
+            raise why
         if session is not None and not stopping.heard and not session.alive and not _said(ways):
             raise session.no_answer()
     return stopping, [*troubles, *_said(ways), *([own.trouble] if own.trouble else [])]

@@ -42,6 +42,8 @@ NAMES: Final = (
     "recording",
     "hosts",
     "admission",
+    "stop_under_flood",
+    "attack_memory",
     "many_hosts",
 )
 LOAD_QUIET: Final = 0.5

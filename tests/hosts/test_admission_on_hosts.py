@@ -58,7 +58,9 @@ def fleet(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -
     found.handfast("keys")
     told = found.handfast("up", timeout=UP_TIMEOUT_S)
     for robot in ROBOTS:
-        assert f"robot {robot} on {found.host_of(robot).name}: ready: for a mission" in told.stdout
+        assert (
+            f"robot {robot} on {found.host_of(robot).name}: stopped: stop: the fleet came up" in told.stdout
+        )
     return found
 
 

@@ -125,7 +125,9 @@ def test_it_is_known_by_its_name(fleet: FleetOnHosts) -> None:
     assert (row["stop"], row["down"]) == ("handfast stop delta", f"handfast down {fleet.file}")
     rows = json.loads(fleet.by_name("status", "delta", "--json"))["processes"]
     assert {(row["robot"], row["role"]) for row in rows} == set(fleet.status())
-    assert "host2: robot 2 agent: ready: for a mission" in fleet.by_name("logs", "delta", "--robot", "2")
+    assert "host2: robot 2 agent: stopped: stop: the fleet came up" in fleet.by_name(
+        "logs", "delta", "--robot", "2"
+    )
     told = fleet.by_name("stop", "--all", "--reason", "all of them")
     assert told.startswith("delta (on host1, host2, host3, since ")
     assert told.count("its plant brakes") == 6

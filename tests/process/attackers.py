@@ -101,7 +101,8 @@ def strangers(at: Keys) -> dict[str, tuple[str, dict[str, Any]]]:
 def sockets(endpoints: Sequence[str]) -> Iterator[Callable[[], None]]:
     """Connections that say nothing, nonsense, or a handshake byte by byte: one more byte for each call."""
     hello = bytes.fromhex("160301020001 0001fc0303") + bytes(500)
-    silent, slow = [], []
+    silent: list[socket.socket] = []
+    slow: list[list[Any]] = []
     for endpoint in endpoints:
         host, _, port = endpoint.partition("/")[2].rpartition(":")
         for request in (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", os.urandom(4096), bytes(4096)):
@@ -131,7 +132,7 @@ def heard(session: zenoh.Session, *where: str) -> None:
     for key in where:
         publisher = session.declare_publisher(key)
         wait_for(lambda said=publisher: said.matching_status.matching, f"somebody listens to {key}")  # type: ignore[misc]
-        publisher.undeclare()
+        publisher.undeclare()  # type: ignore[no-untyped-call]
 
 
 # ---------------------------------------------------------------------- what they say

@@ -156,7 +156,8 @@ class SecuredRobots(Robots):
     def start(self, robot: int, role: str, *more: str) -> None:
         arguments = [
             *("--fleet", str(self.fleet_file), "--robot", str(robot)),
-            *("--keys", str(self.keys.of(self.keys.robot(robot))), *more),
+            *("--keys", str(self.keys.of(self.keys.robot(robot))), "--orders", str(self.folder / "orders")),
+            *more,
         ]
         if (robot, role) == (TAKEN, "agent"):
             self.run(robot, role, "tests.process.taken_over", self._path, *arguments)

@@ -38,6 +38,8 @@ scalars = (
     | st.datetimes()
     | st.just(datetime.time(1, 2))
 )
+shown = st.characters(exclude_categories=["C", "Zl", "Zp"])
+texts = st.text(shown)
 keys = st.sampled_from(KEYS) | st.text(max_size=8)
 values = st.recursive(
     scalars,
@@ -87,7 +89,7 @@ links = st.fixed_dictionaries(
         "system": st.integers(1, 254),
         "arm": st.booleans(),
         "state_rate_hz": st.floats(5, 50),
-        "signing_key": st.text(min_size=1, max_size=20).filter(lambda text: "\0" not in text),
+        "signing_key": st.text(shown, min_size=1, max_size=20),
     },
 )
 DATUM = st.fixed_dictionaries(
@@ -130,7 +132,7 @@ def fleets(draw: st.DrawFn) -> dict[str, Any]:
         "fleet": {
             "name": draw(st.from_regex(r"[A-Za-z0-9_-]{1,40}", fullmatch=True)),
             "rate_hz": draw(st.floats(10, 1000)),
-            "description": draw(st.text()),
+            "description": draw(texts),
         },
         "formation": formation,
         "control": draw(

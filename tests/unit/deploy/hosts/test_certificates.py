@@ -108,11 +108,13 @@ def looked(keys: HostKeys, robots: Path, host: HostSection) -> None:
         def __init__(self) -> None:
             self.host = host
 
-        def ask(self, what: str, *, folder: str, pattern: str) -> dict[str, tuple[int, float]]:
+        def ask(self, what: str, *, folder: str, pattern: str, most: int) -> dict[str, tuple[int, float]]:
             assert (what, folder) == ("listing", "fleets/delta/keys")
             return {path.name: (1, 1.0) for path in robots.glob(pattern)}
 
-        def exchange(self, what: str, blob: None, *, path: str, most: int) -> tuple[None, bytes]:
+        def exchange(
+            self, what: str, blob: None, *, data_bytes: int, path: str, most: int
+        ) -> tuple[None, bytes]:
             assert (what, path) == ("get", "fleets/delta/keys/ca.crt")
             return None, (robots / "ca.crt").read_bytes()[:most]
 

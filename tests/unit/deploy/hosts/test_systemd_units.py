@@ -103,11 +103,11 @@ def test_a_proxy_stands_before_a_robot_where_the_file_says_so():
     left = 'host = "left"\n'
     behind = parse_fleet(FLEET % (tables, left, left + BRIDGE), source="here")
     assert roles(behind) == ("plant", "agent", "recorder", "admission")
-    words = arguments(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s"))
+    words = arguments(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s", "/o"))
     assert words[3:] == [
         *("agent.admission", "--fleet", "/f", "--robot", "2", "--proven", "/s/robot-2.proven.json")
     ]  # and no keys
-    said = settings(unit(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s")))
+    said = settings(unit(behind, 2, "admission", Places("/v", "/f", "/r/keys", "/r", "/s", "/o")))
     assert said["Restart"] == "always"
 
 

@@ -30,12 +30,13 @@ def test_a_row_of_each_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         lambda *_: {(1, "agent"): ProcessState(7, RUNS, 20.0, 1.0, 50_000_000)},
     )
     here = this_machine.this_machine(FLEET, FILE, tmp_path)
-    row = process_row(FLEET, 1, "agent", here, None)
+    row = process_row(FLEET, 1, "agent", here, None, 0.0)
     assert (row["unit"], row["host"], row["cpu_percent"], row["memory_mb"]) == ("active", None, 5.0, 50.0)
     assert (row["up_s"], row["says"], row["restarts"]) == (20.0, "running", None)
-    gone = process_row(FLEET, 2, "agent", here, None)
+    gone = process_row(FLEET, 2, "agent", here, None, 0.0)
     assert (gone["unit"], gone["says"], gone["up_s"]) == ("none", "ending (SIGTERM)", None)
-    assert process_row(FLEET, 2, "plant", this_machine.this_machine(FLEET, FILE, None), None)["says"] is None
+    elsewhere = this_machine.this_machine(FLEET, FILE, None)
+    assert process_row(FLEET, 2, "plant", elsewhere, None, 0.0)["says"] is None
 
 
 def test_logs_are_those_of_the_run_that_has_started_the_processes() -> None:

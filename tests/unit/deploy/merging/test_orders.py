@@ -11,7 +11,7 @@ from agent.messages.codec import encode
 from agent.messages.types import Heartbeat, Mission, Resume, Stop
 from agent.security.identity import of_operator
 from agent.security.sealed_order import Opener, Sealer
-from deploy.inventory.certificate_authority import CERTIFICATE_DAYS
+from deploy.inventory.certificate_builder import CERTIFICATE_DAYS
 from deploy.merging import orders
 from deploy.merging.orders import Orders, orders_given
 from tests.trusted import FLEET, NOW_S, authority, credentials

@@ -8,6 +8,7 @@ import pytest
 
 from agent.messages.types import Stop
 from agent.runtime.bus import BusError
+from deploy.console.arguments import InputError
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
 from deploy.session import stop as stop_module
 from deploy.session.stop import stop
@@ -82,3 +83,13 @@ def test_a_later_resume_is_outdone_by_every_way() -> None:
 def test_without_any_other_way_what_is_wrong_is_raised() -> None:
     with pytest.raises(BusError, match="in use"):
         stop(FLEET, "")
+
+
+def test_who_has_no_certificate_and_reaches_nobody_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise InputError("operator anna has no certificate")
+
+    monkeypatch.setattr(stop_module, "StopSession", fails)
+    with pytest.raises(InputError, match="anna"):
+        stop(FLEET, "", [Through(frozenset(FLEET.ids))])
+    assert stop(FLEET, "", [Through()])[0].done  # as by a live operator's links

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from deploy.console.data_files import FLEETS
 from deploy.inventory import registry
 from deploy.inventory.registry import Registration
 from deploy.inventory.running import NoAnswerError
+from deploy.session.stop import Way
 
 
 class Stopping:
@@ -23,8 +25,9 @@ class Stopping:
     def __init__(self, *, done: bool) -> None:
         self.done = done
 
-    def outcome(self, robot: int) -> str:
-        return f"robot {robot}: {'stopped' if self.done or robot == 1 else 'silent'}"
+    def outcomes(self, *, each: bool) -> list[str]:
+        assert each, "they are few"
+        return [f"robot {robot}: {'stopped' if self.done or robot == 1 else 'silent'}" for robot in (1, 2)]
 
 
 class Fleets:
@@ -45,14 +48,16 @@ class Fleets:
         self.outcomes[port] = outcome
         return Registration(name, path, path / "fleet.toml")
 
-    def stop(self, fleet: Fleet, reason: str) -> Stopping:
+    def stop(self, fleet: Fleet, reason: str, ways: Sequence[Way]) -> tuple[Stopping, list[str]]:
+        for way in ways:
+            way.close()
         if self.together is not None:
             self.together.wait(20.0)
         self.reasons[fleet.network.base_port] = reason
         outcome = self.outcomes[fleet.network.base_port]
         if isinstance(outcome, Exception):
             raise outcome
-        return outcome
+        return outcome, []
 
 
 @pytest.fixture
