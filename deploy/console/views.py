@@ -89,6 +89,11 @@ class TerminalView:
         with suppress(*_DEAD):
             self._live.console.print(plain(text), soft_wrap=True)
 
+    @property
+    def _height(self) -> int:
+        """Lines of the terminal."""
+        return self._live.console.height
+
     def _draw(self, what: RenderableType) -> None:
         with suppress(*_DEAD):
             self._live.update(what, refresh=True)

@@ -10,6 +10,9 @@ from agent.control.safety_distances import speed_max
 from agent.fleet.model import Fleet
 
 NAMES_SHOWN: Final = 8
+FEW: Final = 20
+"""Of so many hosts or robots each has a line of its own; more are summed up, but for those where something is
+wrong."""
 
 
 def robots(ids: Iterable[Any]) -> str:

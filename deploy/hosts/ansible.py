@@ -22,7 +22,7 @@ from agent.supervision.state_machine import DRIVING
 from deploy.console.data_files import ANSIBLE
 from deploy.hosts import remote_program, systemd_units
 from deploy.hosts.bundle import Bundle, Platform
-from deploy.hosts.certificates import MODULE
+from deploy.hosts.certificates import MODULE, REQUEST_BYTES_MAX
 from deploy.hosts.connection import NO_PYTHON, PROGRAM, bootstrap
 from deploy.hosts.setup import CLOCK_ERROR_MAX_S, INSTALL_BYTES
 from deploy.hosts.systemd_units import fleet_file, places
@@ -37,10 +37,58 @@ _PLATFORM: Final = re.compile(r"3\.(\d{1,2}) ([a-z0-9_]{1,20}) (?:glibc2\.(\d{1,
 PLATFORM_SAYS: Final = (
     'Python, processor and C library of a host, such as "3.11 aarch64 glibc2.36" or "3.12 x86_64 musl"'
 )
+_BATCH: Final = re.compile(r"([1-9][0-9]{0,5})|(?:100|[1-9][0-9]?)%", re.ASCII)
+ALL_AT_ONCE: Final = ("100%",)
+CANARIES: Final = (1, "10%", "100%")
+FEW: Final = 20
+"""So many hosts are brought up at once unless it is said otherwise; more begin with a canary."""
+FAIL_PERCENTAGE: Final = 30
+
+Batch = int | str
+"""Of hosts: how many, or a percentage of all."""
 
 
 class DeploymentError(ValueError):
     """A fleet that cannot be written as a folder for Ansible; the text is one clear line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batches:
+    """How many hosts are brought up at a time, as Ansible's ``serial`` and ``max_fail_percentage``.
+
+    Attributes:
+        serial: the batches in turn; the last one again and again for the hosts that are left.
+        max_fail_percentage: when more than these fail of a batch, the ones after it are left alone.
+    """
+
+    serial: tuple[Batch, ...]
+    max_fail_percentage: int
+
+
+def parse_batches(serial: Sequence[str], max_fail_percentage: int | None, hosts: int) -> Batches:
+    """Reads batches from options' texts, each with one or several; what is not given is by how many hosts
+    there are.
+
+    Raises:
+        DeploymentError: these are none.
+    """
+    found: list[Batch] = []
+    for text in serial:
+        words = text.replace(",", " ").split()
+        for word in words or [text]:
+            match = _BATCH.fullmatch(word)
+            if match is None:
+                raise DeploymentError(
+                    f"--serial {word!r} is no batch: give a number of hosts or 1% to 100%, such as "
+                    "--serial 1 --serial 10% --serial 50%"
+                )
+            found.append(int(word) if match[1] else word)
+    batches = tuple(found) or (CANARIES if hosts > FEW else ALL_AT_ONCE)
+    if max_fail_percentage is None:
+        max_fail_percentage = 100 if batches == ALL_AT_ONCE else FAIL_PERCENTAGE
+    if not 0 <= max_fail_percentage <= 100:
+        raise DeploymentError(f"--max-fail-percentage must be from 0 to 100, got {max_fail_percentage}")
+    return Batches(batches, max_fail_percentage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +115,12 @@ def parse_platform(text: str) -> Platform:
 
 
 def texts(
-    fleet: Fleet, source: str, robots_text: str, operators_text: str, packs: Sequence[Pack]
+    fleet: Fleet,
+    source: str,
+    robots_text: str,
+    operators_text: str,
+    packs: Sequence[Pack],
+    batches: Batches,
 ) -> dict[str, str]:
     """All files of the folder but wheels and our packages, by their path in it.
 
@@ -77,6 +130,7 @@ def texts(
         robots_text: of the fleet file that robots read.
         operators_text: of the one that the operator's commands read.
         packs: for all platforms of the hosts.
+        batches: in which hosts are brought up.
 
     Raises:
         FleetError: the fleet is not for several machines.
@@ -93,6 +147,7 @@ def texts(
         ("@NAME@", fleet.fleet.name),
         ("@KEYS@", f"handfast keys {OPERATORS_FLEET}               # once: the fleet's authority\n    "),
         ("@PLATFORMS@", "; ".join(str(pack.platform) for pack in packs)),
+        ("@BATCHES@", in_words(batches)),
     ):
         readme = readme.replace(mark, text if fleet.is_secured or mark != "@KEYS@" else "")
     inventory: dict[str, Any] = {"all": {"children": {GROUP: {"hosts": {host.name: {} for host in hosts}}}}}
@@ -103,9 +158,29 @@ def texts(
         "files/robots-fleet.toml": robots_text,
         "files/host_program.py": PROGRAM.read_text(encoding="utf-8"),
         "inventory.json": _json(inventory),
+        "batches.json": _json(
+            {
+                "handfast_serial": batches.serial,
+                "handfast_max_fail_percentage": batches.max_fail_percentage,
+            }
+        ),
         f"group_vars/{GROUP}.json": _json(_of_all(fleet, robots_text, packs)),
         **{f"host_vars/{host.name}.json": _json(_of_one(fleet, host, robots_text)) for host in hosts},
     }
+
+
+def in_words(batches: Batches) -> str:
+    """How hosts are brought up, for people."""
+    if batches.serial == ALL_AT_ONCE and batches.max_fail_percentage == 100:
+        return "all hosts at once"
+    first, *others = (f"{each}" if isinstance(each, str) else _hosts(each) for each in batches.serial)
+    then = "".join(f", then {each}" for each in others)
+    limit = f"{batches.max_fail_percentage}%"
+    return f"hosts in batches ({first}{then}), which end where more than {limit} of one fail"
+
+
+def _hosts(count: int) -> str:
+    return f"{count} host{'s' * (count != 1)}"
 
 
 def _of_all(fleet: Fleet, robots_text: str, packs: Sequence[Pack]) -> dict[str, Any]:
@@ -122,6 +197,7 @@ def _of_all(fleet: Fleet, robots_text: str, packs: Sequence[Pack]) -> dict[str, 
         "handfast_install_bytes": INSTALL_BYTES,
         "handfast_clock_error_max_s": CLOCK_ERROR_MAX_S,
         "handfast_another_authority": ANOTHER_AUTHORITY,
+        "handfast_request_bytes_max": REQUEST_BYTES_MAX,
         # What systemd shows of an agent that drives: its state, and why.
         "handfast_drives": f"({'|'.join(sorted(state.value for state in DRIVING))})(:|$)",
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -28,6 +28,8 @@ from deploy.inventory.operator_credentials import short
 
 MODULE: Final = "agent.security"
 REQUESTS_BYTES_MAX: Final = 4_000_000
+REQUEST_BYTES_MAX: Final = 8_192
+"""One robot's, with what it says beside it, as JSON."""
 REQUESTS_SHAPE: Final = (
     'must be JSON, by robot what `agent.security request` says of it: {"1": {"request": "-----BEGIN ...", '
     '"authority": FINGERPRINT}}'
@@ -149,10 +151,12 @@ def refuse_another(authority: Authority, found: str, file: str, *, take_over: bo
 
 
 class Asked(NamedTuple):
-    """A robot's request (PEM), and the fingerprint of the authority that it has, "" for none."""
+    """A robot's request (PEM), and the fingerprint of the authority that it has, "" for none; or why it is no
+    request."""
 
     request: str
     authority: str
+    trouble: str = ""
 
 
 def read_input(file: str, most: int = REQUESTS_BYTES_MAX) -> bytes:
@@ -169,65 +173,78 @@ def read_input(file: str, most: int = REQUESTS_BYTES_MAX) -> bytes:
 
 
 def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[int, Asked]:
-    """Requests by robot.
+    """Requests by robot. What one robot says is wrong with its own alone.
 
     Args:
         what: where they are from, for messages.
 
     Raises:
-        InputError: it is something else.
+        InputError: the whole is something else.
     """
     try:
         found = json.loads(data) if len(data) <= REQUESTS_BYTES_MAX else None
     except ValueError:  # no JSON, or no UTF-8
         found = None
-    if not isinstance(found, dict) or not all(map(_is_asked, found.values())):
+    if not isinstance(found, dict):
         raise InputError(f"{what} {REQUESTS_SHAPE}")
     for name in found:
         if name not in map(str, fleet.ids):
             raise InputError(f"{what}: there is no robot {name[:20]} in {fleet.fleet.name}")
-    return {int(name): Asked(each["request"], each["authority"]) for name, each in found.items()}
+    return {int(name): _asked(each, f"{what}: robot {name}") for name, each in found.items()}
 
 
-def _is_asked(value: object) -> bool:
-    if not isinstance(value, dict):
-        return False
-    texts = (value.get("request"), value.get("authority"))
-    return all(isinstance(text, str) and text.isascii() for text in texts)
+def _asked(value: object, who: str) -> Asked:
+    texts = [value.get(name) for name in ("request", "authority")] if isinstance(value, dict) else [None]
+    if all(isinstance(text, str) and text.isascii() and len(text) <= REQUEST_BYTES_MAX for text in texts):
+        return Asked(*map(str, texts))
+    return Asked("", "", f"{who} {REQUESTS_SHAPE}")
+
+
+class Answer(NamedTuple):
+    """By robot, what ``agent.security store`` takes (PEM), and why it gets no certificate."""
+
+    signed: dict[int, str]
+    refused: dict[int, str]
+
+    def as_json(self, authority: Authority) -> str:
+        """With the authority's own certificate, for who carries it."""
+        about = {"authority": authority.certificate_pem.decode("ascii"), **self._asdict()}
+        return json.dumps(about)
 
 
 def answer(
     fleet: Fleet,
     authority: Authority,
-    requests: dict[int, Asked],
+    requests: Mapping[int, Asked],
     now_s: float,
     file: str,
     *,
     take_over: bool = False,
-) -> str:
-    """JSON: the authority's own certificate, and for each robot what ``agent.security store``
-    takes.
+) -> Answer:
+    """What the authority says to robots' requests; one that it refuses takes nothing from the others.
 
     A certificate holds for the address of the robot's host.
 
     Args:
         file: the fleet's, as it is named in commands.
         take_over: whether robots of another authority are given certificates of this one.
-
-    Raises:
-        deploy.inventory.certificate_authority.AuthorityError: a request is not one of its robot.
-        AnotherAuthorityError: it is one of a robot that has another authority.
     """
     hosts = {host.name: host for host in located(fleet).hosts}
-    signed = {}
+    found = Answer({}, {})
     for robot, asked in requests.items():
         host = hosts.get(fleet.robot(robot).host or "")
-        if host is None:
-            raise InputError(
-                f"robot {robot} has no host: `handfast keys --robot {robot} --out DIR` makes its key"
-            )
-        refuse_another(authority, asked.authority, file, take_over=take_over)
-        where = [host.address or host.name]
-        name = of_robot(fleet.fleet.name, robot)
-        signed[str(robot)] = authority.sign(name, asked.request.encode(), where, now_s).decode("ascii")
-    return json.dumps({"authority": authority.certificate_pem.decode("ascii"), "signed": signed})
+        try:
+            if asked.trouble:
+                raise AuthorityError(asked.trouble)
+            if host is None:
+                raise AuthorityError(
+                    f"robot {robot} has no host: `handfast keys --robot {robot} --out DIR` makes its key"
+                )
+            refuse_another(authority, asked.authority, file, take_over=take_over)
+            where = [host.address or host.name]
+            name = of_robot(fleet.fleet.name, robot)
+            signed = authority.sign(name, asked.request.encode(), where, now_s)
+            found.signed[robot] = signed.decode("ascii")
+        except (AnotherAuthorityError, AuthorityError) as error:
+            found.refused[robot] = str(error)
+    return found

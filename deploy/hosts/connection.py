@@ -80,17 +80,14 @@ class HostConnection:
         robots: how many there are on it: so much longer its answers may be.
         accept_new: takes the key of a host that was never met before for its own.
 
-    Attributes:
-        about: what the program says of the computer (`remote_program.hello`), once it has answered.
-
     Raises:
-        HostError: there is no ssh here.
+        HostError: there is no ssh here, or it cannot be started.
     """
 
     def __init__(self, host: HostSection, robots: int = 1, *, accept_new: bool = False) -> None:
         self.host: Final = host
         self._answer_bytes = ANSWER_BYTES + robots * ROBOT_BYTES
-        self.about: dict[str, Any] = {}
+        self._about: dict[str, Any] | None = None
         self._said = ""
         try:
             self._process = subprocess.Popen(
@@ -102,6 +99,8 @@ class HostConnection:
             )
         except FileNotFoundError:
             raise HostError(ssh.NO_SSH) from None
+        except OSError as error:
+            raise HostError(f"{ssh.NOT_STARTED}: {(error.strerror or str(error)).lower()}") from None
         self._asked: queue.SimpleQueue[_Asked | None] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[Answer | HostError | None] = queue.SimpleQueue()
         self._listener = threading.Thread(target=self._listen_errors, daemon=True)
@@ -117,7 +116,6 @@ class HostConnection:
             greeting, _ = self._next(GREETING_TIMEOUT_S)
             if "no_python" in greeting:
                 raise HostError(_no_python(self.host, printable(greeting["no_python"])))
-            self.about = self.ask("hello")
         except BaseException:
             self.close()
             raise
@@ -149,6 +147,14 @@ class HostConnection:
         self._process.kill()
 
     # ------------------------------------------------------------------ questions
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the program says of the computer (`remote_program.hello`); raises as `ask`. It is asked when
+        that is wanted: a stop must not wait for it."""
+        if self._about is None:
+            self._about = self.ask("hello")
+        return self._about
 
     def ask(
         self,

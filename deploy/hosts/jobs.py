@@ -14,11 +14,14 @@ from agent.fleet.model import Fleet
 from deploy.console.interrupt import Interrupt
 from deploy.hosts.bundle import end_downloads
 from deploy.hosts.connection import HostConnection, HostError
-from deploy.hosts.view import DOING, HostsView, Row
+from deploy.hosts.view import DOING, INTERRUPTED, HostsView, Row
+from deploy.inventory import ssh
 from deploy.inventory.hosts import robots_on
 
 AT_ONCE_MAX: Final = 32
-"""Hosts that are worked on at a time."""
+"""Hosts that are brought something at a time: megabytes for each."""
+ASKED_AT_ONCE: Final = 128
+"""Hosts that are asked something at a time: those that are slow, or not there, hold up no others."""
 
 Work = Callable[[HostConnection, Row], None]
 """What is done with one host, in a thread of its own. Says in the row what it does and what became of it; may
@@ -30,6 +33,7 @@ class HostJobs:
 
     Args:
         accept_new: takes the keys of hosts that were never met before for their own.
+        at_once: how many hosts are worked on at a time.
         look_s: how often it is looked what happens.
 
     Attributes:
@@ -44,16 +48,18 @@ class HostJobs:
         work: Work,
         *,
         accept_new: bool = False,
+        at_once: int = ASKED_AT_ONCE,
         look_s: float = 0.1,
     ) -> None:
         self.rows: Final = {host.name: Row(host.name, robots_on(fleet, host)) for host in hosts}
         self.ended = False
-        self._why = "interrupted"
+        self._why = INTERRUPTED
         self._work, self._accept_new, self._look_s = work, accept_new, look_s
         self._hosts = hosts
         self._connections: list[HostConnection] = []
         self._guard = threading.Lock()
-        self._pool = ThreadPoolExecutor(min(len(hosts), AT_ONCE_MAX), "host")
+        self._pool = ThreadPoolExecutor(min(len(hosts), at_once), "host")
+        ssh.allow_many()
 
     def __enter__(self) -> HostJobs:
         for host in self._hosts:
@@ -82,7 +88,7 @@ class HostJobs:
         if interrupt.count:
             self.end()
 
-    def end(self, why: str = "interrupted") -> None:
+    def end(self, why: str = INTERRUPTED) -> None:
         """Makes what is still under way fail now, for a reason; the first reason counts."""
         with self._guard:
             self._why = self._why if self.ended else why

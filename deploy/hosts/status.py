@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,7 +18,8 @@ from agent.fleet.model import Fleet
 from agent.messages.types import Status
 from agent.security.certificates import DAY_S, until
 from agent.security.identity import IdentityError, parse
-from deploy.console.wording import robots
+from agent.supervision.state_machine import State
+from deploy.console.wording import FEW, robots
 from deploy.drive.live_view import STYLES
 from deploy.hosts import systemd_units
 from deploy.hosts.connection import Clock, HostError
@@ -26,6 +28,9 @@ from deploy.inventory.expiry import Expiry
 HERE: Final = "here"
 QUIET: Final = "-"
 PIPE_WIDTH: Final = 240
+_NOT_WELL: Final = (State.DEGRADED, State.HOLDING, State.RELEASED, State.FAULT)
+WELL: Final = frozenset(state.value for state in State if state not in _NOT_WELL)
+"""States of agents in which nothing is wrong."""
 _WORDS: Final = ("ActiveState", "Result", "StatusText", "version")
 _NUMBERS: Final = ("cpu_s", "age_s", "memory_bytes")
 
@@ -144,8 +149,27 @@ def process_row(
     return row
 
 
-def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus]) -> None:
-    """Prints the table, and a line for each host."""
+def print_table(
+    rows: Sequence[Mapping[str, Any]],
+    found: Mapping[str, HostStatus],
+    clock_skew_max_s: float,
+    *,
+    each: bool = False,
+) -> None:
+    """Prints the table, and a line for each host.
+
+    Args:
+        clock_skew_max_s: a host whose clock is further off is not well.
+        each: also where there are many robots; else of these only those are shown where something is wrong,
+            and the rest is summed up.
+    """
+    versions: dict[str, set[int]] = {}
+    for row in rows:
+        if row["version"]:  # its last part is of the wheels, which are others for another processor
+            versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
+    sums: list[str] = []
+    if not each and len({row["robot"] for row in rows}) > FEW:
+        rows, found, sums = _wrong(rows, found, clock_skew_max_s)
     # A pipe has no width of its own: there each process is one line, however long.
     width = None if sys.stdout.isatty() else PIPE_WIDTH
     console = Console(highlight=False, soft_wrap=True, width=width)
@@ -182,11 +206,8 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
             _shown(row["oldest_ms"], ".0f"),
             Text(printable(why)),  # anybody's words
         )
-    console.print(table)
-    versions: dict[str, set[int]] = {}
-    for row in rows:
-        if row["version"]:  # its last part is of the wheels, which are others for another processor
-            versions.setdefault(printable(row["version"]).rpartition("-")[0], set()).add(row["robot"])
+    if rows:
+        console.print(table)
     for name, host in found.items():
         if host.error:
             console.print(f"{name}: {host.error}", style="bold red", markup=False)
@@ -205,6 +226,46 @@ def print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatu
         )
     for version in versions if len(versions) == 1 else ():
         console.print(f"version {version}", markup=False)
+    for line in sums:
+        console.print(line, markup=False)
+
+
+def _wrong(
+    rows: Sequence[Mapping[str, Any]], found: Mapping[str, HostStatus], clock_skew_max_s: float
+) -> tuple[list[Mapping[str, Any]], dict[str, HostStatus], list[str]]:
+    """Those rows and hosts where something is wrong, and sums of all of them, a line each."""
+    is_heard = any(row["state"] for row in rows)
+    wrong_hosts = {
+        name: host for name, host in found.items() if host.error or _is_off(host.clock, clock_skew_max_s)
+    }
+    wrong = [
+        row
+        for row in rows
+        if (row["unit"] != "active" and row["host"] not in wrong_hosts)
+        or (row["role"] == "agent" and is_heard and row["state"] not in WELL)
+    ]
+    units = Counter(printable(row["unit"]) for row in rows)
+    states = Counter(printable(row["state"] or "silent") for row in rows if row["role"] == "agent")
+    lines = [
+        f"{len(rows)} processes of {len({row['robot'] for row in rows})} robots: {_counted(units)}",
+        f"agents: {_counted(states)}" if is_heard else "agents: none is heard",
+    ]
+    clocks = [host.clock for host in found.values() if host.clock is not None]
+    if clocks:
+        off_ms = max(abs(clock.offset_s) for clock in clocks) * 1e3
+        load = max(host.load or 0.0 for host in found.values())
+        lines.append(
+            f"{len(clocks)} of {len(found)} hosts: clocks up to {off_ms:.1f} ms off, load up to {load:.1f}"
+        )
+    return wrong, wrong_hosts, lines
+
+
+def _is_off(clock: Clock | None, most_s: float) -> bool:
+    return clock is not None and abs(clock.offset_s) - clock.error_s > most_s
+
+
+def _counted(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {what}" for what, count in counts.most_common())
 
 
 def _shown(value: float | None, form: str) -> str:

@@ -19,12 +19,17 @@ from deploy.console.arguments import InputError
 from deploy.hosts import systemd_units
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
+from deploy.inventory import ssh
 from deploy.inventory.hosts import robots_on
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.sealing import sealed
 from deploy.session.stop_by_file import newest_stop
 
 LOOK_S: Final = 0.1
+LOOK_LATER: Final = 1.5
+LOOK_S_MAX: Final = 1.0
+"""A host is asked at first after `LOOK_S`, then less and less often: hundreds that are asked ten times a
+second would hold up those that have not got the stop yet."""
 ROBOTS_LEFT: Final = 4
 FOLLOW_S: Final = 8.0
 """So long it is asked whether the robots there have taken it."""
@@ -39,6 +44,7 @@ class SshWay:
     def __init__(self, fleet: Fleet, hosts: Sequence[HostSection]) -> None:
         self._fleet, self._hosts = fleet, hosts
         self._guard = threading.Lock()
+        self._news = threading.Condition()
         self._found: list[Found] = []
         self._connections: list[HostConnection] = []
         self._threads: list[threading.Thread] = []
@@ -49,11 +55,15 @@ class SshWay:
     def send(self, stop: Stop) -> None:
         """See `deploy.session.stop.Way`."""
         try:
-            self._order = stop, packed(sealed(self._fleet, encode(stop)))
+            order = stop, packed(sealed(self._fleet, encode(stop)))
         except InputError as error:
             self.troubles.append(f"not over ssh: {error}")
             return
+        with self._news:
+            self._order = order
+            self._news.notify_all()
         if not self._threads:
+            ssh.allow_many()
             self._threads = [
                 threading.Thread(target=self._run, args=(host,), name=host.name, daemon=True)
                 for host in self._hosts
@@ -78,7 +88,9 @@ class SshWay:
 
     def close(self) -> None:
         """See `deploy.session.stop.Way`."""
-        self._ended = True
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
         with self._guard:
             connections = list(self._connections)
         for connection in connections:
@@ -105,18 +117,26 @@ class SshWay:
         laid: tuple[Stop, bytes] | None = None
         # As many stops of the greatest size as two processes of each robot, and of some left over, can have.
         most = (len(robots) + ROBOTS_LEFT) * len(ROLES) * (STOPS_SHOWN + 1) * STOP_TEXT_MAX
-        deadline = time.monotonic() + FOLLOW_S
+        deadline, look_s = time.monotonic() + FOLLOW_S, LOOK_S
         while not self._ended and time.monotonic() < deadline and robots:
             if self._order is not laid and self._order is not None:
                 laid = self._order
                 connection.exchange("order", laid[1], fleet=name)
+                look_s = LOOK_S
             answer = connection.ask("kept", fleet=name, answer_bytes=most)
             assert laid is not None
             for robot in sorted(robots):
                 taken = [self._look(robot, role, answer, laid[0]) for role in ROLES]
                 if all(taken):
                     robots.discard(robot)
-            time.sleep(LOOK_S)
+            if robots:
+                self._rest(look_s, laid)
+                look_s = min(look_s * LOOK_LATER, LOOK_S_MAX)
+
+    def _rest(self, seconds: float, laid: tuple[Stop, bytes]) -> None:
+        """Waits, but not when there is another stop than was laid there, or it is over."""
+        with self._news:
+            self._news.wait_for(lambda: self._ended or self._order is not laid, seconds)
 
     def _look(self, robot: int, role: str, answer: Mapping[str, Any], stop: Stop) -> bool:
         """Notes what is said there of a process; whether it has kept the stop."""

@@ -91,7 +91,9 @@ class BringUp:
     ) -> None:
         self._before_changes = before_changes
         self._fleet, self._keys, self._timing = fleet, keys, timing or Timing()
-        self._jobs = HostJobs(fleet, hosts, self._bring, accept_new=accept_new, look_s=self._timing.look_s)
+        self._jobs = HostJobs(
+            fleet, hosts, self._bring, accept_new=accept_new, at_once=AT_ONCE_MAX, look_s=self._timing.look_s
+        )
         self.rows: Final = self._jobs.rows
         self.left: set[int] = set()
         self.warnings: list[str] = []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Final
 
 from agent.common.reader import Problem
 from agent.fleet.hosts import HostSection
@@ -12,6 +14,8 @@ from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
 from deploy.console.wording import some
 from deploy.inventory import ssh
+
+ASKED_AT_ONCE: Final = 16
 
 
 def located(fleet: Fleet) -> Fleet:
@@ -22,14 +26,13 @@ def located(fleet: Fleet) -> Fleet:
             for its files.
     """
     used = {robot.host for robot in fleet.robots}
+    unknown = [host for host in fleet.hosts if host.name in used and host.address is None]
+    found = _addresses(unknown) if unknown else {}
     hosts = []
     first: dict[str, str] = {}
     for host in fleet.hosts:
-        if host.name in used and host.address is None:
-            try:
-                host = replace(host, address=ssh.address_of(host))
-            except ssh.SshError as error:
-                raise InputError(f"host {host.name}: {error}") from None
+        if host.name in found:
+            host = replace(host, address=found[host.name])
         if host.name in used and host.address is not None:
             other = first.setdefault(host.address.lower(), host.name)
             if other != host.name:
@@ -39,6 +42,19 @@ def located(fleet: Fleet) -> Fleet:
                 )
         hosts.append(host)
     return replace(fleet, hosts=tuple(hosts))
+
+
+def _addresses(hosts: Sequence[HostSection]) -> dict[str, str]:
+    """Where hosts are, as ssh's configuration says, by name: asked side by side, for a stop waits for it."""
+
+    def address(host: HostSection) -> str:
+        try:
+            return ssh.address_of(host)
+        except ssh.SshError as error:
+            raise InputError(f"host {host.name}: {error}") from None
+
+    with ThreadPoolExecutor(min(len(hosts), ASKED_AT_ONCE), "address") as pool:
+        return dict(zip((host.name for host in hosts), pool.map(address, hosts), strict=True))
 
 
 def hosts_of(fleet: Fleet, source: str, only: Sequence[str] = ()) -> list[HostSection]:

@@ -7,6 +7,7 @@ It never asks anything: what would need an answer is a failure that says what to
 from __future__ import annotations
 
 import re
+import resource
 import shlex
 import subprocess
 from pathlib import Path
@@ -24,6 +25,13 @@ _REASON_MAX: Final = 300
 
 class SshError(RuntimeError):
     """A host cannot be reached, or does not let us in; the text is one clear line."""
+
+
+def allow_many() -> None:
+    """Lets this process have as many files open as its user may: each ssh needs three, and by default no
+    process has more than 1024."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def options(host: HostSection, *, accept_new: bool = False) -> list[str]:
@@ -77,6 +85,7 @@ def address_of(host: HostSection) -> str:
     return f"[{found[1]}]" if ":" in found[1] else found[1]
 
 
+NOT_STARTED: Final = "this computer cannot start ssh"
 NO_SSH: Final = "there is no ssh on this machine: install OpenSSH's client"
 
 

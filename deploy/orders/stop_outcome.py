@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Final, NamedTuple
 
 from agent.fleet.model import Fleet
@@ -104,6 +105,25 @@ class Stopping:
     def heard(self) -> bool:
         """Whether anything of the fleet was heard, by any way."""
         return bool(self._states or self._heard_plants)
+
+    def outcomes(self, *, each: bool) -> list[str]:
+        """What became of it, in words: a line for each robot; unless `each`, those that brake in one line."""
+        if each:
+            return [self.outcome(robot) for robot in self._ids]
+        ways: Counter[str] = Counter()
+        last_ns, lines = 0, []
+        for robot in self._ids:
+            if not self.stands_by(robot):
+                lines.append(self.outcome(robot))
+                continue
+            known = [by[robot] for by in (self._agents, self._plants) if robot in by]
+            last_ns = max(last_ns, *(brakes.at_ns for brakes in known))
+            ways[" and ".join(dict.fromkeys(brakes.way.partition(" to ")[0] for brakes in known))] += 1
+        if ways:
+            by_way = ", ".join(f"{count} {way}" for way, count in ways.most_common())
+            after_ms = (last_ns - self._begun_ns) / 1e6
+            lines.append(f"{ways.total()} robots brake, the last after {after_ms:.0f} ms ({by_way})")
+        return lines
 
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""

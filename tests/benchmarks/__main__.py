@@ -44,6 +44,7 @@ NAMES: Final = (
     "admission",
     "stop_under_flood",
     "attack_memory",
+    "many_hosts",
 )
 LOAD_QUIET: Final = 0.5
 

@@ -230,6 +230,11 @@ def test_while_they_drive_one_robot_at_a_time_starts_again(deployment: Deploymen
     assert len({row["version"] for row in after.values()}) == 1
     assert {row["version"] for row in after.values()}.isdisjoint({row["version"] for row in before.values()})
     assert not fleet.processes() & running
+    for host in fleet.hosts:
+        kept = {
+            path.name for path in (host.home / ".local/share/handfast/versions").iterdir() if path.is_dir()
+        }
+        assert kept == {row["version"] for row in after.values()}, "those of before are removed"
     child.send_signal(signal.SIGINT)
     child.communicate(timeout=60.0)
 

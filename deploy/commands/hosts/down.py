@@ -9,6 +9,7 @@ from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, describe, fleet_path, host_argument, load, no_changes
 from deploy.console.interrupt import Interrupt
+from deploy.console.wording import FEW
 from deploy.inventory.running import NoAnswerError, handled
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ def _brake(fleet: Fleet, view: HostsView) -> None:
     else:
         if stopping.done:
             view.say("all robots brake")
-        for line in [*map(stopping.outcome, fleet.ids), *troubles] if not stopping.done else ():
+            return
+        for line in [*stopping.outcomes(each=len(fleet.ids) <= FEW), *troubles]:
             view.say(line)
 
 

@@ -42,6 +42,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that the fleet has (default: those of this machine)",
     )
     parser.add_argument(
+        "--serial",
+        action="append",
+        default=[],
+        metavar="N",
+        help="how many hosts are brought up at a time, as Ansible's serial: a number or a percentage, once "
+        "for each batch, the last for all that are left, such as --serial 1 --serial 10%% --serial 50%% "
+        "(default: up to 20 hosts at once; of more one, then 10%%, then the rest)",
+    )
+    parser.add_argument(
+        "--max-fail-percentage",
+        type=int,
+        metavar="P",
+        help="leave the others alone when more than so many percent of a batch fail (default: 30; 100 where "
+        "all are brought up at once)",
+    )
+    parser.add_argument(
         "--no-check", dest="check", action="store_false", help="go on even where `check` finds errors"
     )
     parser.set_defaults(command=handled(_export), quiet=False, **no_changes())
@@ -52,7 +68,7 @@ def _export(options: argparse.Namespace) -> int:
 
     from agent.fleet.loading import to_dict
     from deploy.drive.outcome import refuse_errors
-    from deploy.hosts.ansible import DeploymentError, texts
+    from deploy.hosts.ansible import DeploymentError, in_words, parse_batches, texts
     from deploy.hosts.bundle import BundleError
     from deploy.inventory.folders import refuse_full
     from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_text
@@ -61,19 +77,24 @@ def _export(options: argparse.Namespace) -> int:
     source = str(fleet_path(options.fleet))
     hosts = hosts_of(fleet, source)
     refuse_simulated(fleet, source)
+    try:
+        batches = parse_batches(options.serial, options.max_fail_percentage, len(hosts))
+    except DeploymentError as error:
+        raise InputError(str(error)) from None
     out = Path(options.out or f"{fleet.fleet.name}-deployment").expanduser()
     refuse_full(out)
     refuse_errors(options, fleet)
     fleet = located(fleet)
     try:
         packs = _packs(fleet, options.platforms)
-        written = texts(fleet, source, robots_text(fleet), tomli_w.dumps(to_dict(fleet)), packs)
+        written = texts(fleet, source, robots_text(fleet), tomli_w.dumps(to_dict(fleet)), packs, batches)
     except (BundleError, DeploymentError) as error:
         raise InputError(str(error)) from None
     _write(out, written, packs)
     kinds = "; ".join(str(pack.platform) for pack in packs)
     print(
-        f"wrote {out}: {len(hosts)} hosts, {len(fleet.ids)} robots, wheels for {kinds}; next: {out}/README.md"
+        f"wrote {out}: {len(hosts)} hosts, {len(fleet.ids)} robots, wheels for {kinds}; it brings up "
+        f"{in_words(batches)}; next: {out}/README.md"
     )
     return PASSED
 

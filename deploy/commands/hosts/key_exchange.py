@@ -5,8 +5,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 
+from agent.common.exit import FAILED, PASSED
+from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.security import private_files
 from agent.security.credentials import authority_of
@@ -43,18 +46,22 @@ def request(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: floa
     )
 
 
-def sign(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
-    """Signs an operator's request, or robots'."""
+def sign(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> int:
+    """Signs an operator's request, or robots'; the exit status."""
     data = read_input(options.sign)
     what = "standard input" if options.sign == "-" else options.sign
     if data.lstrip().startswith(REQUEST_MARK):
         who = requested_by(data, fleet.fleet.name, fleet.network.operators, f"the request in {what}")
         with existing(options, fleet, folder, now_s) as authority:
             _signed(authority.sign(who, data, (), now_s), options.out, who, authority)
-        return
+        return PASSED
     asked = read_requests(data, what, fleet)
     with existing(options, fleet, folder, now_s) as authority:
-        print(answer(fleet, authority, asked, now_s, options.fleet, take_over=options.take_over))
+        found = answer(fleet, authority, asked, now_s, options.fleet, take_over=options.take_over)
+        print(found.as_json(authority))
+    for robot, why in found.refused.items():
+        print(f"handfast: robot {robot} gets no certificate: {printable(why)}", file=sys.stderr)
+    return FAILED if found.refused else PASSED
 
 
 def _signed(signed: bytes, out: str | None, who: Identity, authority: Authority) -> None:

@@ -60,7 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ": the fleet's authority and this operator's certificate, if "
         "they are missing or expire soon. Robots with a host get theirs from `handfast up`; their private "
         "keys never leave them. A second operator, on another computer, asks the authority's for a "
-        "certificate: --request there, --sign here, --install there. Exit status: 0; 2 bad input.",
+        "certificate: --request there, --sign here, --install there. Exit status: 0; 1 --sign refused some "
+        "robots; 2 bad input.",
     )
     fleet_arguments(parser)
     parser.add_argument(
@@ -109,7 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sign",
         metavar="FILE",
         help="sign an operator's request (PEM; --out FILE); or robots', JSON {ROBOT: {request: PEM, "
-        'authority: FINGERPRINT}}, - for standard input: prints {"authority": PEM, "signed": {ROBOT: PEM}}',
+        'authority: FINGERPRINT}}, - for standard input: prints {"authority": PEM, "signed": {ROBOT: PEM}, '
+        '"refused": {ROBOT: WHY}}',
     )
     alone.add_argument(
         "--take-over", action="store_true", help="with --sign: also for robots that have another authority"
@@ -135,7 +137,7 @@ def _keys(options: argparse.Namespace) -> int:
     try:
         _check(options, fleet)
         alone = next((action for option, action in ALONE.items() if _given(options, option)), None)
-        (alone or _provide_all)(options, fleet, folder, time.time())
+        return (alone or _provide_all)(options, fleet, folder, time.time()) or PASSED
     except (
         AnotherAuthorityError,
         AuthorityError,
@@ -145,7 +147,6 @@ def _keys(options: argparse.Namespace) -> int:
         RequestError,
     ) as error:
         raise InputError(str(error)) from None
-    return PASSED
 
 
 def _given(options: argparse.Namespace, option: str) -> bool:
@@ -209,7 +210,7 @@ def _drop(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float)
 
 
 OTHERS: Final = ("renew", "replace_authority", "router", "robot")
-Alone = Callable[[argparse.Namespace, Fleet, Path, float], None]
+Alone = Callable[[argparse.Namespace, Fleet, Path, float], int | None]
 ALONE: Final[Mapping[str, Alone]] = {
     "list": _list,
     "request": request,

@@ -101,6 +101,7 @@ def _logs(options: argparse.Namespace) -> int:
             return _here(known, wanted, options, interrupt)
         hosts = hosts_of(fleet, str(known.fleet_file), options.hosts)
         fleet = located(fleet)
+        ssh.allow_many()
         readers = [
             Reader(host, command(fleet, host, robots, since_s, options))
             for host in hosts
@@ -114,8 +115,7 @@ def _logs(options: argparse.Namespace) -> int:
                     break
                 _print(line)
         finally:
-            for reader in readers:
-                reader.close()
+            close(readers)
     if interrupt.count:
         return INTERRUPTED
     return FAILED if any(reader.error for reader in readers) else PASSED
@@ -213,7 +213,7 @@ class Reader:
     """The log of one host as it comes. `error` says what went wrong when its lines have ended.
 
     Raises:
-        InputError: there is no ssh here.
+        InputError: there is no ssh here, or it cannot be started.
     """
 
     def __init__(self, host: HostSection, remote: str) -> None:
@@ -231,6 +231,9 @@ class Reader:
             )
         except FileNotFoundError:
             raise InputError(ssh.NO_SSH) from None
+        except OSError as error:
+            why = (error.strerror or str(error)).lower()
+            raise InputError(f"{host.name}: {ssh.NOT_STARTED}: {why}") from None
         self._listener = threading.Thread(target=self._listen_errors, daemon=True)
         self._listener.start()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -268,12 +271,25 @@ class Reader:
             while data := stream.readline(LINE_BYTES_MAX):
                 self._said = (self._said + data)[-SAID_BYTES_MAX:]
 
-    def close(self) -> None:
+    def kill(self) -> None:
+        """Ends it; `wait` sees to what is left."""
         if self._process.poll() is None:
             self._process.kill()
+
+    def wait(self, until_s: float) -> None:
+        """Waits until its threads have ended, until a time by the monotonic clock at most."""
         self._process.wait()
-        self._reader.join(CLOSE_S)
-        self._listener.join(CLOSE_S)
+        for thread in (self._reader, self._listener):
+            thread.join(max(0.0, until_s - time.monotonic()))
+
+
+def close(readers: Sequence[Reader]) -> None:
+    """Ends all of them, in the time that one takes."""
+    for reader in readers:
+        reader.kill()
+    until_s = time.monotonic() + CLOSE_S
+    for reader in readers:
+        reader.wait(until_s)
 
 
 def _parsed(host: str, data: bytes) -> Line | None:

@@ -15,6 +15,7 @@ from agent.common.exit import FAILED, INTERRUPTED, PASSED
 from agent.fleet.model import Fleet
 from deploy.console.arguments import InputError, describe, host_argument, refuse_hosts
 from deploy.console.interrupt import Interrupt
+from deploy.console.wording import FEW
 from deploy.inventory.running import MEANING, handled
 
 if TYPE_CHECKING:
@@ -47,6 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("fleet", metavar="FLEET", help="a fleet that is running")
     host_argument(parser)
+    parser.add_argument(
+        "--each",
+        action="store_true",
+        help=f"a row for each process also of more than {FEW} robots; else of these only where something is "
+        "wrong",
+    )
     parser.add_argument("--json", action="store_true", help="for programs: one JSON document")
     parser.set_defaults(command=handled(_status))
 
@@ -94,7 +101,7 @@ def _status(options: argparse.Namespace) -> int:
         }
         print(json.dumps(about, indent=2))
     else:
-        print_table(seen.rows, seen.hosts)
+        print_table(seen.rows, seen.hosts, fleet.control.clock_skew_max_s, each=options.each)
         for line in (*seen.lines, *in_words(seen.bodies), *summary(seen.expiries, now_s)):
             print(line)
         if seen.older_mission:
@@ -218,7 +225,8 @@ def _on_hosts(fleet: Fleet, hosts: Sequence[HostSection], what: str, interrupt: 
         answer = connection.ask("status", fleet=fleet.fleet.name)
         found[row.host] = host_status(answer, connection.clock())
 
-    with Ears(fleet, ", only hosts are asked") as ears, HostJobs(fleet, hosts, ask) as jobs:
+    # The hosts first: to open the bus may take a while, in which they answer.
+    with HostJobs(fleet, hosts, ask) as jobs, Ears(fleet, ", only hosts are asked") as ears:
 
         def asked() -> bool:
             return interrupt.count > 0 or not jobs.busy

@@ -12,6 +12,7 @@ from agent.common.exit import FAILED, PASSED
 from agent.common.wording import printable
 from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError, describe
+from deploy.console.wording import FEW
 from deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
 
 if TYPE_CHECKING:
@@ -33,6 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="every fleet of that name, or without FLEET every one that `handfast list` shows, side by side",
     )
+    parser.add_argument(
+        "--each",
+        action="store_true",
+        help=f"a line for each robot also of more than {FEW}, of which else those that brake are summed up",
+    )
     parser.add_argument("--reason", default="", metavar="TEXT", help="why, for people")
     parser.set_defaults(command=handled(_stop))
 
@@ -45,7 +51,7 @@ def _stop(options: argparse.Namespace) -> int:
         status = PASSED if options.fleet is not None else _say_unreadable()
         if not fleets and status == PASSED:
             raise NotRunningError(f"{NONE}, and none is up: nothing to stop")
-        return max(_stop_all(fleets, options.reason), status)
+        return max(_stop_all(fleets, options), status)
     if options.fleet is None:
         raise InputError("stop: which fleet? Give its name, or --all; `handfast list` shows all")
     try:
@@ -54,7 +60,7 @@ def _stop(options: argparse.Namespace) -> int:
         everyone = f"or stop them all: handfast stop {quote(options.fleet)} --all"
         raise NotRunningError(error.text("handfast stop", everyone)) from None
     try:
-        lines, done = _outcome(as_running(one), options.reason)
+        lines, done = _outcome(as_running(one), options)
     finally:
         _say_unreadable()  # it may be what is meant
     for line in lines:
@@ -62,24 +68,24 @@ def _stop(options: argparse.Namespace) -> int:
     return PASSED if done else FAILED
 
 
-def _outcome(fleet: Fleet, reason: str) -> tuple[list[str], bool]:
+def _outcome(fleet: Fleet, options: argparse.Namespace) -> tuple[list[str], bool]:
     """What became of a stop, in words, and whether all brake; raises as `deploy.session.stop.stop`."""
     from deploy.commands.running.ways import ways
     from deploy.session.stop import stop
 
-    stopping, troubles = stop(fleet, reason, ways(fleet))
+    stopping, troubles = stop(fleet, options.reason, ways(fleet))
     said = [] if stopping.done else [printable(trouble) for trouble in troubles]
-    return [*map(stopping.outcome, fleet.ids), *said], stopping.done
+    return [*stopping.outcomes(each=options.each or len(fleet.ids) <= FEW), *said], stopping.done
 
 
-def _stop_all(fleets: list[KnownFleet], reason: str) -> int:
+def _stop_all(fleets: list[KnownFleet], options: argparse.Namespace) -> int:
     """Stops them side by side, so that none waits for another, and says of each what came of it."""
     from agent.runtime.bus import BusError
     from deploy.inventory.known_fleets import NotRunningError
 
     def one(fleet: KnownFleet) -> tuple[list[str], bool]:
         try:
-            return _outcome(as_running(fleet), reason)
+            return _outcome(as_running(fleet), options)
         except (BusError, FleetError, InputError, NoAnswerError, NotRunningError) as error:
             return [f"NOT stopped: {error}"], False
 

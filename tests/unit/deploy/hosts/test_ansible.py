@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -24,7 +25,16 @@ from agent.formation.geometry import resolved
 from deploy.check.finding import Finding
 from deploy.commands.hosts import export_deployment
 from deploy.console.data_files import FLEETS
-from deploy.hosts.ansible import GROUP, DeploymentError, Pack, parse_platform, texts
+from deploy.hosts.ansible import (
+    GROUP,
+    Batches,
+    DeploymentError,
+    Pack,
+    in_words,
+    parse_batches,
+    parse_platform,
+    texts,
+)
 from deploy.hosts.bundle import Bundle, Platform
 from deploy.hosts.connection import Clock
 from deploy.hosts.setup import prepare
@@ -44,9 +54,10 @@ def fleet(hosts: Mapping[str, Mapping[str, Any]] | None = None, **tables: dict[s
     return located(resolved(parse_fleet(tomli_w.dumps(raw | tables), source="here")))
 
 
-def written(fleet: Fleet, *platforms: Platform) -> dict[str, str]:
+def written(fleet: Fleet, *platforms: Platform, batches: Batches | None = None) -> dict[str, str]:
     packs = [Pack(platform, Bundle(Path(), WHEELS, b"program")) for platform in platforms or (PI,)]
-    return texts(fleet, "here", robots_text(fleet), tomli_w.dumps(to_dict(fleet)), packs)
+    batches = batches or parse_batches([], None, len(fleet.hosts))
+    return texts(fleet, "here", robots_text(fleet), tomli_w.dumps(to_dict(fleet)), packs, batches)
 
 
 def rendered(value: str, version: str) -> str:
@@ -177,6 +188,44 @@ def test_what_ansible_would_read_as_a_template_is_refused():
         written(fleet({"rover1": {"address": "10.0.0.1", "key": "{{x}}"}}))
 
 
+@pytest.mark.parametrize(
+    ("serial", "limit", "hosts", "batches"),
+    [
+        ([], None, 20, Batches(("100%",), 100)),
+        ([], None, 21, Batches((1, "10%", "100%"), 30)),
+        ([], 5, 20, Batches(("100%",), 5)),
+        (["1", "10%", "50%"], None, 2, Batches((1, "10%", "50%"), 30)),
+        (["1, 10% 50%"], 0, 300, Batches((1, "10%", "50%"), 0)),
+        (["25"], 100, 300, Batches((25,), 100)),
+    ],
+)
+def test_batches_are_read_as_they_are_said(
+    serial: list[str], limit: int | None, hosts: int, batches: Batches
+):
+    assert parse_batches(serial, limit, hosts) == batches
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "0%", "101%", "10.5%", "%", "", " ", "half", "1;2", "\u0661"])
+def test_what_is_no_batch_is_refused(text: str):
+    with pytest.raises(DeploymentError, match="is no batch: give a number of hosts or 1% to 100%"):
+        parse_batches(["1", text], None, 300)
+
+
+@pytest.mark.parametrize("limit", [-1, 101])
+def test_a_limit_that_is_none_is_refused(limit: int):
+    with pytest.raises(DeploymentError, match=f"--max-fail-percentage must be from 0 to 100, got {limit}"):
+        parse_batches([], limit, 300)
+
+
+def test_batches_are_said():
+    assert in_words(parse_batches([], None, 2)) == "all hosts at once"
+    assert in_words(parse_batches([], None, 300)) == (
+        "hosts in batches (1 host, then 10%, then 100%), which end where more than 30% of one fail"
+    )
+    assert "(5 hosts)" in in_words(parse_batches(["5"], None, 300))
+    assert "@" not in written(fleet())["README.md"]
+
+
 # ---------------------------------------------------------------------- the command
 
 
@@ -250,6 +299,11 @@ def test_a_folder_that_is_not_empty_is_left_alone(
     assert capsys.readouterr().err == "handfast: cannot write /proc/nothing: no such file or directory\n"
     assert export("--out", str(tmp_path / "x"), "--platform", "pi") == 2
     assert "'pi' is no platform" in capsys.readouterr().err
+    assert export("--out", str(tmp_path / "x"), "--serial", "many") == 2
+    assert capsys.readouterr().err.startswith("handfast: --serial 'many' is no batch: give a number of hosts")
+    assert export("--out", str(tmp_path / "x"), "--max-fail-percentage", "101") == 2
+    assert capsys.readouterr().err.startswith("handfast: --max-fail-percentage must be from 0 to 100")
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_fleet_for_one_machine_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -337,3 +391,101 @@ def test_ansible_renders_units_as_they_are_meant(folder: Path):
     assert json.loads((folder / "units.json").read_text()) == {
         robot: {name: rendered(text, "1-abc") for name, text in row.items()} for robot, row in wanted.items()
     }
+
+
+HOSTS = [f"rover{number}" for number in range(1, 7)]
+FAILS = {"ansible.builtin.fail": {"msg": "no"}, "when": "inventory_hostname in failing"}
+
+
+def batched(
+    folder: Path, *words: str, failing: tuple[str, ...] = (), **changed: Any
+) -> tuple[int, list[str]]:
+    """Ends the playbook's play with other tasks: the exit status, and on which hosts they ended well."""
+    import yaml  # which comes with Ansible
+
+    pair = fleet({name: {"address": f"10.0.0.{number}"} for number, name in enumerate(HOSTS, 1)})
+    limits = parse_batches(["1", "50%"], None, len(HOSTS))
+    for name, text in written(pair, batches=limits).items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    (play,) = yaml.safe_load((folder / "playbook.yml").read_text())
+    play["tasks"] = [FAILS, {"ansible.builtin.debug": {"msg": "well"}}]
+    (folder / "playbook.yml").write_text(yaml.safe_dump([play]))
+    given = {"failing": failing, "ansible_connection": "local", **changed}
+    done = subprocess.run(
+        [sys.executable, "-m", "ansible", "playbook", "playbook.yml", "-e", json.dumps(given), *words],
+        cwd=folder,
+        env=os.environ | {"HOME": str(folder), "LC_ALL": "C.UTF-8", "ANSIBLE_NOCOLOR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert "WARNING" not in done.stderr, done.stderr
+    recap = done.stdout.partition("PLAY RECAP")[2]
+    return done.returncode, re.findall(r"(rover\d) +: ok=1", recap)
+
+
+@ansible
+def test_hosts_are_brought_up_in_batches(tmp_path: Path):
+    assert batched(tmp_path / "a") == (0, HOSTS)
+    assert batched(tmp_path / "b", failing=("rover1",)) == (2, []), "the canary"
+    assert batched(tmp_path / "c", failing=("rover2",)) == (2, ["rover1"]), "a third is more than 30%"
+    changed = {"handfast_max_fail_percentage": 40}
+    rest = [host for host in HOSTS if host != "rover2"]
+    assert batched(tmp_path / "d", failing=("rover2",), **changed) == (2, rest)
+    assert batched(tmp_path / "e", failing=("rover1",), handfast_serial=["100%"])[1] == HOSTS[1:]
+    assert batched(tmp_path / "f", failing=("rover2",), rolling=True) == (2, ["rover1"])
+    assert batched(tmp_path / "g", "--check", failing=("rover1",))[1] == HOSTS[1:], "a look is at all of them"
+
+
+@ansible
+def test_a_batch_is_signed_for_together_and_each_refusal_is_a_hosts_own(folder: Path):
+    """One command of the authority's for all hosts; what one robot lacks is no other's."""
+    import yaml
+
+    authority = folder / "authority.py"
+    authority.write_text(
+        "import json, sys\n"
+        "asked = json.load(sys.stdin)\n"
+        f"open({str(folder / 'asked')!r}, 'a').write(json.dumps(asked) + '\\n')\n"
+        "refused = {robot: 'another authority' for robot in asked if asked[robot]['authority'] == 'x'}\n"
+        "signed = {robot: 'PEM ' + robot for robot in asked if robot not in refused}\n"
+        "print(json.dumps({'authority': 'CA', 'signed': signed, 'refused': refused}))\n"
+        "sys.exit(1 if refused else 0)\n"
+    )
+    # What asks the hosts is left out: they want certificates for these robots.
+    tasks = yaml.safe_load((folder / "tasks/certificates.yml").read_text())
+    first = next(k for k, task in enumerate(tasks) if task["name"].startswith("Refuse requests"))
+    last = next(k for k, task in enumerate(tasks) if task["name"] == "Store")
+    (folder / "tasks/signed.yml").write_text(yaml.safe_dump(tasks[first:last]))
+    value = "{'wanting': 'none', 'request': 'PEM', 'authority': 'x' if item == '2' else ''}"
+    wanting = {"ansible.builtin.set_fact": {"handfast_wanting": (
+        "{{ (handfast_wanting | default([])) + [{'key': item, 'value': " + value + "}] }}"
+    )}, "loop": "{{ handfast_robots }}"}  # fmt: skip
+    show = {"ansible.builtin.copy": {
+        "content": "{{ handfast_robots | map('extract', handfast_signed.signed) | join(',') }}",
+        "dest": f"{folder}/signed-{{{{ inventory_hostname }}}}",
+    }}  # fmt: skip
+    trial = [{"hosts": "all", "gather_facts": False, "tasks": [
+        wanting, {"ansible.builtin.import_tasks": "tasks/signed.yml"}, show,
+    ]}]  # fmt: skip
+    (folder / "try.json").write_text(json.dumps(trial))
+    given = {
+        "ansible_connection": "local",
+        "ansible_python_interpreter": sys.executable,
+        "handfast_command": [sys.executable, str(authority)],
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "ansible", "playbook", "try.json", "-e", json.dumps(given)],
+        cwd=folder,
+        env=os.environ | {"HOME": str(folder), "LC_ALL": "C.UTF-8", "ANSIBLE_NOCOLOR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    (asked,) = map(json.loads, (folder / "asked").read_text().splitlines())
+    assert sorted(asked) == ["1", "2", "3", "4", "5", "6"]
+    assert (done.returncode, "another authority" in done.stdout) == (2, True), done.stdout
+    assert (folder / "signed-rover1").read_text() == "PEM 1,PEM 3,PEM 5"
+    assert not (folder / "signed-rover2").exists()

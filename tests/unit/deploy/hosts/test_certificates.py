@@ -218,9 +218,9 @@ def run(
     parser = argparse.ArgumentParser()
     keys_command.add_arguments(parser)
 
-    def keys(*arguments: str) -> str:
+    def keys(*arguments: str, status: int = 0) -> str:
         options = parser.parse_args([str(file), *arguments])
-        assert options.command(options) == 0
+        assert options.command(options) == status
         return capsys.readouterr().out
 
     return keys
@@ -230,10 +230,10 @@ def run(
 def sign(run: Callable[..., str], tmp_path: Path) -> Sign:
     """Signs requests, given as JSON or as they are."""
 
-    def signs(requests: Any, *arguments: str) -> dict[str, Any]:
+    def signs(requests: Any, *arguments: str, status: int = 0) -> dict[str, Any]:
         file = tmp_path / "requests.json"
         file.write_text(requests if isinstance(requests, str) else json.dumps(requests))
-        told: dict[str, Any] = json.loads(run("--sign", str(file), *arguments))
+        told: dict[str, Any] = json.loads(run("--sign", str(file), *arguments, status=status))
         return told
 
     return signs
@@ -241,7 +241,8 @@ def sign(run: Callable[..., str], tmp_path: Path) -> Sign:
 
 def test_a_robot_takes_what_the_authority_answers(run: Callable[..., str], sign: Sign, tmp_path: Path):
     run()
-    assert sign({}) == {"authority": (keys_folder("delta") / "ca.crt").read_text(), "signed": {}}
+    rules = (keys_folder("delta") / "ca.crt").read_text()
+    assert sign({}) == {"authority": rules, "signed": {}, "refused": {}}
     asked = {str(robot): asks(tmp_path / str(robot), robot) for robot in (1, 2)}
     told = sign(asked)
     assert set(told["signed"]) == {"1", "2"}
@@ -256,9 +257,25 @@ def test_a_robot_takes_what_the_authority_answers(run: Callable[..., str], sign:
 
 def test_one_robot_does_not_get_anothers_certificate(run: Callable[..., str], sign: Sign, tmp_path: Path):
     run()
-    asked = asks(tmp_path / "1", 1)
-    with pytest.raises(InputError, match=r"the request of robot 2 is one for 'delta.robot.1'"):
-        sign({"2": asked})
+    told = sign({"2": asks(tmp_path / "1", 1)}, status=1)
+    assert told["signed"] == {}
+    assert "the request of robot 2 is one for 'delta.robot.1'" in told["refused"]["2"]
+
+
+def test_a_robot_that_is_refused_takes_nothing_from_the_others(
+    run: Callable[..., str], sign: Sign, tmp_path: Path
+):
+    """Requests of a whole batch of hosts are signed together: one that lies must not keep the others."""
+    run()
+    asked: dict[str, Any] = {str(robot): asks(tmp_path / str(robot), robot) for robot in (1, 2, 3)}
+    asked["1"]["authority"] = "ab" * 32
+    asked["3"] = {"request": "x" * 9000, "authority": ""}
+    asked["4"] = ["nonsense"]
+    told = sign(asked, status=1)
+    assert set(told["signed"]) == {"2"}
+    assert set(told["refused"]) == {"1", "3", "4"}
+    assert "its robots have another authority" in told["refused"]["1"]
+    assert "robot 4 must be JSON" in told["refused"]["4"]
 
 
 def test_robots_of_another_authority_get_no_signature_unless_they_are_taken_over(
@@ -267,8 +284,8 @@ def test_robots_of_another_authority_get_no_signature_unless_they_are_taken_over
     """The same for whoever carries requests, such as Ansible."""
     run()
     asked = asks(tmp_path / "1", 1) | {"authority": "ab" * 32}
-    with pytest.raises(InputError, match="left as it was: its robots have another authority, abababab"):
-        sign({"1": asked})
+    told = sign({"1": asked}, status=1)
+    assert "left as it was: its robots have another authority, abababab" in told["refused"]["1"]
     assert "1" in sign({"1": asked}, "--take-over")["signed"]
     assert "1" in sign({"1": asked | {"authority": authority_of(keys_folder("delta"))}})["signed"]
 
@@ -289,20 +306,32 @@ def test_requests_come_from_standard_input_too(
     [
         ("no json", "must be JSON, by robot what"),
         ([], "must be JSON"),
-        ({"1": 2}, "must be JSON"),
-        ({"1": "-----BEGIN CERTIFICATE REQUEST-----"}, "must be JSON"),
-        ({"1": {"request": "x"}}, "must be JSON"),
-        ({"1": {"request": "x", "authority": None}}, "must be JSON"),
         ({"9": {"request": "x", "authority": ""}}, "there is no robot 9 in delta"),
         ({"01": {"request": "x", "authority": ""}}, "there is no robot 01 in delta"),
-        ({"1": {"request": "x", "authority": ""}}, "the request of robot 1 is not a certificate request"),
-        ({"1": {"request": "\ud800", "authority": ""}}, "must be JSON"),
     ],
 )
 def test_bad_requests(run: Callable[..., str], sign: Sign, requests: Any, what: str):
     run()
     with pytest.raises(InputError, match=what):
         sign(requests)
+
+
+@pytest.mark.parametrize(
+    ("request_of_1", "what"),
+    [
+        (2, "robot 1 must be JSON"),
+        ("-----BEGIN CERTIFICATE REQUEST-----", "robot 1 must be JSON"),
+        ({"request": "x"}, "robot 1 must be JSON"),
+        ({"request": "x", "authority": None}, "robot 1 must be JSON"),
+        ({"request": "\ud800", "authority": ""}, "robot 1 must be JSON"),
+        ({"request": "x", "authority": ""}, "the request of robot 1 is not a certificate request"),
+    ],
+)
+def test_a_bad_request(run: Callable[..., str], sign: Sign, request_of_1: Any, what: str):
+    run()
+    told = sign({"1": request_of_1}, status=1)
+    assert what in told["refused"]["1"]
+    assert told["signed"] == {}
 
 
 def test_it_makes_nothing_and_does_nothing_else(sign: Sign):

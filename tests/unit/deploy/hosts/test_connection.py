@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import shlex
 import stat
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -39,14 +41,39 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def connect(host: HostSection = HOST) -> None:
-    with HostConnection(host):
-        pass
+    with HostConnection(host) as there:
+        assert there.about
 
 
 def say(tools: Path, text: str) -> None:
     ssh = tools / "ssh"
     ssh.write_text(text)
     ssh.chmod(0o755)
+
+
+def test_nothing_is_asked_before_what_it_is_there_for(here: Path, monkeypatch: pytest.MonkeyPatch):
+    """A stop would wait for it."""
+    asked: list[str] = []
+    plain = HostConnection.ask
+
+    def ask(self: HostConnection, what: str, **about: Any) -> Any:
+        asked.append(what)
+        return plain(self, what, **about)
+
+    monkeypatch.setattr(HostConnection, "ask", ask)
+    with HostConnection(HOST) as there:
+        assert asked == []
+        assert there.about == there.about
+    assert asked == ["hello"]
+
+
+def test_an_ssh_that_cannot_be_started_is_said(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(connection.subprocess, "Popen", full)
+    with pytest.raises(HostError, match=r"^this computer cannot start ssh: too many open files$"):
+        HostConnection(HOST)
 
 
 def test_it_says_what_the_computer_is(here: Path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Stop
 from agent.runtime.order_store import STOP_FILE, packed, unpacked
-from deploy.hosts import systemd_units
+from deploy.hosts import stop_by_ssh, systemd_units
 from deploy.hosts.stop_by_ssh import SshWay
 from deploy.orders.stop_outcome import Stopping
 from tests.process.harness import wait_for
@@ -93,3 +94,63 @@ def test_a_host_that_cannot_be_reached_is_said(
     assert len(way.troubles) == 1
     assert way.troubles[0].startswith("not over ssh to h: ")
     way.close()
+
+
+def test_hosts_are_asked_less_and_less_often(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hundreds that are asked ten times a second hold up those that have not got the stop yet."""
+    now_s, slept = 0.0, []
+
+    class Clock:
+        @staticmethod
+        def monotonic() -> float:
+            return now_s
+
+    class Silent:
+        host = fleet.hosts[0]
+
+        def exchange(self, *_: object, **__: object) -> None: ...
+
+        def ask(self, *_: object, **__: object) -> dict[str, object]:
+            return {}
+
+    def rest(seconds: float, _: object) -> None:
+        nonlocal now_s
+        now_s += seconds
+        slept.append(seconds)
+
+    monkeypatch.setattr(stop_by_ssh, "time", Clock)
+    way = SshWay(fleet, [])
+    monkeypatch.setattr(way, "_rest", rest)
+    way.send(Stopping(fleet, 0, "lunch").message)
+    way._follow(Silent())  # type: ignore[arg-type]
+    assert slept[0] == stop_by_ssh.LOOK_S, "at first at once"
+    assert len(slept) < 20
+    assert sum(slept) >= stop_by_ssh.FOLLOW_S
+
+
+def test_another_stop_is_not_waited_for(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a robot has had a later order, the stop gets a greater version: it goes there at once."""
+    way, laid = SshWay(fleet, []), []
+    first, second = Stop(5, 5, "lunch"), Stop(9, 9, "lunch")
+
+    class There:
+        host = fleet.hosts[0]
+
+        def exchange(self, what: str, blob: bytes, **__: object) -> None:
+            laid.extend(unpacked(blob))
+            if len(laid) == 1:
+                threading.Timer(0.05, way.send, (second,)).start()
+            else:
+                way.close()
+
+        def ask(self, *_: object, **__: object) -> dict[str, object]:
+            return {}
+
+    monkeypatch.setattr(stop_by_ssh, "LOOK_S", 60.0)
+    monkeypatch.setattr(stop_by_ssh, "LOOK_S_MAX", 60.0)
+    way.send(first)
+    follows = threading.Thread(target=way._follow, args=(There(),), daemon=True)
+    follows.start()
+    follows.join(20.0)
+    assert not follows.is_alive()
+    assert [decode(order) for order in laid] == [first, second]

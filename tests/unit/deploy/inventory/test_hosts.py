@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import pytest
 
+from agent.fleet.hosts import HostSection
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet, FleetError
 from deploy.console.arguments import InputError
+from deploy.inventory import ssh
 from deploy.inventory.hosts import hosts_of, located, refuse_simulated, robots_on, robots_text
 from tests.unit.agent.fleet.test_hosts import HOSTS, LEFT, RIGHT, fleet
 
@@ -78,3 +81,16 @@ def test_a_simulated_rover_cannot_be_on_a_host() -> None:
     with pytest.raises(FleetError, match=r'robot\[2\].mavlink.connection: "simulator" is for `run`'):
         refuse_simulated(there, "f")
     refuse_simulated(fleet(HOSTS), "f")
+
+
+def test_where_hosts_are_is_asked_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop waits for it."""
+    together = threading.Barrier(2, timeout=10.0)
+
+    def address(host: HostSection) -> str:
+        together.wait()
+        return f"{host.name}.example"
+
+    monkeypatch.setattr(ssh, "address_of", address)
+    pair = fleet("[host.left]\n[host.right]\n")
+    assert [host.address for host in located(pair).hosts] == ["left.example", "right.example"]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 from agent.fleet.hosts import HostSection
 from deploy.inventory import ssh
+from tests.process.harness import ROOT
 
 
 def test_what_the_fleet_file_leaves_out_is_left_to_the_configuration():
@@ -80,3 +84,16 @@ def test_only_ssh_is_read_as_ssh():
 
 def test_a_terminal_is_safe_from_what_a_host_says():
     assert "\x1b" not in ssh.reason(HostSection("a"), "\x1b[31mred")
+
+
+def test_as_many_files_may_be_open_as_the_user_may_have() -> None:
+    """In a process of its own: it holds for all of it."""
+    script = (
+        "import resource\n"
+        "from deploy.inventory import ssh\n"
+        "_, most = resource.getrlimit(resource.RLIMIT_NOFILE)\n"
+        "resource.setrlimit(resource.RLIMIT_NOFILE, (64, most))\n"
+        "ssh.allow_many()\n"
+        "assert resource.getrlimit(resource.RLIMIT_NOFILE) == (most, most)\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=ROOT)

@@ -96,3 +96,18 @@ def test_a_leave_that_is_given_after_it_is_not() -> None:
     assert made.outcome(4) == (
         "robot 4: running: another operator has let it drive again, its plant does not brake"
     )
+
+
+def test_of_many_those_that_brake_are_one_line_and_the_others_one_each() -> None:
+    made = stopping()
+    brake(made, *FLEET.ids[:-2])
+    made.found(EPOCH + 840 * MS, 7, "agent", "stopped", VERSION, "over ssh to host7")
+    made.found(EPOCH + 700 * MS, 7, "plant", "braking", VERSION, "over ssh to host7")
+    agent(made, 8, 25, "running", 0)
+    assert made.outcomes(each=False) == [
+        "robot 8: running: its agent has not taken the stop, nothing heard from its plant",
+        "5 robots brake, the last after 840 ms (4 over a new link, 1 over ssh)",
+    ]
+    assert made.outcomes(each=True) == [made.outcome(robot) for robot in FLEET.ids]
+    silent = stopping()
+    assert silent.outcomes(each=False) == silent.outcomes(each=True)

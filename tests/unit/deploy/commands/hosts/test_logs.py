@@ -273,3 +273,21 @@ def test_of_a_run_here_what_cannot_be(folder: Path, capsys: pytest.CaptureFixtur
         assert says("pair-here").startswith(
             "there are no logs of pair-here here: no `handfast run` has started"
         )
+
+
+def test_many_are_ended_in_the_time_that_one_takes() -> None:
+    told: list[tuple[str, int, float]] = []
+
+    class Stub:
+        def __init__(self, number: int) -> None:
+            self.number = number
+
+        def kill(self) -> None:
+            told.append(("kill", self.number, 0.0))
+
+        def wait(self, until_s: float) -> None:
+            told.append(("wait", self.number, until_s))
+
+    logs_command.close([Stub(1), Stub(2)])  # type: ignore[list-item]
+    assert [each[:2] for each in told] == [("kill", 1), ("kill", 2), ("wait", 1), ("wait", 2)]
+    assert told[2][2] == told[3][2]

@@ -45,7 +45,7 @@ def ssh(secured: Path, does: str) -> None:
 
 
 def options(file: Path) -> argparse.Namespace:
-    return argparse.Namespace(**no_changes(), fleet=str(file), hosts=[], json=False)
+    return argparse.Namespace(**no_changes(), fleet=str(file), hosts=[], json=False, each=False)
 
 
 def test_hosts_are_asked_though_the_bus_cannot_be_opened(

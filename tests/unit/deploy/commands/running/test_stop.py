@@ -25,8 +25,9 @@ class Stopping:
     def __init__(self, *, done: bool) -> None:
         self.done = done
 
-    def outcome(self, robot: int) -> str:
-        return f"robot {robot}: {'stopped' if self.done or robot == 1 else 'silent'}"
+    def outcomes(self, *, each: bool) -> list[str]:
+        assert each, "they are few"
+        return [f"robot {robot}: {'stopped' if self.done or robot == 1 else 'silent'}" for robot in (1, 2)]
 
 
 class Fleets:
