@@ -219,8 +219,11 @@ class Agent:
 
     def kept(self, orders: tuple[bytes, ...], trouble: str) -> None:
         """See `agent.node.Node`: now it acknowledges them."""
+        before = self._lasting.acknowledged
         self._lasting.kept(orders, trouble)
         self._situation.unkept = trouble
+        if self._lasting.acknowledged != before:
+            self._report.hurry()
 
     def runs_by(self, clock: MachineClock) -> None:
         """See `agent.node.Node`: its plant goes by the same clock."""
@@ -348,7 +351,9 @@ class Agent:
     def _status(self, now_ns: int) -> Outgoing:
         lasting = self._lasting
         # One that it would not drive by it has not acknowledged: who drives the fleet says it again.
-        mission_version = lasting.mission_version if self._situation.may_go_on else 0
+        mission_version, order_version = lasting.acknowledged
+        if not self._situation.may_go_on:
+            mission_version = 0
         situation = (self.state.value, self.transition, clipped(self.reason))
         neighbours = [peer for _, peer in self._controller.edges]
         status = self._report.status(
@@ -356,7 +361,7 @@ class Agent:
             self.robot,
             situation,
             mission_version,
-            lasting.order_version,
+            order_version,
             neighbours,
             self._peers.known,
         )

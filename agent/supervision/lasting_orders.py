@@ -22,7 +22,7 @@ class LastingOrders:
     Attributes:
         current: what is to be kept now; another object when it has changed.
         trouble: why what was to be kept is not, "" when it is.
-        mission_version, order_version: of the mission, and of the last stop or resume, that are kept.
+        acknowledged: versions of the mission, and of the last stop or resume, that are kept; 0 for none.
     """
 
     def __init__(self, latch: StopLatch) -> None:
@@ -33,7 +33,7 @@ class LastingOrders:
         self._versions = 0, 0
         self.current: Orders = ()
         self.trouble = ""
-        self.mission_version = self.order_version = 0
+        self.acknowledged = 0, 0
 
     def has_disk(self) -> None:
         """From now on an order is kept when `kept` says so, and not as soon as it has come."""
@@ -58,4 +58,4 @@ class LastingOrders:
         """
         self.trouble = trouble
         if orders is self.current:
-            self.mission_version, self.order_version = self._versions
+            self.acknowledged = self._versions

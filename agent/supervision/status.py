@@ -46,6 +46,10 @@ class StatusReport:
         self._interventions.update(causes)
         self._interventions["any"] += bool(causes)
 
+    def hurry(self) -> None:
+        """There is news that operators wait for: the next status goes out with the next tick."""
+        self._due_ns = 0
+
     def is_due(self, now_ns: int) -> bool:
         """Whether it is time for the next status, or more has come than one can hold."""
         return now_ns >= self._due_ns or len(self.ages_us) > STATUS_VALUES_MAX

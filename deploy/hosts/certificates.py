@@ -87,7 +87,7 @@ class HostKeys:
         """
         keys, name = f"fleets/{self._fleet.fleet.name}/keys", AUTHORITY_CERTIFICATE
         found = ""
-        if name in connection.ask("listing", folder=keys, pattern=name):
+        if name in connection.ask("listing", folder=keys, pattern=name, most=1):
             pem = connection.exchange("get", None, path=f"{keys}/{name}", most=PEM_BYTES_MAX)[1]
             with suppress(CertificateError):  # one that is damaged rules nobody
                 found = fingerprint(authority_from_pem(pem))

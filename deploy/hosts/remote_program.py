@@ -40,6 +40,8 @@ RESERVE_BYTES: Final = 50_000_000
 STOP_FILE: Final = "stop.json"
 """As robots look for it (`agent.runtime.order_store`)."""
 ORDERS_BYTES_MAX: Final = 1_000_000
+STOPS_SHOWN: Final = 2
+STOP_TEXT_MAX: Final = 8_000
 CERTIFICATE_BYTES_MAX: Final = 16_384
 COMPLETE: Final = ".complete"
 PLUGINS: Final = "handfast_plugins.txt"
@@ -585,15 +587,18 @@ def order(fleet: str, blob: bytes) -> None:
 
 
 @request
-def kept(fleet: str) -> dict[str, dict[str, str]]:
-    """What the processes of the fleet's units here say of themselves, and which orders they have kept."""
+def kept(fleet: str) -> dict[str, dict[str, Any]]:
+    """What the processes of the fleet's units here say of themselves, and the first of the orders that they
+    have kept, which are stops and resumes: no mission, which may be large."""
     folder, found = inside(f"fleets/{fleet}/orders"), {}
     for name, about in units_of(fleet).items():
         process = name.removeprefix(f"handfast-{fleet}-").removesuffix(".service")
-        orders = ""
-        with suppress(OSError, ValueError), open(folder / f"{process}.json", encoding="ascii") as stream:
-            orders = stream.read(ORDERS_BYTES_MAX)
-        found[name] = {"says": about.get("StatusText", ""), "orders": orders}
+        orders: list[str] = []
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            with open(folder / f"{process}.json", encoding="ascii") as stream:
+                texts = json.loads(stream.read(ORDERS_BYTES_MAX))["orders"]
+            orders = [text for text in texts[:STOPS_SHOWN] if len(text) <= STOP_TEXT_MAX]
+        found[name] = {"says": about.get("StatusText", "")[:STOP_TEXT_MAX], "orders": orders}
     return found
 
 

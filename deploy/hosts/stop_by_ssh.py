@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Final
@@ -13,16 +14,18 @@ from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Stop
-from agent.runtime.order_store import OrderFileError, packed, unpacked
+from agent.runtime.order_store import packed
 from deploy.console.arguments import InputError
 from deploy.hosts import systemd_units
 from deploy.hosts.connection import HostConnection, HostError
+from deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
 from deploy.inventory.hosts import robots_on
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.sealing import sealed
 from deploy.session.stop_by_file import newest_stop
 
 LOOK_S: Final = 0.1
+ROBOTS_LEFT: Final = 4
 FOLLOW_S: Final = 8.0
 """So long it is asked whether the robots there have taken it."""
 
@@ -85,7 +88,7 @@ class SshWay:
 
     def _run(self, host: HostSection) -> None:
         try:
-            connection = HostConnection(host)
+            connection = HostConnection(host, robots=len(robots_on(self._fleet, host)))
             with self._guard:
                 self._connections.append(connection)
                 if self._ended:
@@ -100,12 +103,14 @@ class SshWay:
         """Lays the stop there, and looks who takes it; another one, when the stop has changed."""
         name, robots = self._fleet.fleet.name, set(robots_on(self._fleet, connection.host))
         laid: tuple[Stop, bytes] | None = None
+        # As many stops of the greatest size as two processes of each robot, and of some left over, can have.
+        most = (len(robots) + ROBOTS_LEFT) * len(ROLES) * (STOPS_SHOWN + 1) * STOP_TEXT_MAX
         deadline = time.monotonic() + FOLLOW_S
         while not self._ended and time.monotonic() < deadline and robots:
             if self._order is not laid and self._order is not None:
                 laid = self._order
                 connection.exchange("order", laid[1], fleet=name)
-            answer = connection.ask("kept", fleet=name)
+            answer = connection.ask("kept", fleet=name, answer_bytes=most)
             assert laid is not None
             for robot in sorted(robots):
                 taken = [self._look(robot, role, answer, laid[0]) for role in ROLES]
@@ -118,10 +123,9 @@ class SshWay:
         about = answer.get(systemd_units.unit_name(self._fleet.fleet.name, robot, role))
         if not isinstance(about, Mapping):
             return False
-        state, kept = str(about.get("says", "")).partition(":")[0], about.get("orders", "")
-        version = -1
-        with suppress(OrderFileError):
-            orders = unpacked(kept.encode()) if isinstance(kept, str) and kept else ()
+        state, kept, version = str(about.get("says", "")).partition(":")[0], about.get("orders"), -1
+        with suppress(ValueError, TypeError):
+            orders = [b64decode(text) for text in kept] if isinstance(kept, list) else []
             version = newest_stop(orders, is_secured=self._fleet.is_secured)
         with self._guard:
             self._found.append((time.time_ns(), robot, role, state, version))

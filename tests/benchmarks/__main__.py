@@ -42,6 +42,7 @@ NAMES: Final = (
     "recording",
     "hosts",
     "admission",
+    "stop_under_flood",
 )
 LOAD_QUIET: Final = 0.5
 

@@ -211,3 +211,20 @@ def test_what_is_said_to_be_in_a_file_is_there(path: Path) -> None:
     for name, file in re.findall(rf"`(\w+)`\s+in\s+`((?:{PACKAGES})/[\w/]+\.py)`", page):
         pattern = rf"^\s*(?:def |class )?{name}\b"
         assert re.search(pattern, (ROOT / file).read_text("utf-8"), re.MULTILINE), f"{name} in {file}"
+
+
+def test_each_row_of_the_attacks_names_tests_that_there_are() -> None:
+    """Codes of the table are explained below it, and what they name exists."""
+    page = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+    part = page[page.index("## What is guarded against") : page.index("## What is not")]
+    codes = {
+        code for row in re.findall(r"^\|.*\| ([A-Z0-9 ]+) \|$", part, re.MULTILINE) for code in row.split()
+    }
+    below = part[part.rindex("|\n") :]
+    explained = set(re.findall(r"\b([A-Z]\d)\b", below))
+    assert codes == explained
+    for entry in re.split(r"\n- |\n\n", below):
+        files = [ROOT / name for name in re.findall(r"`(tests/[\w/]+\.py)`", entry)]
+        text = "".join(file.read_text(encoding="utf-8") for file in files)
+        missing = [name for name in re.findall(r"`(test_\w+)`", entry) if f"def {name}(" not in text]
+        assert not missing

@@ -38,6 +38,7 @@ def test_the_page_runs_a_fleet(
     assert isinstance(measured, handfast.Recording)
     assert (measured.mode, measured.folder) == ("run", Path("runs/pair"))
     assert (tmp_path / "runs" / "pair" / "report.html").exists()
+    assert measured.metrics["verdict"]["passed"], measured.metrics["verdict"]
     virtual = handfast.simulate("pair", duration=5)
     assert np.abs(measured.hands[1][:200] - virtual.hands[1][:200]).max() < 0.05
     assert handfast.load_recording("runs/pair").metrics == measured.metrics

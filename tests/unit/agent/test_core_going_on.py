@@ -154,7 +154,7 @@ def test_orders_are_acknowledged_when_they_are_kept(bench: Bench):
     assert bench.state is State.STOPPED  # obeyed at once
     assert (bench.last.mission_version, bench.last.order_version) == (0, 0)
     bench.agent.kept(bench.agent.lasting, "")
-    bench.run(12)
+    bench.tick()  # and said at once: operators wait for it
     assert (bench.last.mission_version, bench.last.order_version) == (VERSION, 6)
 
 

@@ -15,17 +15,13 @@ def made() -> tuple[LastingOrders, StopLatch]:
     return LastingOrders(latch), latch
 
 
-def acknowledged(lasting: LastingOrders) -> tuple[int, int]:
-    return lasting.mission_version, lasting.order_version
-
-
 def test_without_a_disk_all_is_acknowledged_as_soon_as_it_is_known() -> None:
     lasting, latch = made()
     lasting.look(None)
-    assert (lasting.current, acknowledged(lasting)) == ((), (0, 0))
+    assert (lasting.current, lasting.acknowledged) == ((), (0, 0))
     latch.accept_stop(Stop(3, 0, "lunch"))
     lasting.look(MISSION)
-    assert acknowledged(lasting) == (7, 3)
+    assert lasting.acknowledged == (7, 3)
     assert [decode(order) for order in lasting.current] == [Stop(3, 0, "lunch"), MISSION]
 
 
@@ -35,13 +31,13 @@ def test_with_a_disk_it_is_acknowledged_when_it_is_kept() -> None:
     latch.accept_stop(Stop(3, 0, ""))
     lasting.look(MISSION)
     first = lasting.current
-    assert acknowledged(lasting) == (0, 0)
+    assert lasting.acknowledged == (0, 0)
     latch.accept_resume(Resume(4, 0, ()))
     lasting.look(MISSION)
     lasting.kept(first, "")  # the disk was slow: what was to be kept is another by now
-    assert acknowledged(lasting) == (0, 0)
+    assert lasting.acknowledged == (0, 0)
     lasting.kept(lasting.current, "")
-    assert acknowledged(lasting) == (7, 4)
+    assert lasting.acknowledged == (7, 4)
 
 
 def test_what_cannot_be_kept_is_acknowledged_and_said() -> None:
@@ -50,7 +46,7 @@ def test_what_cannot_be_kept_is_acknowledged_and_said() -> None:
     latch.accept_stop(Stop(3, 0, ""))
     lasting.look(None)
     lasting.kept(lasting.current, "not on its disk: no space left on device")
-    assert acknowledged(lasting) == (0, 3)
+    assert lasting.acknowledged == (0, 3)
     assert lasting.trouble == "not on its disk: no space left on device"
 
 

@@ -108,7 +108,7 @@ def looked(keys: HostKeys, robots: Path, host: HostSection) -> None:
         def __init__(self) -> None:
             self.host = host
 
-        def ask(self, what: str, *, folder: str, pattern: str) -> dict[str, tuple[int, float]]:
+        def ask(self, what: str, *, folder: str, pattern: str, most: int) -> dict[str, tuple[int, float]]:
             assert (what, folder) == ("listing", "fleets/delta/keys")
             return {path.name: (1, 1.0) for path in robots.glob(pattern)}
 
