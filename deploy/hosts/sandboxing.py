@@ -69,7 +69,9 @@ def namespaces(needs: Needs) -> Iterator[str]:
         yield "ProtectKernelTunables=yes"
     if not (needs.devices or needs.others_hardware):
         yield "PrivateDevices=yes"
-    writes = [folder.replace("~/", "%h/", 1) if folder[0] == "~" else _path(folder) for folder in needs.writes]
+    writes = [
+        folder.replace("~/", "%h/", 1) if folder[0] == "~" else _path(folder) for folder in needs.writes
+    ]
     if needs.devices:
         writes.append("/tmp")
     else:

@@ -13,10 +13,12 @@ import socket
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 
 HOME = pathlib.Path.home()
 RUNTIME = pathlib.Path(os.environ["XDG_RUNTIME_DIR"])
 KEYS = ".local/share/handfast/fleets/pair/keys"
+NEW_USER, SIZE_OF_LOG = 0x10000000, 10
 libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -26,7 +28,7 @@ def write_in(folder: pathlib.Path) -> None:
     place.unlink()
 
 
-def call(name: str, *arguments: int) -> None:
+def call(name: str, *arguments: int | None) -> None:
     if getattr(libc, name)(*arguments) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
@@ -66,18 +68,16 @@ TRIES: dict[str, Callable[[], object]] = {
     "write a control group": lambda: open("/sys/fs/cgroup/cgroup.procs", "ab"),
     "see others": lambda: os.listdir(f"/proc/{os.getppid()}/fd"),
     "packets": lambda: socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM),
-    "can bus": lambda: socket.socket(socket.AF_CAN, socket.SOCK_RAW, 1),
-    "namespace": lambda: call("unshare", 0x10000000),
-    "trace": lambda: call("ptrace", 0, 0, 0, 0),
+    "kernel's log": lambda: call("klogctl", SIZE_OF_LOG, None, 0),
     "executable memory": lambda: mmap.mmap(-1, 4096, prot=7),
     "set-user-ID": set_user_bit,
     "realtime": lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1)),
-    "terminal": lambda: os.close(os.open("/dev/ptmx", os.O_RDWR | os.O_NOCTTY)),
-    "serial port": lambda: os.close(os.open("/run/serial", os.O_RDWR | os.O_NOCTTY)),
+    "devices": lambda: os.stat("/dev/tty0"),
     "thread": thread,
     "name": lambda: socket.getaddrinfo("host1", 7600),
     "tcp": lambda: socket.create_server(("0.0.0.0", 0)).close(),
-    **{f"write {folder}": lambda folder=folder: write_in(pathlib.Path(folder)) for folder in sys.argv[1:]},
+    **{f"write {folder}": partial(write_in, pathlib.Path(folder)) for folder in sys.argv[1:]},
+    "namespace": lambda: call("unshare", NEW_USER),  # the last one, as nothing is this user's in it
 }
 found = {}
 for name, attempt in TRIES.items():

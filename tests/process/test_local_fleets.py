@@ -97,7 +97,9 @@ def test_two_of_one_name_from_a_third_terminal(terminals: Terminals) -> None:
     with terminals.command("logs", first, "--follow", "--robot", "2") as follower:
         wait_for(lambda: "robot 2 agent: running" in follower.out, "the log so far", report=follower.told)
         told = terminals.told("stop", first)
-        assert re.fullmatch(r"(robot \d: stop\w+ after \d+ ms, its plant brakes after \d+ ms \([^)]*\)\n){2}", told)
+        assert re.fullmatch(
+            r"(robot \d: stop\w+ after \d+ ms, its plant brakes after \d+ ms \([^)]*\)\n){2}", told
+        )
         stamped = r"(?m)^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} robot 2 agent: stop(ping|ped): stop$"
         wait_for(lambda: re.search(stamped, follower.out), "what is said from now on", report=follower.told)
         assert not re.search(r"(?m)^(\S+ \S+ )?robot 1 ", follower.out)
