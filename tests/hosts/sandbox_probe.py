@@ -65,7 +65,7 @@ TRIES: dict[str, Callable[[], object]] = {
     "write shared memory": lambda: write_in(pathlib.Path("/dev/shm")),
     "systemd": lambda: connect(RUNTIME / "systemd/private"),
     "bus": lambda: connect(RUNTIME / "bus"),
-    "write a control group": lambda: open("/sys/fs/cgroup/cgroup.procs", "ab"),
+    "write a control group": lambda: os.close(os.open("/sys/fs/cgroup/cgroup.procs", os.O_WRONLY)),
     "see others": lambda: os.listdir(f"/proc/{os.getppid()}/fd"),
     "packets": lambda: socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM),
     "kernel's log": lambda: call("klogctl", SIZE_OF_LOG, None, 0),
