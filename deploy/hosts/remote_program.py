@@ -26,6 +26,7 @@ import time
 import zipfile
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,6 +47,16 @@ COMPLETE: Final = ".complete"
 PLUGINS: Final = "handfast_plugins.txt"
 LOCK: Final = ".lock"
 LINGER: Final = Path("/var/lib/systemd/linger")
+TRIED: Final = re.compile(r"^# sandbox: tried [^\n]*\n.*?^# sandbox: until here$", re.MULTILINE | re.DOTALL)
+"""Settings of a unit that need not work here (`deploy.hosts.sandboxing`)."""
+WRITES: Final = re.compile(r"^ReadWritePaths=.*\n", re.MULTILINE)
+"""The one of them that is each unit's own: its folders need not be there, so it cannot fail."""
+LEFT_OUT: Final = "# sandbox: left out, as users' units can have no namespaces on this computer"
+TRIAL: Final = (
+    "import os, socket, sys; sys.exit('not closed') if os.access(os.path.expanduser('~'), os.W_OK) else "
+    "socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b'READY=1', os.environ['NOTIFY_SOCKET'])"
+)
+"""Neither quotation marks nor signs that systemd would expand."""
 
 Answer = tuple[Any, bytes]
 
@@ -372,9 +383,10 @@ def compare(fleet: str, wanted: dict[str, str]) -> dict[str, list[str]]:
     """How the fleet's units differ from those that are wanted (name -> text); changes nothing.
 
     Returns names: `stale`, which do not run, or run something else than they should; `unwritten`, whose
-    files are not as they should be; `unwanted`, which should not be here.
+    files are not as they should be; `unwanted`, which should not be here; `open`, of which settings are left
+    out that this computer does not have.
     """
-    there = units_of(fleet)
+    there, asked, wanted = units_of(fleet), wanted, fitted(wanted)
     return {
         "stale": [name for name, text in wanted.items() if not runs_as_wanted(text, there.get(name, {}))],
         "unwritten": [
@@ -383,7 +395,42 @@ def compare(fleet: str, wanted: dict[str, str]) -> dict[str, list[str]]:
             if file_text(name) != text or there.get(name, {}).get("NeedDaemonReload") == "yes"
         ],
         "unwanted": [name for name in there if name not in wanted],
+        "open": [name for name, text in wanted.items() if text != asked[name]],
     }
+
+
+def fitted(wanted: dict[str, str]) -> dict[str, str]:
+    """Units' texts (name -> text) without the settings that do not work on this computer."""
+    found = {}
+    for name, text in wanted.items():
+        tried = TRIED.search(text)
+        works = tried is None or sandbox_works(WRITES.sub("", tried[0]))
+        found[name] = text if works else TRIED.sub(LEFT_OUT, text)
+    return found
+
+
+@cache
+def sandbox_works(settings: str) -> bool:
+    """Whether a unit with these settings starts here, speaks to systemd, and is kept from writing.
+
+    Where a kernel or distribution gives users no namespaces, systemd fails to start some units, and leaves
+    out in others, without a word, what it was asked for.
+    """
+    name = f"handfast-trial-{os.getpid()}.service"
+    folder = Path(environment()["XDG_RUNTIME_DIR"]) / "systemd" / "user"
+    python = sys.executable.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    text = ["[Service]", "Type=notify", "TimeoutStartSec=10", "LimitCORE=0"]
+    text += [f'ExecStart="{python}" -I -c "{TRIAL}"', settings]
+    folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+    write(folder / name, "\n".join(text).encode())
+    try:
+        systemctl("daemon-reload")
+        return systemctl("start", name, check=False).returncode == 0
+    finally:
+        systemctl("stop", name, check=False)
+        systemctl("reset-failed", name, check=False)
+        (folder / name).unlink()
+        systemctl("daemon-reload", check=False)
 
 
 def file_text(name: str) -> str | None:
@@ -436,7 +483,9 @@ def units(wanted: dict[str, str]) -> None:
     """Writes unit files (name -> text); what runs goes on as it is."""
     folder = units_folder()
     folder.mkdir(mode=0o755, parents=True, exist_ok=True)
-    for name, text in wanted.items():
+    for name, text in fitted(wanted).items():
+        for path in listed("writes", text):  # the process itself may write nowhere else
+            Path(path).expanduser().mkdir(mode=0o700, parents=True, exist_ok=True)
         if file_text(name) != text:
             write(folder / name, text.encode())
     systemctl("daemon-reload")

@@ -113,6 +113,11 @@ def prepare(
     }
     if not fine.keys().isdisjoint(found["unwritten"]):
         connection.ask("units", wanted=fine)
+    if found["open"]:
+        warnings.append(
+            "its units' processes see and write whatever its user can, as users have no namespaces there (on "
+            "Ubuntu: sysctl kernel.apparmor_restrict_unprivileged_userns); all else that closes them is on"
+        )
     if not about["journal"]:
         warnings.append(
             f"{about['user']} may not read its journal, `handfast logs` shows nothing of it: "

@@ -1,8 +1,8 @@
 """The systemd user units of a robot, one for each of its processes, and where its files are (PURE).
 
 A unit owns its process: it starts it again when it dies, and when its loop does not say for a while that
-it lives (`agent.runtime.systemd_notify`); it bounds what it may take. Neither ssh nor the operator's machine
-is needed for that.
+it lives (`agent.runtime.systemd_notify`); it bounds what it may take, and keeps it from what it does not need
+(`deploy.hosts.sandboxing`). Neither ssh nor the operator's machine is needed for that.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from agent.common.exit import BAD_INPUT
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
 from agent.security.identity import of_robot
+from deploy.hosts import sandboxing
+from deploy.hosts.sandboxing import Needs
 from deploy.processes.child import ONE_THREAD
 
 RECORDER: Final = "recorder"
@@ -121,16 +123,36 @@ def unit(fleet: Fleet, robot: int, role: str, places: Places) -> str:
     reads = []
     if places.keys is not None and role != ADMISSION:  # with another authority it gets another one as well
         reads.append(f"{places.keys}/{of_robot(fleet.fleet.name, robot).common_name}.crt")
-    return "\n".join(_lines(fleet, robot, role, arguments(fleet, robot, role, places), reads))
+    words, needs = arguments(fleet, robot, role, places), _needs(fleet, robot, role, places)
+    return "\n".join(_lines(fleet, robot, role, words, reads, needs))
 
 
-def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Sequence[str]) -> Iterator[str]:
+def _needs(fleet: Fleet, robot: int, role: str, places: Places) -> Needs:
+    kind = fleet.robot(robot).kind
+    if role == RECORDER:
+        return Needs([f"{places.recordings}/robot-{robot}"])
+    if role == ADMISSION:
+        return Needs([places.state], [] if places.keys is None else [places.keys])
+    if role == "agent":
+        return Needs([places.orders], others_code=fleet.control.law is not None)
+    return Needs(
+        [places.orders, f"~/{sandboxing.BRIDGE_STATE}" if kind.vehicle else places.state],
+        devices=kind.vehicle,
+        others_code=kind.is_plugin,
+        others_hardware=kind.is_plugin,
+    )
+
+
+def _lines(
+    fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Sequence[str], needs: Needs
+) -> Iterator[str]:
     name = fleet.fleet.name
     # Read again by deploy.hosts.remote_program: tells whether what runs is what is meant, and has read what
-    # is there.
+    # is there; which folders there must be.
     yield "# Written by `handfast up`: changed there, or removed by `handfast down`."
     yield f"# runs: {json.dumps(words)}"
     yield f"# reads: {json.dumps(reads)}"
+    yield f"# writes: {json.dumps(list(needs.writes))}"
     yield "[Unit]"
     yield f"Description=handfast {name}: robot {robot}'s {role}"
     yield "StartLimitIntervalSec=0"  # a robot has to come back, however often it fell
@@ -155,8 +177,9 @@ def _lines(fleet: Fleet, robot: int, role: str, words: Sequence[str], reads: Seq
     yield "LimitCORE=0"
     yield "OOMPolicy=stop"
     yield "UMask=0077"
-    yield "NoNewPrivileges=yes"
     yield f"SyslogIdentifier={identifier(name, robot, role)}"
+    yield from sandboxing.filters(needs)
+    yield from sandboxing.namespaces(needs)
     yield ""
 
 

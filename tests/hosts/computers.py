@@ -14,6 +14,9 @@ SUBNET: Final = "10.213.0"
 """Every set has the same: no two can see each other, nor this machine's networks."""
 OPERATOR_ADDRESS: Final = f"{SUBNET}.1"
 NOBODYS_ADDRESS: Final = f"{SUBNET}.250"
+USER: Final = "rover"
+"""The user of a host whose user is not root."""
+USER_ID: Final = 2001
 TIMEOUT_S: Final = 60.0
 Result = subprocess.CompletedProcess[str]
 
@@ -31,10 +34,15 @@ def host_address(number: int) -> str:
 def login_variables() -> dict[str, str]:
     """The variables that a login sets."""
     user = pwd.getpwuid(os.geteuid())
+    return login_variables_of(user.pw_name, user.pw_dir)
+
+
+def login_variables_of(name: str, home: str = "") -> dict[str, str]:
+    """Likewise, of a user of that name; its home is in /home when left out."""
     return {
-        "HOME": user.pw_dir,
-        "USER": user.pw_name,
-        "LOGNAME": user.pw_name,
+        "HOME": home or f"/home/{name}",
+        "USER": name,
+        "LOGNAME": name,
         "SHELL": "/bin/bash",
         "LANG": "C.UTF-8",
     }

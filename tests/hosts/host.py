@@ -17,17 +17,23 @@ from tests.hosts import spaces
 from tests.hosts.computers import (
     HERE,
     TIMEOUT_S,
+    USER,
+    USER_ID,
     Result,
     command_line,
     host_address,
     host_name,
     login_variables,
+    login_variables_of,
     make_key,
 )
 from tests.hosts.operator_computer import Operator
 from tests.hosts.programs import SYSTEM_PATH, feign_old_python, hide_python, python_to_lend
 from tests.hosts.spaces import HostsFailed, Space
 
+WITHOUT_NAMESPACES: Final = HERE / "without_namespaces.py"
+GROUPS: Final = ("dialout", "systemd-journal")
+"""Of the ordinary user of a host, beside his own."""
 PROGRAMS: Final = "/run/programs/bin"
 """Where a host has programs that feign something."""
 _OF_THE_HOST: Final = (
@@ -50,12 +56,17 @@ class Setup:
         linger: whether /var/lib/systemd/linger tells that the user's manager outlives his sessions.
         python: what `python3` is: 3.11 or later (``"usual"``), 3.9 by its own word (``"old"``), or not there.
         home_mb: size of the file system that holds the home, MiB; None for this machine's disk.
+        ordinary: whether the user whose home it is, and who is logged in to, is not root: then one of the
+            name `USER`, in the group of serial ports. `Host.run` is root's all the same.
+        namespaces: whether the user's units can have any of their own.
     """
 
     systemd: bool = True
     linger: bool = True
     python: Literal["usual", "old", "none"] = "usual"
     home_mb: int | None = None
+    ordinary: bool = False
+    namespaces: bool = True
 
 
 class Host:
@@ -77,7 +88,7 @@ class Host:
         self._mac = f"02:00:00:00:00:{number:02x}"  # stays the same over a reboot, as a real device's does
         self.setup: Final = setup
         self.folder: Final = operator.set_folder / self.name
-        uid = os.geteuid()
+        self.uid: Final = USER_ID if setup.ordinary else os.geteuid()
         lent = python_to_lend() if setup.python == "usual" else None
         path = {
             "usual": f"{lent}/bin{os.pathsep}{SYSTEM_PATH}" if lent else SYSTEM_PATH,
@@ -85,11 +96,11 @@ class Host:
             "none": PROGRAMS,
         }[setup.python]
         session = {
-            "XDG_RUNTIME_DIR": f"/run/user/{uid}",
-            "DBUS_SESSION_BUS_ADDRESS": f"unix:path=/run/user/{uid}/bus",
+            "XDG_RUNTIME_DIR": f"/run/user/{self.uid}",
+            "DBUS_SESSION_BUS_ADDRESS": f"unix:path=/run/user/{self.uid}/bus",
         }
         self.environment: Final = {
-            **login_variables(),
+            **(login_variables_of(USER) if setup.ordinary else login_variables()),
             "PATH": path,
             **(session if setup.systemd else {}),
             spaces.MARK: operator.set_name,
@@ -103,6 +114,8 @@ class Host:
             "GROUP": f"{operator.set_name}-{self.name}",
             "PYTHON_FOLDER": str(lent or ""),
             "SYSTEMD": "yes" if setup.systemd else "no",
+            "OWNER": str(self.uid),
+            "WITHOUT_NAMESPACES": "" if setup.namespaces else f"/run/programs/{WITHOUT_NAMESPACES.name}",
         }
         self._furnish()
 
@@ -110,6 +123,7 @@ class Host:
         """Writes what is the host's own of /etc, and the other folders that outlive a reboot."""
         for name in ("log", "systemd/linger", "programs", "python"):
             (self.folder / name).mkdir(parents=True)
+        shutil.copy(WITHOUT_NAMESPACES, self.folder / "programs")
         (self.folder / "log" / "journal").mkdir()  # so the journal outlives a reboot, as Debian's does
         if self.setup.linger:
             (self.folder / "systemd" / "linger" / self.environment["USER"]).touch()
@@ -119,6 +133,8 @@ class Host:
             feign_old_python(self.folder / "programs")
         etc = self.folder / "etc"
         subprocess.run(["cp", "-a", "/etc", etc], check=True)
+        if self.setup.ordinary:
+            _add_user(etc)
         (etc / "hostname").write_text(f"{self.name}\n")
         (etc / "machine-id").unlink(missing_ok=True)
         (etc / "machine-id").write_text(f"{os.urandom(16).hex()}\n")
@@ -215,7 +231,7 @@ class Host:
     ) -> Result:
         """Runs a command in its home, with the environment of an ssh session, but not through the network."""
         text = command if isinstance(command, str) else shlex.join(command)
-        group = f"/sys/fs/cgroup/user.slice/user-{os.geteuid()}.slice/session-1.scope/cgroup.procs"
+        group = f"/sys/fs/cgroup/user.slice/user-{self.uid}.slice/session-1.scope/cgroup.procs"
         return subprocess.run(
             [
                 *self.space.command("mount", "net", "uts", "ipc", "pid", "cgroup"),
@@ -286,3 +302,16 @@ class Host:
     def free_disk(self) -> None:
         """Takes that away again."""
         self.run("rm -f .filling", check=True)
+
+
+def _add_user(etc: Path) -> None:
+    """Gives a host's /etc the ordinary user, who may open serial ports and read the journal."""
+    with (etc / "passwd").open("a") as users:
+        users.write(f"{USER}:x:{USER_ID}:{USER_ID}::/home/{USER}:/bin/bash\n")
+    groups = [line.split(":") for line in (etc / "group").read_text().splitlines()]
+    groups = [
+        [name, x, number, ",".join(filter(None, [members, USER if name in GROUPS else ""]))]
+        for name, x, number, members in groups
+    ]
+    lines = [":".join(group) for group in [*groups, [USER, "x", str(USER_ID), ""]]]
+    (etc / "group").write_text("\n".join(lines) + "\n")

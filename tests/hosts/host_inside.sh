@@ -17,15 +17,15 @@ if [ -z "${GROUPED:-}" ]; then
   trap - ERR
   GROUPED=1 exec unshare --cgroup bash -c 'eval "$SCRIPT"' "$GROUP"
 fi
-export -n HOST_PATH NAME FOLDER GROUP PYTHON_FOLDER SYSTEMD LIFELINE STATUS SCRIPT GROUPED # no business of the host's
+export -n HOST_PATH NAME FOLDER GROUP PYTHON_FOLDER SYSTEMD OWNER WITHOUT_NAMESPACES LIFELINE STATUS SCRIPT GROUPED # no business of the host's
 umount /sys/fs/cgroup
 mount -t cgroup2 none /sys/fs/cgroup
-manager=/sys/fs/cgroup/user.slice/user-$UID.slice/user@$UID.service
+manager=/sys/fs/cgroup/user.slice/user-$OWNER.slice/user@$OWNER.service
 mkdir -p /sys/fs/cgroup/init.scope "$manager" \
-  /sys/fs/cgroup/system.slice/{ssh,systemd-journald}.service /sys/fs/cgroup/user.slice/user-$UID.slice/session-1.scope
+  /sys/fs/cgroup/system.slice/{ssh,systemd-journald}.service /sys/fs/cgroup/user.slice/user-$OWNER.slice/session-1.scope
 echo 0 >/sys/fs/cgroup/init.scope/cgroup.procs
 group=/sys/fs/cgroup
-for below in "" user.slice "user-$UID.slice"; do # what the kernel lets this host control, a user may limit
+for below in "" user.slice "user-$OWNER.slice"; do # what the kernel lets this host control, a user may limit
   group=$group${below:+/$below}
   for controller in $(cat "$group/cgroup.controllers"); do
     echo "+$controller" >"$group/cgroup.subtree_control" || true
@@ -37,7 +37,10 @@ mount --rbind "$FOLDER" /mnt # FOLDER and PYTHON_FOLDER may lie where something 
 mount --rbind /mnt/etc /etc
 mount --rbind /mnt/log /var/log
 mount --rbind /mnt/systemd /var/lib/systemd
+[ -d "$HOME" ] || mount -t tmpfs -o mode=755 none "${HOME%/*}"
+mkdir -p "$HOME"
 mount --rbind /mnt/home "$HOME"
+chown "$OWNER:$OWNER" "$HOME"
 mount -t tmpfs -o mode=1777 none /tmp
 mount -t tmpfs -o mode=1777 none /dev/shm
 mount -t tmpfs -o mode=755 none /run
@@ -64,10 +67,17 @@ in_group() { # group command...: becomes the command, in a control group
 if [ "$SYSTEMD" = yes ]; then
   mkdir -p /run/systemd/system /run/systemd/journal /run/log/journal /run/user
   mkdir -m 700 "$XDG_RUNTIME_DIR"
+  mkdir -p -m 755 /run/systemd/inaccessible # as the systemd of the machine makes for root's units
+  mkdir -m 0 /run/systemd/inaccessible/dir
+  (umask 777 && : >/run/systemd/inaccessible/reg)
+  chown -R "$OWNER:$OWNER" "$XDG_RUNTIME_DIR" "$manager"
   touch /run/systemd/journal/flushed # /var/log is there: the journal may be written to it at once
   in_group system.slice/systemd-journald.service /lib/systemd/systemd-journald &
   until [ -S /run/systemd/journal/stdout ] && [ -S /run/systemd/journal/socket ]; do sleep 0.01; done
-  in_group "${manager#/sys/fs/cgroup/}" /lib/systemd/systemd --user --log-target=journal &
+  become=() # root needs not
+  [ -z "$WITHOUT_NAMESPACES" ] || become=(python3 "$WITHOUT_NAMESPACES")
+  [ "$OWNER" = 0 ] || become+=(setpriv --reuid="$OWNER" --regid="$OWNER" --init-groups)
+  in_group "${manager#/sys/fs/cgroup/}" "${become[@]}" /lib/systemd/systemd --user --log-target=journal &
 fi
 (in_group system.slice/ssh.service /usr/sbin/sshd)
 if [ "$SYSTEMD" = yes ]; then

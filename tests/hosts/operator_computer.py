@@ -93,9 +93,11 @@ class Operator:
     def know(self, hosts: Sequence[Host]) -> None:
         """Writes the hosts' addresses and keys into the operator's ssh settings."""
         ssh = self.home / ".ssh"
-        user = pwd.getpwuid(os.geteuid()).pw_name
         (ssh / "config").write_text(
-            "".join(f"Host {host.name}\n  HostName {host.address}\n  User {user}\n" for host in hosts)
+            "".join(
+                f"Host {host.name}\n  HostName {host.address}\n  User {host.environment['USER']}\n"
+                for host in hosts
+            )
         )
         known = "".join(f"{host.name},{host.address} {host.public_key}\n" for host in hosts)
         (ssh / "known_hosts").write_text(known)

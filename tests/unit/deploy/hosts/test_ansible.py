@@ -81,7 +81,7 @@ class UpsHost:
             self.units = asked["wanted"]
         if what == "missing":
             self.files |= set(asked["paths"])
-        compared = {"stale": [], "unwritten": [], "unwanted": []}
+        compared = {"stale": [], "unwritten": [], "unwanted": [], "open": []}
         return {"installed": True, "missing": [], "compare": compared}[what]
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.hosts import HostSection
-from deploy.hosts import remote_program
+from deploy.hosts import remote_program, sandboxing
 from deploy.hosts.connection import HostConnection, HostError
 from tests.process.harness import wait_for
 
@@ -26,6 +26,10 @@ echo "$@" >> "$HOME/told"
 case "$*" in
   *is-system-running*) echo running ;;
   *show*) cat "$HOME/shown" 2>/dev/null ;;
+  *" start handfast-trial-"*)
+    cat "$XDG_RUNTIME_DIR"/systemd/user/handfast-trial-*.service >>"$HOME/tried"
+    test ! -e "$HOME/refuses"
+    ;;
 esac
 """
 
@@ -43,6 +47,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("HOME", str(home))
     for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
     return home
 
 
@@ -125,6 +130,33 @@ def test_a_file_that_systemd_has_not_read_counts_as_unwritten(home: Path, host: 
     assert "unwritten" not in compared(host, agent="a")
     show(home, 0, NeedDaemonReload="yes")
     assert compared(host, agent="a")["unwritten"] == [AGENT]
+
+
+CLOSED = f"a\n{sandboxing.TRIED}\nPrivateUsers=yes\nReadWritePaths=-/%d\n{sandboxing.UNTIL}\nb"
+
+
+def test_settings_that_do_not_work_here_are_tried_and_left_out(home: Path, tmp_path: Path) -> None:
+    for refuses in (False, True):
+        (home / "refuses").touch() if refuses else None
+        with HostConnection(HostSection("rover1", "10.0.0.1")) as host:
+            wanted = {AGENT: CLOSED % 1, OTHER: CLOSED % 2}
+            assert host.ask("compare", fleet="two", wanted=wanted)["open"] == [AGENT, OTHER][: 2 * refuses]
+            host.ask("units", wanted=wanted)
+            assert host.ask("compare", fleet="two", wanted=wanted)["unwritten"] == []
+        left = f"a\n{remote_program.LEFT_OUT}\nb"
+        assert (units(home) / AGENT).read_text() == (left if refuses else CLOSED % 1)
+        trial = (home / "tried").read_text()
+        assert trial.count("[Service]") == trial.count("\nPrivateUsers=yes\n") == 1, "once in a connection"
+        assert "ReadWritePaths" not in trial
+        (home / "tried").unlink()
+        assert not list((tmp_path / "runtime/systemd/user").iterdir()), "nothing of it stays"
+
+
+def test_folders_that_a_process_may_write_to_are_there_before_it(home: Path, host: HostConnection) -> None:
+    folders = [str(home / "orders"), "~/state/handfast"]
+    host.ask("units", wanted={AGENT: f"# writes: {json.dumps(folders)}\n"})
+    for folder in (home / "orders", home / "state/handfast"):
+        assert folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_a_unit_runs_as_wanted_when_its_process_is_what_is_wanted(

@@ -154,7 +154,7 @@ class There:
         if self.host.name != "rover1":
             assert self.world.first.wait(PATIENCE_S)
         stale = [name for name in wanted if int(name.split("-")[3]) in self.world.stale]
-        return {"stale": stale, "unwritten": stale, "unwanted": self.world.unwanted}
+        return {"stale": stale, "unwritten": stale, "unwanted": self.world.unwanted, "open": []}
 
     def _units(self, wanted: dict[str, str]) -> None:
         self.world.log.append(("units", self.robots(list(wanted))))
