@@ -69,7 +69,10 @@ class SshWay:
                 for host in self._hosts
             ]
             for thread in self._threads:
-                thread.start()
+                try:
+                    thread.start()
+                except RuntimeError as error:  # there are as many as this computer allows
+                    self.troubles.append(f"not over ssh to {thread.name}: {error}")
 
     def collect(self, stopping: Stopping) -> None:
         """See `deploy.session.stop.Way`."""

@@ -138,6 +138,7 @@ def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]
     while not stopping.done:
         waited_s = time.monotonic() - begun
         if waited_s >= WAIT_S or (waited_s >= ANSWER_S and not any(way.busy for way in ways)):
+            look()  # a way may have told its last between the look before and its end
             return
         if session is not None:
             session.wait(look, SEND_PERIOD_S)

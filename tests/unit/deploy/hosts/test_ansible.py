@@ -440,7 +440,16 @@ def test_hosts_are_brought_up_in_batches(tmp_path: Path):
 
 
 @ansible
-def test_a_batch_is_signed_for_together_and_each_refusal_is_a_hosts_own(folder: Path):
+@pytest.mark.parametrize(
+    ("of_2", "asked", "why"),
+    [
+        ({"authority": "x"}, ["1", "2", "3", "4", "5", "6"], "another authority"),
+        ({"request": "PEM" * 10_000}, ["1", "3", "5"], "requests for certificates are too long"),
+    ],
+)
+def test_a_batch_is_signed_for_together_and_each_refusal_is_a_hosts_own(
+    folder: Path, of_2: dict[str, str], asked: list[str], why: str
+):
     """One command of the authority's for all hosts; what one robot lacks is no other's."""
     import yaml
 
@@ -459,7 +468,7 @@ def test_a_batch_is_signed_for_together_and_each_refusal_is_a_hosts_own(folder: 
     first = next(k for k, task in enumerate(tasks) if task["name"].startswith("Refuse requests"))
     last = next(k for k, task in enumerate(tasks) if task["name"] == "Store")
     (folder / "tasks/signed.yml").write_text(yaml.safe_dump(tasks[first:last]))
-    value = "{'wanting': 'none', 'request': 'PEM', 'authority': 'x' if item == '2' else ''}"
+    value = "{'wanting': 'none', 'request': 'PEM', 'authority': ''} | combine(of_2 if item == '2' else {})"
     wanting = {"ansible.builtin.set_fact": {"handfast_wanting": (
         "{{ (handfast_wanting | default([])) + [{'key': item, 'value': " + value + "}] }}"
     )}, "loop": "{{ handfast_robots }}"}  # fmt: skip
@@ -475,6 +484,7 @@ def test_a_batch_is_signed_for_together_and_each_refusal_is_a_hosts_own(folder: 
         "ansible_connection": "local",
         "ansible_python_interpreter": sys.executable,
         "handfast_command": [sys.executable, str(authority)],
+        "of_2": of_2,
     }
     done = subprocess.run(
         [sys.executable, "-m", "ansible", "playbook", "try.json", "-e", json.dumps(given)],
@@ -484,8 +494,8 @@ def test_a_batch_is_signed_for_together_and_each_refusal_is_a_hosts_own(folder: 
         text=True,
         timeout=60,
     )
-    (asked,) = map(json.loads, (folder / "asked").read_text().splitlines())
-    assert sorted(asked) == ["1", "2", "3", "4", "5", "6"]
-    assert (done.returncode, "another authority" in done.stdout) == (2, True), done.stdout
+    (sent,) = map(json.loads, (folder / "asked").read_text().splitlines())
+    assert sorted(sent) == asked
+    assert (done.returncode, why in " ".join(done.stdout.split())) == (2, True), done.stdout
     assert (folder / "signed-rover1").read_text() == "PEM 1,PEM 3,PEM 5"
     assert not (folder / "signed-rover2").exists()

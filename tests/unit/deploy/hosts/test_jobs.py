@@ -49,7 +49,7 @@ def test_hosts_that_do_not_answer_hold_up_no_others(monkeypatch: pytest.MonkeyPa
 
         def __enter__(self) -> Connection:
             if self.host.name.startswith("off"):
-                dead.wait(60.0)
+                dead.wait(300.0)
             return self
 
         def __exit__(self, *_: object) -> None: ...

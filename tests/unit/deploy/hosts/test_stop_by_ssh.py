@@ -45,8 +45,9 @@ def say(home: Path, fleet: Fleet, **states: str) -> None:  # noqa: F811
 
 
 def looked(way: SshWay, stopping: Stopping) -> bool:
+    busy = way.busy  # before: what it says last is told, too
     way.collect(stopping)
-    return stopping.done or not way.busy
+    return stopping.done or not busy
 
 
 def test_it_is_laid_there_and_who_takes_it_is_told(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
@@ -154,3 +155,14 @@ def test_another_stop_is_not_waited_for(fleet: Fleet, monkeypatch: pytest.Monkey
     follows.join(20.0)
     assert not follows.is_alive()
     assert [decode(order) for order in laid] == [first, second]
+
+
+def test_a_host_for_which_there_is_no_thread_is_said(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", full)
+    way = SshWay(fleet, fleet.hosts)
+    way.send(Stop(5, 5, "lunch"))
+    assert way.troubles == ["not over ssh to h: can't start new thread"]
+    assert not way.busy

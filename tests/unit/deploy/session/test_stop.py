@@ -66,6 +66,25 @@ def test_one_way_is_enough() -> None:
     assert way.closed
 
 
+def test_what_a_way_tells_as_it_ends_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Late(Through):
+        """Hears from robots after it was asked what it has, and ends before it is asked again."""
+
+        ends = False
+
+        def collect(self, stopping: Stopping) -> None:
+            if self.ends:
+                super().collect(stopping)
+
+        @property
+        def busy(self) -> bool:  # type: ignore[override]
+            self.ends = True
+            return False
+
+    monkeypatch.setattr(stop_module, "ANSWER_S", 0.0)
+    assert stop(FLEET, "", [Late()])[0].done
+
+
 def test_who_is_not_reached_is_named() -> None:
     stopping, _ = stop(FLEET, "", [Through(frozenset({3}))])
     assert not stopping.done
