@@ -63,7 +63,6 @@ def namespaces(needs: Needs) -> Iterator[str]:
     yield "CapabilityBoundingSet="
     yield "ProtectSystem=strict"
     yield "ProtectHome=read-only"
-    yield "ProtectProc=invisible"
     yield "ProtectControlGroups=yes"
     if not needs.others_hardware:
         yield "ProtectKernelTunables=yes"

@@ -67,7 +67,8 @@ in_group() { # group command...: becomes the command, in a control group
 if [ "$SYSTEMD" = yes ]; then
   mkdir -p /run/systemd/system /run/systemd/journal /run/log/journal /run/user
   mkdir -m 700 "$XDG_RUNTIME_DIR"
-  mkdir -p -m 755 /run/systemd/inaccessible # as the systemd of the machine makes for root's units
+  mkdir -p -m 755 /run/systemd/inaccessible # these as the systemd of the machine makes them
+  mkdir -m 700 /run/systemd/unit-root
   mkdir -m 0 /run/systemd/inaccessible/dir
   (umask 777 && : >/run/systemd/inaccessible/reg)
   chown -R "$OWNER:$OWNER" "$XDG_RUNTIME_DIR" "$manager"

@@ -66,7 +66,7 @@ TRIES: dict[str, Callable[[], object]] = {
     "systemd": lambda: connect(RUNTIME / "systemd/private"),
     "bus": lambda: connect(RUNTIME / "bus"),
     "write a control group": lambda: os.close(os.open("/sys/fs/cgroup/cgroup.procs", os.O_WRONLY)),
-    "see others": lambda: os.listdir(f"/proc/{os.getppid()}/fd"),
+    "look into others": lambda: pathlib.Path(f"/proc/{os.getppid()}/environ").read_bytes(),
     "packets": lambda: socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM),
     "kernel's log": lambda: call("klogctl", SIZE_OF_LOG, None, 0),
     "executable memory": lambda: mmap.mmap(-1, 4096, prot=7),
