@@ -7,11 +7,8 @@ hosts are namespaces of this machine; needs root and what test hosts need.
 
 from __future__ import annotations
 
-import json
 import re
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,8 +17,9 @@ from pathlib import Path
 from typing import Final
 
 from tests.benchmarks.figures import Figure, Options, Result, spread
-from tests.benchmarks.processes import BenchmarkError, NotHereError, environment
+from tests.benchmarks.processes import BenchmarkError, NotHereError
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
+from tests.hosts.flood_on_hosts import flood
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts, missing
 
@@ -32,7 +30,6 @@ FLOOD_PER_S: Final = 240
 """Twenty a second at each of twelve ports: the least that keeps every new link out is twelve."""
 FLOOD_S: Final = 3.0
 """The flood goes on for so long before the stop."""
-BASE_PORT: Final = 7600
 CALM: Final = {"rate_hz": 25.0}
 PATIENT: Final = {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5}
 ARMS: Final = ("nobody else", "a live operator")
@@ -65,7 +62,7 @@ def run(options: Options) -> Result:
 
 def _round(fleet: FleetOnHosts, stranger: Host, *, live: bool) -> tuple[list[float], str]:
     """When each body braked after the command began (s), and what the command said."""
-    with _driving(fleet, live=live), _flood(stranger, fleet):
+    with _driving(fleet, live=live), flood(stranger, fleet, FLOOD_PER_S, FLOOD_S):
         begun_s = time.time()
         told = fleet.handfast("stop", "--reason", f"round {begun_s:.3f}", status=None)
         reason = f"braking: stop: round {begun_s:.3f}"
@@ -108,29 +105,3 @@ def _driving(fleet: FleetOnHosts, *, live: bool) -> Iterator[None]:
     finally:
         watcher.send_signal(signal.SIGINT)
         watcher.communicate()
-
-
-@contextmanager
-def _flood(stranger: Host, fleet: FleetOnHosts) -> Iterator[None]:
-    targets = [
-        [fleet.host_of(robot).address, BASE_PORT + 2 * (robot - 1) + which]
-        for robot in range(1, 7)
-        for which in (0, 1)
-    ]
-    options = {"targets": targets, "rate": FLOOD_PER_S, "sources": 0, "kind": "broken"}
-    words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
-    with subprocess.Popen(
-        [*stranger.space.command("net"), *words],
-        env=environment(),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        try:
-            process.stdout.readline()
-            time.sleep(FLOOD_S)
-            yield
-        finally:
-            process.stdin.close()
-            process.wait()

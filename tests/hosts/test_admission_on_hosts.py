@@ -6,22 +6,19 @@ one before.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
+from tests.hosts.flood_on_hosts import flood
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
-from tests.process.harness import environment, wait_for
+from tests.process.harness import wait_for
 
 pytestmark = pytest.mark.timeout(400)
 CALM = {"rate_hz": 25.0}
@@ -64,30 +61,6 @@ def fleet(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -
     return found
 
 
-@contextmanager
-def flood(stranger: Host, fleet: FleetOnHosts) -> Iterator[None]:
-    """Handshakes that fail, at the port of every agent and plant."""
-    targets = [
-        [fleet.host_of(robot).address, BASE_PORT + 2 * (robot - 1) + which]
-        for robot in ROBOTS
-        for which in (0, 1)
-    ]
-    options = {"targets": targets, "rate": FLOOD_PER_S, "sources": 0, "kind": "broken"}
-    words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
-    with subprocess.Popen(
-        [*stranger.space.command("net"), *words],  # with this machine's files
-        env=environment(),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        try:
-            assert process.stdout.readline() == b"ready\n"
-            yield
-        finally:
-            process.kill()
-
-
 def test_each_robot_has_a_proxy(fleet: FleetOnHosts) -> None:
     rows = fleet.status()
     assert {role for _, role in rows} == {"agent", "plant", "recorder", "admission"}
@@ -96,7 +69,7 @@ def test_each_robot_has_a_proxy(fleet: FleetOnHosts) -> None:
 
 
 def test_a_robot_starts_again_and_is_stopped_in_a_flood(fleet: FleetOnHosts, stranger: Host) -> None:
-    with flood(stranger, fleet):
+    with flood(stranger, fleet, FLOOD_PER_S):
         told = f"admission: refused: connections of {stranger.address}: "
         wait_for(lambda: told in fleet.handfast("logs").stdout, "the flood has begun")
         before = fleet.process(6, "agent")  # which dials all others

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, delta, fetch_wheels
+from tests.hosts.flood_on_hosts import flood
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
-from tests.process.harness import environment, measured, wait_for
+from tests.process.harness import measured, wait_for
 
 pytestmark = pytest.mark.timeout(400)
 CALM = {"rate_hz": 25.0}
@@ -73,37 +70,9 @@ def drive(fleet: FleetOnHosts, duration: str = "300") -> None:
     wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive", 20.0)
 
 
-@contextmanager
-def flood(stranger: Host, fleet: FleetOnHosts, per_s: int = FLOOD_PER_S) -> Iterator[None]:
-    """Handshakes that fail, at the port of every agent and plant."""
-    targets = [
-        [fleet.host_of(robot).address, BASE_PORT + 2 * (robot - 1) + which]
-        for robot in ROBOTS
-        for which in (0, 1)
-    ]
-    options = {"targets": targets, "rate": per_s, "sources": 0, "kind": "broken"}
-    words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
-    assert stranger.space is not None
-    with subprocess.Popen(
-        [*stranger.space.command("net"), *words],
-        env=environment(),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        try:
-            assert process.stdout.readline().strip() == b"ready"
-            time.sleep(2.0)  # what the flood takes to fill what waits at the ports
-            yield
-        finally:
-            process.stdin.close()
-            process.wait()
-
-
 def test_a_stop_gets_through_a_flood_that_lets_no_link_open(fleet: FleetOnHosts, stranger: Host) -> None:
     drive(fleet)
-    with flood(stranger, fleet):
+    with flood(stranger, fleet, FLOOD_PER_S):
         begun = time.monotonic()
         told = fleet.handfast("stop", "--reason", "a person on the field")
         measured("stop under a flood, to the end of the command, s", time.monotonic() - begun)

@@ -1,0 +1,43 @@
+"""A flood of the ports of a fleet on hosts, from a computer of its network that is none of the fleet's."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from agent.fleet.loading import load_fleet
+from tests.hosts.fleet_on_hosts import FleetOnHosts
+from tests.hosts.host import Host
+from tests.process.harness import environment
+
+SETTLED_S: Final = 2.0
+"""What the flood takes to fill what waits at the ports."""
+
+
+@contextmanager
+def flood(stranger: Host, fleet: FleetOnHosts, per_s: int, settled_s: float = SETTLED_S) -> Iterator[None]:
+    """Handshakes that fail, so many a second, at the ports of all agents and plants together."""
+    known = load_fleet(fleet.file)
+    endpoints = [ends(robot) for robot in known.ids for ends in (known.agent_endpoint, known.plant_endpoint)]
+    places = [endpoint.partition("/")[2].rpartition(":") for endpoint in endpoints]
+    targets = [[host, int(port)] for host, _, port in places]
+    options = {"targets": targets, "rate": per_s, "sources": 0, "kind": "broken"}
+    words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
+    with subprocess.Popen(
+        [*stranger.space.command("net"), *words],  # with this machine's files
+        env=environment(),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == b"ready\n"
+            time.sleep(settled_s)
+            yield
+        finally:
+            process.kill()
