@@ -36,6 +36,7 @@ from agent.messages.types import (
     clipped,
 )
 from agent.messages.validation import Malformed
+from agent.messages.versions import can_be
 from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
@@ -183,6 +184,8 @@ class Agent:
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         situation, before = self._situation, self._situation.mission
+        if not can_be(mission.version, now_ns):
+            return "future"
         if self._missions.is_ours(mission):
             self._relay.heard(now_ns, mission)
         try:

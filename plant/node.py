@@ -33,6 +33,7 @@ from agent.messages.types import (
     Wrench,
     clipped,
 )
+from agent.messages.versions import can_be
 from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.state_machine import at_rest
 from agent.supervision.stop_latch import StopLatch
@@ -186,9 +187,13 @@ class PlantNode:
         self._wrench = None  # another agent's, by another clock: no measure of what is new
 
     def _accept_stop(self, stop: Stop, now_ns: int) -> str | None:
+        if not can_be(stop.version, now_ns):
+            return self._latch.accept_ahead(stop, now_ns)
         return self._latch.accept_stop(stop)
 
     def _accept_resume(self, resume: Resume, now_ns: int) -> str | None:
+        if not can_be(resume.version, now_ns):
+            return self._latch.accept_ahead(resume, now_ns)
         return self._latch.accept_resume(resume)
 
     def _accept(self, wrench: Wrench, now_ns: int) -> str | None:
@@ -205,6 +210,8 @@ class PlantNode:
 
     def _accept_mission(self, mission: Mission, now_ns: int) -> str | None:
         """Takes a mission; returns why it is refused, None when it is not."""
+        if not can_be(mission.version, now_ns):
+            return "future"
         try:
             plan = self._missions.take(mission)
         except MissionRefused as error:

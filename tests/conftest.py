@@ -182,3 +182,10 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError:
         return b""
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What commands remember for the next ones is each test's own; the folder is made when it is needed."""
+    folder = tmp_path_factory.getbasetemp() / f"state-{secrets.token_hex(6)}"
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder))

@@ -14,6 +14,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode, mark_of
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import Ask, Beacon, Mission, Outgoing, PlantState, Resume, Stop
+from agent.messages.versions import can_be
 from agent.supervision.gossip import AGAIN_NS, Gossip
 from agent.supervision.stop_latch import StopLatch
 
@@ -47,6 +48,8 @@ class OrderRelay:
         """Hands a stop or a resume to the latch; returns why it is refused, None when it is not."""
         latch = self._latch
         before = latch.mark
+        if not can_be(order.version, now_ns):
+            return latch.accept_ahead(order, now_ns)
         reason = latch.accept_stop(order) if isinstance(order, Stop) else latch.accept_resume(order)
         if latch.mark != before:
             self._orders.insist()

@@ -57,6 +57,16 @@ class StopLatch:
             return None
         return None if known is not None and resume.version == known.version else "out_of_order"
 
+    def accept_ahead(self, order: Stop | Resume, now_ns: int) -> str:
+        """Takes an order that cannot have been given yet; returns why it is refused.
+
+        An operator's clock is wrong by more than a day. A stop is a stop: it holds as one that is given now,
+        so that a resume of right clocks ends it. It is not said again: others have their own now.
+        """
+        if isinstance(order, Stop):
+            self.accept_stop(order._replace(version=now_ns // 1_000))
+        return "future"
+
     def recall(self, order: Stop | Resume) -> None:
         """Takes an order that this robot had taken before its process started again: of what a resume did
         then, nothing is done once more."""

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
+from typing import Final
 
 from agent.common.errors import Error
+from agent.common.wording import show
 from agent.fleet.loading import add_scenario, fleet_tables, load_fleet, read_text
 from agent.fleet.model import Fleet
 from agent.fleet.sections import LAWS
@@ -15,6 +18,11 @@ from deploy.console.wording import some
 
 class InputError(Error):
     """Bad input; the text is one clear message."""
+
+
+NAME_BYTES_MAX: Final = 255
+PATH_MAX: Final = 4_000
+"""Of a path, and of each part of it, as file systems have it."""
 
 
 def fleet_path(name: str) -> Path:
@@ -35,7 +43,14 @@ def scenario_path(name: str) -> Path:
     return _path(name, SCENARIOS, "scenario")
 
 
+def refuse_long(name: str) -> None:
+    """Refuses what is too long for any name of a file; raises `InputError`."""
+    if any(len(os.fsencode(part)) > NAME_BYTES_MAX for part in Path(name).parts) or len(name) > PATH_MAX:
+        raise InputError(f"{show(name)}: too long for the name of a fleet or file")
+
+
 def _path(name: str, folder: Path, what: str) -> Path:
+    refuse_long(name)
     path = Path(name)
     known = bundled(folder)
     if path.is_dir():  # one that is named like a bundled fleet, as a run's may be, must not hide it

@@ -23,7 +23,7 @@ from deploy.inventory import ssh
 from deploy.inventory.hosts import robots_on
 from deploy.orders.stop_outcome import Stopping
 from deploy.session.sealing import sealed
-from deploy.session.stop_by_file import newest_stop
+from deploy.session.stop_by_file import kept_versions
 
 LOOK_S: Final = 0.1
 LOOK_LATER: Final = 1.5
@@ -146,10 +146,11 @@ class SshWay:
         about = answer.get(systemd_units.unit_name(self._fleet.fleet.name, robot, role))
         if not isinstance(about, Mapping):
             return False
-        state, kept, version = str(about.get("says", "")).partition(":")[0], about.get("orders"), -1
+        state, kept = str(about.get("says", "")).partition(":")[0], about.get("orders")
+        stopped = resumed = -1
         with suppress(ValueError, TypeError):
             orders = [b64decode(text) for text in kept] if isinstance(kept, list) else []
-            version = newest_stop(orders, is_secured=self._fleet.is_secured)
+            stopped, resumed = kept_versions(orders, is_secured=self._fleet.is_secured)
         with self._guard:
-            self._found.append((time.time_ns(), robot, role, state, version))
-        return version >= stop.version
+            self._found.append((time.time_ns(), robot, role, state, max(stopped, resumed)))
+        return stopped >= stop.version and stopped > resumed

@@ -22,7 +22,7 @@ from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
-from deploy.drive.preconditions import older_mission
+from deploy.drive.preconditions import clock, older_mission, why
 from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
@@ -36,6 +36,8 @@ from deploy.inventory.hosts import robots_text
 from deploy.session.sealing import sealed
 
 SAY_PERIOD_S: Final = 0.25
+REMIND_S: Final = 2.0
+"""Robots that do not know of the stop in force have so long to acknowledge it; then it counts who drives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,7 @@ class BringUp:
         """Whether robots start of a fleet that stands, and that a stop was made for that."""
         self._stop: Stop | None = None
         self._say_due = 0.0
+        self._forgetful = ""
 
     def run(self, view: HostsView, interrupt: Interrupt) -> None:
         """Brings all up; what became of each host and robot is in `rows` then.
@@ -129,7 +132,10 @@ class BringUp:
                     return
                 if self._arrivals.operator.behind:
                     self._arrivals.say_ask()
-                if self._arrivals.complete or time.monotonic() > listen_until:
+                late_s = time.monotonic() - listen_until
+                if late_s > REMIND_S or (
+                    not self._forgot_stop() and (self._arrivals.complete or late_s > 0.0)
+                ):
                     self._rolling = self._arrivals.driving
                     self._foreign = self._arrivals.drives_by_another_file
                     self._listened.set()
@@ -146,18 +152,28 @@ class BringUp:
             view.show(list(self.rows.values()))
 
     def _say_stop(self) -> None:
-        """Says to all, while robots start, that whatever was ordered before is over."""
-        if not self._starts:
-            return
-        if self._stop is None:
+        """Says the stop in force to those who do not know of it; when robots start, one that ends whatever
+        was ordered before."""
+        if self._starts and self._stop is None:
             self._stop = self._arrivals.came_up()
             self._stopped.set()
-        if (
-            self._arrivals.operator.without(self._stop, self._arrivals.statuses)
-            and time.monotonic() > self._say_due
-        ):
+        forgot = self._forgot_stop()
+        if forgot and time.monotonic() > self._say_due:
             self._say_due = time.monotonic() + SAY_PERIOD_S
-            self._arrivals.say(self._stop)
+            stop = self._arrivals.operator.stop_in_force
+            assert stop is not None
+            self._arrivals.say(stop)
+            if self._stop is None and not self._forgetful:  # not of those that start
+                self._forgetful = (
+                    f"{robots_words(forgot)} did not know of the stop that was given at "
+                    f"{clock(stop.time_ns, self._arrivals.now_ns())}{why(stop)}; told again"
+                )
+                self.warnings.append(self._forgetful)
+
+    def _forgot_stop(self) -> list[int]:
+        """Robots that are heard and have not acknowledged the stop that is in force."""
+        stop = self._arrivals.operator.stop_in_force
+        return [] if stop is None else self._arrivals.operator.without(stop, self._arrivals.statuses)
 
     def _lay_stop(self, connection: HostConnection) -> None:
         """Has the robots of a host find that stop before they start. Robots that were heard to stand are not

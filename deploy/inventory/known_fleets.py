@@ -18,7 +18,7 @@ from agent.common.wording import show
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet, FleetError
 from agent.fleet.sections import Robot
-from deploy.console.arguments import fleet_path
+from deploy.console.arguments import fleet_path, refuse_long
 from deploy.console.data_files import bundled
 from deploy.console.wording import NAMES_SHOWN, some
 from deploy.inventory.fleets_up import FleetUp, fleets_up
@@ -183,6 +183,7 @@ def meant(what: str) -> list[KnownFleet]:
         agent.fleet.model.FleetError: it is a fleet file that is not valid.
         deploy.console.arguments.InputError: nobody knows where a host of that file is.
     """
+    refuse_long(what)
     path = Path(what)
     if path.is_dir():
         inside = _with_run(lambda run: Path(run.folder).resolve() == path.resolve())

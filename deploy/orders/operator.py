@@ -30,9 +30,9 @@ from agent.messages.types import (
     Stop,
     clipped,
 )
+from agent.messages.versions import can_be
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.orders.mission_editing import OrderError, first_mission, ordered
-from deploy.orders.versions import can_be
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
 HEARD_NS: Final = 2_000_000_000

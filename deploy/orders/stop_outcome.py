@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
+from agent.messages.versions import AHEAD_US_MAX
 from agent.supervision.state_machine import State
-from deploy.orders.versions import AHEAD_US_MAX
 
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
-from agent.messages.types import Message
+from agent.messages.types import FUTURE_NS_MAX, Message
+from deploy.inventory.running import NoAnswerError
 from deploy.orders.operator import Known
 from deploy.orders.resume_outcome import Resuming
 from deploy.session.operator_session import OperatorSession
@@ -31,8 +33,19 @@ class ResumeSession(OperatorSession):
             self._resuming.feed(key, message)
 
     def resume(self, robots: Sequence[int]) -> Resuming:
-        """Lets these robots drive again, or all when none is named. Waits until they do, but not for ever."""
+        """Lets these robots drive again, or all when none is named. Waits until they do, but not for ever.
+
+        Raises:
+            NoAnswerError: somebody has said stop after this began: that is not what it is to lift.
+        """
+        begun_ns = self.now_ns()
         self.ask()  # a resume must be later than the stop that it ends
+        stop = self.operator.stop_in_force
+        if stop is not None and begun_ns < stop.time_ns <= self.now_ns() + FUTURE_NS_MAX:
+            what = f": {printable(stop.reason)}" if stop.reason else ""
+            raise NoAnswerError(
+                f"nobody is resumed: somebody has just said stop{what}; resume again to lift that"
+            )
         resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots))
         self._resuming = resuming
         # It is sent again until all have done it: a link may lose a message.

@@ -10,7 +10,7 @@ from typing import Final
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
-from agent.messages.types import Stop
+from agent.messages.types import Resume, Stop
 from agent.messages.validation import Malformed
 from agent.runtime.order_store import FILE_BYTES_MAX, STOP_FILE, OrderFileError, packed, unpacked
 from agent.security.private_files import KeyFileError, exists, read, write
@@ -22,18 +22,20 @@ from deploy.session.sealing import sealed
 WAY: Final = "by a file on this machine"
 
 
-def newest_stop(orders: Iterable[bytes], *, is_secured: bool) -> int:
-    """The greatest version of the stops among kept orders, -1 without any."""
-    return max((each.version for each in _stops(orders, is_secured)), default=-1)
+def kept_versions(orders: Iterable[bytes], *, is_secured: bool) -> tuple[int, int]:
+    """The greatest versions of the stops, and of the resumes, among kept orders; -1 without any."""
+    found = list(_stops(orders, is_secured))
+    stops = [each.version for each in found if isinstance(each, Stop)]
+    return max(stops, default=-1), max((e.version for e in found if isinstance(e, Resume)), default=-1)
 
 
-def _stops(orders: Iterable[bytes], is_secured: bool) -> Iterator[Stop]:
+def _stops(orders: Iterable[bytes], is_secured: bool) -> Iterator[Stop | Resume]:
     for order in orders:
         try:
             message = decode(payload_of(order) if is_secured else order)
         except (Forged, Malformed):
             continue
-        if isinstance(message, Stop):
+        if isinstance(message, Stop | Resume):
             yield message
 
 
@@ -54,16 +56,20 @@ class FileWay:
             self.troubles = [f"not {WAY}: {error}"]
 
     def collect(self, stopping: Stopping) -> None:
-        """Tells who has kept the stop: who does has obeyed it before."""
+        """Tells who has kept the stop: who does has obeyed it, if no later resume is kept beside it."""
         for robot in self._fleet.ids:
             for role in ROLES:
                 if (robot, role) in self._found:
                     continue
-                version = newest_stop(self._kept(robot, role), is_secured=self._fleet.is_secured)
-                if version >= stopping.message.version:
-                    self._found.add((robot, role))
-                    state = State.STOPPING.value if role == "agent" else PLANT_BRAKES
-                    stopping.found(time.time_ns(), robot, role, state, version, WAY)
+                stop, resume = kept_versions(self._kept(robot, role), is_secured=self._fleet.is_secured)
+                if stop < stopping.message.version:
+                    continue
+                if resume > stop:  # it is to be outdone
+                    stopping.found(time.time_ns(), robot, role, "", resume, WAY)
+                    continue
+                self._found.add((robot, role))
+                state = State.STOPPING.value if role == "agent" else PLANT_BRAKES
+                stopping.found(time.time_ns(), robot, role, state, stop, WAY)
 
     def _kept(self, robot: int, role: str) -> Sequence[bytes]:
         path = self._folder / f"robot-{robot}-{role}.json"

@@ -135,7 +135,6 @@ BY_OTHERS: Final = {
         deploy/faults/windows
         deploy/faults/wording
         deploy/orders/blend_time
-        deploy/orders/versions
         deploy/recording/collector
         deploy/recording/foxglove
         deploy/recording/link_table

@@ -166,3 +166,28 @@ def test_a_disk_that_fails_is_said(bench: Bench):
     bench.run(12)
     assert bench.agent.condition == ("stopped", "stop: lunch; not on its disk: no space left on device")
     assert bench.last.order_version == 6
+
+
+DAY_US = 24 * 3600 * 1_000_000
+
+
+def test_what_an_operator_says_whose_clock_is_days_ahead_takes_no_stop_away(bench: Bench):
+    """Its resume would be later than every stop of right clocks; its stop is one that is given now."""
+    bench.give(MISSION, mission(bench))
+    assert drives(bench)
+    ahead = bench.now // 1_000 + 2 * DAY_US
+    bench.give(RESUME, Resume(ahead, bench.now, ()))
+    bench.give(MISSION, mission(bench, ahead))
+    bench.stop(bench.now // 1_000, "by a right clock")
+    bench.tick()
+    assert bench.agent.condition == ("stopping", "stop: by a right clock")
+    bench.resume(bench.now // 1_000 + 1)
+    bench.run(3)
+    assert bench.state is State.RUNNING
+    bench.give(STOP, Stop(ahead, bench.now, "by a wrong clock"))
+    bench.tick()
+    assert bench.agent.condition == ("stopping", "stop: by a wrong clock")
+    bench.resume(bench.now // 1_000 + 1)
+    bench.run(3)
+    assert bench.state is State.RUNNING
+    assert bench.counters()["rejected.future"] == 3

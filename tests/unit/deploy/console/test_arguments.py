@@ -36,3 +36,9 @@ def test_a_name_that_nothing_has() -> None:
     with pytest.raises(InputError, match=r"^dleta: no such file, and no bundled fleet .*: delta, "):
         fleet_path("dleta")
     assert fleet_path("dleta.toml") == Path("dleta.toml")  # the one who reads it says that it is not there
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "x/" * 3000, "é" * 200])
+def test_a_name_that_no_file_can_have_is_refused_in_one_line(name: str):
+    with pytest.raises(InputError, match="too long for the name"):
+        fleet_path(name)

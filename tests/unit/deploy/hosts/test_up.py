@@ -15,8 +15,8 @@ import pytest
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
-from agent.messages.codec import encode
-from agent.messages.types import Status
+from agent.messages.codec import decode, encode
+from agent.messages.types import Status, Stop
 from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
 from deploy.hosts.arrivals import Arrivals
@@ -27,6 +27,7 @@ from deploy.hosts.systemd_units import roles, unit_name
 from deploy.hosts.up import BringUp, Timing
 from deploy.hosts.view import DONE, FAILED, Row
 from deploy.inventory.hosts import hosts_of
+from deploy.inventory.own_orders import OwnOrders
 from tests.unit.deploy.hosts.test_ansible import ROOT, WHEELS, fleet
 
 PATIENCE_S = 20.0
@@ -59,6 +60,7 @@ class World:
         self.first = threading.Event()
         self.first.set()
         self._changes: deque[tuple[str, bool]] = deque()
+        self.stopped = 0
 
     def come(self, robot: int, state: str) -> None:
         self.states[robot] = state
@@ -90,14 +92,18 @@ class World:
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         for robot, state in list(self.states.items()):
-            said = Status(robot, 1, 1, state, "", "", 0, 0, (), (), (), ())
+            said = Status(robot, 1, 1, state, "", "", 0, self.stopped, (), (), (), ())
             yield key_expressions.status(self.name, robot), encode(said)
 
     def declare(self, _key: str) -> None: ...
 
     def subscribe(self, _key: str, _size: int) -> None: ...
 
-    def publish(self, _key: str, _payload: bytes) -> None: ...
+    def publish(self, key: str, payload: bytes) -> None:
+        """Robots obey a stop."""
+        if key == key_expressions.stop(self.name):
+            self.stopped = decode(payload).version  # type: ignore[union-attr]
+            self.states = dict.fromkeys(self.states, "stopped")
 
     def close(self) -> None: ...
 
@@ -348,6 +354,17 @@ def test_a_robot_that_drives_but_is_not_heard_is_not_touched(world: World) -> No
             "left as it was: robot 3 drives, but is not heard here: `handfast stop` first, or open the ports",
         )
     assert world.log == world.noted == []
+
+
+def test_robots_that_drive_against_the_stop_that_is_known_here_are_told_it_again(world: World) -> None:
+    """They were out of its reach, or have new disks."""
+    OwnOrders(world.fleet).keep(Stop(7, 7, "a person"))
+    world.everybody("running")
+    world.stale, world.after = {1}, dict.fromkeys(world.fleet.ids, "stopped")
+    work = bring(world)
+    assert set(world.states.values()) == {"stopped"}
+    assert any("did not know of the stop" in line and "a person" in line for line in work.warnings)
+    assert ends(work)["rover1"] == (DONE, "up, robot 1 started")
 
 
 def test_where_another_authority_rules_nothing_changes(world: World) -> None:

@@ -11,9 +11,9 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode
 from agent.messages.sequence_numbers import FIRST_ROUND
 from agent.messages.types import Ask, Beacon, Heartbeat, Mission, PlantState, Resume, Status, Stop
+from agent.messages.versions import AHEAD_US_MAX
 from deploy.orders.mission_editing import OrderError
 from deploy.orders.operator import NO_MISSION, Known, Operator, refused
-from deploy.orders.versions import AHEAD_US_MAX
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, order, square
 
 FLEET = square()

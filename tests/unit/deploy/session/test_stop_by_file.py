@@ -14,7 +14,7 @@ from agent.messages.types import Resume, Stop
 from agent.runtime.order_store import STOP_FILE, OrderStore, packed, unpacked
 from agent.security.private_files import private_directory
 from deploy.orders.stop_outcome import Stopping
-from deploy.session.stop_by_file import WAY, FileWay, newest_stop
+from deploy.session.stop_by_file import WAY, FileWay, kept_versions
 from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()
@@ -63,9 +63,9 @@ def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     assert "no such file or directory" in way.troubles[0]
 
 
-def test_the_newest_stop_among_orders() -> None:
+def test_the_kept_versions_among_orders() -> None:
     orders = [encode(Stop(3, 3, "")), encode(Stop(5, 3, "")), encode(Resume(9, 3, ())), b"nonsense"]
-    assert newest_stop(orders, is_secured=False) == 5
-    assert newest_stop(orders, is_secured=True) == -1
-    assert newest_stop([], is_secured=False) == -1
+    assert kept_versions(orders, is_secured=False) == (5, 9)
+    assert kept_versions(orders, is_secured=True) == (-1, -1)
+    assert kept_versions([], is_secured=False) == (-1, -1)
     assert packed(orders)

@@ -1,4 +1,4 @@
-"""Versions of orders, as far as operators have to agree on them (PURE)."""
+"""Versions of orders, as far as all have to agree on them (PURE)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Final
 
 AHEAD_US_MAX: Final = 24 * 3600 * 1_000_000
 """Versions are us of operators' clocks, which differ by less than a day. A robot that tells of a later order
-lies, and must not push versions so far that no order can have a greater one."""
+lies, and must not push versions so far that no order can have a greater one; nor must an operator whose clock
+is wrong."""
 
 
 def can_be(version: int, now_ns: int) -> bool:
