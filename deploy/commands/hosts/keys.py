@@ -124,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     alone.add_argument(
         "--drop-earlier",
         action="store_true",
-        help="forget authorities of before: robots that still have one are given up",
+        help="forget authorities of before: robots that still have one are given up; not while they drive",
     )
     parser.set_defaults(command=_keys)
 
@@ -161,8 +161,8 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
     if alone and len(alone) + len(others) > 1:
         rest = ", ".join(f"--{each.replace('_', '-')}" for each in [*alone, *others][1:])
         raise InputError(f"--{alone[0].replace('_', '-')} goes alone: leave out {rest}")
-    if options.force and not options.replace_authority:
-        raise InputError("--force belongs to --replace-authority")
+    if options.force and not (options.replace_authority or options.drop_earlier):
+        raise InputError("--force belongs to --replace-authority or --drop-earlier")
     if options.take_over and options.sign is None:
         raise InputError("--take-over belongs to --sign (or to `handfast up`)")
     if options.request and options.out is None:
@@ -205,6 +205,9 @@ def _restore(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: flo
 
 def _drop(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
     gone = [path.name for path in earlier_folders(folder)]
+    if gone and not options.force:
+        # No stop would reach those that have it still.
+        _refuse_on_mission(options, fleet, "nothing was forgotten")
     drop_earlier(folder)
     print(f"forgotten: {', '.join(gone)}" if gone else "there is no authority of before")
 
@@ -228,20 +231,21 @@ ALONE: Final[Mapping[str, Alone]] = {
 
 def _provide_all(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
     if options.replace_authority and not options.force and fleet.is_secured and authority_of(folder):
-        _refuse_on_mission(options, fleet)
+        _refuse_on_mission(options, fleet, "the authority was not replaced")
     instead = options.replace_authority
     with Authority(folder, fleet.fleet.name, fleet.ids, now_s, instead=instead) as authority:
         _make(options, fleet, authority, now_s)
         _show(authority, now_s)
 
 
-def _refuse_on_mission(options: argparse.Namespace, fleet: Fleet) -> None:
+def _refuse_on_mission(options: argparse.Namespace, fleet: Fleet, what: str) -> None:
+    """Raises `InputError`, which begins with `what`, unless the fleet is known to be at rest."""
     from agent.formation.geometry import resolved
     from deploy.hosts.at_rest import rest_of
 
     why = rest_of(resolved(fleet), options.fleet).refusal()
     if why:
-        raise InputError(f"the authority was not replaced: {why}")
+        raise InputError(f"{what}: {why}")
 
 
 def _make(options: argparse.Namespace, fleet: Fleet, authority: Authority, now_s: float) -> None:

@@ -15,6 +15,7 @@ from agent.security.identity import of_operator, of_robot
 from deploy.commands.hosts import keys as keys_command
 from deploy.console.arguments import InputError
 from deploy.console.passphrase import PASSPHRASE
+from deploy.hosts import at_rest
 from deploy.inventory import authority_backup
 from deploy.inventory.authority_backup import BACKUP_BYTES_MAX
 from deploy.inventory.operator_credentials import KEYS, OPERATOR, earlier_folders, keys_folder, short
@@ -44,7 +45,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return keys
 
 
-def test_a_second_operator(run: Run, tmp_path: Path) -> None:
+def test_a_second_operator(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run("main")
     asked, signed = str(tmp_path / "anna.csr"), str(tmp_path / "anna.crt")
     assert "handfast keys delta --sign anna.csr --out FILE" in run("anna", "--request", "--out", asked)
@@ -63,7 +64,11 @@ def test_a_second_operator(run: Run, tmp_path: Path) -> None:
     run("main", "--sign", asked, "--out", signed)
     run("anna", "--install", signed)
     assert len(earlier_folders(tmp_path / "anna")) == 1
-    assert f"forgotten: {short(rules)}" in run("anna", "--drop-earlier")
+    with monkeypatch.context() as driving:
+        driving.setattr(at_rest, "rest_of", lambda *_: at_rest.Rest((2,), ()))
+        with pytest.raises(InputError, match="robot 2 is on a mission"):
+            run("anna", "--drop-earlier")
+    assert f"forgotten: {short(rules)}" in run("anna", "--drop-earlier", "--force")
     assert "there is no authority of before" in run("anna", "--drop-earlier")
 
 
