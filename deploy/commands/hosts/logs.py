@@ -46,6 +46,8 @@ HOLD_S: Final = 0.6
 """Lines that are followed wait so long for earlier ones of other hosts."""
 LOOK_S: Final = 0.2
 """How often it is looked for Ctrl-C while nothing comes."""
+SILENT_S: Final = 20.0
+"""A host whose log brings nothing for so long, though it has not ended, is given up."""
 CLOSE_S: Final = 0.2
 # A host must not fill this computer's memory.
 LINE_BYTES_MAX: Final = 1_000_000
@@ -271,6 +273,12 @@ class Reader:
             while data := stream.readline(LINE_BYTES_MAX):
                 self._said = (self._said + data)[-SAID_BYTES_MAX:]
 
+    def give_up(self) -> None:
+        """Ends it, as it says nothing."""
+        self.error = f"it has said nothing for {SILENT_S:.0f} s"
+        print(f"handfast: {self.host.name}: {self.error}", file=sys.stderr, flush=True)
+        self.kill()
+
     def kill(self) -> None:
         """Ends it; `wait` sees to what is left."""
         if self._process.poll() is None:
@@ -307,13 +315,20 @@ def _parsed(host: str, data: bytes) -> Line | None:
 
 
 def merged(readers: Sequence[Reader], last: int | None, interrupt: Interrupt) -> Iterator[Line]:
-    """All lines in the order of time, until Ctrl-C; of each host the `last` ones only."""
+    """All lines in the order of time, until Ctrl-C; of each host the `last` ones only. One that says nothing
+    for a while is given up: the others' lines wait for it."""
 
     def lines(reader: Reader) -> Iterator[Line]:
+        waited_s = 0.0
         while not interrupt.count:
             try:
                 line = reader.next(LOOK_S)
+                waited_s = 0.0
             except queue.Empty:
+                waited_s += LOOK_S
+                if waited_s > SILENT_S:
+                    reader.give_up()
+                    return
                 continue
             if line is None:
                 return

@@ -134,6 +134,18 @@ def test_a_host_that_cannot_be_read_is_said_and_fails(
     assert err.startswith("handfast: right: it does not let r in")
 
 
+@pytest.mark.parametrize("hangs", ["exec sleep 60", "exec yes"])
+def test_a_host_that_says_nothing_is_given_up(
+    tools: Path, hangs: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where a login hangs, or floods: no line of a log ever comes."""
+    monkeypatch.setattr(logs_command, "SILENT_S", 0.4)
+    assert logs(tools, f"echo '{ENTRY}'", hangs) == 1
+    out, err = capsys.readouterr()
+    assert out.endswith("left: hello\n")
+    assert "handfast: right: it has said nothing for 0 s" in err
+
+
 def test_a_status_without_a_word_is_a_failure_too(tools: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert logs(tools, "true", "exit 1") == 1
     assert capsys.readouterr().err == "handfast: right: the program there ended (status 1)\n"
