@@ -133,7 +133,7 @@ class OrderGate:
         Raises:
             Forged: it is none of an operator's, or not one that lasts.
         """
-        payload = self._opener.recall(sealed).payload
+        payload = self._opener.open_recorded(sealed).payload
         if not payload.startswith(_LASTING):
             raise Forged("malformed", "not an order that lasts")
         self._remember(payload, sealed)

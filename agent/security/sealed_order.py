@@ -9,7 +9,7 @@ an order is older than another is the receiver's to find out, by the version in 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -114,17 +114,6 @@ class Opener:
         """Whether these bytes were verified of late: then `open` verifies no signature."""
         return sealed in self._orders
 
-    def recall(self, sealed: bytes) -> Order:
-        """The order in `sealed`, whose operator's certificate was valid when it was sealed.
-
-        A stop holds on when that has expired since: whoever kept it has opened it once.
-
-        Raises:
-            Forged: it is none.
-        """
-        sealed_ns, *_ = _parts(sealed)
-        return self.open(sealed, sealed_ns / NS_PER_S)
-
     def open(self, sealed: bytes, now_s: float) -> Order:
         """The order in `sealed`.
 
@@ -149,8 +138,8 @@ class Opener:
         return Order(sealed_ns, payload)
 
     def open_recorded(self, sealed: bytes) -> Order:
-        """The order in `sealed`, recorded at some time: its operator's certificate must have been valid when
-        it was sealed. Raises as `open`."""
+        """The order in `sealed`, recorded or kept: its operator's certificate must have been valid
+        then, not now. Raises as `open`."""
         if len(sealed) > SEALED_BYTES_MAX:
             raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
         return self.open(sealed, _parts(sealed)[0] / NS_PER_S)
@@ -197,6 +186,28 @@ def unverified(sealed: bytes) -> bytes:
     if len(sealed) > SEALED_BYTES_MAX:
         raise Forged("oversized", f"{len(sealed)} bytes, at most {SEALED_BYTES_MAX} are accepted")
     return _parts(sealed)[3]
+
+
+class Openers:
+    """Opens what was sealed under any of several authorities: recordings outlive an authority.
+
+    Args:
+        openers: one of each, at least one.
+    """
+
+    def __init__(self, openers: Sequence[Opener]) -> None:
+        self._openers: Final = openers
+
+    def open_recorded(self, sealed: bytes) -> Order:
+        """See `Opener.open_recorded`; raises as the first of them."""
+        first: Forged | None = None
+        for opener in self._openers:
+            try:
+                return opener.open_recorded(sealed)
+            except Forged as error:
+                first = first or error
+        assert first is not None
+        raise first
 
 
 def _packed(parts: tuple[int, int, bytes, bytes, bytes]) -> bytes:

@@ -26,6 +26,7 @@ AUTHORITY_FILE: Final = "authority.pem"
 SHORT: Final = 16
 """So many digits of a fingerprint tell authorities apart, for people and in names of folders."""
 _EARLIER: Final = "earlier"
+_FORMER: Final = "former"
 _KEPT: Final = ("*.operator.*.key", "*.operator.*.crt", "*.router.*.key", "*.router.*.crt")
 
 
@@ -56,6 +57,7 @@ def keep_as_earlier(folder: Path) -> None:
         agent.security.private_files.KeyFileError: it cannot be read or written.
     """
     known = authority_of(folder)
+    _keep_certificate(folder, short(known))
     target = folder / _EARLIER / short(known)
     if not known or private_files.exists(target):
         return
@@ -71,6 +73,19 @@ def keep_as_earlier(folder: Path) -> None:
             data = private_files.read(folder / name, private=private)
             private_files.write(new / name, data, private=private)
     private_files.move(new, target)
+
+
+def _keep_certificate(folder: Path, name: str) -> None:
+    """Keeps an authority's certificate for good: what was sealed under it is in recordings."""
+    if name and private_files.exists(folder / AUTHORITY_CERTIFICATE):
+        private_files.private_directory(folder / _FORMER)
+        data = private_files.read(folder / AUTHORITY_CERTIFICATE)
+        private_files.write(folder / _FORMER / f"{name}.crt", data)
+
+
+def former_certificates(folder: Path) -> list[Path]:
+    """Certificates of all authorities of before, as files."""
+    return sorted((folder / _FORMER).glob("*.crt"))
 
 
 def earlier_folders(folder: Path) -> list[Path]:

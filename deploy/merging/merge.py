@@ -22,7 +22,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode, newer
 from agent.messages.types import TIME_NS_MAX, Mission, Resume, Stop
 from agent.recorder.segments import Received
-from agent.security.sealed_order import Opener
+from agent.security.sealed_order import Openers
 from deploy.merging.fleet_files import FleetFiles, Ruling, taken
 from deploy.merging.held_faults import HeldFaults
 from deploy.merging.missing import Window, missing, times
@@ -65,7 +65,7 @@ class Known(NamedTuple):
     """
 
     fleet: Fleet | None = None
-    opener: Opener | None = None
+    opener: Openers | None = None
     fetched_before: Collection[int] = ()
 
 

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from agent.messages.codec import decode
 from agent.messages.types import Message, Mission, Resume, Stop
 from agent.messages.validation import Malformed
-from agent.security.sealed_order import Forged, Opener, unverified
+from agent.security.sealed_order import Forged, Openers, unverified
 
 DISTINCT_MAX: Final = 4096
 """Of one robot so many orders are looked at, the last ones: to look at a seal takes its time."""
@@ -31,7 +31,7 @@ class Orders(NamedTuple):
 
 
 def orders_given(
-    recorded: Mapping[int, Iterable[bytes]], opener: Opener | None, voters: Callable[[int], int]
+    recorded: Mapping[int, Iterable[bytes]], opener: Openers | None, voters: Callable[[int], int]
 ) -> Orders:
     """The orders that count of those that robots recorded, as they came.
 
@@ -68,7 +68,7 @@ def orders_given(
     return Orders(given, {robot: count for robot, count in left_out.items() if count})
 
 
-def _order(payload: bytes, opener: Opener | None) -> Order | None:
+def _order(payload: bytes, opener: Openers | None) -> Order | None:
     """None for what is no order that is to be looked at."""
     try:
         message = _unsealed(payload) if opener is None else decode(opener.open_recorded(payload).payload)

@@ -17,6 +17,7 @@ from agent.security.refusals import ANOTHER_AUTHORITY
 from deploy.console.arguments import InputError
 from deploy.faults.live import receivers
 from deploy.inventory.operator_credentials import OPERATOR, earlier_folders, keys_folder, operator_name
+from deploy.inventory.operator_renewal import usable
 from deploy.session.joined_bus import JoinedBus, OperatorBus
 
 JOINED_RETRY_MS: Final = (500, 1000)
@@ -51,6 +52,8 @@ def operator_bus(fleet: Fleet) -> OperatorBus:
             f"{', '.join(fleet.network.operators)}"
         )
     earlier = earlier_folders(folder)
+    with suppress(CredentialsError):  # said below
+        usable(fleet, folder, identity)
     try:
         if earlier:
             return _joined(fleet, identity, folder, earlier, connect)

@@ -8,11 +8,17 @@ from agent.fleet.model import Fleet
 from agent.runtime.order_store import ORDERS_MAX
 from agent.security import private_files
 from agent.security.certificates import CertificateError, authority_from_pem
-from agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError, load
+from agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError
 from agent.security.identity import IdentityError, of_operator
-from agent.security.sealed_order import Opener, Sealer
+from agent.security.sealed_order import Opener, Openers, Sealer
 from deploy.console.arguments import InputError
-from deploy.inventory.operator_credentials import earlier_folders, keys_folder, operator_name
+from deploy.inventory.operator_credentials import (
+    earlier_folders,
+    former_certificates,
+    keys_folder,
+    operator_name,
+)
+from deploy.inventory.operator_renewal import usable
 
 
 def sealed(fleet: Fleet, order: bytes) -> tuple[bytes, ...]:
@@ -30,7 +36,7 @@ def sealed(fleet: Fleet, order: bytes) -> tuple[bytes, ...]:
     first: CredentialsError | IdentityError | None = None
     for each in (folder, *earlier_folders(folder)):
         try:
-            sealer = Sealer(load(each, of_operator(name, operator_name()), now_ns / 1e9))
+            sealer = Sealer(usable(fleet, each, of_operator(name, operator_name())))
         except (CredentialsError, IdentityError) as error:
             first = first or error
         else:
@@ -40,20 +46,26 @@ def sealed(fleet: Fleet, order: bytes) -> tuple[bytes, ...]:
     return tuple(found[:ORDERS_MAX])
 
 
-def order_opener(fleet: Fleet) -> Opener | None:
-    """Opens what a secured fleet's operators have sealed; None where the authority's certificate is not here.
+def order_opener(fleet: Fleet) -> Openers | None:
+    """Opens what a secured fleet's operators have sealed, now and under authorities of before; None where the
+    authority's certificate is not here.
 
     Raises:
-        InputError: it is here, and cannot be read.
+        InputError: one is here, and cannot be read.
     """
     name = fleet.fleet.name
-    path = keys_folder(name) / AUTHORITY_CERTIFICATE
+    folder = keys_folder(name)
+    path = folder / AUTHORITY_CERTIFICATE
     try:
-        authority = authority_from_pem(private_files.read(path))
-    except private_files.KeyFileError as error:
         if not private_files.exists(path):
             return None
+        found = []
+        for each in (path, *former_certificates(folder)):
+            path = each
+            authority = authority_from_pem(private_files.read(path))
+            found.append(Opener(name, fleet.network.operators, authority))
+    except private_files.KeyFileError as error:
         raise InputError(str(error)) from None
     except CertificateError as error:
         raise InputError(f"{path}: {error}") from None
-    return Opener(name, fleet.network.operators, authority)
+    return Openers(found)

@@ -22,6 +22,7 @@ from agent.security.sealed_order import (
     VERSION,
     Forged,
     Opener,
+    Openers,
     Order,
     Sealer,
 )
@@ -114,6 +115,12 @@ def test_an_authority_that_was_replaced(by: Authority, ann: Credentials, tmp_pat
     opener = Opener(FLEET, OPERATORS, new.authority)
     assert reason(opener, Sealer(ann).seal(PAYLOAD, NOW_NS)) == "unknown_authority"
     assert opener.open(Sealer(new).seal(PAYLOAD, NOW_NS), NOW_S) == Order(NOW_NS, PAYLOAD)
+    # What was recorded under the one before is an operator's all the same.
+    both = Openers([opener, Opener(FLEET, OPERATORS, ann.authority)])
+    for sealer in (Sealer(ann), Sealer(new)):
+        assert both.open_recorded(sealer.seal(PAYLOAD, NOW_NS)) == Order(NOW_NS, PAYLOAD)
+    with pytest.raises(Forged, match="malformed"):
+        both.open_recorded(b"nonsense")
 
 
 def test_an_operator_who_is_none_any_more(ann: Credentials) -> None:

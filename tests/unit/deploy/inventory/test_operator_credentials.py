@@ -13,6 +13,7 @@ from deploy.inventory.operator_credentials import (
     OPERATOR,
     drop_earlier,
     earlier_folders,
+    former_certificates,
     keep_as_earlier,
     keys_folder,
     operator_name,
@@ -53,6 +54,8 @@ def test_what_was_in_use_is_kept_when_the_authority_is_replaced(tmp_path: Path) 
     drop_earlier(folder)
     assert earlier_folders(folder) == []
     drop_earlier(folder)
+    (former,) = former_certificates(folder)  # for good: of what was sealed under it there are recordings
+    assert former.name == f"{short(before.authority_fingerprint)}.crt"
 
 
 def test_each_that_was_replaced_is_kept(tmp_path: Path) -> None:

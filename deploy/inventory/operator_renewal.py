@@ -1,0 +1,42 @@
+"""An operator's certificate that has expired is renewed on the spot where the authority is: who wants to
+stop a fleet must not be told to look after keys first."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from agent.fleet.model import Fleet
+from agent.security.credentials import (
+    Credentials,
+    CredentialsError,
+    NotValidNowError,
+    load,
+    make_request,
+    store,
+)
+from agent.security.identity import Identity
+from agent.security.private_files import KeyFileError, exists
+from deploy.inventory.operator_credentials import AUTHORITY_FILE
+
+
+def usable(fleet: Fleet, folder: Path, identity: Identity) -> Credentials:
+    """The operator's credentials in `folder`, renewed if they are not valid now and the authority is there.
+
+    Raises:
+        agent.security.credentials.CredentialsError: there are none, or they cannot be renewed here.
+    """
+    try:
+        return load(folder, identity, time.time())
+    except NotValidNowError as error:
+        from deploy.inventory.certificate_authority import Authority, AuthorityError
+
+        try:
+            if not exists(folder / AUTHORITY_FILE):
+                raise
+            now_s = time.time()
+            with Authority(folder, fleet.fleet.name, fleet.ids, now_s) as authority:
+                request = make_request(folder, identity)
+                return store(folder, identity, authority.sign(identity, request, (), now_s), now_s)
+        except (AuthorityError, KeyFileError, CredentialsError):
+            raise error from None
