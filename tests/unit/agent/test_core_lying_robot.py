@@ -8,9 +8,9 @@ from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import TIME_NS_MAX, Beacon, Mission, Resume, Status, Stop
+from agent.messages.versions import AHEAD_US_MAX
 from deploy.orders.operator import Operator
 from deploy.orders.stop_outcome import Stopping
-from deploy.orders.versions import AHEAD_US_MAX
 from tests.process.small_fleets import triangle
 
 NOW_NS = 1_790_000_000_000_000_000
