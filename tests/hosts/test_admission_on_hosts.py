@@ -58,6 +58,7 @@ def fleet(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -
         assert (
             f"robot {robot} on {found.host_of(robot).name}: stopped: stop: the fleet came up" in told.stdout
         )
+    found.handfast("resume")
     return found
 
 
@@ -76,7 +77,7 @@ def test_a_robot_starts_again_and_is_stopped_in_a_flood(fleet: FleetOnHosts, str
         os.kill(before, signal.SIGKILL)
         fleet.started_again(6, "agent", before)
         wait_for(lambda: fleet.status()[6, "agent"]["state"] == "ready", "it has found all others")
-        assert "robot 6: stopping" in fleet.handfast("stop").stdout
+        assert "robot 6: stop" in fleet.handfast("stop").stdout
     fleet.handfast("resume")
 
 
