@@ -282,7 +282,7 @@ class Bus:
         """The bytes in which an operator's order came that `drain` gave, to keep it."""
         return payload
 
-    def kept(self, came: bytes) -> bytes:
+    def opened(self, came: bytes) -> bytes:
         """The order in the bytes that `as_it_came` gave once.
 
         Raises:

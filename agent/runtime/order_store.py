@@ -7,7 +7,6 @@ it. The files hold an order as it came, sealed in a secured fleet.
 
 from __future__ import annotations
 
-import binascii
 import json
 import os
 import threading
@@ -61,9 +60,9 @@ def unpacked(data: bytes) -> Orders:
         if checksum != _checksum(texts) or len(texts) > ORDERS_MAX:
             raise OrderFileError("it is damaged: it is not what was written")
         return tuple(b64decode(text, validate=True) for text in texts)
-    except (ValueError, TypeError, KeyError, RecursionError, binascii.Error) as error:
-        if isinstance(error, OrderFileError):
-            raise
+    except OrderFileError:
+        raise
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise OrderFileError("it is damaged: it is not what was written") from None
 
 

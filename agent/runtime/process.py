@@ -112,7 +112,7 @@ class OrderKeeper:
         orders = []
         for each in kept:
             try:
-                orders.append(self._bus.kept(each))
+                orders.append(self._bus.opened(each))
                 decode(orders[-1])
             except ValueError as error:
                 self._log(f"an order that was kept is not taken: {error}")

@@ -114,8 +114,8 @@ class SealedBus(Bus):
         since."""
         return self._gate.seal_of(payload) or b""
 
-    def kept(self, came: bytes) -> bytes:
-        """See `Bus.kept`: opened, as an order of an operator's, whose certificate may have expired since."""
+    def opened(self, came: bytes) -> bytes:
+        """See `Bus.opened`: opened, as an order of an operator's, whose certificate may have expired since."""
         return self._gate.recall(came)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
