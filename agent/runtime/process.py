@@ -109,11 +109,13 @@ class OrderKeeper:
                 node.receive(now_ns, self._key_stop, order)
 
     def _opened(self, kept: Sequence[bytes]) -> list[bytes]:
+        """The orders in what was kept; what is none any more is left out, and said."""
         orders = []
         for each in kept:
             try:
-                orders.append(self._bus.opened(each))
-                decode(orders[-1])
+                order = self._bus.opened(each)
+                decode(order)  # it may be of another version of this program
+                orders.append(order)
             except ValueError as error:
                 self._log(f"an order that was kept is not taken: {error}")
         return orders

@@ -115,7 +115,7 @@ class SealedBus(Bus):
         return self._gate.seal_of(payload) or b""
 
     def opened(self, came: bytes) -> bytes:
-        """See `Bus.opened`: opened, as an order of an operator's, whose certificate may have expired since."""
+        """See `Bus.opened`: as an order of an operator's, whose certificate may have expired since."""
         return self._gate.recall(came)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:

@@ -19,6 +19,7 @@ from deploy.session.stop import Way
 
 LOOK_S: Final = 0.02
 LATE_S: Final = 0.5
+"""A robot that has not acknowledged a stop by then is reached by other ways too."""
 WAYS_S: Final = 8.0
 """So long other ways may take, such as ssh to a host that is far away."""
 
