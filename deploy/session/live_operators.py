@@ -8,6 +8,7 @@ it a stop, which it says on its own links, and is told what robots say then.
 from __future__ import annotations
 
 import os
+import re
 import socket
 import time
 from collections.abc import Iterator, Sequence
@@ -28,6 +29,7 @@ from deploy.processes.placement import mark
 
 WAY: Final = "over the links of a live operator"
 _PREFIX: Final = "live"
+_OF_PROCESS: Final = re.compile(r"(?:live-[0-9a-f]+|asks)-(\d{1,9})(?:-[0-9a-f]+)?\.sock")
 _DATAGRAM_MAX: Final = 2 * BYTES_MAX
 AGAIN_S: Final = 0.05
 FOLLOW_S: Final = 3.0
@@ -44,6 +46,20 @@ class Publisher(Protocol):
 
 def _name(fleet: Fleet) -> str:
     return f"{_PREFIX}-{mark(fleet)[:8]}"  # the path of a socket has no more than some 100 bytes
+
+
+def _tidy(folder: Path) -> None:
+    """Removes sockets of processes that were killed: their names hold the process's number."""
+    for path in folder.glob("*.sock"):
+        found = _OF_PROCESS.fullmatch(path.name)
+        if found is None:
+            continue
+        try:
+            os.kill(int(found[1]), 0)
+        except ProcessLookupError:
+            path.unlink(missing_ok=True)
+        except OSError:
+            continue
 
 
 def _socket() -> socket.socket:
@@ -73,6 +89,7 @@ class StopDoor:
         self._again_s = 0.0
         self._socket = _socket()
         with suppress(OSError, NotPrivateError):
+            _tidy(private_folder())
             path = private_folder() / f"{_name(fleet)}-{os.getpid()}.sock"
             path.unlink(missing_ok=True)  # of a process of the same number that was killed
             self._socket.bind(str(path))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
@@ -147,3 +149,16 @@ def test_a_flood_of_datagrams_keeps_no_drive(door: StopDoor, bus: NotingBus, way
     for version in range(200):  # as many as the socket takes
         way.send(Stop(version, 5, ""))
     assert len(door.step()) <= live_operators.TAKEN_MAX
+
+
+def test_who_comes_removes_what_killed_processes_left(bus: NotingBus) -> None:
+    folder = runtime_folder.private_folder()
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    left = [folder / f"live-0123abcd-{dead.pid}.sock", folder / f"asks-{dead.pid}-7f00.sock"]
+    kept = [folder / f"live-0123abcd-{os.getppid()}.sock", folder / "others.sock"]
+    for path in (*left, *kept):
+        path.touch()
+    with StopDoor(FLEET, bus):
+        assert not any(path.exists() for path in left)
+        assert all(path.exists() for path in kept)
