@@ -43,7 +43,8 @@ class World:
         after: what becomes of a robot that starts again: the state of its agent, or an error.
         broken: (robot, role) of units that fail.
         log: what hosts were asked that changes anything.
-        noted: hosts where something was about to change, and what had been until then.
+        at: the same of each host, which work side by side.
+        noted: hosts where something was about to change, and what had been there until then.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -56,6 +57,7 @@ class World:
         self.after: dict[int, str | HostError] = {}
         self.broken: set[tuple[int, str]] = set()
         self.log: list[tuple[str, Any]] = []
+        self.at: dict[str, list[tuple[str, Any]]] = {}
         self.noted: list[tuple[str, list[tuple[str, Any]]]] = []
         self.first = threading.Event()
         self.first.set()
@@ -162,15 +164,19 @@ class There:
         stale = [name for name in wanted if int(name.split("-")[3]) in self.world.stale]
         return {"stale": stale, "unwritten": stale, "unwanted": self.world.unwanted, "open": []}
 
+    def _changed(self, what: str, whom: Any) -> None:
+        self.world.log.append((what, whom))
+        self.world.at.setdefault(self.host.name, []).append((what, whom))
+
     def _units(self, wanted: dict[str, str]) -> None:
-        self.world.log.append(("units", self.robots(list(wanted))))
+        self._changed("units", self.robots(list(wanted)))
 
     def _remove(self, names: list[str]) -> None:
-        self.world.log.append(("remove", names))
+        self._changed("remove", names)
 
     def _restart(self, names: list[str]) -> None:
         world = self.world
-        world.log.append(("restart", self.robots(names)))
+        self._changed("restart", self.robots(names))
         world.first.set()
         for robot in self.robots(names):
             world.go(robot)
@@ -190,7 +196,7 @@ class There:
         return ["it is broken"]
 
     def _tidy(self, keep: list[str]) -> None:
-        self.world.log.append(("tidy", self.host.name))
+        self._changed("tidy", self.host.name)
 
 
 class View:
@@ -255,7 +261,7 @@ def bring(
         keys,  # type: ignore[arg-type]
         accept_new=False,
         timing=timing,
-        before_changes=lambda host: world.noted.append((host, list(world.log))),
+        before_changes=lambda host: world.noted.append((host, list(world.at.get(host, ())))),
     )
     work.run(view or View(), Interrupt())  # type: ignore[arg-type]
     return work
@@ -430,7 +436,7 @@ def test_who_drives_by_an_authority_that_is_lost_is_not_taken_over(world: World)
 def test_robots_that_are_not_there_may_have_the_authority_of_before(world: World) -> None:
     world.everybody("ready")
     world.go(4)
-    assert not bring(world).has_authority_of_now
+    assert not bring(world, timing=replace(QUICK, present_s=0.3)).has_authority_of_now
 
 
 def test_without_having_listened_nothing_is_touched(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,8 +24,16 @@ class Pretender:
 
     def __init__(self, folder: Path, *words: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-c", "input()", *words], cwd=folder, stdin=subprocess.PIPE
+            [sys.executable, "-c", "print(flush=True); input()", *words],
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         )
+
+    def there(self) -> None:
+        """Waits until it runs: while a program is being loaded the kernel shows no command line of it."""
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == b"\n"
 
     def end(self) -> None:
         self.process.kill()
@@ -46,6 +54,8 @@ def robots(tmp_path: Path) -> Iterator[dict[str, Pretender]]:
         "a recorder": Pretender(tmp_path, "-m", "agent.recorder", "--fleet", file, "--robot", "1"),
         "cut short": Pretender(tmp_path, "-m", "agent", "--robot", "1", "--fleet"),
     }
+    for each in started.values():
+        each.there()
     yield started
     for each in started.values():
         each.end()
