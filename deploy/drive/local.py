@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -14,7 +13,7 @@ from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
 from deploy.inventory.registry import Registration
 from deploy.processes.local import Processes
-from deploy.processes.placement import Vehicle, orders_folder
+from deploy.processes.placement import Vehicle, held_orders, orders_folder
 from deploy.report.run_folder import RunFolder
 from deploy.session.operator_bus import operator_bus
 from deploy.session.stop_by_file import FileWay
@@ -44,7 +43,6 @@ class LocalRun:
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
         self._interrupt = interrupt
         self._orders = orders_folder(fleet)
-        shutil.rmtree(self._orders, ignore_errors=True)  # of a run on these ports that was killed
         self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles, orders=self._orders)
         self.reasons: list[str] = []
         self._has_vehicles = any(robot.kind.vehicle for robot in fleet.robots)
@@ -58,7 +56,11 @@ class LocalRun:
             first).
         """
         # Known before it starts and until it has ended: whoever wants to stop it must find it.
-        with Registration(self._fleet.fleet.name, self._folder.path, self._folder.fleet_file, self._source):
+        name, path = self._fleet.fleet.name, self._folder.path
+        with (
+            Registration(name, path, self._folder.fleet_file, self._source),
+            held_orders(self._fleet),
+        ):
             try:
                 self._start()
                 with operator_bus(self._fleet) as bus:
@@ -73,7 +75,6 @@ class LocalRun:
                 timeout_s = VEHICLES_END_TIMEOUT_S if self._has_vehicles else END_TIMEOUT_S
                 for child in self._processes.end(timeout_s):
                     self._view.say(f"{child.name} did not end when asked and was killed")
-                shutil.rmtree(self._orders, ignore_errors=True)
 
     def _start(self) -> None:
         count = len(self._fleet.robots)

@@ -186,7 +186,10 @@ def read_requests(data: bytes, what: str, fleet: Fleet) -> dict[int, Asked]:
     except ValueError:  # no JSON, or no UTF-8
         found = None
     if not isinstance(found, dict):
-        raise InputError(f"{what} {REQUESTS_SHAPE}")
+        raise InputError(
+            f"{what} is no request: neither an operator's (PEM, of --request) nor robots', "
+            f"which {REQUESTS_SHAPE}"
+        )
     for name in found:
         if name not in map(str, fleet.ids):
             raise InputError(f"{what}: there is no robot {name[:20]} in {fleet.fleet.name}")

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from agent.fleet.model import Fleet
 from agent.recorder.segment_folder import SEGMENT_NAME, segment_paths
+from deploy.console.wording import some
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.view import Row
 from deploy.inventory.folders import cache_folder
@@ -54,6 +55,8 @@ class Fetching:
         self._into = cache_folder("recordings") / fleet.fleet.name
         self.folders: dict[int, Path] = {}
         self.fetched_before: set[int] = set()
+        self._too_much: dict[int, list[str]] = {}
+        """By robot, segments that are too large to be brought."""
         self._not_kept: dict[int, str] = {}
         """By robot, why this computer cannot keep what its host gives."""
 
@@ -93,6 +96,14 @@ class Fetching:
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(fetched_s))
         return f"what robot {robot} recorded is as fetched at {when}: {why}"
 
+    def left_there(self) -> list[str]:
+        """Warnings of what was not brought, though it is there."""
+        most = self._fleet.recording.max_mb
+        return [
+            f"not brought of what robot {robot} recorded: {some(names)}: recording.max_mb is {most}"
+            for robot, names in sorted(self._too_much.items())
+        ]
+
     def _folder(self, robot: int) -> Path:
         return self._into / f"robot-{robot}"
 
@@ -105,7 +116,7 @@ class Fetching:
         _remove_pruned(folder, listed)
         lacking = {
             name: size - _size(folder / name)
-            for name, (size, written_s) in listed.items()
+            for name, (size, written_s) in self._fitting(robot, listed).items()
             if self._since_s is None or written_s >= self._since_s
         }
         got, total = 0, sum(max(0, each) for each in lacking.values())
@@ -133,13 +144,22 @@ class Fetching:
         listed: Listed = {
             name: _about(name, about) for name, about in answer.items() if SEGMENT_NAME.fullmatch(name)
         }
-        total = sum(size for size, _ in listed.values())
-        if total > SHARE_MAX * self._fleet.recording.max_mb * 1_000_000:
-            raise HostError(
-                f"says that robot {robot} recorded {total // 1_000_000} MB, and recording.max_mb is "
-                f"{self._fleet.recording.max_mb}: not brought"
-            )
         return listed
+
+    def _fitting(self, robot: int, listed: Listed) -> Listed:
+        """The newest of a robot's segments that this computer takes; one that is too large costs no other
+        its place."""
+        found, left, too_much = {}, SHARE_MAX * self._fleet.recording.max_mb * 1_000_000, []
+        for name in sorted(listed, reverse=True):
+            size = listed[name][0]
+            if size <= left:
+                found[name] = listed[name]
+                left -= size
+            else:
+                too_much.append(f"{name} ({size // 1_000_000} MB)")
+        if too_much:
+            self._too_much[robot] = too_much
+        return found
 
 
 def _about(name: str, about: Any) -> tuple[int, float]:

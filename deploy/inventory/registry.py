@@ -17,11 +17,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+from agent.common.time import NS_PER_S
+from agent.common.wording import printable
 from agent.runtime.runtime_folder import NotPrivateError, private_folder
 
 _PREFIX: Final = "run-"
 _SUFFIX: Final = ".json"
-_NAME: Final = re.compile(rf"{_PREFIX}(\d+)-\d+{re.escape(_SUFFIX)}")
+_NAME: Final = re.compile(rf"{_PREFIX}(\d{{1,9}})-(\d{{1,18}}){re.escape(_SUFFIX)}")
 _ENTRY_BYTES_MAX: Final = 65_536
 
 
@@ -41,7 +43,7 @@ class Running:
     attached: bool = False
 
     def __str__(self) -> str:
-        return f"{self.name} ({self.folder}, since {self.started[11:]})"
+        return f"{self.name} ({printable(self.folder)}, since {self.started[11:]})"
 
 
 class Registration:
@@ -123,10 +125,14 @@ def entries() -> tuple[list[Running], list[str]]:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             try:
-                found.append(_entry(os.read(handle, _ENTRY_BYTES_MAX)))
+                found.append(_entry(os.read(handle, _ENTRY_BYTES_MAX), pid))
             except (ValueError, TypeError, RecursionError, OSError):
                 unreadable.append(_unreadable(path, pid))
         else:
+            if number is not None and _wrote(int(number[1]), int(number[2])):
+                # An editor put another file in the place of the one that is locked.
+                unreadable.append(_unreadable(path, pid))
+                continue
             with suppress(OSError):  # what cannot be removed is still known to be nobody's
                 path.unlink()
         finally:
@@ -151,10 +157,27 @@ def _lives(pid: int) -> bool:
     return True
 
 
-def _entry(data: bytes) -> Running:
-    """What an entry says; raises ValueError, TypeError or RecursionError where it says nothing."""
+def _wrote(pid: int, at_ns: int) -> bool:
+    """Whether a process of ours that lives may have made a file at a time of the monotonic clock: it was
+    there then. A later one has only its number."""
+    try:
+        stat = Path(f"/proc/{pid}/stat")
+        if stat.stat().st_uid != os.getuid():
+            return False
+        began_s = int(stat.read_text().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+        age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - began_s
+    except (OSError, ValueError, LookupError):
+        return False
+    return time.monotonic() - age_s <= at_ns / NS_PER_S
+
+
+def _entry(data: bytes, pid: int | None) -> Running:
+    """What an entry of a process says; raises ValueError, TypeError or RecursionError where it says
+    nothing."""
     run = Running(**json.loads(data))
     texts = (run.name, run.folder, run.fleet_file, run.started, run.source)
-    if not (all(isinstance(text, str) for text in texts) and type(run.pid) is int and run.pid > 0):
+    if not (all(isinstance(text, str) for text in texts) and type(run.pid) is int):
         raise TypeError
+    if run.pid != pid or "\0" in "".join(texts) or not (run.name + run.started).isprintable():
+        raise ValueError
     return run

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
@@ -15,6 +20,7 @@ from agent.runtime.runtime_folder import private_folder
 from deploy.processes.ports import Reservation
 
 ADDRESS: Final = "127.0.0.1"
+_ORDERS: Final = "orders"
 
 
 def mark(fleet: Fleet) -> str:
@@ -24,12 +30,49 @@ def mark(fleet: Fleet) -> str:
 
 
 def orders_folder(fleet: Fleet) -> Path:
-    """Where the robots of a placed fleet keep operators' orders, and look for a stop, while it runs here.
+    """Where the robots of a placed fleet keep operators' orders, and look for a stop, while it runs here
+    (`held_orders`).
 
     Raises:
         agent.runtime.runtime_folder.NotPrivateError: there is no folder for it.
     """
-    return private_folder() / f"orders-{mark(fleet)}"
+    return private_folder() / f"{_ORDERS}-{mark(fleet)}"
+
+
+@contextmanager
+def held_orders(fleet: Fleet) -> Iterator[None]:
+    """Has the folder of a run's orders, empty at first, as long as the run lives. It is locked, so that the
+    next run knows those of runs that were killed, and removes them.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder = orders_folder(fleet)
+    for left in folder.parent.glob(f"{_ORDERS}-*"):
+        _remove_if_left(left)
+    # Under another name until it is locked.
+    new = folder.with_name(f".{folder.name}-{os.getpid()}")
+    for each in (folder, new):
+        shutil.rmtree(each, ignore_errors=True)
+    new.mkdir(mode=0o700)
+    handle = os.open(new, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        new.rename(folder)
+        yield
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(handle)
+
+
+def _remove_if_left(folder: Path) -> None:
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            os.close(handle)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,52 +9,18 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
 
 import pytest
 
 from agent.security.credentials import authority_of
-from deploy.console.passphrase import PASSPHRASE
-from deploy.inventory.operator_credentials import KEYS, OPERATOR, earlier_folders, short
-from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, FleetOnHosts, fetch_wheels
+from deploy.inventory.operator_credentials import earlier_folders, short
+from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, fetch_wheels
 from tests.hosts.host import Host
 from tests.hosts.hosts import Hosts
+from tests.hosts.operated_fleet import ANNA, NAME, Operated, drives, pair, states
 from tests.process.harness import wait_for
 
 pytestmark = pytest.mark.timeout(400)
-NAME: Final = "pair"
-ANNA: Final = "anna"
-
-
-def tables(hosts: Hosts) -> dict[str, Any]:
-    return {
-        "fleet": {"name": NAME, "rate_hz": 25.0, "duration_s": 60.0},
-        "formation": {"edges": [[1, 2]], "distance_m": 1.0, "safe_distance_m": 0.2},
-        "control": {"wrench_timeout_s": 0.5, "plant_timeout_s": 0.5},
-        "network": {"operators": ["main", ANNA]},
-        "trajectory": {"kind": "hold"},
-        "host": {host.name: {"address": host.address} for host in hosts},
-        "robot": [
-            {"id": number, "x_m": 1.0 * number, "y_m": 0.0, "host": host.name}
-            for number, host in enumerate(hosts, 1)
-        ],
-    }
-
-
-class Operated(FleetOnHosts):
-    """A fleet with operators, each with a computer, that is: a folder of keys, of their own."""
-
-    keys: Path
-    who = "main"
-
-    def of(self, who: str, folder: str) -> Operated:
-        """Commands are this operator's from now on, with the keys in a folder."""
-        self.who, self.keys = who, self.folder / folder
-        return self
-
-    def environment(self) -> dict[str, str]:
-        own = {KEYS: str(self.keys), OPERATOR: self.who, PASSPHRASE: "correct horse battery"}
-        return super().environment() | own
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +32,7 @@ def hosts(make_hosts: Callable[[int], Hosts]) -> Hosts:
 def made(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Operated:
     """Up, by the main operator."""
     fetch_wheels(hosts[0], cache)
-    found = Operated(hosts, tmp_path_factory.mktemp("fleet"), tables(hosts), cache).of("main", "main")
+    found = Operated(hosts, tmp_path_factory.mktemp("fleet"), pair(hosts), cache).of("main", "main")
     found.handfast("keys")
     found.handfast("up", timeout=UP_TIMEOUT_S)
     return found
@@ -80,16 +46,6 @@ def fleet(made: Operated) -> Operated:
 def certificates(host: Host) -> dict[str, bytes]:
     keys = host.home / f".local/share/handfast/fleets/{NAME}/keys"
     return {path.name: path.read_bytes() for path in keys.glob("*.crt")}
-
-
-def states(fleet: Operated) -> dict[int, str | None]:
-    return {robot: row["state"] for (robot, role), row in fleet.status().items() if role == "agent"}
-
-
-def drives(fleet: Operated) -> None:
-    """Has the fleet drive, with nobody there."""
-    fleet.handfast("drive", "--detach", "--resume")
-    wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive", 30.0)
 
 
 def test_a_second_authority_takes_nothing_over_unseen(fleet: Operated) -> None:

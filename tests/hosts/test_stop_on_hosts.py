@@ -91,6 +91,7 @@ def test_it_holds_through_down_and_up_though_a_host_was_out_of_reach(fleet: Flee
     away.restore()
     told = fleet.handfast("up", timeout=UP_TIMEOUT_S)
     assert "running" not in told.stdout
+    assert told.stdout.count("stopped: stop: a person on the field") == len(ROBOTS), told.stdout
     deadline = time.monotonic() + 5.0
     while time.monotonic() < deadline:
         found = states(fleet)

@@ -9,7 +9,8 @@ import sys
 import time
 
 if __name__ == "__main__":
-    _real, _ahead_ns = time.time_ns, round(float(sys.argv[1]) * 1e9)
-    time.time_ns = lambda: _real() + _ahead_ns
+    _real_ns, _ahead_ns = time.time_ns, round(float(sys.argv[1]) * 1e9)
+    time.time_ns = lambda: _real_ns() + _ahead_ns
+    time.time = lambda: time.time_ns() / 1e9
     sys.argv = sys.argv[2:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -14,9 +14,11 @@ from agent.fleet.model import Fleet
 from agent.security.certificates import DAY_S
 from agent.security.credentials import (
     RENEW_DAYS,
+    Credentials,
     CredentialsError,
     authority_of,
     load,
+    load_whenever,
     make_request,
     store,
     wanting,
@@ -31,13 +33,14 @@ from agent.security.identity import (
     of_router,
     parse,
 )
-from agent.security.private_files import KeyFileError
+from agent.security.private_files import KeyFileError, exists
 from deploy.commands.hosts.key_exchange import backup, existing, install, request, restore, sign
 from deploy.console.arguments import InputError, describe, fleet_arguments, load_unresolved
 from deploy.hosts.certificates import AnotherAuthorityError
 from deploy.inventory.certificate_authority import LOOPBACK, Authority, AuthorityError, Issued
 from deploy.inventory.certificate_requests import RequestError
 from deploy.inventory.operator_credentials import (
+    AUTHORITY_FILE,
     KEYS,
     OPERATOR,
     drop_earlier,
@@ -193,6 +196,9 @@ def _check(options: argparse.Namespace, fleet: Fleet) -> None:
 
 
 def _list(options: argparse.Namespace, fleet: Fleet, folder: Path, now_s: float) -> None:
+    if authority_of(folder) and not exists(folder / AUTHORITY_FILE):
+        _show_own(load_whenever(folder, of_operator(fleet.fleet.name, options.operator)), now_s)
+        return
     with existing(options, fleet, folder, now_s) as authority:
         _show(authority, now_s)
 
@@ -333,6 +339,33 @@ def _show(authority: Authority, now_s: float) -> None:
         rows.append(
             (*name.split(".")[1:], _date(now_s, entry.days_left(now_s)), state(entry, authority, now_s))
         )
+    _print_table(rows)
+
+
+def _show_own(own: Credentials, now_s: float) -> None:
+    """What an operator has whose authority is on another computer."""
+    ends_s = own.authority.not_valid_after_utc.timestamp()
+    days, of_authority = ((until_s - now_s) / DAY_S for until_s in (own.certificate.not_after_s, ends_s))
+    if days <= 0:
+        ends = "expired: --request, --sign where the authority is, --install"
+    elif days > RENEW_DAYS:
+        ends = "valid"
+    else:
+        ends = f"expires in {int(days)} days: --request, --sign where the authority is, --install"
+    _print_table(
+        [
+            (
+                "authority",
+                short(own.authority_fingerprint),
+                _date(now_s, of_authority),
+                "on another computer",
+            ),
+            (own.identity.role, own.identity.name, _date(now_s, days), ends),
+        ]
+    )
+
+
+def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     for row in rows:
         print("  ".join(text.ljust(width) for text, width in zip(row, [*widths, 0], strict=True)).rstrip())

@@ -304,7 +304,7 @@ def test_requests_come_from_standard_input_too(
 @pytest.mark.parametrize(
     ("requests", "what"),
     [
-        ("no json", "must be JSON, by robot what"),
+        ("no json", "neither an operator.* nor robots', which must be JSON, by robot what"),
         ([], "must be JSON"),
         ({"9": {"request": "x", "authority": ""}}, "there is no robot 9 in delta"),
         ({"01": {"request": "x", "authority": ""}}, "there is no robot 01 in delta"),

@@ -94,6 +94,16 @@ def test_a_login_that_prints_does_not_disturb(here: Path, shell: str):
         assert connection.ask("clock") > 0
 
 
+def test_a_login_that_prints_without_end_is_told(here: Path):
+    tools = here.parent / "tools"
+    say(tools, (FAKE % "/bin/sh").replace("exec", "yes; exec"))
+    with (
+        pytest.raises(HostError, match="its login prints more than 100 kB"),
+        HostConnection(HOST),
+    ):
+        pass
+
+
 def test_files_are_put_whole_and_only_within_the_folder(here: Path):
     data = os.urandom(3_000_000)
     with HostConnection(HOST) as connection:

@@ -44,6 +44,23 @@ def test_what_a_killed_run_left_is_removed(tmp_path: Path, folder: Path) -> None
         assert [path.name for path in folder.iterdir()] == [entry.name]
 
 
+def test_one_whose_file_an_editor_replaced_is_told(tmp_path: Path, folder: Path) -> None:
+    with a_run(tmp_path, "pair", "a"):
+        entry = next(folder.iterdir())
+        edited = folder / "edited"
+        edited.write_text(entry.read_text())
+        edited.rename(entry)  # without the lock
+        found, unreadable = entries()
+        assert found == []
+        assert f"the run of process {os.getpid()} cannot be told" in unreadable[0]
+        # Of this process's number, but from before it was there.
+        before = folder / f"run-{os.getpid()}-1.json"
+        before.write_text(entry.read_text())
+        assert len(entries()[1]) == 1
+        assert not before.exists()
+    assert list(folder.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -54,12 +71,15 @@ def test_what_a_killed_run_left_is_removed(tmp_path: Path, folder: Path) -> None
         '{"name": 5, "pid": 1, "folder": "", "fleet_file": "", "started": ""}',
         '{"name": "a", "pid": "1", "folder": "", "fleet_file": "", "started": ""}',
         '{"name": "a", "pid": 1, "folder": "", "fleet_file": "", "started": "", "new": 1}',
+        '{"name": "a", "pid": PID, "folder": "\\u0000", "fleet_file": "", "started": ""}',
+        '{"name": "a\\u001b", "pid": PID, "folder": "", "fleet_file": "", "started": ""}',
+        '{"name": "a", "pid": 10000000000000000000000, "folder": "", "fleet_file": "", "started": ""}',
     ],
 )
 def test_a_live_run_whose_entry_says_nothing_is_told(tmp_path: Path, folder: Path, text: str) -> None:
     with a_run(tmp_path, "pair", "a"), a_run(tmp_path, "delta", "b"):
         entry = min(folder.iterdir(), key=lambda path: int(path.stem.split("-")[2]))
-        entry.write_text(text)
+        entry.write_text(text.replace("PID", str(os.getpid())))
         runs, unreadable = entries()
         assert [run.name for run in runs] == ["delta"]
         assert unreadable == [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -13,8 +14,8 @@ from agent.fleet.model import Fleet
 from bridges.mavlink.ardupilot.frames import Geodetic, geodetic_to_world
 from bridges.mavlink.simulator.settings import parse_home
 from deploy.console.data_files import FLEETS
-from deploy.processes import ports
-from deploy.processes.placement import place, vehicle
+from deploy.processes import placement, ports
+from deploy.processes.placement import held_orders, orders_folder, place, vehicle
 
 
 @pytest.fixture
@@ -95,3 +96,20 @@ def test_a_port_that_only_udp_uses_is_not_free() -> None:
         number = other.getsockname()[1]
         assert not ports._free("127.0.0.1", number)
     assert ports._free("127.0.0.1", number)
+
+
+def test_orders_of_a_run_that_was_killed_are_removed_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(placement, "private_folder", lambda: tmp_path)
+    pair, delta = (load_fleet(FLEETS / f"{name}.toml") for name in ("pair", "delta"))
+    left = tmp_path / "orders-0123456789abcdef"
+    left.mkdir()
+    (left / "stop.json").write_text("{}")
+    with held_orders(pair):
+        assert not left.exists()
+        (orders_folder(pair) / "stop.json").write_text("{}")
+        with held_orders(delta):
+            assert sorted(tmp_path.iterdir()) == sorted((orders_folder(pair), orders_folder(delta)))
+        assert list(orders_folder(pair).iterdir()), "it lives"
+    assert list(tmp_path.iterdir()) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.security.certificates import DAY_S
 from agent.security.credentials import authority_of, load
 from agent.security.identity import of_operator, of_robot
 from deploy.commands.hosts import keys as keys_command
@@ -58,6 +60,17 @@ def test_a_second_operator(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "operator   anna" in run("main", "--list")
     with pytest.raises(InputError, match=r"of the authority .*, which is not here"):
         run("anna")
+    rows = [re.split(" {2,}", row) for row in run("anna", "--list").splitlines()]
+    assert [row[:2] + row[3:] for row in rows] == [
+        ["authority", short(rules), "on another computer"],
+        ["operator", "anna", "valid"],
+    ]
+    with monkeypatch.context() as later:
+        soon, late = (time.time() + days * DAY_S for days in (360, 400))
+        later.setattr(keys_command.time, "time", lambda: soon)
+        assert re.search(r"expires in [45] days: --request, --sign where", run("anna", "--list"))
+        later.setattr(keys_command.time, "time", lambda: late)
+        assert "  expired: --request, --sign where" in run("anna", "--list")
     # Another authority: she asks again, and what was in use is kept.
     run("main", "--replace-authority")
     run("anna", "--request", "--out", asked)
@@ -113,6 +126,9 @@ def test_what_is_too_large_is_not_read(run: Run, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is too large for a backup"):
         run("main", "--restore", str(tmp_path / "large"))
     run("main")
-    for option, why in (("--install", "these are not two certificates"), ("--sign", "must be JSON")):
+    for option, why in (
+        ("--install", "these are not two certificates"),
+        ("--sign", "large is no request: neither"),
+    ):
         with pytest.raises(InputError, match=why):
             run("main", option, str(tmp_path / "large"))

@@ -1,0 +1,114 @@
+"""What operators do wrong, with a fleet on two hosts: a clock that is ahead, a certificate that has expired,
+an authority replaced between a drive and its `fetch`. None of it takes `stop` away.
+
+Each test goes on from the one before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from agent.security.certificates import DAY_S
+from deploy.recording.mcap_reader import read_run
+from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, fetch_wheels
+from tests.hosts.hosts import Hosts
+from tests.hosts.operated_fleet import ANNA, Operated, drives, pair, states
+from tests.process.harness import wait_for
+
+pytestmark = pytest.mark.timeout(400)
+LONG_AGO_S = -400 * DAY_S
+"""A certificate of a year that was made then has expired, an authority of ten years has not."""
+
+
+@pytest.fixture(scope="module")
+def hosts(make_hosts: Callable[[int], Hosts]) -> Hosts:
+    return make_hosts(2)
+
+
+@pytest.fixture(scope="module")
+def made(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Operated:
+    """Up; anna has a certificate, too."""
+    fetch_wheels(hosts[0], cache)
+    found = Operated(hosts, tmp_path_factory.mktemp("fleet"), pair(hosts), cache)
+    found.of("main", "main", LONG_AGO_S).handfast("keys")
+    found.of("main", "main").handfast("keys")
+    asked, signed = str(found.folder / "anna.csr"), str(found.folder / "anna.crt")
+    found.of(ANNA, ANNA).handfast("keys", "--request", "--out", asked)
+    found.of("main", "main").handfast("keys", "--sign", asked, "--out", signed)
+    found.of(ANNA, ANNA).handfast("keys", "--install", signed)
+    found.of("main", "main").handfast("up", timeout=UP_TIMEOUT_S)
+    return found
+
+
+@pytest.fixture
+def fleet(made: Operated) -> Operated:
+    return made.of("main", "main")
+
+
+def stopped(fleet: Operated, reason: str) -> bool:
+    """Whether systemd says so of all, without the fleet's network or anybody's clock."""
+    said = []
+    for robot, host in enumerate(fleet.hosts, 1):
+        unit = f"handfast-{fleet.name}-robot-{robot}-agent"
+        told = host.run(["systemctl", "--user", "show", "-P", "StatusText", unit], check=True)
+        said.append(told.stdout.strip())
+    return said == [f"stopped: stop: {reason}"] * 2
+
+
+@pytest.mark.parametrize("ahead_s", [60.0, 3600.0])
+def test_a_resume_of_a_clock_that_is_ahead_outlives_no_stop(fleet: Operated, ahead_s: float) -> None:
+    drives(fleet)
+    fleet.of(ANNA, ANNA, ahead_s)
+    fleet.handfast("stop", "--reason", "anna's", status=None)
+    fleet.handfast("resume", status=None)
+    wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive again", 30.0)
+    reason = f"main's, {ahead_s:.0f} s behind"
+    told = fleet.of("main", "main").handfast("stop", "--reason", reason).stdout
+    assert told.count(": stop") == 2
+    assert stopped(fleet, reason)
+    fleet.handfast("down")
+    told = fleet.handfast("up", timeout=UP_TIMEOUT_S).stdout
+    assert told.count(f"stopped: stop: {reason}") == 2, told
+    assert stopped(fleet, reason)
+
+
+def test_orders_of_a_clock_days_ahead_are_refused_but_stops(fleet: Operated) -> None:
+    drives(fleet)
+    fleet.of(ANNA, ANNA, 3 * DAY_S)
+    fleet.handfast("stop", "--reason", "anna's, of a wrong clock")
+    assert stopped(fleet, "anna's, of a wrong clock")
+    told = fleet.handfast("resume", status=1)
+    assert "clock" in told.stdout + told.stderr
+    assert stopped(fleet, "anna's, of a wrong clock")
+    # What is right goes on.
+    drives(fleet.of("main", "main"))
+    fleet.handfast("stop", "--reason", "main's")
+    assert stopped(fleet, "main's")
+
+
+def test_a_stop_is_given_though_the_operators_certificate_has_expired(fleet: Operated) -> None:
+    drives(fleet)
+    fleet.of("main", "main", LONG_AGO_S).handfast("keys", "--renew")
+    told = fleet.of("main", "main").handfast("keys", "--list").stdout
+    assert "expired" in told
+    fleet.handfast("stop", "--reason", "expired")
+    assert stopped(fleet, "expired")
+    assert "expired" not in fleet.handfast("keys", "--list").stdout
+
+
+def test_what_was_recorded_under_an_authority_that_was_replaced_is_believed(
+    fleet: Operated, tmp_path: Path
+) -> None:
+    fleet.handfast("drive", "--duration", "5s", "--resume", "--out", str(tmp_path / "drive"), "--no-report")
+    fleet.handfast("keys", "--replace-authority")
+    fleet.handfast("up", timeout=UP_TIMEOUT_S)
+    told = fleet.handfast("fetch", "--out", str(tmp_path / "fetched"), "--no-report")
+    said = told.stdout + told.stderr
+    assert "PASSED" in said, said
+    assert "left out" not in said
+    driven, fetched = read_run(tmp_path / "drive"), read_run(tmp_path / "fetched")
+    assert fetched.epoch_ns == driven.epoch_ns
+    assert fetched.missions[-1] == driven.missions[-1]
