@@ -32,6 +32,8 @@ class StopLatch:
         self._resume: Resume | None = None
         self._own: Resume | None = None
         """Of the resumes that name this robot or all: the greatest of all may be another's."""
+        self._ahead: Stop | None = None
+        """The last that came from ahead of time: operators say a stop more than once."""
         self.version = 0
         self.lasting: tuple[Stop | Resume, ...] = ()
 
@@ -61,10 +63,12 @@ class StopLatch:
         """Takes an order that cannot have been given yet; returns why it is refused.
 
         An operator's clock is wrong by more than a day. A stop is a stop: it holds as one that is given now,
-        so that a resume of right clocks ends it. It is not said again: others have their own now.
+        after all that is known, so that the next resume of right clocks ends it. It is not said again: others
+        have their own now.
         """
-        if isinstance(order, Stop):
-            self.accept_stop(order._replace(version=now_ns // 1_000))
+        if isinstance(order, Stop) and not (self.stopped and order == self._ahead):
+            self._ahead = order
+            self.accept_stop(order._replace(version=max(now_ns // 1_000, self.version + 1)))
         return "future"
 
     def recall(self, order: Stop | Resume) -> None:

@@ -36,6 +36,14 @@ def some(ids: Iterable[Any]) -> str:
     return f"{text} and {len(shown) - NAMES_SHOWN} more" if len(shown) > NAMES_SHOWN else text
 
 
+def clock_ahead(by_s: float) -> str:
+    """What is wrong with a clock whose orders no robot believes."""
+    return (
+        f"set this machine's clock: it is {by_s / 3600.0:.0f} h ahead of the robots', which believe no order "
+        "of it but a stop"
+    )
+
+
 def error_text(error: Exception, before: str = "") -> str:
     """An exception on one line, with the place that it comes from."""
     frames = traceback.extract_tb(error.__traceback__)

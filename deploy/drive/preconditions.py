@@ -9,7 +9,7 @@ from agent.common.time import NS_PER_S
 from agent.common.wording import printable
 from agent.fleet.loading import digest
 from agent.messages.types import Stop
-from deploy.orders.operator import Known
+from deploy.orders.operator import Known, Operator
 
 OVER: Final = "the run is over"
 """Reason of the stop at the regular end of a drive."""
@@ -64,7 +64,7 @@ def older_mission(known: Known, now_ns: int) -> str:
     return f"older than the stop of {clock(stop.time_ns, now_ns)}{why(stop)}: {what}; {stands}"
 
 
-def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
+def refusal(known: Operator, now_ns: int, *, resume: bool) -> str:
     """Why no drive may begin now, in one sentence; "" when it may.
 
     Args:
@@ -73,6 +73,8 @@ def refusal(known: Known, now_ns: int, *, resume: bool) -> str:
         resume: whether any stop may be lifted.
     """
     name = known.fleet.fleet.name
+    if trouble := known.clock_trouble(now_ns):
+        return trouble
     if known.foreign is not None:
         return (
             f"the robots of {name} read another fleet file: its digest is {known.foreign.digest[:16]}, this "

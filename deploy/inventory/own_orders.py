@@ -6,6 +6,7 @@ after a new disk, whoever has given it here still has it, and says it again.
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +14,7 @@ from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode, newer
 from agent.messages.types import Mission, Resume, Stop
 from agent.messages.validation import Malformed
+from agent.messages.versions import as_believed
 from agent.runtime.order_store import FILE_BYTES_MAX, OrderFileError, packed, unpacked
 from agent.security.private_files import KeyFileError, exists, private_directory, read, write
 from deploy.inventory.folders import state_folder
@@ -39,12 +41,15 @@ class OwnOrders:
     def _read(self, path: Path) -> None:
         try:
             kept = unpacked(read(path, most=FILE_BYTES_MAX)) if exists(path) else ()
-            for order in map(decode, kept):
-                if isinstance(order, _KINDS):
-                    self._known[type(order)] = order
+            found = [order for order in map(decode, kept) if isinstance(order, _KINDS)]
         except (KeyFileError, OrderFileError, Malformed) as error:
-            self._known = {}
             self.trouble = f"what was ordered before is not known here: {path}: {error}"
+            return
+        # What was given by a clock that was ahead is nothing to go by once that is right.
+        believed = [as_believed(order, time.time_ns()) for order in found]
+        self._known = {type(order): order for order in believed if order is not None}
+        if believed != found:
+            self._write()
 
     @property
     def orders(self) -> tuple[Order, ...]:
@@ -60,7 +65,14 @@ class OwnOrders:
             is_newer = before is None or order.version > before.version
         if not is_newer:
             return
+        self.put(order)
+
+    def put(self, order: Order) -> None:
+        """Keeps an order, whatever of its kind is known."""
         self._known[type(order)] = order
+        self._write()
+
+    def _write(self) -> None:
         if self._path is None:
             return
         try:

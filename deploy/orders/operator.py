@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final
 
+from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.fleet.orders import OrderSection
 from agent.formation.geometry import Geometry
@@ -32,6 +33,7 @@ from agent.messages.types import (
 )
 from agent.messages.versions import can_be
 from agent.supervision.state_machine import DRIVING_NAMES
+from deploy.console.wording import clock_ahead
 from deploy.orders.mission_editing import OrderError, first_mission, ordered
 
 HEARTBEAT_PERIOD_NS: Final = 100_000_000
@@ -148,6 +150,8 @@ class Operator(Known):
         super().__init__(fleet, geometry)
         self._acknowledged = dict.fromkeys(fleet.ids, (0, 0))
         """What each robot acknowledged last: versions of a mission, and of a stop or resume."""
+        self._times: dict[int, int] = {}
+        """What each robot's clock showed last, ns."""
         self._marks: dict[int, Mark] = {}
         """The mission that each robot's beacon told last: which of those of one version it is."""
 
@@ -155,6 +159,7 @@ class Operator(Known):
         name = self.fleet.fleet.name
         if type(message) is Status and key == key_expressions.status(name, message.robot):
             self._acknowledge(message.robot, message.mission_version, message.order_version)
+            self._times[message.robot] = message.time_ns
         elif type(message) is Beacon and key == key_expressions.beacon(name, message.robot):
             order_version = max(message.stop_version, message.resume_version)
             self._acknowledge(message.robot, message.mission_version, order_version)
@@ -185,6 +190,12 @@ class Operator(Known):
     def without(self, stop: Stop, robots: Iterable[int]) -> list[int]:
         """Those of these robots that have acknowledged neither a stop nor what came after it."""
         return [robot for robot in robots if self._acknowledged[robot][1] < stop.version]
+
+    def clock_trouble(self, now_ns: int) -> str:
+        """What is wrong with this machine's clock where no robot that is heard would believe an order of now,
+        but a stop; "" when nothing is."""
+        newest_ns = max(self._times.values(), default=now_ns)
+        return "" if can_be(now_ns // 1_000, newest_ns) else clock_ahead((now_ns - newest_ns) / NS_PER_S)
 
     # ------------------------------------------------------------------ orders
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final, NamedTuple
 
+from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
-from agent.messages.versions import AHEAD_US_MAX
+from agent.messages.versions import AHEAD_US_MAX, can_be
 from agent.supervision.state_machine import State
+from deploy.console.wording import clock_ahead
 
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)
@@ -44,11 +46,14 @@ class Stopping:
 
     Attributes:
         message: what to send, and to send again until `done`; it may change.
+        ahead_s: how far this machine's clock is ahead of a robot's that did not believe the stop's time, 0.0
+            where all did.
     """
 
     def __init__(self, fleet: Fleet, now_ns: int, reason: str, message: Stop | None = None) -> None:
         self._ids, self._name, self._begun_ns = fleet.ids, fleet.fleet.name, now_ns
         self.message = message or Stop(now_ns // 1_000, now_ns, clipped(reason))
+        self.ahead_s = 0.0
         self._states: dict[int, tuple[str, int]] = {}
         """What each agent said last: its state, and the version of the stop or resume that it has."""
         self._agents: dict[int, _Brakes] = {}
@@ -58,6 +63,10 @@ class Stopping:
     def feed(self, now_ns: int, key: str, message: Message, way: str = NEW_LINK) -> None:
         """Takes a message that came on `key`, by a way, after the stop was sent first."""
         if type(message) is Status and key == key_expressions.status(self._name, message.robot):
+            if not self.ahead_s and not can_be(self.message.version, message.time_ns):
+                # Robots take it as given when they hear it: what they will acknowledge is of their time.
+                self.ahead_s = (now_ns - message.time_ns) / NS_PER_S
+                self.message = self.message._replace(version=message.time_ns // 1_000)
             self._hear_agent(now_ns, message.robot, message.state, message.order_version, way)
         elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
             self._heard_plants.add(message.robot)
@@ -108,8 +117,9 @@ class Stopping:
 
     def outcomes(self, *, each: bool) -> list[str]:
         """What became of it, in words: a line for each robot; unless `each`, those that brake in one line."""
+        clock = [clock_ahead(self.ahead_s)] if self.ahead_s else []
         if each:
-            return [self.outcome(robot) for robot in self._ids]
+            return [*(self.outcome(robot) for robot in self._ids), *clock]
         ways: Counter[str] = Counter()
         last_ns, lines = 0, []
         for robot in self._ids:
@@ -123,7 +133,7 @@ class Stopping:
             by_way = ", ".join(f"{count} {way}" for way, count in ways.most_common())
             after_ms = (last_ns - self._begun_ns) / 1e6
             lines.append(f"{ways.total()} robots brake, the last after {after_ms:.0f} ms ({by_way})")
-        return lines
+        return lines + clock
 
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""

@@ -38,11 +38,13 @@ class OrderSession(OperatorSession):
         """Gives the order that `make` makes of what the fleet does now; waits until all have acknowledged it.
 
         Raises:
-            NoAnswerError: the fleet has no mission yet.
+            NoAnswerError: the fleet has no mission yet; or no robot would believe this machine's clock.
             deploy.orders.mission_editing.OrderError: the order cannot be carried out.
         """
         self.ask()
         operator = self.operator
+        if trouble := operator.clock_trouble(self.now_ns()):
+            raise NoAnswerError(f"not given: {trouble}")
         if operator.plan is None:
             raise NoAnswerError(NO_MISSION)
         order = make(operator.plan)

@@ -36,10 +36,13 @@ class ResumeSession(OperatorSession):
         """Lets these robots drive again, or all when none is named. Waits until they do, but not for ever.
 
         Raises:
-            NoAnswerError: somebody has said stop after this began: that is not what it is to lift.
+            NoAnswerError: somebody has said stop after this began: that is not what it is to lift; or no
+                robot would believe this machine's clock.
         """
         begun_ns = self.now_ns()
         self.ask()  # a resume must be later than the stop that it ends
+        if trouble := self.operator.clock_trouble(self.now_ns()):
+            raise NoAnswerError(f"nobody is resumed: {trouble}")
         stop = self.operator.stop_in_force
         if stop is not None and begun_ns < stop.time_ns <= self.now_ns() + FUTURE_NS_MAX:
             what = f": {printable(stop.reason)}" if stop.reason else ""

@@ -118,7 +118,7 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
             why = error
         own.keep(stopping.message)
         _follow(stopping, session, ways)
-        own.keep(stopping.message)
+        (own.put if stopping.ahead_s else own.keep)(stopping.message)
         if isinstance(why, InputError) and not stopping.heard:
             raise why
         if session is not None and not stopping.heard and not session.alive and not _said(ways):

@@ -159,3 +159,20 @@ def test_whoever_recalls_what_lasts_is_where_it_was(orders):
     assert after.latch.mark == before.latch.mark
     assert after.latch.version == before.latch.version
     assert len(before.latch.lasting) <= 3
+
+
+def test_a_stop_from_ahead_of_time_holds_after_all_that_is_known_and_once():
+    owner, now_ns, later = Owner(), 1_000_000, 10**15
+    owner.take(resume(5_000))  # of a clock that is ahead, too, but can be
+    assert owner.latch.accept_ahead(stop(later, "ahead"), now_ns) == "future"
+    assert owner.latch.stopped == "stop: ahead"
+    assert owner.latch.version == 5_001
+    owner.latch.accept_ahead(stop(later, "ahead"), now_ns)
+    assert owner.latch.version == 5_001, "it is said again and again"
+    owner.take(resume(5_002))
+    assert not owner.latch.stopped
+    owner.latch.accept_ahead(resume(later), now_ns)
+    owner.latch.accept_ahead(stop(later, "ahead"), now_ns)
+    assert owner.latch.stopped, "the safe side"
+    owner.latch.accept_ahead(stop(later + 1, "another"), 2 * later)
+    assert owner.latch.version == 2 * later // 1_000

@@ -25,7 +25,7 @@ from deploy.drive.drive import Drive
 from deploy.drive.live_view import Lines
 from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from deploy.drive.timing import Timing
-from deploy.orders.operator import Known
+from deploy.orders.operator import Operator
 from deploy.recording.recorder import RecordingError
 from deploy.session.session import valid
 from tests.unit.deploy.orders.order_fleets import order
@@ -44,7 +44,7 @@ trajectory = { kind = "line", velocity_mps = [0.1, 0.0] }
 )
 TOLD = key_expressions.relayed("two", 1)
 STOP = Stop(5, 100 * S, "a person")
-LATER = 1 << 52
+LATER = time.time_ns() // 1_000 + 3_600_000_000
 """A version that is greater than any of this century."""
 
 
@@ -419,8 +419,8 @@ def test_a_plant_that_is_gone_knows_no_mission() -> None:
     assert robots.of(Stop)
 
 
-def known(*orders: Stop) -> Known:
-    made = Known(FLEET, resolve(FLEET))
+def known(*orders: Stop) -> Operator:
+    made = Operator(FLEET, resolve(FLEET))
     for each in orders:
         made.hear(TOLD, each)
     return made

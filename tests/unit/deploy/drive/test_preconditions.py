@@ -9,9 +9,9 @@ import pytest
 from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
-from agent.messages.types import Mission, Resume, Stop
+from agent.messages.types import Mission, Resume, Status, Stop
 from deploy.drive.preconditions import OVER, clock, refusal
-from deploy.orders.operator import Known
+from deploy.orders.operator import Operator
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
@@ -20,8 +20,8 @@ MISSION = Mission(1, EPOCH - S, EPOCH, 60 * S, digest(FLEET))
 DURING, AFTER = EPOCH + 10 * S, EPOCH + 60 * S
 
 
-def known(*orders: Mission | Stop | Resume) -> Known:
-    made = Known(FLEET, resolve(FLEET))
+def known(*orders: Mission | Stop | Resume) -> Operator:
+    made = Operator(FLEET, resolve(FLEET))
     for order in orders:
         made.hear(TOLD, order)
     return made
@@ -91,7 +91,7 @@ def test_robots_that_read_another_file_are_not_driven_by_this_one() -> None:
         "the robots of square read another fleet file: its digest is 0123456789abcdef, this"
     )
     assert digest(FLEET) in text
-    made = Known(FLEET, resolve(FLEET))
+    made = Operator(FLEET, resolve(FLEET))
     made.hear(key_expressions.mission("square"), other)  # by an operator, whom no robot believes
     assert refusal(made, AFTER, resume=True) == ""
 
@@ -113,3 +113,15 @@ def test_what_robots_tell_is_safe_to_print() -> None:
     assert ": \\x1b[2Jnow; drive with" in refusal(known(stop(3, "\x1b[2Jnow")), AFTER, resume=False)
     driving = known(MISSION._replace(note="\x1b[2J"))
     assert " (\\x1b[2J) and ends" in refusal(driving, DURING, resume=False)
+
+
+def test_no_drive_begins_by_a_clock_that_no_robot_believes() -> None:
+    driver, now_ns = known(), DURING + 3 * 86_400 * S
+    assert refusal(driver, now_ns, resume=False) == "", "nobody is heard"
+    for robot, time_ns in ((1, 0), (2, DURING)):
+        status = Status(robot, 1, time_ns, "ready", "", "", 0, 0, (), (), (), ())
+        driver.hear(key_expressions.status("square", robot), status)
+    assert refusal(driver, now_ns, resume=True).startswith("set this machine's clock: it is 72 h ahead")
+    status = Status(3, 1, now_ns - S, "ready", "", "", 0, 0, (), (), (), ())
+    driver.hear(key_expressions.status("square", 3), status)
+    assert refusal(driver, now_ns, resume=False) == "", "then it is theirs that is wrong"

@@ -10,6 +10,7 @@ from agent.fleet.loading import load_fleet, parse_fleet
 from agent.fleet.model import Fleet
 from agent.messages.types import Mission, Resume, Stop
 from deploy.console.data_files import FLEETS
+from deploy.inventory import own_orders
 from deploy.inventory.own_orders import OwnOrders
 
 HOSTS = """
@@ -39,6 +40,27 @@ def test_the_newest_of_each_kind_outlive_the_command(fleet: Fleet) -> None:
         own.keep(order)
     assert OwnOrders(fleet).orders == (STOP, RESUME, MISSION)
     assert own.trouble == ""
+
+
+def test_what_a_clock_that_was_ahead_gave_is_nothing_to_go_by_but_a_stop(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, ahead = OwnOrders(fleet), 3 * 86_400 * 10**6
+    now_us = 1_790_000_000 * 10**6
+    for order in (STOP, RESUME, MISSION):
+        own.keep(order._replace(version=now_us + ahead))
+    monkeypatch.setattr(own_orders.time, "time_ns", lambda: now_us * 1_000)
+    taken = STOP._replace(version=now_us)
+    assert OwnOrders(fleet).orders == (taken,)
+    monkeypatch.setattr(own_orders.time, "time_ns", lambda: (now_us + 7) * 1_000)
+    assert OwnOrders(fleet).orders == (taken,), "not anew each time: somebody may have lifted it"
+
+
+def test_a_stop_of_robots_time_takes_the_place_of_one_of_a_wrong_clock(fleet: Fleet) -> None:
+    own = OwnOrders(fleet)
+    own.keep(STOP._replace(version=10**15))
+    own.put(STOP)
+    assert OwnOrders(fleet).orders == (STOP,)
 
 
 def test_of_a_fleet_on_this_machine_nothing_is_kept(tmp_path: Path) -> None:

@@ -111,3 +111,31 @@ def test_of_many_those_that_brake_are_one_line_and_the_others_one_each() -> None
     assert made.outcomes(each=True) == [made.outcome(robot) for robot in FLEET.ids]
     silent = stopping()
     assert silent.outcomes(each=False) == silent.outcomes(each=True)
+
+
+def test_of_a_clock_that_is_days_ahead_it_takes_the_robots_time() -> None:
+    made = Stopping(FLEET, EPOCH + 3 * 86_400 * S, "")
+    began = made.message.version
+    status = Status(1, 1, EPOCH, "running", "", "", 1, 0, (), (), (), ())
+    made.feed(EPOCH + 3 * 86_400 * S, key_expressions.status("square", 1), status)
+    assert made.message.version == VERSION < began, "robots acknowledge what can be"
+    # One that has taken it already as of its own time is outdone, so that all acknowledge the same.
+    agent(made, 2, 10, "stopping", VERSION + 7)
+    assert made.message.version == VERSION + 8
+    brake(made, *FLEET.ids)
+    assert made.done
+    assert made.outcomes(each=True)[-1].startswith(
+        "set this machine's clock: it is 72 h ahead of the robots'"
+    )
+    assert made.outcomes(each=False)[-1] == made.outcomes(each=True)[-1]
+
+
+def test_one_robot_whose_clock_is_behind_takes_no_stop_away() -> None:
+    made = stopping()
+    status = Status(1, 1, 0, "running", "", "", 1, 0, (), (), (), ())
+    for _ in range(3):
+        made.feed(EPOCH + MS, key_expressions.status("square", 1), status)
+    agent(made, 2, 10, "running", VERSION - 5)
+    assert made.message.version == VERSION - 4, "later than all that others have"
+    brake(made, *FLEET.ids)
+    assert made.done
