@@ -179,16 +179,8 @@ def loop(
         ticks.plan(now_ns)
 
 
-def serve(
-    node: Node,
-    bus: Bus,
-    clock: Clock,
-    shutdown: Shutdown,
-    log: Log,
-    service: SystemdNotifier,
-    keeper: OrderKeeper | None = None,
-) -> None:
-    """Puts `node` on the bus and drives it by `clock` until the process is asked to end."""
+def appear(node: Node, bus: Bus, clock: Clock, keeper: OrderKeeper | None) -> None:
+    """Puts `node` on the bus, with what it was ordered before it started."""
     for key in node.publications:
         bus.declare(key)
     bus.listen(node.subscriptions)
@@ -198,8 +190,9 @@ def serve(
     # What was made so far lives as long as the process: the collector need not look at it again.
     gc.collect()
     gc.freeze()
-    service.ready()
-    loop(node, bus, clock, shutdown, log, service, keeper)
+
+
+def _say_rejected(node: Node, log: Log) -> None:
     if node.rejected:
         reasons = sorted(((count, name) for name, count in node.rejected.items()), reverse=True)
         shown = ", ".join(f"{count} {name}" for count, name in reasons)
@@ -312,7 +305,10 @@ def _run(
             _store(options, role, log) as store,
         ):
             keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
-            serve(node, bus, clock, shutdown, log, service, keeper)
+            appear(node, bus, clock, keeper)
+            service.ready()
+            loop(node, bus, clock, shutdown, log, service, keeper)
+            _say_rejected(node, log)
     finally:
         close()
 
