@@ -148,6 +148,8 @@ def _check_when(row: Mapping[str, Any], place: str, reader: Reader) -> None:
             f"{place}.{timed[0]}",
             "holds for the whole run (a process reads the wall clock once): leave at, for and every out",
         )
+    if row.get("wipe") and row.get("kill") is None and row.get("restart") is None:
+        reader.add(f"{place}.wipe", "belongs to kill or restart: a process that lives keeps its disk")
     for name in ACTION_FIELDS:
         if row.get(name) is None:
             continue

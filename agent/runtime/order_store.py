@@ -70,20 +70,25 @@ def _checksum(texts: Sequence[str]) -> int:
     return crc32("\n".join(texts).encode())
 
 
+def order_file(folder: Path, robot: int, role: str) -> Path:
+    """Where a robot's process keeps its orders."""
+    return folder / f"robot-{robot}-{role}.json"
+
+
 class OrderStore:
     """What one process keeps in `folder`, made if need be. A context manager, whose end waits for the disk.
 
     Args:
-        name: of its file there, without suffix.
+        robot, role: whose process it is.
         log: writes a line of the process's log.
 
     Raises:
         agent.security.private_files.KeyFileError: the folder cannot be made, or is others' as well.
     """
 
-    def __init__(self, folder: Path, name: str, log: Callable[[str], None]) -> None:
+    def __init__(self, folder: Path, robot: int, role: str, log: Callable[[str], None]) -> None:
         private_directory(folder)
-        self._path, self._stop_path, self._log = folder / f"{name}.json", folder / STOP_FILE, log
+        self._path, self._stop_path, self._log = order_file(folder, robot, role), folder / STOP_FILE, log
         self._stop_seen: tuple[int, int, int] | None = None
         self._look_due_ns = 0
         self._changed = threading.Condition()

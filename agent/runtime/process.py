@@ -253,7 +253,7 @@ def _store(options: argparse.Namespace, role: str, log: Log) -> AbstractContextM
     if options.orders is None:
         return nullcontext()
     try:
-        return OrderStore(Path(options.orders), f"robot-{options.robot}-{role}", log)
+        return OrderStore(Path(options.orders), options.robot, role, log)
     except KeyFileError as error:
         raise StartError(f"cannot keep operators' orders: {error}") from None
 

@@ -20,6 +20,8 @@ from deploy.chaos.profiles.mixed import draw_mixed
 from deploy.chaos.profiles.reordered import draw_reordered
 from deploy.chaos.profiles.scale import draw_scale
 
+WIPED: Final = 0.3
+
 
 class Profile(NamedTuple):
     """A kind of scenario: how often it is drawn, beside the others; what it is; what draws its tables from a
@@ -56,4 +58,13 @@ def seeds_of(profile: str | None, first: int, number: int) -> list[int]:
 
 def draw(seed: int) -> Tables:
     """The tables of the fleet file of this scenario."""
-    return PROFILES[profile_of(seed)].draw(seed)
+    tables = PROFILES[profile_of(seed)].draw(seed)
+    _wipe(Dice("wipe", seed), tables)
+    return tables
+
+
+def _wipe(dice: Dice, tables: Tables) -> None:
+    """Some of the processes that are killed lose their disks, too: they start again without their orders."""
+    for rule in tables.get("faults", {}).get("rule", ()):
+        if ("kill" in rule or "restart" in rule) and dice.chance(WIPED):
+            rule["wipe"] = True

@@ -27,7 +27,8 @@ class Action(NamedTuple):
 
     `what`: ``kill`` (SIGKILL: it is gone, with all it knew), ``start`` (a new one in its place; a simulated
     plant's body stands where it was, at rest), ``stop`` (SIGSTOP: it neither ticks nor reads), ``continue``
-    (SIGCONT). `role`: ``agent`` or ``plant``. `rule`: the name of the rule that orders it.
+    (SIGCONT). `role`: ``agent`` or ``plant``. `rule`: the name of the rule that orders it. `wipe`: what was
+    on a killed process's disk is lost, too.
     """
 
     time_s: float
@@ -35,6 +36,7 @@ class Action(NamedTuple):
     role: str
     what: What
     rule: str
+    wipe: bool = False
 
 
 def actions(rules: Sequence[Rule], ids: Sequence[int], end: float) -> list[Action]:
@@ -58,7 +60,7 @@ def actions(rules: Sequence[Rule], ids: Sequence[int], end: float) -> list[Actio
     down: Counter[Process] = Counter()
     paused: Counter[Process] = Counter()
     plan: list[Action] = []
-    for time_s, kind, _, robot, role, field, name in sorted(_changes(rules, ids, end)):
+    for time_s, kind, number, robot, role, field, name in sorted(_changes(rules, ids, end)):
         process = robot, role
         was_down, was_paused = down[process] > 0, paused[process] > 0
         start: tuple[What, ...] = ("start", "stop") if was_paused else ("start",)
@@ -73,7 +75,8 @@ def actions(rules: Sequence[Rule], ids: Sequence[int], end: float) -> list[Actio
             down[process] += 1 if kind == _BEGIN else -1
             if was_down != (down[process] > 0):
                 todo = ("kill",) if kind == _BEGIN else start
-        plan += [Action(time_s, robot, role, what, name) for what in todo]
+        wipe = rules[number].wipe
+        plan += [Action(time_s, robot, role, what, name, wipe and what == "kill") for what in todo]
     return plan
 
 

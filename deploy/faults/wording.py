@@ -113,7 +113,7 @@ def next_begin(rule: Rule, time_s: float) -> float | None:
 
 def lasts(rule: Rule) -> bool:
     """Whether a rule holds for a time: a restart is done at once."""
-    return set(_effects(rule)) != {"restart"} or rule.partition is not None
+    return set(_effects(rule)) - {"wipe"} != {"restart"} or rule.partition is not None
 
 
 def end_of(rule: Rule) -> float:

@@ -10,6 +10,7 @@ from typing import Final
 from agent.control.hand import Pose
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
+from agent.runtime.order_store import order_file
 from deploy.faults.process_actions import Action, Process
 from deploy.processes.child import Child, end_all
 from deploy.processes.placement import Vehicle
@@ -105,6 +106,8 @@ class Processes:
             child.kill()
             child.wait(10.0)  # the kernel's own work: its port is free after it
             self._killed.add(process)
+            if action.wipe and self._orders is not None:
+                order_file(self._orders, *process).unlink(missing_ok=True)
         elif action.what == "start":
             self._start(*process, pose)
             self._killed.discard(process)

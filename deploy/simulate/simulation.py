@@ -313,6 +313,8 @@ class Simulation:
         host = self._hosts[order]
         if action.what == "kill":
             host.kill(self.now_ns)
+            if action.wipe:
+                host.kept = ()
         elif action.what == "stop":
             host.pause()
             self._at(self.now_ns + LEASE_NS, partial(host.lapse, host.life, self.now_ns + LEASE_NS))

@@ -237,6 +237,8 @@ def test_defaults_that_are_wrong(faults: str, said: str) -> None:
         ('robot = 3\nkill = "agent"', "faults.rule[1].kill: needs an at"),
         ('robot = 3\npause = "agent"\nat = "5s"', "faults.rule[1].pause: needs a for"),
         ('robot = 3\nrestart = "agent"\nat = "5s"\nfor = "1s"', "a restart is at once"),
+        ('robot = 3\npause = "agent"\nat = 5\nfor = 1\nwipe = true', "wipe: belongs to kill or restart"),
+        ("wipe = true", "wipe: belongs to kill or restart"),
         ('robot = 3\nkill = "both agents"\nat = "5s"', "faults.rule[1].kill: must be one of"),
         ('link = "1->2"\ndropout = "5%"', "dropout is of robots: write robot"),
         ('robot = 3\ntopic = "state"\nrange = "disc 5m"', "a robot has no distance from its own plant"),

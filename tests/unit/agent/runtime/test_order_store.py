@@ -74,39 +74,39 @@ def test_nor_is_what_was_changed(changes: dict[str, object]):
 
 def test_what_one_process_keeps_the_next_one_reads(folder: Path):
     log = Lines()
-    with OrderStore(folder, "robot-1-agent", log) as store:
+    with OrderStore(folder, 1, "agent", log) as store:
         assert store.read() == ()
         assert written(store, ORDERS) == ""
         assert written(store, (b"later",)) == ""
-    assert OrderStore(folder, "robot-1-agent", log).read() == (b"later",)
-    assert OrderStore(folder, "robot-1-plant", log).read() == ()
+    assert OrderStore(folder, 1, "agent", log).read() == (b"later",)
+    assert OrderStore(folder, 1, "plant", log).read() == ()
     assert log == []
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_the_end_waits_for_the_disk(folder: Path):
-    with OrderStore(folder, "a", Lines()) as store:
+    with OrderStore(folder, 1, "agent", Lines()) as store:
         for number in range(20):
             store.keep((b"%d" % number,), (b"%d" % number,))
-    assert OrderStore(folder, "a", Lines()).read() == (b"19",)
+    assert OrderStore(folder, 1, "agent", Lines()).read() == (b"19",)
 
 
 def test_a_damaged_file_is_put_aside_and_said(folder: Path):
     log = Lines()
-    with OrderStore(folder, "a", log) as store:
+    with OrderStore(folder, 1, "agent", log) as store:
         written(store, ORDERS)
-        path = folder / "a.json"
+        path = folder / "robot-1-agent.json"
         path.write_bytes(path.read_bytes()[:-7])
         assert store.read() == ()
-        assert (folder / "a.damaged").exists()
+        assert (folder / "robot-1-agent.damaged").exists()
         assert store.read() == ()
     assert log == [f"cannot use the orders kept in {path}: it is damaged: it is not what was written"]
 
 
 def test_a_file_that_is_too_large_or_others_may_change_is_not_taken(folder: Path):
     log = Lines()
-    store = OrderStore(folder, "a", log)
-    path = folder / "a.json"
+    store = OrderStore(folder, 1, "agent", log)
+    path = folder / "robot-1-agent.json"
     path.write_bytes(b" " * (FILE_BYTES_MAX + 1))
     assert store.read() == ()
     path.write_bytes(packed(ORDERS))
@@ -118,7 +118,7 @@ def test_a_file_that_is_too_large_or_others_may_change_is_not_taken(folder: Path
 def test_a_folder_that_others_may_look_into_is_refused(folder: Path):
     folder.mkdir(mode=0o755)
     with pytest.raises(KeyFileError, match="chmod 700"):
-        OrderStore(folder, "a", Lines())
+        OrderStore(folder, 1, "agent", Lines())
 
 
 def test_a_disk_that_is_full_is_said_and_tried_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
@@ -132,19 +132,19 @@ def test_a_disk_that_is_full_is_said_and_tried_again(folder: Path, monkeypatch: 
 
     monkeypatch.setattr(order_store, "write", write)
     monkeypatch.setattr(order_store, "RETRY_S", 0.01)
-    with OrderStore(folder, "a", log) as store:
-        trouble = f"not on its disk: cannot write {folder / 'a.json'}: no space left on device"
+    with OrderStore(folder, 1, "agent", log) as store:
+        trouble = f"not on its disk: cannot write {folder / 'robot-1-agent.json'}: no space left on device"
         assert written(store, ORDERS) == trouble
         full.clear()
         while store.done() != (ORDERS, ""):
             threading.Event().wait(0.005)
-    assert log == [trouble, f"orders are kept again in {folder / 'a.json'}"]
-    assert OrderStore(folder, "a", Lines()).read() == ORDERS
+    assert log == [trouble, f"orders are kept again in {folder / 'robot-1-agent.json'}"]
+    assert OrderStore(folder, 1, "agent", Lines()).read() == ORDERS
 
 
 def test_a_stop_that_somebody_lays_there_is_found_once(folder: Path):
     log = Lines()
-    store, now_ns = OrderStore(folder, "a", log), 0
+    store, now_ns = OrderStore(folder, 1, "agent", log), 0
 
     def looked() -> tuple[bytes, ...]:
         nonlocal now_ns
@@ -168,6 +168,6 @@ def test_a_stop_that_somebody_lays_there_is_found_once(folder: Path):
 
 
 def test_one_that_was_there_before_is_found_by_who_starts(folder: Path):
-    OrderStore(folder, "a", Lines())
+    OrderStore(folder, 1, "agent", Lines())
     (folder / STOP_FILE).write_bytes(packed((b"one",)))
-    assert OrderStore(folder, "b", Lines()).stops(1) == (b"one",)
+    assert OrderStore(folder, 2, "agent", Lines()).stops(1) == (b"one",)

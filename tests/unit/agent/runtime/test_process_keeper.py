@@ -36,7 +36,7 @@ def test_what_another_version_has_kept_is_left_out_and_said(tmp_path: Path) -> N
     log: list[str] = []
     node, stop = Recalling(), encode(Stop(3, 3, "lunch"))
     other = sealed(msgpack.packb([VERSION + 1, 0, 2]))
-    with OrderStore(tmp_path / "orders", "robot-1-agent", log.append) as store:
+    with OrderStore(tmp_path / "orders", 1, "agent", log.append) as store:
         (tmp_path / "orders" / "robot-1-agent.json").write_bytes(packed([other, b"nonsense", stop]))
         keeper = OrderKeeper(cast(Node, node), cast(Bus, PlainBus()), store, "two", log.append)
         keeper.recall(1)

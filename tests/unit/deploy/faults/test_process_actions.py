@@ -51,6 +51,14 @@ def test_restart_is_kill_and_start_at_once() -> None:
     ]
 
 
+def test_a_disk_goes_with_the_process_that_is_killed() -> None:
+    plan = planned(rule('robot = 2\nkill = "agent"\nat = 5\nfor = 3\nwipe = true', "card"))
+    assert [(each.what, each.wipe) for each in plan] == [("kill", True), ("start", False)]
+    plan = planned(rule('robot = 2\nrestart = "both"\nat = 5\nwipe = true'))
+    assert [each.wipe for each in plan if each.what == "kill"] == [True, True]
+    assert not any(each.wipe for each in planned(rule('robot = 2\nrestart = "both"\nat = 5')))
+
+
 def test_every_comes_again_until_its_end() -> None:
     text = rule('robot = 1\npause = "plant"\nat = 1\nfor = "500ms"\nevery = 2\nuntil = 5.2')
     assert short(planned(text)) == [

@@ -11,6 +11,7 @@ import pytest
 from agent.control.hand import Pose
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
+from agent.messages.key_expressions import ROLES
 from deploy.console.data_files import FLEETS
 from deploy.faults.process_actions import Action
 from deploy.processes import local
@@ -126,3 +127,16 @@ def test_bridges_that_only_look_are_told_so() -> None:
     assert "--look" not in arguments[1], "a simulated body has nothing to arm"
     assert arguments[2][-1] == "--look"
     assert restart(made, 2).arguments[-1] == "--look"
+
+
+def test_a_disk_that_is_lost_takes_the_orders_of_its_process_with_it(tmp_path: Path) -> None:
+    fleet = load_fleet(FLEETS / "pair.toml")
+    files = {(robot, role): tmp_path / f"robot-{robot}-{role}.json" for robot in (1, 2) for role in ROLES}
+    for path in files.values():
+        path.write_text("{}")
+    made = Processes(fleet, tmp_path / "fleet.toml", lambda name: tmp_path / name, orders=tmp_path)
+    made.start()
+    for robot, wipe in ((1, True), (2, False)):
+        for what in ("kill", "start"):
+            made.carry_out(Action(1.0, robot, "agent", what, "x", wipe and what == "kill"), POSE)
+    assert [process for process, path in files.items() if not path.exists()] == [(1, "agent")]

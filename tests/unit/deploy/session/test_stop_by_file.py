@@ -27,7 +27,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def keep(folder: Path, robot: int, role: str, *orders: bytes) -> None:
-    with OrderStore(folder, f"robot-{robot}-{role}", lambda _: None) as store:
+    with OrderStore(folder, robot, role, lambda _: None) as store:
         store.keep(orders, orders)
         while store.done() is None:
             threading.Event().wait(0.002)
