@@ -90,6 +90,7 @@ class OrderStore:
         private_directory(folder)
         self._path, self._stop_path, self._log = order_file(folder, robot, role), folder / STOP_FILE, log
         self._stop_seen: tuple[int, int, int] | None = None
+        self._stop_trouble = ""
         self._look_due_ns = 0
         self._changed = threading.Condition()
         self._wanted: tuple[Orders, Sequence[bytes]] | None = None
@@ -139,12 +140,19 @@ class OrderStore:
         seen = found.st_mtime_ns, found.st_ino, found.st_size
         if seen == self._stop_seen:
             return ()
-        self._stop_seen = seen
         try:
-            return self._orders(self._stop_path)
-        except (KeyFileError, OrderFileError) as error:
+            orders = self._orders(self._stop_path)
+        except OrderFileError as error:
             self._log(f"ignored {self._stop_path}: {error}")
+            orders = ()
+        except KeyFileError as error:
+            # It is tried again: what keeps a stop from being read may pass.
+            if str(error) != self._stop_trouble:
+                self._stop_trouble = str(error)
+                self._log(f"cannot read {self._stop_path}: {error}")
             return ()
+        self._stop_seen, self._stop_trouble = seen, ""
+        return orders
 
     def _orders(self, path: Path) -> Orders:
         return unpacked(read(path, most=FILE_BYTES_MAX))

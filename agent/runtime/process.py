@@ -28,6 +28,7 @@ from agent.node import Node
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
+from agent.runtime.listening_gate import Gate
 from agent.runtime.order_store import OrderStore
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
@@ -38,8 +39,8 @@ from agent.security.private_files import KeyFileError
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""
 _STOP: Final = head(Stop)
-PARENT_PERIOD_NS: Final = NS_PER_S // 4
-"""How often the parent process is looked for, ns."""
+LOOK_PERIOD_NS: Final = NS_PER_S // 4
+"""How often the parent process, and who knocks, are looked for, ns."""
 
 Log = Callable[[str], None]
 
@@ -129,6 +130,7 @@ def loop(
     log: Log,
     service: SystemdNotifier,
     keeper: OrderKeeper | None = None,
+    gate: Gate | None = None,
 ) -> None:
     """Ticks `node` at absolute deadlines (`agent.links.ticks.Ticks`) until it was asked to end and is done.
 
@@ -137,7 +139,7 @@ def loop(
     """
     ticks = Ticks(node, clock.now_ns())
     end_by_ns: int | None = None
-    parent_due_ns = 0
+    look_due_ns = 0
     state = ""
     presence = bus.watch(node.watched) if node.watched else None
     heard: Sequence[str] = ()
@@ -171,9 +173,11 @@ def loop(
         service.lives(start_ns)
         if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return
-        if now_ns >= parent_due_ns:
-            parent_due_ns = now_ns + PARENT_PERIOD_NS
+        if now_ns >= look_due_ns:
+            look_due_ns = now_ns + LOOK_PERIOD_NS
             shutdown.look_for_parent()
+            if gate is not None and (knocked := gate.look(now_ns)):
+                log(knocked)
         if ticks.epoch_ns is not None:
             clock.begin(ticks.epoch_ns)
         ticks.plan(now_ns)
@@ -307,7 +311,8 @@ def _run(
             keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
             appear(node, bus, clock, keeper)
             service.ready()
-            loop(node, bus, clock, shutdown, log, service, keeper)
+            with Gate(len(fleet.robots)) as gate:
+                loop(node, bus, clock, shutdown, log, service, keeper, gate)
             _say_rejected(node, log)
     finally:
         close()

@@ -171,3 +171,16 @@ def test_one_that_was_there_before_is_found_by_who_starts(folder: Path):
     OrderStore(folder, 1, "agent", Lines())
     (folder / STOP_FILE).write_bytes(packed((b"one",)))
     assert OrderStore(folder, 2, "agent", Lines()).stops(1) == (b"one",)
+
+
+def test_a_stop_that_cannot_be_read_is_tried_again(folder: Path) -> None:
+    log = Lines()
+    store, path = OrderStore(folder, 1, "agent", log), folder / STOP_FILE
+    path.write_bytes(packed([b"stop"]))
+    path.chmod(0o666)
+    for look in range(1, 4):
+        assert store.stops(look * 10**9) == ()
+    assert len(log) == 1
+    assert f"cannot read {path}" in log[0]
+    path.chmod(0o600)
+    assert store.stops(9 * 10**9) == (b"stop",)
