@@ -241,8 +241,8 @@ class Rule(Impairments):
     )
     pause: Process | None = setting(None, "Freezes the process (SIGSTOP) for `for`.", example='"plant"')
     restart: Process | None = setting(None, "Kills the process and starts it again.", example='"agent"')
-    wipe: bool = setting(
-        False, "`kill`, `restart`: its disk is lost with it; it starts again without any order that it kept."
+    wipe: bool | None = setting(
+        None, "`kill`, `restart`: its disk is lost with it; it starts again without any order that it kept."
     )
     tick_jitter: float | None = setting(
         None, "Ticks of agent and plant come late by up to this.", unit="s", ge=0, le=1, example='"5ms"'

@@ -33,7 +33,7 @@ class StopLatch:
         self._own: Resume | None = None
         """Of the resumes that name this robot or all: the greatest of all may be another's."""
         self._ahead: Stop | None = None
-        """The last that came from ahead of time: operators say a stop more than once."""
+        """The last that came from ahead of time: it is said more than once, and may be replayed."""
         self.version = 0
         self.lasting: tuple[Stop | Resume, ...] = ()
 
@@ -66,7 +66,7 @@ class StopLatch:
         after all that is known, so that the next resume of right clocks ends it. It is not said again: others
         have their own now.
         """
-        if isinstance(order, Stop) and not (self.stopped and order == self._ahead):
+        if isinstance(order, Stop) and order != self._ahead:
             self._ahead = order
             self.accept_stop(order._replace(version=max(now_ns // 1_000, self.version + 1)))
         return "future"

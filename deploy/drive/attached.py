@@ -102,7 +102,7 @@ def _named(names: Sequence[str]) -> str:
     return ", ".join(names[:NAMED_MAX]) + (f" and {more} more" if more > 0 else "")
 
 
-def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool) -> str:
+def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool, given_ns: int) -> str:
     """Why no drive of a fleet that is up may begin (`deploy.drive.preconditions.refusal`), "" when it may.
 
     Raises:
@@ -111,4 +111,4 @@ def refused(fleet: Fleet, interrupt: Interrupt, *, resume: bool) -> str:
     """
     with connected(OperatorSession(fleet), interrupt) as session:
         session.ask()
-        return refusal(session.operator, session.now_ns(), resume=resume)
+        return refusal(session.operator, session.now_ns(), resume=resume, given_ns=given_ns)

@@ -46,6 +46,7 @@ class Drive:
         duration_s, orders: what is driven; the fleet file's unless given.
         resume: whether a stop that somebody else gave is to be lifted; one that the regular end of a drive
             gave always is.
+        given_ns: when somebody gave the drive (wall clock), now unless given: it lifts no stop since.
         timing: how long is waited for what.
         ways: makes the ways by which robots are stopped, besides the links that there are, after Ctrl-C or
             when they do not answer.
@@ -65,6 +66,7 @@ class Drive:
         duration_s: float | None = None,
         orders: Sequence[OrderSection] | None = None,
         resume: bool = False,
+        given_ns: int | None = None,
         timing: Timing | None = None,
         ways: Callable[[], Sequence[Way]] = tuple,
     ) -> None:
@@ -72,6 +74,7 @@ class Drive:
         self._duration_s = fleet.fleet.duration_s if duration_s is None else duration_s
         self._orders = fleet.orders if orders is None else orders
         self._resume = resume
+        self._given_ns = time.time_ns() if given_ns is None else given_ns
         self._timing, self._ways = timing or Timing(), ways
         self._fleet_state = FleetState(fleet, bus, processes, record)
         self._watch, self._operator = self._fleet_state.watch, self._fleet_state.operator
@@ -154,7 +157,7 @@ class Drive:
         """Gives the mission, and resumes robots that were stopped; False when that cannot be."""
         now_ns, stop = self._clock.now_ns(), None
         if not self._processes.ours:
-            obstacle = refusal(self._operator, now_ns, resume=self._resume)
+            obstacle = refusal(self._operator, now_ns, resume=self._resume, given_ns=self._given_ns)
             if obstacle:
                 self._fail(f"Not started: {obstacle}.")
                 return False
@@ -180,7 +183,7 @@ class Drive:
         now_ns = self._clock.now_ns()
         if not is_lifted(stop):
             self._view.say(f"lifting the stop that was given at {clock(stop.time_ns, now_ns)}{why(stop)}")
-        self._fleet_state.say(self._operator.order_resume(now_ns, ()))
+        self._fleet_state.say(self._operator.order_resume(now_ns, (), self._given_ns))
         return True
 
     def _hand_over(self) -> bool:

@@ -9,7 +9,7 @@ from agent.common.time import NS_PER_S
 from agent.common.wording import printable
 from agent.fleet.loading import digest
 from agent.messages.types import Stop
-from deploy.orders.operator import Known, Operator
+from deploy.orders.operator import Known, Operator, is_since
 
 OVER: Final = "the run is over"
 """Reason of the stop at the regular end of a drive."""
@@ -64,13 +64,14 @@ def older_mission(known: Known, now_ns: int) -> str:
     return f"older than the stop of {clock(stop.time_ns, now_ns)}{why(stop)}: {what}; {stands}"
 
 
-def refusal(known: Operator, now_ns: int, *, resume: bool) -> str:
+def refusal(known: Operator, now_ns: int, *, resume: bool, given_ns: int) -> str:
     """Why no drive may begin now, in one sentence; "" when it may.
 
     Args:
         known: what was ordered until now, by anybody.
         now_ns: wall clock.
         resume: whether any stop may be lifted.
+        given_ns: when the drive was given: no stop since is lifted, but the regular end of another drive.
     """
     name = known.fleet.fleet.name
     if trouble := known.clock_trouble(now_ns):
@@ -83,6 +84,11 @@ def refusal(known: Operator, now_ns: int, *, resume: bool) -> str:
     stop = known.stop_in_force
     if stop is None and (what := under_way(known, now_ns)):
         return f"{name} is driving already: {what}; wait until then, or say `handfast stop` first"
+    if stop is not None and stop.reason != OVER and is_since(stop, given_ns, now_ns):
+        return (
+            f"the robots of {name} were told to stop at {clock(stop.time_ns, now_ns)}{why(stop)}, after this "
+            "drive was given; drive again if they may"
+        )
     if stop is not None and not is_lifted(stop) and not resume:
         return (
             f"the robots of {name} were told to stop at {clock(stop.time_ns, now_ns)}{why(stop)}; drive with "

@@ -75,7 +75,7 @@ def actions(rules: Sequence[Rule], ids: Sequence[int], end: float) -> list[Actio
             down[process] += 1 if kind == _BEGIN else -1
             if was_down != (down[process] > 0):
                 todo = ("kill",) if kind == _BEGIN else start
-        wipe = rules[number].wipe
+        wipe = bool(rules[number].wipe)
         plan += [Action(time_s, robot, role, what, name, wipe and what == "kill") for what in todo]
     return plan
 

@@ -19,6 +19,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import Mark, encode
 from agent.messages.sequence_numbers import SequenceNumbers
 from agent.messages.types import (
+    FUTURE_NS_MAX,
     Ask,
     Beacon,
     Heartbeat,
@@ -229,9 +230,21 @@ class Operator(Known):
         self.stop = Stop(self._next_order(now_ns), now_ns, clipped(reason))
         return self.stop
 
-    def order_resume(self, now_ns: int, robots: Sequence[int]) -> Resume:
-        """A resume for these robots, for all when none is named."""
-        self.resume = Resume(self._next_order(now_ns), now_ns, tuple(robots))
+    def order_resume(self, now_ns: int, robots: Sequence[int], given_ns: int | None = None) -> Resume:
+        """A resume for these robots, for all when none is named.
+
+        Args:
+            given_ns: when somebody gave it, if that was before: it is older than a stop that was given since,
+                whichever robots hear first.
+        """
+        if given_ns is None:
+            version = self._next_order(now_ns)
+        else:
+            # What robots have, and was not heard here, may have been given since.
+            most = max(given_ns // 1_000, self.order_version)
+            had = [order for _, order in self._acknowledged.values() if order <= most]
+            version = _next(given_ns, self.order_version, had)
+        self.resume = Resume(version, now_ns, tuple(robots))
         return self.resume
 
     def _next_mission(self, now_ns: int) -> int:
@@ -300,6 +313,12 @@ class Operator(Known):
         # A plant acknowledges no orders: one that missed a resume brakes although its agent drives.
         braked = plant is not None and plant.healthy and plant.obeying and not plant.driving
         return status.state in DRIVING_NAMES and braked
+
+
+def is_since(stop: Stop, given_ns: int, now_ns: int) -> bool:
+    """Whether a stop was given after something else was, at `given_ns`: that is not what it was to lift. One
+    of a time that is still to come was given by a clock that is ahead: nobody knows when."""
+    return given_ns < stop.time_ns <= now_ns + FUTURE_NS_MAX
 
 
 def _next(now_ns: int, known: int, acknowledged: Iterable[int]) -> int:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
-from agent.messages.types import FUTURE_NS_MAX, Message
+from agent.messages.types import Message
 from deploy.inventory.running import NoAnswerError
-from deploy.orders.operator import Known
+from deploy.orders.operator import Known, is_since
 from deploy.orders.resume_outcome import Resuming
 from deploy.session.operator_session import OperatorSession
 from deploy.session.session import ANSWER_S, INBOX, connected
@@ -32,36 +32,41 @@ class ResumeSession(OperatorSession):
         if self._resuming is not None:
             self._resuming.feed(key, message)
 
-    def resume(self, robots: Sequence[int]) -> Resuming:
+    def resume(self, robots: Sequence[int], given_ns: int) -> Resuming:
         """Lets these robots drive again, or all when none is named. Waits until they do, but not for ever.
 
+        Args:
+            given_ns: when somebody gave the resume (wall clock).
+
         Raises:
-            NoAnswerError: somebody has said stop after this began: that is not what it is to lift; or no
+            NoAnswerError: somebody has said stop after this was given: that is not what it is to lift; or no
                 robot would believe this machine's clock.
         """
-        begun_ns = self.now_ns()
         self.ask()  # a resume must be later than the stop that it ends
         if trouble := self.operator.clock_trouble(self.now_ns()):
             raise NoAnswerError(f"nobody is resumed: {trouble}")
         stop = self.operator.stop_in_force
-        if stop is not None and begun_ns < stop.time_ns <= self.now_ns() + FUTURE_NS_MAX:
+        if stop is not None and is_since(stop, given_ns, self.now_ns()):
             what = f": {printable(stop.reason)}" if stop.reason else ""
             raise NoAnswerError(
                 f"nobody is resumed: somebody has just said stop{what}; resume again to lift that"
             )
-        resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots))
+        resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots, given_ns))
         self._resuming = resuming
         # It is sent again until all have done it: a link may lose a message.
         self.until(lambda: resuming.done, lambda: self.say(resuming.message), ANSWER_S)
         return resuming
 
 
-def resume(fleet: Fleet, robots: Sequence[int]) -> tuple[Resuming, Known]:
+def resume(fleet: Fleet, robots: Sequence[int], given_ns: int) -> tuple[Resuming, Known]:
     """What became of a resume of these robots of a running fleet, none: all; and what is ordered then.
+
+    Args:
+        given_ns: see `ResumeSession.resume`.
 
     Raises:
         deploy.inventory.running.NoAnswerError: nobody is there.
         agent.runtime.bus.BusError: the bus cannot be opened.
     """
     with connected(ResumeSession(fleet)) as session:
-        return session.resume(robots), session.operator
+        return session.resume(robots, given_ns), session.operator

@@ -80,13 +80,14 @@ def _drive(options: argparse.Namespace) -> int:
     from deploy.console.interrupt import Interrupt
     from deploy.drive.attached import refused
 
+    options.given_ns = time.time_ns()
     interrupt = Interrupt()
     with interrupt.caught():
         fleet, driven = _fleets(options)
         _refuse_what_cannot_be(options, driven)
         refuse_errors(options, driven)
         _warn_of_certificates(options, fleet)
-        why = refused(fleet, interrupt, resume=options.resume)
+        why = refused(fleet, interrupt, resume=options.resume, given_ns=options.given_ns)
         if interrupt.count:
             return INTERRUPTED
         if why:
@@ -172,6 +173,7 @@ def _attend(
                 duration_s=driven.fleet.duration_s,
                 orders=driven.orders,
                 resume=options.resume,
+                given_ns=options.given_ns,
                 ways=lambda: by_ssh(fleet),
             )
             drive.run()
@@ -228,6 +230,7 @@ def _detach(options: argparse.Namespace, fleet: Fleet, driven: Fleet, interrupt:
             duration_s=driven.fleet.duration_s,
             orders=(),
             resume=options.resume,
+            given_ns=options.given_ns,
             ways=lambda: by_ssh(fleet),
         )
         drive.run(detach=True)

@@ -26,8 +26,9 @@ def _resume(options: argparse.Namespace) -> int:
     from deploy.drive.preconditions import under_way
     from deploy.session.resume import resume
 
+    given_ns = time.time_ns()
     fleet = running_fleet(options.fleet)
-    resuming, known = resume(fleet, robots_named(fleet, options))
+    resuming, known = resume(fleet, robots_named(fleet, options), given_ns)
     for robot in resuming.robots:
         print(resuming.outcome(robot))
     if goes_on := under_way(known, time.time_ns()):

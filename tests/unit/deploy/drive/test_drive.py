@@ -367,7 +367,7 @@ def test_a_drive_that_breaks_off_leaves_a_stop_that_nobody_lifts_without_a_word(
     with pytest.raises(ZeroDivisionError):
         driven(robots)
     assert {stop.reason for stop in robots.of(Stop)} == {BROKEN_OFF}
-    assert refusal(known(robots.of(Stop)[-1]), time.time_ns(), resume=False)
+    assert refusal(known(robots.of(Stop)[-1]), time.time_ns(), resume=False, given_ns=time.time_ns())
 
 
 @pytest.mark.parametrize("last", [Mission, Stop])

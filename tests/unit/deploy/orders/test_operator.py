@@ -232,3 +232,16 @@ def test_a_version_that_cannot_be_changes_none() -> None:
     made.hear(key_expressions.status("square", 1), status(1, US + AHEAD_US_MAX + 1, US + AHEAD_US_MAX + 1))
     made.hear(key_expressions.status("square", 2), status(2, 0, US + 7))
     assert made.order_stop(EPOCH, "").version == US + 8
+
+
+def test_a_resume_is_of_the_time_at_which_it_was_given() -> None:
+    """A stop that is given meanwhile is later, whichever of them robots hear first."""
+    made = operator(begun=False)
+    given_ns, now_ns = EPOCH, EPOCH + 5 * S
+    meanwhile = (EPOCH + S) // 1_000
+    made.hear(key_expressions.status("square", 2), status(2, 0, meanwhile))  # which was not heard here
+    assert made.order_resume(now_ns, (), given_ns).version == given_ns // 1_000 < meanwhile
+    # What is known to be lifted is.
+    made.hear(key_expressions.stop("square"), Stop(meanwhile, EPOCH + S, "known"))
+    assert made.order_resume(now_ns, (), given_ns).version == meanwhile + 1
+    assert made.order_resume(now_ns, ()).version == now_ns // 1_000
