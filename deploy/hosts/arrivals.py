@@ -8,7 +8,7 @@ from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
-from agent.messages.types import Stop
+from agent.messages.types import Resume, Stop
 from agent.supervision.state_machine import DRIVING_NAMES, State
 from deploy.drive.preconditions import CAME_UP, is_lifted
 from deploy.drive.readiness import is_ready
@@ -27,6 +27,7 @@ class Arrivals(OperatorSession):
     def __init__(self, fleet: Fleet) -> None:
         super().__init__(fleet)
         self._came: dict[Receiver, float] = {}
+        self._meant: Stop | None = None
 
     def look(self) -> None:
         """Takes what came."""
@@ -63,13 +64,29 @@ class Arrivals(OperatorSession):
         """Whether any robot drives."""
         return any(map(self.drives, self.fleet.ids))
 
+    def learn(self, order: Stop | Resume) -> None:
+        """Takes what robots have kept of somebody's order, though they are not heard."""
+        self.feed(self.operator.keys[type(order)], order)
+        newest = -1 if self._meant is None else self._meant.version
+        if isinstance(order, Stop) and not is_lifted(order) and order.version > newest:
+            self._meant = order
+
     def came_up(self) -> Stop:
         """The stop with which the fleet begins: it ends whatever was ordered before. One that somebody gave
         for a reason holds on, for that reason."""
-        standing, now_ns = self.operator.stop_in_force, self.now_ns()
-        if standing is None or is_lifted(standing):
-            return self.operator.order_stop(now_ns, CAME_UP)
-        return self.operator.order_stop(now_ns, standing.reason)
+        standing = self.meant
+        return self.operator.order_stop(self.now_ns(), CAME_UP if standing is None else standing.reason)
+
+    @property
+    def meant(self) -> Stop | None:
+        """The stop that somebody gave for a reason and nobody has lifted, None without any."""
+        found, resume = self.operator.stop_in_force, self.operator.resume
+        if found is not None and not is_lifted(found):
+            return found
+        lifted = resume is not None and not resume.robots
+        if self._meant is None or (lifted and resume is not None and resume.version > self._meant.version):
+            return None
+        return self._meant
 
     def settled(self, robot: int) -> bool:
         """Whether a robot is ready to drive, drives, or has driven."""

@@ -593,13 +593,27 @@ def kept(fleet: str) -> dict[str, dict[str, Any]]:
     folder, found = inside(f"fleets/{fleet}/orders"), {}
     for name, about in units_of(fleet).items():
         process = name.removeprefix(f"handfast-{fleet}-").removesuffix(".service")
-        orders: list[str] = []
-        with suppress(OSError, ValueError, TypeError, KeyError):
-            with open(folder / f"{process}.json", encoding="ascii") as stream:
-                texts = json.loads(stream.read(ORDERS_BYTES_MAX))["orders"]
-            orders = [text for text in texts[:STOPS_SHOWN] if len(text) <= STOP_TEXT_MAX]
+        orders = first_orders(folder / f"{process}.json")
         found[name] = {"says": about.get("StatusText", "")[:STOP_TEXT_MAX], "orders": orders}
     return found
+
+
+def first_orders(path: Path) -> list[str]:
+    """The first orders in a file of kept ones; none where it is none."""
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        with open(path, encoding="ascii") as stream:
+            texts = json.loads(stream.read(ORDERS_BYTES_MAX))["orders"]
+        return [text for text in texts[:STOPS_SHOWN] if len(text) <= STOP_TEXT_MAX]
+    return []
+
+
+@request
+def orders(fleet: str, most: int) -> list[str]:
+    """The stops and resumes that robots of the fleet have kept here, `most` of them, whether the robots are
+    up or not; the stop that was laid there first."""
+    folder = inside(f"fleets/{fleet}/orders")
+    paths = [folder / STOP_FILE, *sorted(folder.glob("robot-*.json"))]
+    return list(dict.fromkeys(text for path in paths for text in first_orders(path)))[:most]
 
 
 def used(pid: str) -> dict[str, float]:

@@ -7,6 +7,7 @@ there, and in what state, is heard over the bus and not from ssh.
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,12 +18,12 @@ from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from agent.messages.key_expressions import ROLES
-from agent.messages.types import Stop
+from agent.messages.types import Resume, Stop
 from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
-from deploy.drive.preconditions import clock, older_mission, why
+from deploy.drive.preconditions import CAME_UP, clock, older_mission, why
 from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
@@ -30,12 +31,16 @@ from deploy.hosts.certificates import AnotherAuthorityError, HostKeys
 from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs
 from deploy.hosts.plugin_files import plugin_modules
+from deploy.hosts.remote_program import STOP_TEXT_MAX
 from deploy.hosts.setup import Prepared, prepare
+from deploy.hosts.stop_by_ssh import ROBOTS_LEFT
 from deploy.hosts.view import DOING, DONE, HostsView, Row
-from deploy.inventory.hosts import robots_text
-from deploy.session.sealing import sealed
+from deploy.inventory.hosts import robots_on, robots_text
+from deploy.session.sealing import sealed, unsealed
 
 SAY_PERIOD_S: Final = 0.25
+ORDERS_EACH: Final = 4
+"""A robot's two processes keep a stop and a resume each."""
 REMIND_S: Final = 2.0
 """Robots that do not know of the stop in force have so long to acknowledge it; then it counts who drives."""
 
@@ -113,6 +118,8 @@ class BringUp:
         self._starts, self._stopped = False, threading.Event()
         """Whether robots start of a fleet that stands, and that a stop was made for that."""
         self._stop: Stop | None = None
+        self._kept: queue.SimpleQueue[Stop | Resume] = queue.SimpleQueue()
+        """What robots have kept of operators' orders, as their hosts tell."""
         self._say_due = 0.0
         self._forgetful = ""
 
@@ -154,7 +161,11 @@ class BringUp:
     def _say_stop(self) -> None:
         """Says the stop in force to those who do not know of it; when robots start, one that ends whatever
         was ordered before."""
-        if self._starts and self._stop is None:
+        starts = self._starts  # before what its host told is looked at
+        while not self._kept.empty():
+            self._arrivals.learn(self._kept.get())
+        meant = self._arrivals.meant
+        if starts and (self._stop is None or (self._stop.reason == CAME_UP and meant is not None)):
             self._stop = self._arrivals.came_up()
             self._stopped.set()
         forgot = self._forgot_stop()
@@ -178,11 +189,16 @@ class BringUp:
     def _lay_stop(self, connection: HostConnection) -> None:
         """Has the robots of a host find that stop before they start. Robots that were heard to stand are not
         to drive by what somebody ordered before they started."""
+        name, robots = self._fleet.fleet.name, len(robots_on(self._fleet, connection.host))
+        most = ORDERS_EACH * (robots + ROBOTS_LEFT)
+        told = connection.ask("orders", fleet=name, most=most, answer_bytes=most * (STOP_TEXT_MAX + 4))
+        for each in unsealed(self._fleet, told if isinstance(told, list) else ()):
+            self._kept.put(each)
         self._starts = True
         if not self._stopped.wait(self._timing.listen_s + 5.0) or self._stop is None:
             raise HostError("left as it was: this machine is too busy to stop the fleet first")
         order = packed(sealed(self._fleet, encode(self._stop)))
-        connection.exchange("order", order, fleet=self._fleet.fleet.name)
+        connection.exchange("order", order, fleet=name)
 
     def _settle(self, interrupt: Interrupt) -> None:
         """Gives those that came first a moment to find those that came last."""

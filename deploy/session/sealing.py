@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import time
+from base64 import b64decode
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import Any
 
 from agent.fleet.model import Fleet
+from agent.messages.codec import decode
+from agent.messages.types import Resume, Stop
+from agent.messages.validation import Malformed
 from agent.runtime.order_store import ORDERS_MAX
 from agent.security import private_files
 from agent.security.certificates import CertificateError, authority_from_pem
 from agent.security.credentials import AUTHORITY_CERTIFICATE, CredentialsError
 from agent.security.identity import IdentityError, of_operator
-from agent.security.sealed_order import Opener, Openers, Sealer
+from agent.security.sealed_order import Forged, Opener, Openers, Sealer
 from deploy.console.arguments import InputError
 from deploy.inventory.operator_credentials import (
     earlier_folders,
@@ -69,3 +76,23 @@ def order_opener(fleet: Fleet) -> Openers | None:
     except CertificateError as error:
         raise InputError(f"{path}: {error}") from None
     return Openers(found)
+
+
+def unsealed(fleet: Fleet, texts: Iterable[Any]) -> list[Stop | Resume]:
+    """The stops and resumes among orders that robots of `fleet` have kept (base64), as their computers tell
+    them: what no operator has sealed is left out. None where this operator cannot tell that.
+
+    Raises:
+        InputError: the certificate of the authority cannot be read.
+    """
+    opener = order_opener(fleet) if fleet.is_secured else None
+    found: list[Stop | Resume] = []
+    if fleet.is_secured and opener is None:
+        return found
+    for text in texts:
+        with suppress(ValueError, TypeError, Forged, Malformed):
+            data = b64decode(text, validate=True)
+            order = decode(data if opener is None else opener.open_recorded(data).payload)
+            if isinstance(order, Stop | Resume):
+                found.append(order)
+    return found

@@ -55,6 +55,7 @@ class Operated(FleetOnHosts):
 
     def environment(self) -> dict[str, str]:
         own = {KEYS: str(self.keys), OPERATOR: self.who, PASSPHRASE: "correct horse battery"}
+        own["XDG_STATE_HOME"] = str(self.folder / f"{self.keys.name}-state")
         return super().environment() | own
 
 

@@ -102,6 +102,19 @@ def test_orders_of_a_clock_days_ahead_are_refused_but_stops(fleet: Operated) -> 
     stopped(fleet, "main's")
 
 
+def test_what_one_operator_stopped_and_took_down_is_lifted_by_no_other_unseen(
+    fleet: Operated,
+) -> None:
+    """Their computers remember nothing of each other's orders: robots do."""
+    drives(fleet)
+    fleet.of(ANNA, ANNA).handfast("stop", "--reason", "a person on the field")
+    fleet.handfast("down")
+    told = fleet.of("main", "main").handfast("up", timeout=UP_TIMEOUT_S).stdout
+    assert told.count("stopped: stop: a person on the field") == 2, told
+    told = fleet.handfast("drive", "--detach", status=2).stderr
+    assert "a person on the field; drive with --resume" in told
+
+
 def test_a_stop_is_given_though_the_operators_certificate_has_expired(fleet: Operated) -> None:
     drives(fleet)
     fleet.of("main", "main", LONG_AGO_S).handfast("keys", "--renew")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from base64 import b64encode
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,9 +17,10 @@ from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
-from agent.messages.types import Status, Stop
+from agent.messages.types import Resume, Status, Stop
 from deploy.commands.hosts.up import _say
 from deploy.console.interrupt import Interrupt
+from deploy.drive.preconditions import CAME_UP, GOES_DOWN
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import Bundle
 from deploy.hosts.certificates import AnotherAuthorityError
@@ -42,6 +44,7 @@ class World:
         stale: robots that do not run as they should.
         after: what becomes of a robot that starts again: the state of its agent, or an error.
         broken: (robot, role) of units that fail.
+        kept: by host, what its robots have kept of orders.
         log: what hosts were asked that changes anything.
         at: the same of each host, which work side by side.
         noted: hosts where something was about to change, and what had been there until then.
@@ -56,6 +59,8 @@ class World:
         self.unwanted: list[str] = []
         self.after: dict[int, str | HostError] = {}
         self.broken: set[tuple[int, str]] = set()
+        self.kept: dict[str, list[Stop | Resume]] = {}
+        self.reasons: list[str] = []
         self.log: list[tuple[str, Any]] = []
         self.at: dict[str, list[tuple[str, Any]]] = {}
         self.noted: list[tuple[str, list[tuple[str, Any]]]] = []
@@ -104,7 +109,10 @@ class World:
     def publish(self, key: str, payload: bytes) -> None:
         """Robots obey a stop."""
         if key == key_expressions.stop(self.name):
-            self.stopped = decode(payload).version  # type: ignore[union-attr]
+            stop = decode(payload)
+            assert isinstance(stop, Stop)
+            self.stopped = stop.version
+            self.reasons.append(stop.reason)
             self.states = dict.fromkeys(self.states, "stopped")
 
     def close(self) -> None: ...
@@ -137,7 +145,7 @@ class There:
     def exchange(self, what: str, blob: bytes, **_: Any) -> tuple[None, bytes]:
         return None, b""
 
-    def ask(self, what: str, **asked: Any) -> Any:
+    def ask(self, what: str, *, answer_bytes: int | None = None, **asked: Any) -> Any:
         return getattr(self, f"_{what}")(**asked)
 
     def robots(self, names: Sequence[str]) -> list[int]:
@@ -163,6 +171,9 @@ class There:
             assert self.world.first.wait(PATIENCE_S)
         stale = [name for name in wanted if int(name.split("-")[3]) in self.world.stale]
         return {"stale": stale, "unwritten": stale, "unwanted": self.world.unwanted, "open": []}
+
+    def _orders(self, fleet: str, most: int) -> list[str]:
+        return [b64encode(encode(each)).decode() for each in self.world.kept.get(self.host.name, ())]
 
     def _changed(self, what: str, whom: Any) -> None:
         self.world.log.append((what, whom))
@@ -291,6 +302,29 @@ def test_while_none_drives_robots_of_a_host_start_together(world: World) -> None
     at_rover1 = [entry for entry in world.log if entry[0] in ("units", "restart")]
     assert at_rover1 == [("units", [1, 3]), ("restart", [1, 3])]
     assert ("remove", tuple(world.unwanted)) in world.log
+
+
+@pytest.mark.parametrize(
+    ("kept", "reason"),
+    [
+        ([], CAME_UP),
+        ([Stop(5, 5, "a person")], "a person"),
+        ([Stop(5, 5, "a person"), Stop(7, 7, GOES_DOWN)], "a person"),
+        ([Stop(5, 5, "a person"), Resume(6, 6, (3,))], "a person"),
+        ([Stop(5, 5, "a person"), Resume(6, 6, ())], CAME_UP),
+        ([Stop(5, 5, GOES_DOWN)], CAME_UP),
+    ],
+)
+@pytest.mark.parametrize("host", ["rover1", "rover2"])
+def test_a_stop_that_only_robots_remember_holds_with_its_reason(
+    world: World, kept: list[Stop | Resume], reason: str, host: str
+) -> None:
+    """Somebody else gave it, on another computer, and the fleet went down."""
+    world.stale = set(world.fleet.ids)
+    world.after = dict.fromkeys(world.fleet.ids, "ready")
+    world.kept[host] = kept
+    bring(world)
+    assert world.reasons[-1] == reason
 
 
 def test_while_they_drive_each_is_written_and_started_in_its_turn(world: World) -> None:
