@@ -229,7 +229,7 @@ def _of_file(path: Path) -> list[KnownFleet]:
     same = known(itself.name)
     exact = [each for each in same if each.up is not None and each.up.fleet_file.resolve() == path.resolve()]
     if exact or not same:
-        return exact or [itself]
+        return exact or _from(path) or [itself]
     if not itself.on_hosts:
         return [each for each in same if not each.on_hosts] or [itself]
     endpoints = _located_endpoints(itself.fleet)
@@ -240,6 +240,16 @@ def _of_file(path: Path) -> list[KnownFleet]:
         or any(run.source and Path(run.source).resolve() == path.resolve() for run in each.runs)
     ]
     return found or [itself]
+
+
+def _from(path: Path) -> list[KnownFleet]:
+    """The fleets that run or are up from a file, under the name that they had in it then."""
+    return [
+        each
+        for each in known()
+        for source in (each.up.source if each.up is not None else "", *(run.source for run in each.runs))
+        if source and Path(source).resolve() == path.resolve()
+    ]
 
 
 def _located_endpoints(fleet: Fleet) -> frozenset[str]:

@@ -6,10 +6,12 @@ after a new disk, whoever has given it here still has it, and says it again.
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import Final
 
+from agent.common.wording import printable
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode, newer
 from agent.messages.types import Mission, Resume, Stop
@@ -81,3 +83,8 @@ class OwnOrders:
             self.trouble = ""
         except KeyFileError as error:
             self.trouble = f"this machine will not remember the order: {error}"
+
+    def warn(self) -> None:
+        """Says what is wrong with what is kept here, if anything is."""
+        if self.trouble:
+            print(f"warning: {printable(self.trouble)}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from types import TracebackType
 from typing import Final
 
 from agent.common.wording import printable
@@ -55,6 +56,12 @@ class OperatorSession(Session):
         orders = (key_expressions.mission(name), key_expressions.stop(name), key_expressions.resume(name))
         for key in (key_expressions.status(name, "*"), key_expressions.relayed(name, "*"), *orders):
             self.bus.subscribe(key, INBOX)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.own.warn()
+        super().__exit__(kind, error, trace)
 
     def feed(self, key: str, message: Message) -> None:
         if isinstance(message, Mission | Stop | Resume):

@@ -123,7 +123,8 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
             raise why
         if session is not None and not stopping.heard and not session.alive and not _said(ways):
             raise session.no_answer()
-    return stopping, [*troubles, *_said(ways), *([own.trouble] if own.trouble else [])]
+    own.warn()
+    return stopping, [*troubles, *_said(ways)]
 
 
 def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]) -> None:

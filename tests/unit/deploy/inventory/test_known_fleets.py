@@ -276,3 +276,14 @@ def test_what_cannot_be_told_is_said_where_nothing_is_found(tmp_path: Path, fold
     assert f"; whether two is up on hosts cannot be told: {record} is damaged; when you know" in str(
         refused.value
     )
+
+
+def test_a_file_whose_fleet_was_renamed_means_what_was_brought_up_from_it(tmp_path: Path) -> None:
+    path = brought_up(tmp_path / "two.toml", two())
+    a_file(path, elsewhere("renamed"))
+    assert [each.name for each in meant(str(path))] == ["two"]
+    brought_up(path, elsewhere("renamed"))
+    assert [each.name for each in meant(str(path))] == ["renamed"]
+    with a_run(tmp_path, "three", "a", tmp_path / "own.toml"):
+        own = a_file(tmp_path / "own.toml", elsewhere("four"))
+        assert [each.name for each in meant(str(own))] == ["three"]

@@ -88,3 +88,18 @@ def test_a_disk_that_cannot_be_written_is_said(fleet: Fleet, monkeypatch: pytest
     own.keep(STOP)
     assert own.orders == (STOP,)
     assert own.trouble.startswith("this machine will not remember the order: cannot make the folder")
+
+
+def test_what_cannot_be_kept_is_said(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = OwnOrders(fleet)
+    own.warn()
+    assert capsys.readouterr().err == ""
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")
+    own = OwnOrders(fleet)
+    own.keep(STOP)
+    own.warn()
+    assert capsys.readouterr().err.startswith(
+        "warning: this machine will not remember the order: cannot make"
+    )
