@@ -82,12 +82,21 @@ class OrderStore:
         robot, role: whose process it is.
         log: writes a line of the process's log.
 
+    Where the folder cannot be made it is said, and nothing is kept until it can be: a robot must not stay
+    away for that.
+
     Raises:
-        agent.security.private_files.KeyFileError: the folder cannot be made, or is others' as well.
+        agent.security.private_files.KeyFileError: the folder is others' as well.
     """
 
     def __init__(self, folder: Path, robot: int, role: str, log: Callable[[str], None]) -> None:
-        private_directory(folder)
+        self._folder = folder
+        try:
+            private_directory(folder)
+        except KeyFileError as error:
+            if folder.is_dir():
+                raise
+            log(f"{error}: operators' orders are not kept until it can be made")
         self._path, self._stop_path, self._log = order_file(folder, robot, role), folder / STOP_FILE, log
         self._stop_seen: tuple[int, int, int] | None = None
         self._stop_trouble = ""
@@ -183,6 +192,7 @@ class OrderStore:
                 orders, came = self._wanted
             before = trouble
             try:
+                private_directory(self._folder)  # somebody may have removed it
                 write(self._path, packed(came), private=True)
                 trouble = ""
             except KeyFileError as error:

@@ -387,8 +387,14 @@ def compare(fleet: str, wanted: dict[str, str]) -> dict[str, list[str]]:
     out that this computer does not have.
     """
     there, asked, wanted = units_of(fleet), wanted, fitted(wanted)
+    # Robots whose folder for orders was removed keep none until they start again: they no longer see it.
+    forgetful = not inside(f"fleets/{fleet}/orders").is_dir()
     return {
-        "stale": [name for name, text in wanted.items() if not runs_as_wanted(text, there.get(name, {}))],
+        "stale": [
+            name
+            for name, text in wanted.items()
+            if (forgetful and "--orders" in text) or not runs_as_wanted(text, there.get(name, {}))
+        ],
         "unwritten": [
             name
             for name, text in wanted.items()

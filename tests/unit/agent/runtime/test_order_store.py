@@ -23,6 +23,7 @@ from agent.runtime.order_store import (
     unpacked,
 )
 from agent.security.private_files import KeyFileError
+from tests.process.harness import wait_for
 
 ORDERS = (b"stop", b"\x00\xff")
 
@@ -184,3 +185,24 @@ def test_a_stop_that_cannot_be_read_is_tried_again(folder: Path) -> None:
     assert f"cannot read {path}" in log[0]
     path.chmod(0o600)
     assert store.stops(9 * 10**9) == (b"stop",)
+
+
+def test_a_folder_that_cannot_be_made_is_said_and_tried_again(tmp_path: Path) -> None:
+    log, folder = Lines(), tmp_path / "orders"
+    folder.write_text("in its place")
+    with OrderStore(folder, 1, "agent", log) as store:
+        assert log[0].endswith("operators' orders are not kept until it can be made")
+        assert (store.read(), store.stops(1)) == ((), ())
+        store.keep((b"stop",), (b"stop",))
+        trouble = wait_for(store.done, "it was tried")[1]
+        assert trouble.startswith(f"not on its disk: cannot make the folder {folder}")
+        folder.unlink()
+        assert wait_for(store.done, "it was tried again") == ((b"stop",), "")
+    assert OrderStore(folder, 1, "agent", log).read() == (b"stop",)
+
+
+def test_a_folder_that_is_removed_is_made_again(folder: Path) -> None:
+    with OrderStore(folder, 1, "agent", Lines()) as store:
+        folder.rmdir()
+        store.keep((b"stop",), (b"stop",))
+        assert wait_for(store.done, "it is kept") == ((b"stop",), "")

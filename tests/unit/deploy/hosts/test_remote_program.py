@@ -175,6 +175,18 @@ def test_a_unit_runs_as_wanted_when_its_process_is_what_is_wanted(
     assert compared(host, agent=right, other=right)["stale"] == [AGENT], "each is what is said of it"
 
 
+def test_robots_whose_folder_for_orders_was_removed_start_again(
+    home: Path, host: HostConnection, sleeper: subprocess.Popen[bytes]
+) -> None:
+    unit = runs(sleeper)
+    keeps = f"{unit}# --orders\n"
+    show(home, sleeper.pid)
+    assert "stale" not in compared(host, agent=unit)
+    assert compared(host, agent=keeps)["stale"] == [AGENT]
+    host.exchange("order", b"{}", fleet="two")
+    assert "stale" not in compared(host, agent=keeps)
+
+
 def test_a_unit_whose_certificate_was_renewed_since_it_started_does_not_run_as_wanted(
     home: Path, host: HostConnection, sleeper: subprocess.Popen[bytes], tmp_path: Path
 ) -> None:
