@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.types import Message, PlantState, Resume, Status
+from agent.supervision.situation import NOT_SAID
 from agent.supervision.state_machine import DRIVING_NAMES, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
 
@@ -20,12 +21,20 @@ class Resuming:
     Args:
         fleet: as it runs.
         message: the resume.
+        before: what each agent said last before it.
+
+    Attributes:
+        robots: those that it is for.
+        others: robots that it is not for, and that will go on all the same: they have waited for a word since
+            they started, and that others drive is one.
     """
 
-    def __init__(self, fleet: Fleet, message: Resume) -> None:
+    def __init__(self, fleet: Fleet, message: Resume, before: Mapping[int, Status] | None = None) -> None:
         self._fleet = fleet
         self.message: Final = message
         self.robots: Final[Sequence[int]] = message.robots or fleet.ids
+        waited = [robot for robot, status in sorted((before or {}).items()) if status.reason == NOT_SAID]
+        self.others: Final[Sequence[int]] = [robot for robot in waited if robot not in self.robots]
         self._statuses: dict[int, Status] = {}
         self._plants: dict[int, PlantState] = {}
 

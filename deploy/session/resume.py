@@ -51,7 +51,8 @@ class ResumeSession(OperatorSession):
             raise NoAnswerError(
                 f"nobody is resumed: somebody has just said stop{what}; resume again to lift that"
             )
-        resuming = Resuming(self.fleet, self.operator.order_resume(self.now_ns(), robots, given_ns))
+        message = self.operator.order_resume(self.now_ns(), robots, given_ns)
+        resuming = Resuming(self.fleet, message, self.statuses)
         self._resuming = resuming
         # It is sent again until all have done it: a link may lose a message.
         self.until(lambda: resuming.done, lambda: self.say(resuming.message), ANSWER_S)

@@ -7,6 +7,7 @@ import time
 
 from agent.common.exit import FAILED, PASSED
 from deploy.console.arguments import describe, robots_argument, robots_named
+from deploy.console.wording import robots as some_robots
 from deploy.inventory.running import MEANING, handled, running_fleet
 
 
@@ -31,6 +32,9 @@ def _resume(options: argparse.Namespace) -> int:
     resuming, known = resume(fleet, robots_named(fleet, options), given_ns)
     for robot in resuming.robots:
         print(resuming.outcome(robot))
+    if resuming.others:
+        them = "it has" if len(resuming.others) == 1 else "they have"
+        print(f"{some_robots(resuming.others)} will go on as well: {them} waited for others since the start")
     if goes_on := under_way(known, time.time_ns()):
         print(f"what goes on: {goes_on}")
     return PASSED if resuming.done else FAILED

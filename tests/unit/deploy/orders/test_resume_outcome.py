@@ -10,6 +10,7 @@ from agent.common.time import NS_PER_S
 from agent.fleet.loading import load_fleet
 from agent.messages import key_expressions
 from agent.messages.types import PlantState, Resume, Status
+from agent.supervision.situation import NOT_SAID
 from agent.supervision.state_machine import MISSION_OVER
 from agent.supervision.stop_latch import AWAITED
 from deploy.console.arguments import InputError, robots_named
@@ -162,3 +163,15 @@ def test_a_leave_that_came_too_late_is_not_blamed_on_its_operator() -> None:
     )
     assert "clock" in resuming.outcome(3)
     assert "must" not in resuming.outcome(3)
+
+
+def test_who_waits_for_a_word_will_go_on_with_those_that_are_meant() -> None:
+    before = {
+        1: status(1, "ready", NOT_SAID),
+        2: status(2, "ready", NOT_SAID),
+        3: status(3, "stopped", "stop"),
+    }
+    message = Resume(VERSION, T0, (1,))
+    assert Resuming(ROVERS, message, before).others == [2]
+    assert Resuming(ROVERS, message._replace(robots=()), before).others == []
+    assert resuming_of(1).others == []
