@@ -195,6 +195,11 @@ class Drive:
             if self._clock.now_ns() >= by_ns:
                 self._fail(f"Not left to drive alone: {robots(late)} did not take the mission.")
                 return False
+        stop = self._operator.stop_in_force
+        if stop is not None:
+            when = clock(stop.time_ns, self._clock.now_ns())
+            self._fail(f"Not left to drive alone: the robots were told to stop at {when}{why(stop)}.")
+            return False
         return True
 
     def _drive(self) -> None:

@@ -424,3 +424,15 @@ def known(*orders: Stop) -> Operator:
     for each in orders:
         made.hear(TOLD, each)
     return made
+
+
+def test_robots_that_somebody_stops_meanwhile_are_not_said_to_drive_on() -> None:
+    """The command may have been frozen since it gave the mission."""
+    robots = Robots("ready")
+    robots.on_mission = lambda: [(TOLD, Stop(LATER, time.time_ns(), "a person"))]
+    drive, _ = driven(robots, detach=True, duration_s=30.0)
+    assert not drive.is_left
+    (reason,) = drive.reasons
+    assert reason.startswith("Not left to drive alone: the robots were told to stop at ")
+    assert reason.endswith(": a person.")
+    assert ": a person" in robots.of(Stop)[-1].reason
