@@ -14,7 +14,9 @@ from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState
 from agent.runtime.bus import BusError
 from agent.supervision.situation import NOT_SAID
+from deploy.inventory.running import NoAnswerError
 from deploy.session import stop as stop_module
+from deploy.session.resume import resume
 from deploy.session.stop import Way
 from deploy.session.stop_by_file import WAY, FileWay
 from tests.process.fleet_harness import Robots, all_ready, robots
@@ -89,6 +91,22 @@ def test_a_stop_by_a_file_holds_though_all_start_again(
         fleet.publish_mission(later)
         nobody_drives(fleet, begun_ns)
         assert not fleet.died()
+
+
+def test_a_resume_that_was_given_before_a_stop_does_not_lift_it(tmp_path: Path) -> None:
+    """As one that has waited for its links meanwhile, or on a laptop whose lid was closed."""
+    with robots(tmp_path / "r", "pair") as fleet:
+        fleet.drive()
+        given_ns = time.time_ns()
+        status, out = fleet.told_by("stop")
+        assert status == 0, out
+        fleet.wait_until_all("stopped")
+        with pytest.raises(NoAnswerError, match="nobody is resumed: somebody has just said stop"):
+            resume(fleet.fleet, (), given_ns)
+        nobody_drives(fleet, time.time_ns(), 1.0)
+        resuming, _ = resume(fleet.fleet, (), time.time_ns())
+        assert resuming.done
+        fleet.wait_until_all("running")
 
 
 def test_a_damaged_file_is_said_and_nobody_drives(tmp_path: Path) -> None:
