@@ -357,7 +357,8 @@ class Hostile:
             encode(Wrench(stranger, 1, now_ns, 99.0, 0.0, False)),
             encode(Wrench(robot, 1, far_ns, 99.0, 9.0, False)),
             encode(Wrench(robot, 1, 1, 99.0, 9.0, False)),
-            encode(Mission(2**61, now_ns, now_ns, 10**9, "0123456789abcdef")),  # for another fleet file
+            encode(Mission(2**61, now_ns, now_ns, 10**9, "0123456789abcdef")),  # of a time to come
+            encode(Mission(now_ns // 1_000, now_ns, now_ns, 10**9, "0123456789abcdef")),  # for another file
             encode(Mission(1, now_ns, now_ns, 0, "0123456789abcdef")),
             encode(Stop(-1, now_ns, "")),
             encode(Resume(-1, now_ns, ())),
