@@ -29,6 +29,9 @@ to fill the places with connections that say nothing, which are given up after 1
 EACH: Final = 4
 OPENED_MAX: Final = 65_536
 """So many descriptors a process may have, where the system lets it: more than come between two looks."""
+SHUT_NS: Final = 20 * NS_PER_S
+"""After so long it is opened in any case: a process may have come to use many files of its own, and must not
+stay without new links for that. A connection that says nothing is given up after half of it."""
 SAY_PERIOD_NS: Final = 60 * NS_PER_S
 _ATTACH, _DETACH = 26, 27
 """SO_ATTACH_FILTER and SO_DETACH_FILTER (asm-generic/socket.h)."""
@@ -48,7 +51,7 @@ class Gate:
 
     def __init__(self, robots: int) -> None:
         self.shut = False
-        self._say_due_ns = 0
+        self._shut_ns = self._say_due_ns = 0
         self._stack = ExitStack()
         self._listening: list[socket.socket] = []
         self._waiting = waiting = WAITING + EACH * robots
@@ -91,7 +94,7 @@ class Gate:
         if not self._listening:
             return ""
         if self.shut:
-            if len(_opened()) < self._few:
+            if len(_opened()) < self._few or not 0 <= now_ns - self._shut_ns < SHUT_NS:
                 self._set(_DETACH, bytes(4))
                 self.shut = False
             return ""
@@ -101,7 +104,7 @@ class Gate:
             return ""
         program = ctypes.create_string_buffer(_DROP, len(_DROP))
         self._set(_ATTACH, struct.pack("HP", 1, ctypes.addressof(program)))
-        self.shut = True
+        self.shut, self._shut_ns = True, now_ns
         if 0 < self._say_due_ns - now_ns <= SAY_PERIOD_NS:
             return ""
         self._say_due_ns = now_ns + SAY_PERIOD_NS

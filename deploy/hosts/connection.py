@@ -35,7 +35,7 @@ CLOCK_ROUNDS: Final = 5
 CLOSE_S: Final = 0.5
 END_S: Final = 2.0
 """ssh that has closed its output ends within this, or is ended."""
-NOT_A_SHELL: Final = "what a login without a terminal prints must end (look into its .bashrc or .profile)"
+QUIET_LOGIN: Final = "what a login without a terminal prints must end (look into its .bashrc or .profile)"
 NO_PYTHON: Final = "handfast finds no python"
 START: Final = (
     'import sys; s = sys.stdin.buffer; exec(compile(s.read(int(s.readline())), "host_program", "exec"))'
@@ -319,7 +319,7 @@ def _greeting(stream: IO[bytes]) -> dict[str, Any] | None:
     while line := stream.readline(4096):
         read += len(line)
         if read > NOISE_BYTES_MAX:
-            raise HostError(f"its login prints more than {NOISE_BYTES_MAX // 1000} kB: {NOT_A_SHELL}")
+            raise HostError(f"its login prints more than {NOISE_BYTES_MAX // 1000} kB: {QUIET_LOGIN}")
         if line == remote_program.GREETING:
             return {}
         if line.startswith(NO_PYTHON.encode()):

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import pytest
 
 from agent.common.time import NS_PER_S
-from agent.runtime.listening_gate import EACH, WAITING, Gate
+from agent.runtime.listening_gate import EACH, SHUT_NS, WAITING, Gate
 
 MOST = WAITING + 2 * EACH
 PLENTY = 1000
@@ -54,6 +54,19 @@ def test_while_many_wait_nobody_new_is_let_in(listens: socket.socket) -> None:
         assert gate.look(2 * NS_PER_S) == ""
         assert not gate.shut
         assert knock(stack, listens)
+
+
+def test_a_process_that_uses_many_files_itself_is_not_shut_for_good(listens: socket.socket) -> None:
+    with Gate(2) as gate, ExitStack() as stack:
+        own = [os.open("/dev/null", os.O_RDONLY) for _ in range(PLENTY)]
+        gate.look(NS_PER_S)
+        gate.look(NS_PER_S + SHUT_NS - 1)
+        assert gate.shut
+        gate.look(NS_PER_S + SHUT_NS)
+        assert not gate.shut
+        assert knock(stack, listens)
+        for number in own:
+            os.close(number)
 
 
 def test_it_is_said_once_a_minute(listens: socket.socket) -> None:
