@@ -11,7 +11,6 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
-from agent.messages.versions import as_believed
 from agent.runtime.clock import RealClock
 from deploy.console.wording import robots
 from deploy.drive.readiness import in_words, is_ready, may_begin, waits
@@ -92,16 +91,11 @@ class FleetState:
             message = self.record(now_ns, key, payload)
             if message is not None:
                 self.watch.feed(key, message)
-                self._hear(now_ns, key, message)
+                if (order := self.operator.hear_at(now_ns, key, message)) is not None:
+                    self._own.keep(order)
                 self.checks.feed(now_ns, key, message)
                 self._locate(key, message)
                 self._note(now_ns, key, message)
-
-    def _hear(self, now_ns: int, key: str, message: Message) -> None:
-        if not isinstance(message, Mission | Stop | Resume):
-            self.operator.hear(key, message)
-        elif (order := as_believed(message, now_ns)) is not None and self.operator.hear(key, order):
-            self._own.keep(order)
 
     def _note(self, now_ns: int, key: str, message: Message) -> None:
         name = self.fleet.fleet.name

@@ -32,7 +32,7 @@ from agent.messages.types import (
     Stop,
     clipped,
 )
-from agent.messages.versions import can_be
+from agent.messages.versions import as_believed, can_be
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.wording import clock_ahead
 from deploy.orders.mission_editing import OrderError, first_mission, ordered
@@ -95,6 +95,15 @@ class Known:
             self.resume = message
             return True
         return False
+
+    def hear_at(self, now_ns: int, key: str, message: Message) -> Order | None:
+        """As `hear`, at a time (wall clock) by which orders are believed; returns an order that is newer than
+        those before, as it is believed."""
+        if not isinstance(message, Mission | Stop | Resume):
+            self.hear(key, message)
+            return None
+        order = as_believed(message, now_ns)
+        return order if order is not None and self.hear(key, order) else None
 
     def _take(self, mission: Mission) -> bool:
         try:

@@ -13,7 +13,6 @@ from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve, resolved
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, Resume, Status, Stop
-from agent.messages.versions import as_believed
 from deploy.analysis.silent_bodies import SilentBodies
 from deploy.console.wording import robots
 from deploy.inventory.own_orders import OwnOrders
@@ -64,13 +63,8 @@ class OperatorSession(Session):
         super().__exit__(kind, error, trace)
 
     def feed(self, key: str, message: Message) -> None:
-        if isinstance(message, Mission | Stop | Resume):
-            believed = as_believed(message, self.now_ns())
-            if believed is None:
-                return  # nor does a robot
-            message = believed
-        if self.operator.hear(key, message) and isinstance(message, Mission | Stop | Resume):
-            self.own.keep(message)
+        if (order := self.operator.hear_at(self.now_ns(), key, message)) is not None:
+            self.own.keep(order)
         if type(message) is Status and key == key_expressions.status(self.fleet.fleet.name, message.robot):
             self.statuses[message.robot] = message
             self.heard.add(message.robot)

@@ -245,3 +245,13 @@ def test_a_resume_is_of_the_time_at_which_it_was_given() -> None:
     made.hear(key_expressions.stop("square"), Stop(meanwhile, EPOCH + S, "known"))
     assert made.order_resume(now_ns, (), given_ns).version == meanwhile + 1
     assert made.order_resume(now_ns, ()).version == now_ns // 1_000
+
+
+def test_an_order_of_a_time_to_come_is_heard_as_robots_take_it() -> None:
+    made, far = operator(begun=False), US + AHEAD_US_MAX + 1
+    assert made.hear_at(EPOCH, RESUME, Resume(far, EPOCH, ())) is None
+    assert made.resume is None
+    assert made.hear_at(EPOCH, STOP, Stop(far, EPOCH, "ahead")) == Stop(US, EPOCH, "ahead") == made.stop
+    assert made.hear_at(EPOCH, STOP, Stop(US - 1, EPOCH, "older")) is None
+    assert made.hear_at(EPOCH, key_expressions.status("square", 1), status(1, orders=US + 5)) is None
+    assert made.behind
