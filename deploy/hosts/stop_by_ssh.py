@@ -21,7 +21,7 @@ from deploy.hosts.connection import HostConnection, HostError
 from deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
 from deploy.inventory import ssh
 from deploy.inventory.hosts import robots_on
-from deploy.orders.stop_outcome import Stopping
+from deploy.orders.stop_outcome import SAYS_BRAKES, Stopping
 from deploy.session.sealing import sealed
 from deploy.session.stop_by_file import kept_versions
 
@@ -142,7 +142,11 @@ class SshWay:
             self._news.wait_for(lambda: self._ended or self._order is not laid, seconds)
 
     def _look(self, robot: int, role: str, answer: Mapping[str, Any], stop: Stop) -> bool:
-        """Notes what is said there of a process; whether it has kept the stop."""
+        """Notes what is said there of a process; whether it has kept the stop and says that it brakes.
+
+        What it has kept is read after what it says: one that takes the stop between the two says so at the
+        next look.
+        """
         about = answer.get(systemd_units.unit_name(self._fleet.fleet.name, robot, role))
         if not isinstance(about, Mapping):
             return False
@@ -153,4 +157,4 @@ class SshWay:
             stopped, resumed = kept_versions(orders, is_secured=self._fleet.is_secured)
         with self._guard:
             self._found.append((time.time_ns(), robot, role, state, max(stopped, resumed)))
-        return stopped >= stop.version and stopped > resumed
+        return stopped >= stop.version and stopped > resumed and state in SAYS_BRAKES[role]

@@ -19,6 +19,8 @@ BRAKING: Final = frozenset(
 """States of an agent that has acknowledged a stop."""
 PLANT_BRAKES: Final = "braking"
 """What a plant's process says of itself then (`agent.node.Node.condition`)."""
+SAYS_BRAKES: Final = {"agent": BRAKING, "plant": frozenset({PLANT_BRAKES})}
+"""By role: what a process says of itself that brakes."""
 NEW_LINK: Final = "over a new link"
 
 
@@ -82,7 +84,7 @@ class Stopping:
             self._hear_agent(now_ns, robot, state, version, way)
             return
         self._heard_plants.add(robot)
-        if version >= self.message.version and state == PLANT_BRAKES:
+        if version >= self.message.version and state in SAYS_BRAKES[role]:
             self._plants.setdefault(robot, _Brakes(now_ns, state, way))
 
     def _hear_agent(self, now_ns: int, robot: int, state: str, version: int, way: str) -> None:

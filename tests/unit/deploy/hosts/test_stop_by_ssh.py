@@ -69,6 +69,27 @@ def test_it_is_laid_there_and_who_takes_it_is_told(fleet: Fleet, home: Path, fol
     assert way.troubles == []
 
 
+def test_who_takes_it_while_it_is_looked_at_is_looked_at_again(
+    fleet: Fleet,
+    home: Path,  # noqa: F811
+    folder: Path,
+) -> None:
+    """What it says of itself is read before what it has kept: it may take the stop between the two."""
+    say(home, fleet, agent="running", plant="driving")
+    stopping, way = Stopping(fleet, time.time_ns(), "lunch"), SshWay(fleet, fleet.hosts)
+    folder.mkdir(parents=True, mode=0o700)
+    for robot in fleet.ids:
+        for role in ROLES:
+            (folder / f"robot-{robot}-{role}.json").write_bytes(packed([encode(stopping.message)]))
+    way.send(stopping.message)
+    wait_for(lambda: looked(way, stopping) or stopping.heard, "it was looked at")
+    assert not stopping.done
+    say(home, fleet, **STATES)
+    wait_for(lambda: looked(way, stopping), "it was looked at again")
+    assert stopping.done
+    way.close()
+
+
 def test_an_older_stop_there_is_not_this_one(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
     say(home, fleet, **STATES)
     folder.mkdir(parents=True, mode=0o700)
