@@ -59,6 +59,10 @@ class Operator:
         self._folder = set_folder / self.name
         self.home: Final = self._folder / "home"
         (self.home / ".ssh").mkdir(mode=0o700, parents=True)
+        # Runs and drives of one computer find each other in its folder for temporary files: a set of hosts
+        # whose fleet has the same name, and hosts of the same addresses, is another one's.
+        temporary = self._folder / "tmp"
+        temporary.mkdir(mode=0o700)
         self.public_key: Final = make_key(self.home / ".ssh" / "id_ed25519")
         names = "".join(f"{host_address(n)} {host_name(n)}\n" for n in range(1, len(setups) + 1))
         self.etc_hosts: Final = f"127.0.0.1 localhost\n{self.address} {self.name}\n{names}"
@@ -72,6 +76,7 @@ class Operator:
         self.environment: Final = {
             **login_variables(),
             "PATH": os.pathsep.join((str(Path(sys.executable).parent), SYSTEM_PATH)),
+            "TMPDIR": str(temporary),
             spaces.MARK: set_name,
         }
         self.space: Final = Space(
