@@ -78,12 +78,12 @@ def order_file(folder: Path, robot: int, role: str) -> Path:
 class OrderStore:
     """What one process keeps in `folder`, made if need be. A context manager, whose end waits for the disk.
 
+    Where the folder cannot be made it is said, and nothing is kept until it can be: a robot must not stay
+    away for that.
+
     Args:
         robot, role: whose process it is.
         log: writes a line of the process's log.
-
-    Where the folder cannot be made it is said, and nothing is kept until it can be: a robot must not stay
-    away for that.
 
     Raises:
         agent.security.private_files.KeyFileError: the folder is others' as well.

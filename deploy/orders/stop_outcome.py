@@ -48,14 +48,17 @@ class Stopping:
 
     Attributes:
         message: what to send, and to send again until `done`; it may change.
-        ahead_s: how far this machine's clock is ahead of a robot's that did not believe the stop's time, 0.0
-            where all did.
+        ahead_s: how far this machine's clock is ahead of the robots', none of which believed the stop's time;
+            0.0 where any did.
     """
 
     def __init__(self, fleet: Fleet, now_ns: int, reason: str, message: Stop | None = None) -> None:
         self._ids, self._name, self._begun_ns = fleet.ids, fleet.fleet.name, now_ns
         self.message = message or Stop(now_ns // 1_000, now_ns, clipped(reason))
+        self._given_version = self.message.version
         self.ahead_s = 0.0
+        self._newest_ns = 0
+        """What the robots' clock that is the furthest ahead showed last: one alone may be wrong, or lie."""
         self._states: dict[int, tuple[str, int]] = {}
         """What each agent said last: its state, and the version of the stop or resume that it has."""
         self._agents: dict[int, _Brakes] = {}
@@ -65,10 +68,8 @@ class Stopping:
     def feed(self, now_ns: int, key: str, message: Message, way: str = NEW_LINK) -> None:
         """Takes a message that came on `key`, by a way, after the stop was sent first."""
         if type(message) is Status and key == key_expressions.status(self._name, message.robot):
-            if not self.ahead_s and not can_be(self.message.version, message.time_ns):
-                # Robots take it as given when they hear it: what they will acknowledge is of their time.
-                self.ahead_s = (now_ns - message.time_ns) / NS_PER_S
-                self.message = self.message._replace(version=message.time_ns // 1_000)
+            self._newest_ns = max(self._newest_ns, message.time_ns)
+            self._judge_clock(now_ns)
             self._hear_agent(now_ns, message.robot, message.state, message.order_version, way)
         elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
             self._heard_plants.add(message.robot)
@@ -76,6 +77,17 @@ class Stopping:
                 self._plants.pop(message.robot, None)
             else:
                 self._plants.setdefault(message.robot, _Brakes(now_ns, PLANT_BRAKES, way))
+
+    def _judge_clock(self, now_ns: int) -> None:
+        """Has the message be of the robots' time where none believes this machine's."""
+        is_believed = can_be(self._given_version, self._newest_ns)
+        if not is_believed and not self.ahead_s:
+            # Robots take it as given when they hear it: what they will acknowledge is of their time.
+            self.ahead_s = (now_ns - self._newest_ns) / NS_PER_S
+            self.message = self.message._replace(version=self._newest_ns // 1_000)
+        elif is_believed and self.ahead_s:
+            self.ahead_s = 0.0
+            self.message = self.message._replace(version=max(self._given_version, self.message.version))
 
     def found(self, now_ns: int, robot: int, role: str, state: str, version: int, way: str) -> None:
         """Takes what a robot's computer says of one of its processes: its state, and the version of the stop

@@ -136,6 +136,9 @@ def test_one_robot_whose_clock_is_behind_takes_no_stop_away() -> None:
     for _ in range(3):
         made.feed(EPOCH + MS, key_expressions.status("square", 1), status)
     agent(made, 2, 10, "running", VERSION - 5)
-    assert made.message.version == VERSION - 4, "later than all that others have"
+    assert made.message.version == VERSION, "another believes this machine's clock"
+    agent(made, 3, 10, "running", VERSION + 5)
+    assert made.message.version == VERSION + 6, "later than all that others have"
     brake(made, *FLEET.ids)
     assert made.done
+    assert "clock" not in made.outcomes(each=True)[-1], "it is not this machine's that is wrong"
