@@ -34,6 +34,7 @@ from agent.security.identity import of_robot
 from deploy.hosts.nftables import ruleset
 from tests.benchmarks.figures import Figure, Options, Result, number, spread, table
 from tests.benchmarks.processes import BenchmarkError, cpu_s, environment
+from tests.process.flooding import flooding
 from tests.process.guarded import guarded_fleet
 from tests.trusted import FLEET, authority, credentials, security
 
@@ -140,29 +141,18 @@ def _stands(name: str, rate: int, tries: int) -> _Stood:
         arm = _Arm(name, Path(folder), opened)
         if name != FIRST:
             arm.rejoins_s()  # who was there before
-        options = {"targets": [[OUTSIDE, PORT]], "rate": rate, "sources": SOURCES, "kind": KIND}
-        words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
-        with subprocess.Popen(
-            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment(), start_new_session=True
-        ) as flood:
-            assert flood.stdin is not None
-            assert flood.stdout is not None
-            try:
-                flood.stdout.readline()
-                begun_s = time.monotonic()
-                cpu_before_s = cpu_s(arm.proxy.pid) if arm.proxy else 0.0
-                time.sleep(SETTLE_S)
-                patience_s = FIRST_PATIENCE_S if name == FIRST else PATIENCE_S
-                took = [arm.rejoins_s(patience_s) for _ in range(tries)]
-                flood.stdin.close()
-                lasted_s = time.monotonic() - begun_s
-                reached = int(flood.stdout.readline()) / lasted_s
-                if arm.proxy is None:
-                    return _Stood(took, reached, 0.0, 0.0)
-                used = 100.0 * (cpu_s(arm.proxy.pid) - cpu_before_s) / lasted_s
-                return _Stood(took, reached, used, _peak_mb(arm.proxy.pid))
-            finally:
-                flood.kill()
+        with flooding([(OUTSIDE, PORT)], rate, KIND, sources=SOURCES) as strangers:
+            begun_s = time.monotonic()
+            cpu_before_s = cpu_s(arm.proxy.pid) if arm.proxy else 0.0
+            time.sleep(SETTLE_S)
+            patience_s = FIRST_PATIENCE_S if name == FIRST else PATIENCE_S
+            took = [arm.rejoins_s(patience_s) for _ in range(tries)]
+            lasted_s = time.monotonic() - begun_s
+            reached = strangers.end() / lasted_s
+            if arm.proxy is None:
+                return _Stood(took, reached, 0.0, 0.0)
+            used = 100.0 * (cpu_s(arm.proxy.pid) - cpu_before_s) / lasted_s
+            return _Stood(took, reached, used, _peak_mb(arm.proxy.pid))
 
 
 def _cost() -> tuple[float, float]:

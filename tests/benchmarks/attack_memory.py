@@ -6,10 +6,7 @@ second while one attack goes on: strangers' connections, and what somebody can s
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -23,9 +20,9 @@ from agent.messages import key_expressions
 from agent.messages.codec import encode
 from agent.messages.types import Heartbeat, Stop
 from tests.benchmarks.figures import Figure, Options, Result
-from tests.benchmarks.processes import environment
 from tests.benchmarks.soak import Memory, rss_mb
 from tests.process import attackers
+from tests.process.flooding import flooding, targets_of
 from tests.process.secured_fleet import TAKEN, SecuredRobots, secured_robots, three
 
 MINUTES: Final = 10.0
@@ -153,18 +150,6 @@ def _saying(fleet: SecuredRobots, say: Say | None) -> Iterator[Callable[[], None
 @contextmanager
 def _flooding(fleet: SecuredRobots, kind: str) -> Iterator[Callable[[], None]]:
     """Opens connections without a certificate."""
-    places = [fleet.endpoints[1, role].partition("/")[2].rpartition(":") for role in ("agent", "plant")]
-    targets = [[host, int(port)] for host, _, port in places]
-    options = {"targets": targets, "rate": CONNECTIONS_PER_S, "sources": 0, "kind": kind}
-    with subprocess.Popen(
-        [sys.executable, "-m", "tests.process.flood", json.dumps(options)],
-        env=environment(),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-    ) as process:
-        try:
-            yield lambda: None
-        finally:
-            assert process.stdin is not None
-            process.stdin.close()
-            process.wait()
+    targets = targets_of(fleet.endpoints[1, role] for role in ("agent", "plant"))
+    with flooding(targets, CONNECTIONS_PER_S, kind):
+        yield lambda: None

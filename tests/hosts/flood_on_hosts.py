@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +10,7 @@ from typing import Final
 from agent.fleet.loading import load_fleet
 from tests.hosts.fleet_on_hosts import FleetOnHosts
 from tests.hosts.host import Host
-from tests.process.harness import environment
+from tests.process.flooding import flooding, targets_of
 
 SETTLED_S: Final = 2.0
 """What the flood takes to fill what waits at the ports."""
@@ -24,20 +21,7 @@ def flood(stranger: Host, fleet: FleetOnHosts, per_s: int, settled_s: float = SE
     """Handshakes that fail, so many a second, at the ports of all agents and plants together."""
     known = load_fleet(fleet.file)
     endpoints = [ends(robot) for robot in known.ids for ends in (known.agent_endpoint, known.plant_endpoint)]
-    places = [endpoint.partition("/")[2].rpartition(":") for endpoint in endpoints]
-    targets = [[host, int(port)] for host, _, port in places]
-    options = {"targets": targets, "rate": per_s, "sources": 0, "kind": "broken"}
-    words = [sys.executable, "-m", "tests.process.flood", json.dumps(options)]
-    with subprocess.Popen(
-        [*stranger.space.command("net"), *words],  # with this machine's files
-        env=environment(),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        try:
-            assert process.stdout.readline() == b"ready\n"
-            time.sleep(settled_s)
-            yield
-        finally:
-            process.kill()
+    # With this machine's files.
+    with flooding(targets_of(endpoints), per_s, "broken", inside=stranger.space.command("net")):
+        time.sleep(settled_s)
+        yield

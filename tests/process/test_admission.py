@@ -27,6 +27,7 @@ from deploy.inventory.certificate_authority import Authority
 from deploy.processes.ports import Reservation
 from tests.process.attackers import attacks
 from tests.process.flood import SAYS, source
+from tests.process.flooding import flooding
 from tests.process.guarded import guarded_fleet
 from tests.process.harness import ADDRESS, environment, measured, no_trouble, wait_for
 from tests.process.test_security_links import Guarded
@@ -136,26 +137,11 @@ def flood(
     kind: str, port: int, rate: int = FLOOD_PER_S, addresses: Sequence[str] = (OUTSIDE,)
 ) -> Iterator[None]:
     """Strangers that try all the while."""
-    targets = [[address, port] for address in addresses]
-    options = {"targets": targets, "rate": rate, "sources": SOURCES, "kind": kind}
-    with subprocess.Popen(
-        [sys.executable, "-m", "tests.process.flood", json.dumps(options)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=environment(),
-        start_new_session=True,
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            assert process.stdout.readline() == b"ready\n"
-            begun_s = time.monotonic()
-            yield
-            process.stdin.close()
-            took_s = time.monotonic() - begun_s
-            measured("connections a second", int(process.stdout.readline()) / took_s)
-        finally:
-            process.kill()
+    with flooding([(address, port) for address in addresses], rate, kind, sources=SOURCES) as strangers:
+        begun_s = time.monotonic()
+        yield
+        took_s = time.monotonic() - begun_s
+        measured("connections a second", strangers.end() / took_s)
 
 
 @pytest.mark.parametrize("kind", SAYS)

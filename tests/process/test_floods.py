@@ -3,12 +3,7 @@ stays as it is and its own files can be opened: a stop that is laid on its disk 
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from agent.messages.codec import encode
@@ -17,32 +12,13 @@ from agent.runtime.listening_gate import EACH, WAITING
 from agent.runtime.order_store import STOP_FILE, packed
 from agent.security.private_files import write
 from tests.process import attackers
-from tests.process.harness import environment, measured
+from tests.process.flooding import flooding, targets_of
+from tests.process.harness import measured
 from tests.process.secured_fleet import SecuredRobots, secured_robots, three
 
 PER_S = 300
 OWN = 40
 """A process has fewer open of its own."""
-
-
-@contextmanager
-def flood(fleet: SecuredRobots, robot: int) -> Iterator[None]:
-    """Strangers begin handshakes with agent and plant of a robot, and do not go on."""
-    places = [fleet.endpoints[robot, role].partition("/")[2].rpartition(":") for role in ("agent", "plant")]
-    targets = [[host, int(port)] for host, _, port in places]
-    options = {"targets": targets, "rate": PER_S, "sources": 0, "kind": "hello"}
-    with subprocess.Popen(
-        [sys.executable, "-m", "tests.process.flood", json.dumps(options)],
-        env=environment(),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-    ) as process:
-        assert process.stdin is not None
-        try:
-            yield
-        finally:
-            process.stdin.close()
-            process.wait()
 
 
 def opened(fleet: SecuredRobots, robot: int, role: str) -> int:
@@ -53,8 +29,9 @@ def test_a_stop_on_the_disk_gets_through_a_flood_that_lasts(tmp_path: Path) -> N
     with secured_robots(three("fleet.rate_hz=25"), tmp_path / "r") as fleet:
         fleet.drive()
         most = OWN + WAITING + EACH * 3 + PER_S
-        with flood(fleet, 1):
-            roles = ("agent", "plant")
+        roles = ("agent", "plant")
+        # Strangers begin handshakes with both processes of a robot, and do not go on.
+        with flooding(targets_of(fleet.endpoints[1, role] for role in roles), PER_S, "hello"):
             fleet.wait(
                 lambda: all(opened(fleet, 1, role) >= WAITING for role in roles), "its places are taken"
             )
