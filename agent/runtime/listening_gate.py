@@ -17,21 +17,22 @@ import os
 import resource
 import socket
 import struct
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from types import TracebackType
 from typing import Final
 
 from agent.common.time import NS_PER_S
 
-WAITING: Final = 128
+WAITING: Final = 96
 """So many may wait, and for each robot of the fleet `EACH` more: all start together. Fewer would make it easy
-to fill the places with connections that say nothing, which are given up after 10 s."""
+to fill the places with connections that say nothing, which are given up after 10 s; more take longer to be
+looked at when a flood is over, 100 ms each."""
 EACH: Final = 4
 OPENED_MAX: Final = 65_536
 """So many descriptors a process may have, where the system lets it: more than come between two looks."""
-SHUT_NS: Final = 20 * NS_PER_S
-"""After so long it is opened in any case: a process may have come to use many files of its own, and must not
-stay without new links for that. A connection that says nothing is given up after half of it."""
+OPENED_MIN: Final = 1_024
+"""With fewer, what comes between two looks of a flood may leave none."""
 SAY_PERIOD_NS: Final = 60 * NS_PER_S
 _ATTACH, _DETACH = 26, 27
 """SO_ATTACH_FILTER and SO_DETACH_FILTER (asm-generic/socket.h)."""
@@ -47,33 +48,35 @@ class Gate:
 
     Attributes:
         shut: whether nobody is let in now.
+        trouble: why it may not be enough here, "" when it is.
     """
 
     def __init__(self, robots: int) -> None:
         self.shut = False
-        self._shut_ns = self._say_due_ns = 0
+        self.trouble = ""
+        self._say_due_ns = 0
         self._stack = ExitStack()
         self._listening: list[socket.socket] = []
-        self._waiting = waiting = WAITING + EACH * robots
+        self._ports: set[int] = set()
         opened = _opened()
-        for number in opened:
-            self._take(number, waiting)
-        self._most = max(opened, default=0) + len(self._listening) + waiting
-        self._few = self._most - waiting // 2
-        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        wanted = OPENED_MAX if hard == resource.RLIM_INFINITY else min(hard, OPENED_MAX)
-        if soft != resource.RLIM_INFINITY and soft < wanted:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+        # Half of what it may still open is left to its own files, and to those who come between two looks.
+        self._waiting = max(1, min(WAITING + EACH * robots, (_limit() - len(opened)) // 2))
+        for number in [number for number in opened if _listens(number)]:
+            self._take(number)
+        self._few = len(opened) + self._waiting // 2
+        if self._listening and _limit() < OPENED_MIN:
+            self.trouble = (
+                f"this process may open {_limit()} files: in a flood of connections it may open none of its "
+                f"own, nor a link again; let it open {OPENED_MIN} (ulimit -Hn)"
+            )
 
-    def _take(self, number: int, waiting: int) -> None:
-        """Looks after a descriptor, if it is a socket that listens: the kernel's queue is short as well."""
-        with suppress(OSError):
-            found = socket.socket(fileno=os.dup(number))
-            if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                self._listening.append(self._stack.enter_context(found))
-                found.listen(waiting)
-            else:
-                found.close()
+    def _take(self, number: int) -> None:
+        """Looks after a socket that listens: the kernel's queue is short as well."""
+        with suppress(OSError), _borrowed(number) as found:
+            found.listen(self._waiting)
+            # Not `found.dup()`, which would have the socket block: it is Zenoh's.
+            self._listening.append(self._stack.enter_context(socket.socket(fileno=os.dup(number))))
+            self._ports.add(_port(found))
 
     def __enter__(self) -> Gate:
         return self
@@ -86,25 +89,28 @@ class Gate:
     def look(self, now_ns: int) -> str:
         """Shuts or opens the gate, by how many wait; returns what is to be said of that, "" for nothing.
 
-        Some microseconds; to be called several times a second.
+        Some 30 us, in a flood a millisecond; to be called ten times a second.
 
         Args:
             now_ns: any clock.
         """
         if not self._listening:
             return ""
+        opened = _opened()
+        if opened and len(opened) <= self._few:  # which is so but in a flood: nothing is looked at
+            waiting = 0
+        else:  # where it cannot be told nothing more can be opened
+            waiting = self._count(opened) if opened else self._waiting + 1
         if self.shut:
-            if len(_opened()) < self._few or not 0 <= now_ns - self._shut_ns < SHUT_NS:
+            if waiting <= self._waiting // 2:
                 self._set(_DETACH, bytes(4))
                 self.shut = False
             return ""
-        number = os.dup(self._listening[0].fileno())  # the lowest that is free
-        os.close(number)
-        if number < self._most:
+        if waiting <= self._waiting:
             return ""
         program = ctypes.create_string_buffer(_DROP, len(_DROP))
         self._set(_ATTACH, struct.pack("HP", 1, ctypes.addressof(program)))
-        self.shut, self._shut_ns = True, now_ns
+        self.shut = True
         if 0 < self._say_due_ns - now_ns <= SAY_PERIOD_NS:
             return ""
         self._say_due_ns = now_ns + SAY_PERIOD_NS
@@ -113,14 +119,55 @@ class Gate:
             "do; links that are there go on"
         )
 
+    def _count(self, opened: list[int]) -> int:
+        """How many of these are connections to what listens here: those that wait, and links."""
+        found = 0
+        for number in opened:
+            with suppress(OSError), _borrowed(number) as each:
+                listens = each.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+                found += not listens and _port(each) in self._ports
+        return found
+
     def _set(self, option: int, value: bytes) -> None:
         for each in self._listening:
             with suppress(OSError):  # no such filter in this kernel: it stays as it was
                 each.setsockopt(socket.SOL_SOCKET, option, value)
 
 
+@contextmanager
+def _borrowed(number: int) -> Iterator[socket.socket]:
+    """A descriptor as a socket, which stays whoever's it is; raises OSError where it is none."""
+    found = socket.socket(fileno=number)
+    try:
+        yield found
+    finally:
+        found.detach()
+
+
+def _listens(number: int) -> bool:
+    """Whether a descriptor is a socket that listens."""
+    with suppress(OSError), _borrowed(number) as found:
+        return bool(found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
+    return False
+
+
+def _port(found: socket.socket) -> int:
+    """The own port of a socket, -1 where it has none."""
+    name = found.getsockname()
+    return name[1] if found.family in (socket.AF_INET, socket.AF_INET6) else -1
+
+
+def _limit() -> int:
+    """How many files the process may open, once it may open as many as the system lets it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = OPENED_MAX if hard == resource.RLIM_INFINITY else min(hard, OPENED_MAX)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+    return most
+
+
 def _opened() -> list[int]:
-    """The descriptors that are open, none where that cannot be told."""
+    """The descriptors that are open, none where that cannot be told: there is none left to look with."""
     with suppress(OSError):
         return [int(name) for name in os.listdir("/proc/self/fd")]
     return []

@@ -39,7 +39,7 @@ from agent.security.private_files import KeyFileError
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""
 _STOP: Final = head(Stop)
-LOOK_PERIOD_NS: Final = NS_PER_S // 4
+LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often the parent process, and who knocks, are looked for, ns."""
 
 Log = Callable[[str], None]
@@ -312,6 +312,8 @@ def _run(
             appear(node, bus, clock, keeper)
             service.ready()
             with Gate(len(fleet.robots)) as gate:
+                if gate.trouble:
+                    log(gate.trouble)
                 loop(node, bus, clock, shutdown, log, service, keeper, gate)
             _say_rejected(node, log)
     finally:

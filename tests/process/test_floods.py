@@ -28,7 +28,7 @@ def opened(fleet: SecuredRobots, robot: int, role: str) -> int:
 def test_a_stop_on_the_disk_gets_through_a_flood_that_lasts(tmp_path: Path) -> None:
     with secured_robots(three("fleet.rate_hz=25"), tmp_path / "r") as fleet:
         fleet.drive()
-        most = OWN + WAITING + EACH * 3 + PER_S
+        most = OWN + WAITING + EACH * 3 + PER_S // 2
         roles = ("agent", "plant")
         # Strangers begin handshakes with both processes of a robot, and do not go on.
         with flooding(targets_of(fleet.endpoints[1, role] for role in roles), PER_S, "hello"):
