@@ -609,6 +609,7 @@ CLASSES: Final[tuple[type[Message], ...]] = get_args(Message)
 
 
 def clipped(text: str, most: int = TEXT_MAX) -> str:
-    """`text` cut to what a message may hold, `most` bytes."""
-    data = text.encode()
-    return text if len(data) <= most else data[: most - 3].decode(errors="ignore") + "..."
+    """`text` as a message may hold it: at most `most` bytes, and of no bytes that are no text, as a command
+    line may have them."""
+    data = text.encode(errors="replace")
+    return data.decode() if len(data) <= most else data[: most - 3].decode(errors="ignore") + "..."

@@ -64,6 +64,11 @@ def older_mission(known: Known, now_ns: int) -> str:
     return f"older than the stop of {clock(stop.time_ns, now_ns)}{why(stop)}: {what}; {stands}"
 
 
+def somebodys(reason: str) -> str:
+    """The reason that somebody gives for a stop, told apart from those that programs give."""
+    return f"{reason}, somebody says" if reason in _OF_COURSE else reason
+
+
 def refusal(known: Operator, now_ns: int, *, resume: bool, given_ns: int) -> str:
     """Why no drive may begin now, in one sentence; "" when it may.
 

@@ -99,15 +99,20 @@ class Stopping:
         if version >= self.message.version and state in SAYS_BRAKES[role]:
             self._plants.setdefault(robot, _Brakes(now_ns, state, way))
 
+    def outdo(self, version: int) -> None:
+        """Has the message be later than an order that is known: this machine's clock may be behind that of
+        who gave it."""
+        if self.message.version <= version <= self._begun_ns // 1_000 + AHEAD_US_MAX:
+            self.message = self.message._replace(version=version + 1)
+
     def _hear_agent(self, now_ns: int, robot: int, state: str, version: int, way: str) -> None:
         if robot not in self._ids:
             return
         self._states[robot] = state, version
-        most = self._begun_ns // 1_000 + AHEAD_US_MAX
-        if self.message.version < version <= most and robot not in self._agents:
-            # It has had a later resume than this stop, as when this machine's clock is behind: outdo that.
-            self.message = self.message._replace(version=version + 1)
-        elif self._obeys(robot):
+        before = self.message
+        if version > before.version and robot not in self._agents:
+            self.outdo(version)  # it has had a later resume than this stop
+        if self.message is before and self._obeys(robot):
             self._agents.setdefault(robot, _Brakes(now_ns, state, way))
 
     def _obeys(self, robot: int) -> bool:

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.codec import encode
-from agent.messages.types import Message, Stop
+from agent.messages.types import Message, Mission, Stop
 from agent.runtime.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
@@ -107,6 +107,13 @@ def stop(fleet: Fleet, reason: str, ways: Sequence[Way] = ()) -> tuple[Stopping,
             stack.callback(way.close)
             way.send(stopping.message)
         own = OwnOrders(fleet)
+        sent = stopping.message
+        stopping.outdo(
+            max((each.version for each in own.orders if not isinstance(each, Mission)), default=-1)
+        )
+        if stopping.message is not sent:
+            for way in ways:
+                way.send(stopping.message)
         session: StopSession | None = None
         why: Exception | None = None
         try:

@@ -71,9 +71,10 @@ def _stop(options: argparse.Namespace) -> int:
 def _outcome(fleet: Fleet, options: argparse.Namespace) -> tuple[list[str], bool]:
     """What became of a stop, in words, and whether all brake; raises as `deploy.session.stop.stop`."""
     from deploy.commands.running.ways import ways
+    from deploy.drive.preconditions import somebodys
     from deploy.session.stop import stop
 
-    stopping, troubles = stop(fleet, options.reason, ways(fleet))
+    stopping, troubles = stop(fleet, somebodys(options.reason), ways(fleet))
     said = [] if stopping.done else [printable(trouble) for trouble in troubles]
     return [*stopping.outcomes(each=options.each or len(fleet.ids) <= FEW), *said], stopping.done
 

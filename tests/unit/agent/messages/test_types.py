@@ -770,3 +770,9 @@ def test_a_reason_is_short_whatever_was_sent():
     with pytest.raises(Malformed) as caught:
         decode(packed(["x" * 200] * 15, 0, 0))
     assert len(str(caught.value)) < 200
+
+
+def test_a_text_of_bytes_that_are_none_is_still_one() -> None:
+    """As a command line may have them: a stop is not to fail for its reason."""
+    assert clipped("M\udcfcller says so") == "M?ller says so"
+    assert decode(encode(Stop(1, 1, clipped("\udcff" * TEXT_MAX)))) == Stop(1, 1, "?" * TEXT_MAX)

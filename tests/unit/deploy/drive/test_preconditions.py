@@ -10,7 +10,7 @@ from agent.fleet.loading import digest
 from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Mission, Resume, Status, Stop
-from deploy.drive.preconditions import CAME_UP, GOES_DOWN, OVER, clock, refusal
+from deploy.drive.preconditions import CAME_UP, GOES_DOWN, OVER, clock, is_lifted, refusal, somebodys
 from deploy.orders.operator import Operator
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
@@ -143,3 +143,10 @@ def test_no_stop_is_lifted_by_a_drive_that_was_given_before_it(reason: str, resu
     assert refusal(known(later), DURING, resume=True, given_ns=GIVEN + 2 * S) == ""
     ahead = later._replace(time_ns=DURING + 60 * S)  # of a clock that is: nobody knows when it was given
     assert refusal(known(ahead), DURING, resume=True, given_ns=GIVEN) == ""
+
+
+@pytest.mark.parametrize("reason", [OVER, GOES_DOWN, CAME_UP])
+def test_a_person_who_gives_a_programs_reason_means_it(reason: str) -> None:
+    assert is_lifted(Stop(1, 1, reason))
+    assert not is_lifted(Stop(1, 1, somebodys(reason)))
+    assert somebodys("lunch") == "lunch"

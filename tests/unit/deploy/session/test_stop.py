@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
 
-from agent.messages.types import Stop
+from agent.fleet.loading import parse_fleet
+from agent.messages.types import Resume, Stop
 from agent.runtime.bus import BusError
 from deploy.console.arguments import InputError
+from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.stop_outcome import PLANT_BRAKES, Stopping
 from deploy.session import stop as stop_module
 from deploy.session.stop import stop
+from tests.unit.deploy.inventory.test_own_orders import HOSTS
 from tests.unit.deploy.orders.order_fleets import square
 
 FLEET = square()
@@ -97,6 +101,22 @@ def test_a_later_resume_is_outdone_by_every_way() -> None:
     stopping, _ = stop(FLEET, "", [way])
     assert stopping.done
     assert [each.version > way._known for each in way.sent] == [False, True]
+
+
+def test_what_this_operator_knows_of_is_outdone_though_no_robot_is_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a resume that outdid a stop of somebody whose clock was ahead, when the fleet is down."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    fleet = parse_fleet(HOSTS, source="here", overrides=['network.security="off"'])
+    now_ns = time.time_ns()
+    resume = Resume(now_ns // 1_000 + 3_600 * 10**6, now_ns, ())
+    OwnOrders(fleet).keep(resume)
+    silent = Through(frozenset(FLEET.ids))
+    stopping, _ = stop(fleet, "X", [silent])
+    assert stopping.message.version == resume.version + 1
+    assert silent.sent[-1] == stopping.message
+    assert stopping.message in OwnOrders(fleet).orders
 
 
 def test_without_any_other_way_what_is_wrong_is_raised() -> None:
