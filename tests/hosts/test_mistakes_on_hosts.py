@@ -115,6 +115,20 @@ def test_what_one_operator_stopped_and_took_down_is_lifted_by_no_other_unseen(
     assert "a person on the field; drive with --resume" in told
 
 
+def test_a_stop_of_a_fleet_that_is_down_is_later_than_what_a_clock_that_was_ahead_has_left(
+    fleet: Operated,
+) -> None:
+    drives(fleet)
+    fleet.of(ANNA, ANNA, 3600.0).handfast("stop", "--reason", "of a clock that is ahead")
+    fleet.of("main", "main").handfast("drive", "--detach", "--resume")
+    fleet.of(ANNA, ANNA).handfast("down")
+    fleet.of("main", "main").handfast("stop", "--reason", "a hole in the ground", status=1)
+    told = fleet.of(ANNA, ANNA).handfast("up", timeout=UP_TIMEOUT_S).stdout
+    assert told.count("stopped: stop: a hole in the ground") == 2, told
+    told = fleet.handfast("drive", "--detach", status=2).stderr
+    assert "a hole in the ground; drive with --resume" in told
+
+
 def test_a_stop_is_given_though_the_operators_certificate_has_expired(fleet: Operated) -> None:
     drives(fleet)
     fleet.of("main", "main", LONG_AGO_S).handfast("keys", "--renew")
