@@ -155,6 +155,9 @@ class SshWay:
         with suppress(ValueError, TypeError):
             orders = [b64decode(text) for text in kept] if isinstance(kept, list) else []
             stopped, resumed = kept_versions(orders, is_secured=self._fleet.is_secured)
+        holds = stopped >= stop.version and stopped > resumed
+        # By a later stop, whoever gave it, it brakes as well: that is nothing to outdo.
+        version = stop.version if holds else max(stopped, resumed)
         with self._guard:
-            self._found.append((time.time_ns(), robot, role, state, max(stopped, resumed)))
-        return stopped >= stop.version and stopped > resumed and state in SAYS_BRAKES[role]
+            self._found.append((time.time_ns(), robot, role, state, version))
+        return holds and state in SAYS_BRAKES[role]

@@ -90,6 +90,21 @@ def test_who_takes_it_while_it_is_looked_at_is_looked_at_again(
     way.close()
 
 
+def test_who_brakes_by_a_later_stop_brakes(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
+    """As one whose operator's clock was ahead."""
+    say(home, fleet, **STATES)
+    stopping, way = Stopping(fleet, time.time_ns(), "dinner"), SshWay(fleet, fleet.hosts)
+    later = stopping.message._replace(version=stopping.message.version + 60_000_000, reason="lunch")
+    folder.mkdir(parents=True, mode=0o700)
+    for robot in fleet.ids:
+        for role in ROLES:
+            (folder / f"robot-{robot}-{role}.json").write_bytes(packed([encode(later)]))
+    way.send(stopping.message)
+    wait_for(lambda: looked(way, stopping), "it was looked at")
+    assert stopping.done, stopping.outcomes(each=True)
+    way.close()
+
+
 def test_an_older_stop_there_is_not_this_one(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
     say(home, fleet, **STATES)
     folder.mkdir(parents=True, mode=0o700)
