@@ -192,6 +192,8 @@ class Agent:
             plan = self._missions.take(mission)
         except MissionRefused as error:
             situation.refused_mission = str(error)
+            if error.reason == "digest":
+                self._report.digest = (self._missions.digest,)
             return error.reason
         if plan is None:
             return None

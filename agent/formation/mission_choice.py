@@ -5,7 +5,7 @@ Agents, plants and operators all decide here: whoever has heard the same mission
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from agent.fleet.loading import digest
 from agent.fleet.model import Fleet
@@ -38,19 +38,21 @@ class MissionChoice:
         geometry: `agent.formation.geometry.resolve` of `fleet`; None for a fleet that is resolved.
 
     Attributes:
+        digest: of this fleet file.
         mission, plan: the one that holds and what it means, None before the first.
         mark: tells it from every other one, (0, 0) before the first.
     """
 
     def __init__(self, fleet: Fleet, geometry: Geometry | None) -> None:
-        self._fleet, self._geometry, self._digest = fleet, geometry, digest(fleet)
+        self._fleet, self._geometry = fleet, geometry
+        self.digest: Final = digest(fleet)
         self.mission: Mission | None = None
         self.plan: Plan | None = None
         self.mark: Mark = (0, 0)
 
     def is_ours(self, mission: Mission) -> bool:
         """Whether it is for this fleet file."""
-        return mission.digest == self._digest
+        return mission.digest == self.digest
 
     def take(self, mission: Mission) -> Plan | None:
         """Takes a mission; its plan if it holds from now on, None if the one before does.
@@ -64,7 +66,7 @@ class MissionChoice:
             raise MissionRefused(
                 "digest",
                 f"the mission is for another fleet file: its digest is {mission.digest[:16]}, "
-                f"this agent's is {self._digest}",
+                f"this agent's is {self.digest}",
             )
         try:
             plan = plan_of(mission, self._fleet, self._geometry)

@@ -434,6 +434,15 @@ class Status(NamedTuple):
         About("Age of every neighbour's hand state at every tick since the last status", "us"),
     ]
     counters: Annotated[tuple[Total, ...], About("Totals since the agent started")]
+    digest: Annotated[
+        tuple[Annotated[str, About("The digest")], ...],
+        About(
+            "Names the fleet file that it reads, once it has refused a mission for another",
+            rows=1,
+            before=(),
+            omitted=True,
+        ),
+    ] = ()
 
 
 class Faults(NamedTuple):

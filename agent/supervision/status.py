@@ -25,6 +25,7 @@ class StatusReport:
         ages_us: ages of neighbours' states that the law worked with since the last status, us.
         sent_hands: hand states sent, one for each neighbour.
         corrupted: hand states whose bytes were damaged.
+        digest: of its fleet file, once it has refused a mission for another one: `Status.digest`.
     """
 
     def __init__(self, rejected: Counter[str]) -> None:
@@ -32,6 +33,7 @@ class StatusReport:
         self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
         self.sent_hands = self.corrupted = 0
+        self.digest: tuple[str, ...] = ()
         self._tick_us: list[int] = []
         self._overruns = 0
         self._sequence = self._due_ns = 0
@@ -105,6 +107,7 @@ class StatusReport:
             tuple(self._tick_us[:STATUS_VALUES_MAX]),
             tuple(self.ages_us[: STATUS_VALUES_MAX + len(neighbours)]),
             tuple(map(Total._make, counters.items())),
+            self.digest,
         )
         self._sequence += 1
         self._due_ns = now_ns + STATUS_PERIOD_NS

@@ -67,8 +67,6 @@ class FleetState:
         """Where each simulated body really was last, for those that measure with noise."""
         self._heard_ns: dict[int, int] = {}
         """When each agent was heard last."""
-        self._refused: dict[int, int] = {}
-        """How many missions for other fleet files each agent had refused before this one was given."""
         self._again_due_ns = self._ask_due_ns = 0
         self._stop_door = StopDoor(fleet, bus)
         name = fleet.fleet.name
@@ -174,7 +172,6 @@ class FleetState:
         """Gives the drive's mission."""
         now_ns = self.clock.now_ns()
         self.epoch_ns = epoch_ns
-        self._refused = {robot: _refusals(status) for robot, status in self.watch.statuses.items()}
         self._again_due_ns, self._ask_due_ns = now_ns + AGAIN_PERIOD_NS, now_ns
         self.say(self.operator.begin(now_ns, epoch_ns, duration_ns))
 
@@ -250,19 +247,14 @@ class FleetState:
 
     @property
     def on_other_file(self) -> list[int]:
-        """Robots whose agents have refused the mission because they read another fleet file."""
-        version = self.operator.mission_version
+        """Robots whose agents read another fleet file, and have refused the mission for that."""
+        version, ours = self.operator.mission_version, self.operator.digest
         return [
             robot
             for robot, status in self.watch.statuses.items()
-            if status.mission_version < version and _refusals(status) > self._refused.get(robot, 0)
+            if status.mission_version < version and status.digest and status.digest != (ours,)
         ]
 
 
 def _unrecorded(_now_ns: int, _key: str, payload: bytes) -> Message | None:
     return valid(payload)
-
-
-def _refusals(status: Status) -> int:
-    """How many missions an agent has refused because they are for another fleet file."""
-    return dict(status.counters).get("rejected.digest", 0)

@@ -122,6 +122,11 @@ class Known:
         return self._missions.plan
 
     @property
+    def digest(self) -> str:
+        """Of this fleet file: robots that read another one take no mission of this operator."""
+        return self._missions.digest
+
+    @property
     def mission_version(self) -> int:
         """Of the newest mission, 0 without any."""
         return 0 if self.mission is None else self.mission.version

@@ -89,7 +89,8 @@ def _template(cls: type[tuple[Any, ...]], names: dict[str, Any]) -> tuple[str, s
             columns = ", ".join(column.name for column in declared(field.row))
             value = f'",".join([{name}_row % ({inner},) for {columns}, in {name}])'
         elif field.item is not None:
-            value = f'",".join(map(repr, {name}))'
+            written = "quoted" if field.item.kind is str else "repr"
+            value = f'",".join(map({written}, {name}))'
         elif field.kind is int and field.about.choices:
             form, names[f"{name}_texts"] = "%s", tuple(map(_quoted, field.about.choices))
             value = f"{name}_texts[{name}]"

@@ -332,6 +332,7 @@ def test_mission_for_another_fleet_file_is_refused_and_says_so():
     counters = bench.counters()
     assert counters["rejected.digest"] == counters["rejected"] == 1
     assert bench.last.mission_version == 0
+    assert bench.last.digest == (mine,)
     bench.mission()
     bench.run(5)
     assert bench.state is State.RUNNING

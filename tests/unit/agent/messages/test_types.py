@@ -135,7 +135,7 @@ def test_wire_is_version_type_and_fields_in_order(message: Message):
     version, number, *fields = msgpack.unpackb(opened(encode(message)), use_list=False)
     assert version == VERSION
     assert number == NUMBER[type(message)]
-    left_out = 1 if isinstance(message, HandState | Wrench) else 0  # its last field is empty
+    left_out = 1 if isinstance(message, HandState | Wrench | Status) else 0  # its last field is empty
     assert tuple(fields) == tuple(message)[: len(message) - left_out]
 
 
@@ -143,6 +143,12 @@ def test_a_clock_is_told_where_there_is_one():
     told = WRENCH._replace(clock=(7, -(10**18)))
     assert decode(encode(told)) == told
     assert reason(encode(WRENCH._replace(clock=(1, 2, 3)))) == "range"
+
+
+def test_which_fleet_file_is_read_is_told_where_another_was_meant():
+    told = STATUS._replace(digest=("0123456789abcdef",))
+    assert decode(encode(told)) == told
+    assert reason(encode(STATUS._replace(digest=("one", "two")))) == "range"
 
 
 def test_numbers_of_a_law_s_own_are_sent_where_there_are_some():
@@ -291,8 +297,12 @@ def test_wrong_number_of_fields(message: Message):
     if isinstance(message, HandState):
         message = HandState._make((*message[:-1], (0.5,)))
         assert reason(packed(VERSION, number, *message[:-2])) == "malformed"
-    elif isinstance(message, Wrench):
-        message = message._replace(clock=(7,))
+    elif isinstance(message, Wrench | Status):
+        message = (
+            message._replace(clock=(7,))
+            if isinstance(message, Wrench)
+            else message._replace(digest=("0123456789abcdef",))
+        )
         assert reason(packed(VERSION, number, *message[:-2])) == "malformed"
     else:
         assert reason(packed(VERSION, number, *message[:-1])) == "malformed"

@@ -126,14 +126,16 @@ class Robots:
         self._extra = []
         for robot in (1, 2):
             orders = self._orders if robot not in self.deaf else 0
-            counters = (("rejected.digest", 3 + (self._given is not None and robot in self.refuses)),)
+            given, refuses = self._given is not None, robot in self.refuses
+            counters = (("rejected.digest", 3 + given),)  # others' missions too
+            tell_digest = () if not given else ("of another",) if refuses else (digest(FLEET),)
             yield (
                 key_expressions.status("two", robot),
                 encode(
                     Status(
                         *(robot, 1, now_ns, self.state, "", ""),
                         *self.boasts.get(robot, (self.version(robot), orders)),
-                        *((), (), (), counters),
+                        *((), (), (), counters, tell_digest),
                     )
                 ),
             )

@@ -503,9 +503,9 @@ def as_version_1(data: bytes) -> bytes:
     content = json.loads(without_transitions(data))
     for name in ("heard", "degree", "obeying", "transition", "order_version"):
         content.pop(name, None)
-    if "digest" in content:
-        for name in Mission._field_defaults:
-            del content[name]
+    defaults = Mission._field_defaults if "duration_ns" in content else Status._field_defaults
+    for name in defaults:
+        content.pop(name, None)
     for neighbour in content.get("neighbours", ()):
         for name in ("received", "lost", "offset_us", "error_us"):
             del neighbour[name]
