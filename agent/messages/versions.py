@@ -17,6 +17,11 @@ def can_be(version: int, now_ns: int) -> bool:
     return version <= now_ns // 1_000 + AHEAD_US_MAX
 
 
+def least_believed(version: int, now_ns: int) -> int:
+    """The least version as which who hears a stop at `now_ns` or later takes it."""
+    return version if can_be(version, now_ns) else now_ns // 1_000
+
+
 def as_believed(order: Mission | Resume | Stop, now_ns: int) -> Mission | Resume | Stop | None:
     """An order as who hears it at `now_ns`, wall clock, takes it: a stop that cannot have been given by now
     is one that is given now, anything else of the kind is none."""

@@ -44,6 +44,12 @@ def clock_ahead(by_s: float) -> str:
     )
 
 
+def clock_behind(by_s: float) -> str:
+    """What is wrong with a clock for which robots' certificates, and what they said, are of the future."""
+    by = f"{by_s / 3600.0:.0f} h" if by_s >= 5400.0 else f"{by_s / 60.0:.0f} min"
+    return f"set this machine's clock: it is {by} behind the robots'"
+
+
 def error_text(error: Exception, before: str = "") -> str:
     """An exception on one line, with the place that it comes from."""
     frames = traceback.extract_tb(error.__traceback__)

@@ -593,15 +593,17 @@ def order(fleet: str, blob: bytes) -> None:
 
 
 @request
-def kept(fleet: str) -> dict[str, dict[str, Any]]:
-    """What the processes of the fleet's units here say of themselves, and the first of the orders that they
-    have kept, which are stops and resumes: no mission, which may be large."""
-    folder, found = inside(f"fleets/{fleet}/orders"), {}
-    for name, about in units_of(fleet).items():
-        process = name.removeprefix(f"handfast-{fleet}-").removesuffix(".service")
-        orders = first_orders(folder / f"{process}.json")
-        found[name] = {"says": about.get("StatusText", "")[:STOP_TEXT_MAX], "orders": orders}
-    return found
+def kept(fleet: str, processes: list[str]) -> dict[str, Any]:
+    """What processes of the fleet say of themselves, None for those that are no unit here, and the first of
+    the orders that they have kept, which are stops and resumes: no mission, which may be large; and the wall
+    clock, ns."""
+    folder, units = inside(f"fleets/{fleet}/orders"), units_of(fleet)
+    found = {}
+    for process in processes:
+        about = units.get(f"handfast-{fleet}-{process}.service")
+        says = None if about is None else about.get("StatusText", "")[:STOP_TEXT_MAX]
+        found[process] = {"says": says, "orders": first_orders(folder / f"{process}.json")}
+    return {"processes": found, "time_ns": time.time_ns()}
 
 
 def first_orders(path: Path) -> list[str]:

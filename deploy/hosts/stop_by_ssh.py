@@ -7,20 +7,21 @@ import time
 from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from agent.fleet.hosts import HostSection
 from agent.fleet.model import Fleet
 from agent.messages.codec import encode
 from agent.messages.key_expressions import ROLES
-from agent.messages.types import Stop
+from agent.messages.types import TIME_NS_MAX, Stop
+from agent.messages.versions import least_believed
 from agent.runtime.order_store import packed
 from deploy.console.arguments import InputError
-from deploy.hosts import systemd_units
-from deploy.hosts.connection import HostConnection, HostError
+from deploy.hosts.connection import ANSWER_BYTES, HostConnection, HostError
 from deploy.hosts.remote_program import STOP_TEXT_MAX, STOPS_SHOWN
 from deploy.inventory import ssh
 from deploy.inventory.hosts import robots_on
+from deploy.orders.robot_clocks import OFF_NS
 from deploy.orders.stop_outcome import SAYS_BRAKES, Stopping
 from deploy.session.sealing import sealed
 from deploy.session.stop_by_file import kept_versions
@@ -30,12 +31,26 @@ LOOK_LATER: Final = 1.5
 LOOK_S_MAX: Final = 1.0
 """A host is asked at first after `LOOK_S`, then less and less often: hundreds that are asked ten times a
 second would hold up those that have not got the stop yet."""
-ROBOTS_LEFT: Final = 4
 FOLLOW_S: Final = 8.0
 """So long it is asked whether the robots there have taken it."""
 
-Found = tuple[int, int, str, str, int]
-"""When it was found (wall clock, ns), of which robot and role: its state, and the version of its stop."""
+
+class _Found(NamedTuple):
+    """What was found of one process, and when: by this machine's wall clock and by that of its host, ns.
+
+    Attributes:
+        state: what the process says of itself; None where it is no unit there.
+        version: of the stop or resume that it has kept, -1 without any.
+        laid: version of the stop that lies there for it, -1 without any.
+    """
+
+    at_ns: int
+    there_ns: int
+    robot: int
+    role: str
+    state: str | None
+    version: int
+    laid: int
 
 
 class SshWay:
@@ -45,22 +60,22 @@ class SshWay:
         self._fleet, self._hosts = fleet, hosts
         self._guard = threading.Lock()
         self._news = threading.Condition()
-        self._found: list[Found] = []
+        self._found: list[_Found] = []
         self._connections: list[HostConnection] = []
         self._threads: list[threading.Thread] = []
-        self._order: tuple[Stop, bytes] | None = None
+        self._stop: Stop | None = None
+        self._content: set[str] = set()
+        """Hosts whose robots have all taken that stop."""
+        self._sealing = threading.Lock()
+        self._sealed: tuple[Stop, bytes] | None = None
         self._ended = False
         self.troubles: list[str] = []
 
     def send(self, stop: Stop) -> None:
         """See `deploy.session.stop.Way`."""
-        try:
-            order = stop, packed(sealed(self._fleet, encode(stop)))
-        except InputError as error:
-            self.troubles.append(f"not over ssh: {error}")
-            return
         with self._news:
-            self._order = order
+            self._stop = stop
+            self._content.clear()
             self._news.notify_all()
         if not self._threads:
             ssh.allow_many()
@@ -78,16 +93,18 @@ class SshWay:
         """See `deploy.session.stop.Way`."""
         with self._guard:
             found, self._found = self._found, []
-        for at_ns, robot, role, state, version in found:
-            stopping.found(at_ns, robot, role, state, version, self._words(robot))
-
-    def _words(self, robot: int) -> str:
-        return f"over ssh to {self._fleet.robot(robot).host}"
+        for each in found:
+            way = f"over ssh to {self._fleet.robot(each.robot).host}"
+            stopping.show_clock(each.at_ns, each.robot, each.there_ns)
+            if each.state is not None:
+                stopping.found(each.at_ns, each.robot, each.role, each.state, each.version, way)
+            else:
+                stopping.found_down(each.robot, each.role, each.version, each.laid, way)
 
     @property
     def busy(self) -> bool:
         """See `deploy.session.stop.Way`."""
-        return any(thread.is_alive() for thread in self._threads)
+        return any(thread.is_alive() and thread.name not in self._content for thread in self._threads)
 
     def close(self) -> None:
         """See `deploy.session.stop.Way`."""
@@ -116,48 +133,94 @@ class SshWay:
 
     def _follow(self, connection: HostConnection) -> None:
         """Lays the stop there, and looks who takes it; another one, when the stop has changed."""
-        name, robots = self._fleet.fleet.name, set(robots_on(self._fleet, connection.host))
-        laid: tuple[Stop, bytes] | None = None
-        # As many stops of the greatest size as two processes of each robot, and of some left over, can have.
-        most = (len(robots) + ROBOTS_LEFT) * len(ROLES) * (STOPS_SHOWN + 1) * STOP_TEXT_MAX
+        name, robots = self._fleet.fleet.name, robots_on(self._fleet, connection.host)
+        # As many stops of the greatest size as two processes of each robot can have.
+        most = len(robots) * len(ROLES) * (STOPS_SHOWN + 1) * STOP_TEXT_MAX + ANSWER_BYTES
+        left: set[int] = set()
+        laid: tuple[Stop, int] | None = None
+        lies, ahead_ns = -1, 0
         deadline, look_s = time.monotonic() + FOLLOW_S, LOOK_S
-        while not self._ended and time.monotonic() < deadline and robots:
-            if self._order is not laid and self._order is not None:
-                laid = self._order
-                connection.exchange("order", laid[1], fleet=name)
-                look_s = LOOK_S
-            answer = connection.ask("kept", fleet=name, answer_bytes=most)
-            assert laid is not None
-            for robot in sorted(robots):
-                taken = [self._look(robot, role, answer, laid[0]) for role in ROLES]
+        while not self._ended and time.monotonic() < deadline:
+            stop = self._stop
+            assert stop is not None
+            if laid is None or laid[0] is not stop or laid[1] != ahead_ns:
+                order = self._packed(stop, ahead_ns, say=laid is not None)
+                if order is not None:
+                    connection.exchange("order", order, fleet=name)
+                laid, left, look_s = (stop, ahead_ns), set(robots), LOOK_S
+                lies = -1 if order is None else stop.version
+            processes = [f"robot-{robot}-{role}" for robot in sorted(left) for role in ROLES]
+            there = _There(connection.ask("kept", fleet=name, processes=processes, answer_bytes=most))
+            if abs(there.ahead_ns - ahead_ns) > OFF_NS:  # what is sealed has to be valid by that clock
+                ahead_ns = there.ahead_ns
+                continue
+            for robot in sorted(left):
+                taken = [self._look(robot, role, there, stop, lies) for role in ROLES]
                 if all(taken):
-                    robots.discard(robot)
-            if robots:
-                self._rest(look_s, laid)
-                look_s = min(look_s * LOOK_LATER, LOOK_S_MAX)
+                    left.discard(robot)
+            self._rest(
+                connection.host, look_s if left else deadline - time.monotonic(), stop, content=not left
+            )
+            look_s = min(look_s * LOOK_LATER, LOOK_S_MAX)
 
-    def _rest(self, seconds: float, laid: tuple[Stop, bytes]) -> None:
-        """Waits, but not when there is another stop than was laid there, or it is over."""
+    def _packed(self, stop: Stop, ahead_ns: int, *, say: bool) -> bytes | None:
+        """The stop as a host's robots take it whose clock is so far ahead; None where it cannot be sealed,
+        which is a trouble if `say`."""
+        with self._sealing:
+            if not ahead_ns and self._sealed is not None and self._sealed[0] is stop:
+                return self._sealed[1]
+            try:
+                order = packed(sealed(self._fleet, encode(stop), ahead_ns))
+            except InputError as error:
+                if say and (trouble := f"not over ssh: {error}") not in self.troubles:
+                    self.troubles.append(trouble)
+                return None
+            if not ahead_ns:
+                self._sealed = stop, order
+            return order
+
+    def _rest(self, host: HostSection, seconds: float, laid: Stop, *, content: bool) -> None:
+        """Waits, but not when there is another stop than was laid there, or it is over; `content`: nothing
+        is waited for but that."""
         with self._news:
-            self._news.wait_for(lambda: self._ended or self._order is not laid, seconds)
+            if content and self._stop is laid:
+                self._content.add(host.name)
+            self._news.wait_for(lambda: self._ended or self._stop is not laid, seconds)
 
-    def _look(self, robot: int, role: str, answer: Mapping[str, Any], stop: Stop) -> bool:
-        """Notes what is said there of a process; whether it has kept the stop and says that it brakes.
+    def _look(self, robot: int, role: str, there: _There, stop: Stop, lies: int) -> bool:
+        """Notes what is said there of a process; whether no more can come of it: it has kept the stop and
+        says that it brakes, or is down and will find it.
 
         What it has kept is read after what it says: one that takes the stop between the two says so at the
         next look.
         """
-        about = answer.get(systemd_units.unit_name(self._fleet.fleet.name, robot, role))
+        about = there.processes.get(f"robot-{robot}-{role}")
         if not isinstance(about, Mapping):
             return False
-        state, kept = str(about.get("says", "")).partition(":")[0], about.get("orders")
+        says, kept = about.get("says"), about.get("orders")
         stopped = resumed = -1
         with suppress(ValueError, TypeError):
             orders = [b64decode(text) for text in kept] if isinstance(kept, list) else []
             stopped, resumed = kept_versions(orders, is_secured=self._fleet.is_secured)
-        holds = stopped >= stop.version and stopped > resumed
+        its_ns = there.time_ns - max(0, time.time_ns() - stop.time_ns)  # when the stop was given, or before
+        holds = stopped >= least_believed(stop.version, its_ns) and stopped > resumed
+        state = None if says is None else str(says).partition(":")[0]
         # By a later stop, whoever gave it, it brakes as well: that is nothing to outdo.
-        version = stop.version if holds else max(stopped, resumed)
+        version = stop.version if holds and state is not None else max(stopped, resumed)
         with self._guard:
-            self._found.append((time.time_ns(), robot, role, state, version))
+            self._found.append(_Found(time.time_ns(), there.time_ns, robot, role, state, version, lies))
+        if state is None:
+            return version < lies
         return holds and state in SAYS_BRAKES[role]
+
+
+class _There:
+    """What a host answered: of processes by name, and its wall clock, this one's where it tells none."""
+
+    def __init__(self, answer: Any) -> None:
+        found = answer if isinstance(answer, Mapping) else {}
+        processes, time_ns, now_ns = found.get("processes"), found.get("time_ns"), time.time_ns()
+        self.processes: Mapping[str, Any] = processes if isinstance(processes, Mapping) else {}
+        self.time_ns = time_ns if type(time_ns) is int and 0 <= time_ns <= TIME_NS_MAX else now_ns
+        off_ns = self.time_ns - now_ns
+        self.ahead_ns = off_ns if abs(off_ns) > OFF_NS else 0

@@ -33,7 +33,6 @@ from deploy.hosts.jobs import AT_ONCE_MAX, HostJobs
 from deploy.hosts.plugin_files import plugin_modules
 from deploy.hosts.remote_program import STOP_TEXT_MAX
 from deploy.hosts.setup import Prepared, prepare
-from deploy.hosts.stop_by_ssh import ROBOTS_LEFT
 from deploy.hosts.view import DOING, DONE, HostsView, Row
 from deploy.inventory.hosts import robots_on, robots_text
 from deploy.session.sealing import sealed, unsealed
@@ -41,6 +40,8 @@ from deploy.session.sealing import sealed, unsealed
 SAY_PERIOD_S: Final = 0.25
 ORDERS_EACH: Final = 4
 """A robot's two processes keep a stop and a resume each."""
+ROBOTS_LEFT: Final = 4
+"""Robots that have been on a host and are no more: so many may have left orders there."""
 REMIND_S: Final = 2.0
 """Robots that do not know of the stop in force have so long to acknowledge it; then it counts who drives."""
 

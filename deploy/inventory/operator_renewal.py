@@ -20,21 +20,24 @@ from agent.security.private_files import KeyFileError, exists
 from deploy.inventory.operator_credentials import AUTHORITY_FILE
 
 
-def usable(fleet: Fleet, folder: Path, identity: Identity) -> Credentials:
+def usable(fleet: Fleet, folder: Path, identity: Identity, ahead_s: float = 0.0) -> Credentials:
     """The operator's credentials in `folder`, renewed if they are not valid now and the authority is there.
+
+    Args:
+        ahead_s: how far the clock by which they are to be valid is ahead of this machine's.
 
     Raises:
         agent.security.credentials.CredentialsError: there are none, or they cannot be renewed here.
     """
+    now_s = time.time() + ahead_s
     try:
-        return load(folder, identity, time.time())
+        return load(folder, identity, now_s)
     except NotValidNowError as error:
         from deploy.inventory.certificate_authority import Authority, AuthorityError
 
         try:
             if not exists(folder / AUTHORITY_FILE):
                 raise
-            now_s = time.time()
             with Authority(folder, fleet.fleet.name, fleet.ids, now_s) as authority:
                 request = make_request(folder, identity)
                 return store(folder, identity, authority.sign(identity, request, (), now_s), now_s)

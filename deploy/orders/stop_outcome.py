@@ -8,10 +8,12 @@ from typing import Final, NamedTuple
 from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages import key_expressions
+from agent.messages.key_expressions import ROLES
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
-from agent.messages.versions import AHEAD_US_MAX, can_be
+from agent.messages.versions import AHEAD_US_MAX, can_be, least_believed
 from agent.supervision.state_machine import State
-from deploy.console.wording import clock_ahead
+from deploy.console.wording import clock_ahead, clock_behind
+from deploy.orders.robot_clocks import RobotClocks
 
 BRAKING: Final = frozenset(
     state.value for state in (State.STOPPING, State.STOPPED, State.STANDBY, State.FAULT)
@@ -22,6 +24,10 @@ PLANT_BRAKES: Final = "braking"
 SAYS_BRAKES: Final = {"agent": BRAKING, "plant": frozenset({PLANT_BRAKES})}
 """By role: what a process says of itself that brakes."""
 NEW_LINK: Final = "over a new link"
+ON_ITS_WAY_US: Final = 2_000_000
+"""A stop that robots are still to hear, of a time that they do not believe, they take as of within this."""
+OUTDONE_MAX: Final = 3
+"""So many later orders a robot may have had, one after the other; who tells of more makes them up."""
 
 
 def has_acknowledged(status: Status | None, stop: Stop) -> bool:
@@ -50,6 +56,7 @@ class Stopping:
         message: what to send, and to send again until `done`; it may change.
         ahead_s: how far this machine's clock is ahead of the robots', none of which believed the stop's time;
             0.0 where any did.
+        clocks: how the robots' stand to this machine's.
     """
 
     def __init__(self, fleet: Fleet, now_ns: int, reason: str, message: Stop | None = None) -> None:
@@ -57,8 +64,10 @@ class Stopping:
         self.message = message or Stop(now_ns // 1_000, now_ns, clipped(reason))
         self._given_version = self.message.version
         self.ahead_s = 0.0
-        self._newest_ns = 0
-        """What the robots' clock that is the furthest ahead showed last: one alone may be wrong, or lie."""
+        self.clocks: Final = RobotClocks()
+        self._outdone: Counter[int] = Counter()
+        self._down: dict[tuple[int, str], str] = {}
+        """Processes that are down and find the stop when they come up, by robot and role: by which way."""
         self._states: dict[int, tuple[str, int]] = {}
         """What each agent said last: its state, and the version of the stop or resume that it has."""
         self._agents: dict[int, _Brakes] = {}
@@ -68,23 +77,26 @@ class Stopping:
     def feed(self, now_ns: int, key: str, message: Message, way: str = NEW_LINK) -> None:
         """Takes a message that came on `key`, by a way, after the stop was sent first."""
         if type(message) is Status and key == key_expressions.status(self._name, message.robot):
-            self._newest_ns = max(self._newest_ns, message.time_ns)
-            self._judge_clock(now_ns)
+            self.show_clock(now_ns, message.robot, message.time_ns)
             self._hear_agent(now_ns, message.robot, message.state, message.order_version, way)
         elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
             self._heard_plants.add(message.robot)
+            self._down.pop((message.robot, "plant"), None)
             if message.driving:
                 self._plants.pop(message.robot, None)
             else:
                 self._plants.setdefault(message.robot, _Brakes(now_ns, PLANT_BRAKES, way))
 
-    def _judge_clock(self, now_ns: int) -> None:
-        """Has the message be of the robots' time where none believes this machine's."""
-        is_believed = can_be(self._given_version, self._newest_ns)
+    def show_clock(self, now_ns: int, robot: int, there_ns: int) -> None:
+        """Takes what a robot's clock shows, and has the message be of the robots' time where none believes
+        this machine's."""
+        self.clocks.show(robot, now_ns, there_ns)
+        newest_ns = self.clocks.newest(now_ns)
+        is_believed = can_be(self._given_version, newest_ns)
         if not is_believed and not self.ahead_s:
             # Robots take it as given when they hear it: what they will acknowledge is of their time.
-            self.ahead_s = (now_ns - self._newest_ns) / NS_PER_S
-            self.message = self.message._replace(version=self._newest_ns // 1_000)
+            self.ahead_s = (now_ns - newest_ns) / NS_PER_S
+            self.message = self.message._replace(version=newest_ns // 1_000 + ON_ITS_WAY_US)
         elif is_believed and self.ahead_s:
             self.ahead_s = 0.0
             self.message = self.message._replace(version=max(self._given_version, self.message.version))
@@ -99,26 +111,43 @@ class Stopping:
         if version >= self.message.version and state in SAYS_BRAKES[role]:
             self._plants.setdefault(robot, _Brakes(now_ns, state, way))
 
+    def found_down(self, robot: int, role: str, version: int, laid: int, way: str) -> None:
+        """Takes what a robot's computer says of a process that is down: the version of the order that it has
+        kept, and of the stop that it finds when it comes up, each -1 without any."""
+        self._outdo_robot(robot, version)
+        if version < self.message.version <= laid:
+            self._down[robot, role] = way
+
     def outdo(self, version: int) -> None:
         """Has the message be later than an order that is known: this machine's clock may be behind that of
-        who gave it."""
-        if self.message.version <= version <= self._begun_ns // 1_000 + AHEAD_US_MAX:
+        who gave it, and far behind the robots'."""
+        latest_ns = max(self._begun_ns, self.clocks.usual(self._begun_ns))
+        if self.message.version <= version <= latest_ns // 1_000 + AHEAD_US_MAX:
             self.message = self.message._replace(version=version + 1)
+            self._down.clear()
+
+    def _outdo_robot(self, robot: int, version: int) -> None:
+        if version > self.message.version and self._outdone[robot] < OUTDONE_MAX:
+            self._outdone[robot] += 1
+            self.outdo(version)
 
     def _hear_agent(self, now_ns: int, robot: int, state: str, version: int, way: str) -> None:
         if robot not in self._ids:
             return
+        self._down.pop((robot, "agent"), None)
         self._states[robot] = state, version
         before = self.message
-        if version > before.version and robot not in self._agents:
-            self.outdo(version)  # it has had a later resume than this stop
+        if robot not in self._agents:
+            self._outdo_robot(robot, version)  # it has had a later resume than this stop
         if self.message is before and self._obeys(robot):
             self._agents.setdefault(robot, _Brakes(now_ns, state, way))
 
     def _obeys(self, robot: int) -> bool:
         """Whether the robot's agent has acknowledged the stop and brakes."""
         state, version = self._states.get(robot, ("", -1))
-        return version >= self.message.version and state in BRAKING
+        its_ns = self.clocks.at(robot, self._begun_ns)
+        least = self.message.version
+        return version >= (least if its_ns is None else least_believed(least, its_ns)) and state in BRAKING
 
     def stands_by(self, robot: int) -> bool:
         """Whether agent and plant of a robot both brake."""
@@ -130,13 +159,23 @@ class Stopping:
         return all(map(self.stands_by, self._ids))
 
     @property
+    def settled(self) -> bool:
+        """Whether all robots brake, or are down and find the stop when they come up."""
+        return all(self._is_down(robot) or self.stands_by(robot) for robot in self._ids)
+
+    def _is_down(self, robot: int) -> bool:
+        return all((robot, role) in self._down for role in ROLES)
+
+    @property
     def heard(self) -> bool:
         """Whether anything of the fleet was heard, by any way."""
-        return bool(self._states or self._heard_plants)
+        return bool(self._states or self._heard_plants or self._down)
 
     def outcomes(self, *, each: bool) -> list[str]:
         """What became of it, in words: a line for each robot; unless `each`, those that brake in one line."""
         clock = [clock_ahead(self.ahead_s)] if self.ahead_s else []
+        if behind_s := self.clocks.behind_s:
+            clock = [clock_behind(behind_s)]
         if each:
             return [*(self.outcome(robot) for robot in self._ids), *clock]
         ways: Counter[str] = Counter()
@@ -156,6 +195,10 @@ class Stopping:
 
     def outcome(self, robot: int) -> str:
         """What became of it for one robot, in words."""
+        if self._is_down(robot):
+            return (
+                f"robot {robot}: is down; it finds the stop when it comes up ({self._down[robot, 'agent']})"
+            )
         agent, plant = self._agents.get(robot), self._plants.get(robot)
         ways = dict.fromkeys(each.way for each in (agent, plant) if each is not None)
         by = f" ({', '.join(ways)})" if ways and self.stands_by(robot) else ""
@@ -169,7 +212,7 @@ class Stopping:
             return f"{state} after {self._ms(brakes)}"
         if brakes is not None:
             return f"{state}: another operator has let it drive again"
-        return f"{state}: its agent has not taken the stop"
+        return f"{state}: its agent has not taken the stop" if state else "its agent has not taken the stop"
 
     def _plant_words(self, robot: int) -> str:
         if robot in self._plants:

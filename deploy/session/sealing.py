@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
+from agent.common.time import NS_PER_S
 from agent.fleet.model import Fleet
 from agent.messages.codec import decode
 from agent.messages.types import Resume, Stop
@@ -28,22 +29,25 @@ from deploy.inventory.operator_credentials import (
 from deploy.inventory.operator_renewal import usable
 
 
-def sealed(fleet: Fleet, order: bytes) -> tuple[bytes, ...]:
+def sealed(fleet: Fleet, order: bytes, ahead_ns: int = 0) -> tuple[bytes, ...]:
     """The encoded order, sealed by this operator where `fleet` is secured; while an authority is being
     replaced once with the credentials of each.
+
+    Args:
+        ahead_ns: how far the clock of who opens it is ahead of this machine's.
 
     Raises:
         InputError: this operator has no certificate that is valid.
     """
     if not fleet.is_secured:
         return (order,)
-    name, now_ns = fleet.fleet.name, time.time_ns()
+    name, now_ns = fleet.fleet.name, time.time_ns() + ahead_ns
     folder = keys_folder(name)
     found: list[bytes] = []
     first: CredentialsError | IdentityError | None = None
     for each in (folder, *earlier_folders(folder)):
         try:
-            sealer = Sealer(usable(fleet, each, of_operator(name, operator_name())))
+            sealer = Sealer(usable(fleet, each, of_operator(name, operator_name()), ahead_ns / NS_PER_S))
         except (CredentialsError, IdentityError) as error:
             first = first or error
         else:

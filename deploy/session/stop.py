@@ -141,9 +141,11 @@ def _follow(stopping: Stopping, session: StopSession | None, ways: Sequence[Way]
     def look() -> bool:
         for way in ways:
             way.collect(stopping)
-        return stopping.done or stopping.message is not sent or (session is not None and session.is_to_send)
+        return (
+            stopping.settled or stopping.message is not sent or (session is not None and session.is_to_send)
+        )
 
-    while not stopping.done:
+    while not stopping.settled:
         waited_s = time.monotonic() - begun
         if waited_s >= WAIT_S or (waited_s >= ANSWER_S and not any(way.busy for way in ways)):
             look()  # a way may have told its last between the look before and its end

@@ -68,3 +68,25 @@ def drives(fleet: FleetOnHosts) -> None:
     """Has the fleet drive, with nobody there."""
     fleet.handfast("drive", "--detach", "--resume")
     wait_for(lambda: set(states(fleet).values()) == {"running"}, "all drive", 30.0)
+
+
+def enroll(fleet: Operated, who: str) -> None:
+    """Has main sign a certificate for another operator."""
+    asked, signed = str(fleet.folder / f"{who}.csr"), str(fleet.folder / f"{who}.crt")
+    fleet.of(who, who).handfast("keys", "--request", "--out", asked)
+    fleet.of("main", "main").handfast("keys", "--sign", asked, "--out", signed)
+    fleet.of(who, who).handfast("keys", "--install", signed)
+
+
+def stopped(fleet: Operated, reason: str) -> None:
+    """Waits until systemd says so of all, without the fleet's network or anybody's clock."""
+
+    def said() -> list[str]:
+        found = []
+        for robot, host in enumerate(fleet.hosts, 1):
+            unit = f"handfast-{fleet.name}-robot-{robot}-agent"
+            told = host.run(["systemctl", "--user", "show", "-P", "StatusText", unit], check=True)
+            found.append(told.stdout.strip())
+        return found
+
+    wait_for(lambda: said() == [f"stopped: stop: {reason}"] * 2, f"all stand for {reason}", 3.0)

@@ -15,7 +15,7 @@ from agent.security.certificates import DAY_S
 from deploy.recording.mcap_reader import read_run
 from tests.hosts.fleet_on_hosts import UP_TIMEOUT_S, fetch_wheels
 from tests.hosts.hosts import Hosts
-from tests.hosts.operated_fleet import ANNA, Operated, drives, pair, states
+from tests.hosts.operated_fleet import ANNA, Operated, drives, enroll, pair, states, stopped
 from tests.process.harness import wait_for
 
 pytestmark = pytest.mark.timeout(400)
@@ -35,10 +35,7 @@ def made(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) ->
     found = Operated(hosts, tmp_path_factory.mktemp("fleet"), pair(hosts), cache)
     found.of("main", "main", LONG_AGO_S).handfast("keys")
     found.of("main", "main").handfast("keys")
-    asked, signed = str(found.folder / "anna.csr"), str(found.folder / "anna.crt")
-    found.of(ANNA, ANNA).handfast("keys", "--request", "--out", asked)
-    found.of("main", "main").handfast("keys", "--sign", asked, "--out", signed)
-    found.of(ANNA, ANNA).handfast("keys", "--install", signed)
+    enroll(found, ANNA)
     found.of("main", "main").handfast("up", timeout=UP_TIMEOUT_S)
     return found
 
@@ -46,20 +43,6 @@ def made(hosts: Hosts, cache: Path, tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.fixture
 def fleet(made: Operated) -> Operated:
     return made.of("main", "main")
-
-
-def stopped(fleet: Operated, reason: str) -> None:
-    """Waits until systemd says so of all, without the fleet's network or anybody's clock."""
-
-    def said() -> list[str]:
-        found = []
-        for robot, host in enumerate(fleet.hosts, 1):
-            unit = f"handfast-{fleet.name}-robot-{robot}-agent"
-            told = host.run(["systemctl", "--user", "show", "-P", "StatusText", unit], check=True)
-            found.append(told.stdout.strip())
-        return found
-
-    wait_for(lambda: said() == [f"stopped: stop: {reason}"] * 2, f"all stand for {reason}", 3.0)
 
 
 @pytest.mark.parametrize("ahead_s", [60.0, 3600.0])

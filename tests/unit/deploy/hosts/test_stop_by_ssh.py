@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from base64 import b64encode
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,9 @@ from agent.fleet.model import Fleet
 from agent.messages.codec import decode, encode
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Stop
+from agent.messages.versions import as_believed
 from agent.runtime.order_store import STOP_FILE, packed, unpacked
+from deploy.console.arguments import InputError
 from deploy.hosts import stop_by_ssh, systemd_units
 from deploy.hosts.stop_by_ssh import SshWay
 from deploy.orders.stop_outcome import Stopping
@@ -119,6 +122,74 @@ def test_an_older_stop_there_is_not_this_one(fleet: Fleet, home: Path, folder: P
     way.close()
 
 
+def test_who_is_down_finds_it_when_it_comes_up(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
+    """Also where it has kept a later order, of an operator whose clock was ahead."""
+    (home / "shown").write_text("")
+    stopping, way = Stopping(fleet, time.time_ns(), "a hole"), SshWay(fleet, fleet.hosts)
+    later = stopping.message._replace(version=stopping.message.version + 60_000_000, reason="the run is over")
+    folder.mkdir(parents=True, mode=0o700)
+    (folder / "robot-2-plant.json").write_bytes(packed([encode(later)]))
+    sent = stopping.message
+    way.send(sent)
+
+    def settled() -> bool:
+        nonlocal sent
+        way.collect(stopping)
+        if stopping.message is not sent:
+            sent = stopping.message
+            way.send(sent)
+        return stopping.settled
+
+    wait_for(settled, "all are down", 5.0)
+    (laid,) = unpacked((folder / STOP_FILE).read_bytes())
+    assert decode(laid) == later._replace(version=later.version + 1, reason="a hole")
+    assert stopping.outcome(2) == "robot 2: is down; it finds the stop when it comes up (over ssh to h)"
+    way.close()
+
+
+@pytest.mark.parametrize("ahead_s", [400 * 86_400, -3 * 86_400])
+def test_it_is_sealed_and_judged_by_the_clock_of_each_host(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch, ahead_s: int
+) -> None:
+    """This machine's may be days off, and certificates not valid yet, or no more, by it."""
+    way, by = SshWay(fleet, []), []
+    stopping = Stopping(fleet, time.time_ns(), "lunch")
+
+    def sealed(_: Fleet, order: bytes, ahead_ns: int = 0) -> tuple[bytes, ...]:
+        if not ahead_ns:
+            raise InputError("its certificate is not valid yet")
+        by.append(ahead_ns)
+        return (order,)
+
+    class There:
+        host = fleet.hosts[0]
+
+        def exchange(self, *_: object, **__: object) -> None: ...
+
+        def ask(self, _: str, processes: list[str], **__: object) -> dict[str, object]:
+            there_ns = time.time_ns() + ahead_s * 10**9
+            kept = [b64encode(encode(as_believed(stopping.message, there_ns))).decode()]  # type: ignore[arg-type]
+            says = {name: STATES[name.rpartition("-")[2]] for name in processes}
+            found = {name: {"says": says[name], "orders": kept if by else []} for name in processes}
+            return {"processes": found, "time_ns": there_ns}
+
+    monkeypatch.setattr(stop_by_ssh, "sealed", sealed)
+    way.send(stopping.message)
+    follows = threading.Thread(target=way._follow, args=(There(),), daemon=True)
+    follows.start()
+    wait_for(lambda: way._content == {fleet.hosts[0].name}, "all there brake")
+    way.close()
+    follows.join(20.0)
+    way.collect(stopping)
+    assert [round(each / 1e9) for each in by] == [ahead_s]
+    assert way.troubles == []
+    if ahead_s < 0:
+        assert "72 h ahead of the robots'" in stopping.outcomes(each=True)[-1]
+    else:
+        assert stopping.done, stopping.outcomes(each=True)
+        assert "9600 h behind the robots'" in stopping.outcomes(each=True)[-1]
+
+
 def test_a_host_that_cannot_be_reached_is_said(
     fleet: Fleet,
     home: Path,  # noqa: F811
@@ -142,6 +213,10 @@ def test_hosts_are_asked_less_and_less_often(fleet: Fleet, monkeypatch: pytest.M
         def monotonic() -> float:
             return now_s
 
+        @staticmethod
+        def time_ns() -> int:
+            return 5
+
     class Silent:
         host = fleet.hosts[0]
 
@@ -150,7 +225,7 @@ def test_hosts_are_asked_less_and_less_often(fleet: Fleet, monkeypatch: pytest.M
         def ask(self, *_: object, **__: object) -> dict[str, object]:
             return {}
 
-    def rest(seconds: float, _: object) -> None:
+    def rest(_: object, seconds: float, __: object, *, content: bool) -> None:
         nonlocal now_s
         now_s += seconds
         slept.append(seconds)

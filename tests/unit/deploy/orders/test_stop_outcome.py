@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from agent.messages import key_expressions
+from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState, Status
-from deploy.orders.stop_outcome import Stopping
+from deploy.orders.stop_outcome import ON_ITS_WAY_US, Stopping
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
@@ -118,10 +119,11 @@ def test_of_a_clock_that_is_days_ahead_it_takes_the_robots_time() -> None:
     began = made.message.version
     status = Status(1, 1, EPOCH, "running", "", "", 1, 0, (), (), (), ())
     made.feed(EPOCH + 3 * 86_400 * S, key_expressions.status("square", 1), status)
-    assert made.message.version == VERSION < began, "robots acknowledge what can be"
-    # One that has taken it already as of its own time is outdone, so that all acknowledge the same.
-    agent(made, 2, 10, "stopping", VERSION + 7)
-    assert made.message.version == VERSION + 8
+    given = VERSION + ON_ITS_WAY_US
+    assert made.message.version == given < began, "robots acknowledge what can be"
+    # One that takes the first only now, as of its own time, is outdone, so that all acknowledge the same.
+    agent(made, 2, 10, "stopping", given + 7)
+    assert made.message.version == given + 8
     brake(made, *FLEET.ids)
     assert made.done
     assert made.outcomes(each=True)[-1].startswith(
@@ -142,3 +144,71 @@ def test_one_robot_whose_clock_is_behind_takes_no_stop_away() -> None:
     brake(made, *FLEET.ids)
     assert made.done
     assert "clock" not in made.outcomes(each=True)[-1], "it is not this machine's that is wrong"
+
+
+def test_a_robot_whose_clock_is_days_behind_brakes_by_a_stop_of_its_own_time() -> None:
+    """It takes the stop as given when it hears it, and says so."""
+    made = stopping()
+    days_ago = EPOCH - 3 * 86_400 * S
+
+    def late(state: str, after_ms: int, version: int) -> None:
+        status = Status(1, 1, days_ago + after_ms * MS, state, "", "", 1, version, (), (), (), ())
+        made.feed(EPOCH + after_ms * MS, key_expressions.status("square", 1), status)
+
+    late("running", 5, days_ago // 1_000 - 1)
+    agent(made, 2, 10, "stopping", VERSION - 5)  # believes this machine's clock
+    brake(made, *FLEET.ids[1:])
+    plant(made, 1, 20, driving=False)
+    late("stopped", 25, days_ago // 1_000 - 1)
+    assert not made.done, "by an older stop"
+    late("stopping", 30, days_ago // 1_000 + 20_000)
+    assert made.done, made.outcome(1)
+    assert made.outcome(1).startswith("robot 1: stopping after 30 ms")
+
+
+def test_who_makes_up_later_orders_again_and_again_takes_no_stop_away() -> None:
+    made = stopping()
+    day = 20 * 3600 * 1_000_000
+    for k in range(20):
+        agent(made, 1, 10 + k, "running", VERSION + day + 1000 * k)
+        brake(made, *FLEET.ids[1:])  # they acknowledge what they were sent
+    assert [made.stands_by(robot) for robot in FLEET.ids] == [False, *[True] * (len(FLEET.ids) - 1)]
+    assert "not taken" in made.outcome(1)
+
+
+def test_of_a_clock_that_is_days_behind_it_is_later_than_what_robots_have_and_says_so() -> None:
+    days_ago = EPOCH - 3 * 86_400 * S
+    made = Stopping(FLEET, days_ago, "")
+    status = Status(1, 1, EPOCH, "running", "", "", 1, VERSION - 7, (), (), (), ())
+    made.feed(days_ago + MS, key_expressions.status("square", 1), status)
+    assert made.message.version == VERSION - 6
+    for robot in FLEET.ids:
+        said = status._replace(robot=robot, state="stopping", order_version=VERSION - 6)
+        made.feed(days_ago + MS, key_expressions.status("square", robot), said)
+        plant(made, robot, 30, driving=False)
+    assert made.done
+    last = "set this machine's clock: it is 72 h behind the robots'"
+    assert made.outcomes(each=True)[-1] == made.outcomes(each=False)[-1] == last
+
+
+def test_who_is_down_finds_it_later_and_is_waited_for_no_longer() -> None:
+    made, way = stopping(), "over ssh to host1"
+    for robot in FLEET.ids:
+        for role in ROLES:
+            made.found_down(robot, role, VERSION - 9, -1, way)
+    assert not made.settled, "it does not lie there"
+    for robot in FLEET.ids:
+        for role in ROLES:
+            made.found_down(robot, role, VERSION - 9, VERSION, way)
+    assert (made.settled, made.heard, made.done) == (True, True, False)
+    assert made.outcome(1) == "robot 1: is down; it finds the stop when it comes up (over ssh to host1)"
+    # One that has kept a later order would not follow it: another one is to be laid for all.
+    made.found_down(2, "plant", VERSION + 4, VERSION, way)
+    assert made.message.version == VERSION + 5
+    assert not made.settled
+    for robot in FLEET.ids:
+        for role in ROLES:
+            made.found_down(robot, role, VERSION + 4, VERSION + 5, way)
+    assert made.settled
+    agent(made, 3, 40, "running", 0)
+    assert not made.settled, "it is up"
