@@ -138,22 +138,27 @@ class SshWay:
         most = len(robots) * len(ROLES) * (STOPS_SHOWN + 1) * STOP_TEXT_MAX + ANSWER_BYTES
         left: set[int] = set()
         laid: tuple[Stop, int] | None = None
-        lies, ahead_ns = -1, 0
+        lies, why, ahead_ns = -1, "", 0
         deadline, look_s = time.monotonic() + FOLLOW_S, LOOK_S
         while not self._ended and time.monotonic() < deadline:
             stop = self._stop
             assert stop is not None
             if laid is None or laid[0] is not stop or laid[1] != ahead_ns:
-                order = self._packed(stop, ahead_ns, say=laid is not None)
-                if order is not None:
-                    connection.exchange("order", order, fleet=name)
                 laid, left, look_s = (stop, ahead_ns), set(robots), LOOK_S
-                lies = -1 if order is None else stop.version
+                lies, why = -1, ""
+                try:
+                    connection.exchange("order", self._packed(stop, ahead_ns), fleet=name)
+                    lies = stop.version
+                except InputError as error:  # it may be right by the clock there
+                    why = str(error)
             processes = [f"robot-{robot}-{role}" for robot in sorted(left) for role in ROLES]
             there = _There(connection.ask("kept", fleet=name, processes=processes, answer_bytes=most))
             if abs(there.ahead_ns - ahead_ns) > OFF_NS:  # what is sealed has to be valid by that clock
                 ahead_ns = there.ahead_ns
                 continue
+            if why:
+                self._say(f"not over ssh: {why}")
+                return
             for robot in sorted(left):
                 taken = [self._look(robot, role, there, stop, lies) for role in ROLES]
                 if all(taken):
@@ -163,21 +168,21 @@ class SshWay:
             )
             look_s = min(look_s * LOOK_LATER, LOOK_S_MAX)
 
-    def _packed(self, stop: Stop, ahead_ns: int, *, say: bool) -> bytes | None:
-        """The stop as a host's robots take it whose clock is so far ahead; None where it cannot be sealed,
-        which is a trouble if `say`."""
+    def _packed(self, stop: Stop, ahead_ns: int) -> bytes:
+        """The stop as a host's robots take it whose clock is so far ahead. Raises `InputError`: no
+        certificate of this operator's is valid by that."""
         with self._sealing:
             if not ahead_ns and self._sealed is not None and self._sealed[0] is stop:
                 return self._sealed[1]
-            try:
-                order = packed(sealed(self._fleet, encode(stop), ahead_ns))
-            except InputError as error:
-                if say and (trouble := f"not over ssh: {error}") not in self.troubles:
-                    self.troubles.append(trouble)
-                return None
+            order = packed(sealed(self._fleet, encode(stop), ahead_ns))
             if not ahead_ns:
                 self._sealed = stop, order
             return order
+
+    def _say(self, trouble: str) -> None:
+        with self._guard:
+            if trouble not in self.troubles:
+                self.troubles.append(trouble)
 
     def _rest(self, host: HostSection, seconds: float, laid: Stop, *, content: bool) -> None:
         """Waits, but not when there is another stop than was laid there, or it is over; `content`: nothing

@@ -190,6 +190,22 @@ def test_it_is_sealed_and_judged_by_the_clock_of_each_host(
         assert "9600 h behind the robots'" in stopping.outcomes(each=True)[-1]
 
 
+def test_it_is_said_that_no_clock_makes_the_certificate_valid(
+    fleet: Fleet,
+    home: Path,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def expired(*_: object) -> tuple[bytes, ...]:
+        raise InputError("its certificate has expired")
+
+    monkeypatch.setattr(stop_by_ssh, "sealed", expired)
+    way = SshWay(fleet, fleet.hosts)
+    way.send(Stopping(fleet, time.time_ns(), "lunch").message)
+    wait_for(lambda: not way.busy, "it has given up", 5.0)
+    assert way.troubles == ["not over ssh: its certificate has expired"]
+    way.close()
+
+
 def test_a_host_that_cannot_be_reached_is_said(
     fleet: Fleet,
     home: Path,  # noqa: F811
