@@ -140,7 +140,7 @@ def loop(
     ticks = Ticks(node, clock.now_ns())
     end_by_ns: int | None = None
     look_due_ns = 0
-    state = ""
+    said = "", ""
     presence = bus.watch(node.watched) if node.watched else None
     heard: Sequence[str] = ()
     while True:
@@ -166,10 +166,13 @@ def loop(
             bus.publish(key, payload)
         if keeper is not None:
             keeper.step(now_ns)
-        if node.condition[0] != state:
-            state, reason = node.condition
-            log(f"{state}: {printable(reason)}" if reason else state)
-            service.says(f"{state}: {reason}" if reason else state)
+        condition = node.condition
+        if condition != said and (condition[0] != said[0] or now_ns >= look_due_ns):
+            text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]
+            if condition[0] != said[0]:  # reasons alone may change often
+                log(printable(text))
+            service.says(text)
+            said = condition
         service.lives(start_ns)
         if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return

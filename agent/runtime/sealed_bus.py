@@ -17,7 +17,7 @@ from agent.fleet.model import Fleet
 from agent.runtime.bus import LINK_TIMEOUT_S, RETRY_MS, Bus, init_log
 from agent.runtime.zenoh_log import ZenohLog
 from agent.security.access_control import Security
-from agent.security.credentials import Credentials, load
+from agent.security.credentials import Credentials, load, load_whenever
 from agent.security.identity import MAIN, Identity
 from agent.security.order_gate import OrderGate
 from agent.security.refusals import FILTER
@@ -61,6 +61,7 @@ class SealedBus(Bus):
         log: writes a line of the log for what is refused.
         go_on_waiting: as of a `Bus`; asked after what was refused meanwhile has been said.
         keep_seals: gives orders sealed, as they came, to who keeps them as evidence.
+        whenever: tries it with a certificate that is not valid now, too: robots judge by their clocks.
         bus: what else a `Bus` takes.
 
     Raises:
@@ -76,13 +77,14 @@ class SealedBus(Bus):
         log: Log,
         go_on_waiting: Callable[[], bool] = lambda: False,
         keep_seals: bool = False,
+        whenever: bool = False,
         **bus: Any,
     ) -> None:
         self._log, self._keep_seals = log, keep_seals
         self._zenoh_log = ZenohLog()
         try:
             init_log(FILTER)
-            found = load(folder, identity, time.time())
+            found = load_whenever(folder, identity) if whenever else load(folder, identity, time.time())
             self._gate = gate_of(fleet, found, self._zenoh_log.refusals.add)
 
             def waits() -> bool:
@@ -146,13 +148,14 @@ def bus_for(
     go_on_waiting: Callable[[], bool] = lambda: False,
     retry_ms: tuple[int, int] = RETRY_MS,
     keep_seals: bool = False,
+    whenever: bool = False,
 ) -> Bus:
     """The bus of one process of a fleet, secured or not, through its routers or not; see `Bus`, `SealedBus`.
 
     Args:
         identity, folder: of a secured fleet; None else.
         through_routers: False for a process that speaks only with its own robot's.
-        keep_seals: as of a `SealedBus`.
+        keep_seals, whenever: as of a `SealedBus`.
     """
     scheme = "tls" if fleet.is_secured else "tcp"
     routers = [f"{scheme}/{router}" for router in fleet.network.routers] if through_routers else []
@@ -179,6 +182,7 @@ def bus_for(
         near=near,
         go_on_waiting=go_on_waiting,
         keep_seals=keep_seals,
+        whenever=whenever,
         link_timeout_s=link_timeout_s,
         retry_ms=retry_ms,
     )

@@ -34,6 +34,10 @@ class StopLatch:
         """Of the resumes that name this robot or all: the greatest of all may be another's."""
         self._ahead: Stop | None = None
         """The last that came from ahead of time: it is said more than once, and may be replayed."""
+        self._ahead_version = -1
+        """As which version it holds here, -1 for none."""
+        self._reason = ""
+        """Of the stop that came last."""
         self.version = 0
         self.lasting: tuple[Stop | Resume, ...] = ()
 
@@ -41,7 +45,7 @@ class StopLatch:
         """Takes a message; returns why it is refused, None when it is not."""
         if self._stop is not None and stop.version <= self._stop.version:
             return None if stop.version == self._stop.version else "out_of_order"
-        self._stop = stop
+        self._stop, self._reason = stop, stop.reason
         self._changed(stop)
         return None
 
@@ -62,13 +66,14 @@ class StopLatch:
     def accept_ahead(self, order: Stop | Resume, now_ns: int) -> str:
         """Takes an order that cannot have been given yet; returns why it is refused.
 
-        An operator's clock is wrong by more than a day. A stop is a stop: it holds as one that is given now,
-        after all that is known, so that the next resume of right clocks ends it. It is not said again: others
-        have their own now.
+        An operator's clock, or this one, is wrong by more than a day. A stop is a stop: it holds as one that
+        is given now, after all that is known, so that the next resume of right clocks ends it. It is none of
+        what is acknowledged, kept and said again: others have their own now. The operator learns the time
+        from who hears it, and says it again as of that.
         """
         if isinstance(order, Stop) and order != self._ahead:
-            self._ahead = order
-            self.accept_stop(order._replace(version=max(now_ns // 1_000, self.version + 1)))
+            self._ahead, self._reason = order, order.reason
+            self._ahead_version = max(now_ns // 1_000, self.version)
         return "future"
 
     def recall(self, order: Stop | Resume) -> None:
@@ -96,10 +101,10 @@ class StopLatch:
     @property
     def stopped(self) -> str:
         """Why the robot must stand, "" when it need not. Of equal versions the stop holds."""
-        stop, own = self._stop, self._own
-        if stop is None or (own is not None and stop.version < own.version):
+        version = max(self._ahead_version, -1 if self._stop is None else self._stop.version)
+        if version < 0 or (self._own is not None and version < self._own.version):
             return ""
-        return f"stop: {stop.reason}" if stop.reason else "stop"
+        return f"stop: {self._reason}" if self._reason else "stop"
 
     @property
     def mark(self) -> tuple[int, int]:

@@ -585,11 +585,13 @@ def certificates(fleet: str) -> dict[str, str]:
 
 
 @request
-def order(fleet: str, blob: bytes) -> None:
-    """Lays an operator's stop where the fleet's robots here look for one."""
+def order(fleet: str, blob: bytes) -> list[str]:
+    """Lays an operator's stop where the fleet's robots here look for one; the stop that lay there before."""
     folder = inside(f"fleets/{fleet}/orders")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    before = first_orders(folder / STOP_FILE)
     write(folder / STOP_FILE, blob)
+    return before
 
 
 @request

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from base64 import b64decode
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
@@ -61,6 +61,8 @@ class SshWay:
         self._guard = threading.Lock()
         self._news = threading.Condition()
         self._found: list[_Found] = []
+        self._laid_before: list[tuple[int, int]] = []
+        """Robots, each with the version of the stop that lay there for it."""
         self._connections: list[HostConnection] = []
         self._threads: list[threading.Thread] = []
         self._stop: Stop | None = None
@@ -93,6 +95,9 @@ class SshWay:
         """See `deploy.session.stop.Way`."""
         with self._guard:
             found, self._found = self._found, []
+            laid, self._laid_before = self._laid_before, []
+        for robot, version in laid:
+            stopping.found_laid(robot, version)
         for each in found:
             way = f"over ssh to {self._fleet.robot(each.robot).host}"
             stopping.show_clock(each.at_ns, each.robot, each.there_ns)
@@ -144,10 +149,12 @@ class SshWay:
             stop = self._stop
             assert stop is not None
             if laid is None or laid[0] is not stop or laid[1] != ahead_ns:
-                laid, left, look_s = (stop, ahead_ns), set(robots), LOOK_S
+                is_first, laid, left, look_s = laid is None, (stop, ahead_ns), set(robots), LOOK_S
                 lies, why = -1, ""
                 try:
-                    connection.exchange("order", self._packed(stop, ahead_ns), fleet=name)
+                    before, _ = connection.exchange("order", self._packed(stop, ahead_ns), fleet=name)
+                    if is_first:
+                        self._found_laid(robots, before)
                     lies = stop.version
                 except InputError as error:  # it may be right by the clock there
                     why = str(error)
@@ -169,15 +176,29 @@ class SshWay:
             look_s = min(look_s * LOOK_LATER, LOOK_S_MAX)
 
     def _packed(self, stop: Stop, ahead_ns: int) -> bytes:
-        """The stop as a host's robots take it whose clock is so far ahead. Raises `InputError`: no
-        certificate of this operator's is valid by that."""
+        """The stop as a host's robots take it whose clock is so far ahead: not of a time to come. Raises
+        `InputError`: no certificate of this operator's is valid by that."""
         with self._sealing:
             if not ahead_ns and self._sealed is not None and self._sealed[0] is stop:
                 return self._sealed[1]
-            order = packed(sealed(self._fleet, encode(stop), ahead_ns))
+            version = least_believed(stop.version, time.time_ns() + ahead_ns)
+            order = packed(sealed(self._fleet, encode(stop._replace(version=version)), ahead_ns))
             if not ahead_ns:
                 self._sealed = stop, order
             return order
+
+    def _found_laid(self, robots: Iterable[int], before: Any) -> None:
+        """Notes the stop that lay there: who was to find it when it comes up finds this one instead."""
+        stopped, _ = self._versions(before)
+        with self._guard:
+            self._laid_before += [(robot, stopped) for robot in robots]
+
+    def _versions(self, texts: Any) -> tuple[int, int]:
+        """The greatest of the stops, and of the resumes, that a host says are kept there; -1 without any."""
+        with suppress(ValueError, TypeError):
+            orders = [b64decode(text) for text in texts] if isinstance(texts, list) else []
+            return kept_versions(orders, is_secured=self._fleet.is_secured)
+        return -1, -1
 
     def _say(self, trouble: str) -> None:
         with self._guard:
@@ -202,16 +223,14 @@ class SshWay:
         about = there.processes.get(f"robot-{robot}-{role}")
         if not isinstance(about, Mapping):
             return False
-        says, kept = about.get("says"), about.get("orders")
-        stopped = resumed = -1
-        with suppress(ValueError, TypeError):
-            orders = [b64decode(text) for text in kept] if isinstance(kept, list) else []
-            stopped, resumed = kept_versions(orders, is_secured=self._fleet.is_secured)
+        says = about.get("says")
+        stopped, resumed = self._versions(about.get("orders"))
         its_ns = there.time_ns - max(0, time.time_ns() - stop.time_ns)  # when the stop was given, or before
         holds = stopped >= least_believed(stop.version, its_ns) and stopped > resumed
         state = None if says is None else str(says).partition(":")[0]
-        # By a later stop, whoever gave it, it brakes as well: that is nothing to outdo.
-        version = stop.version if holds and state is not None else max(stopped, resumed)
+        version = max(stopped, resumed)
+        if holds and state is not None:
+            version = max(stop.version, version)
         with self._guard:
             self._found.append(_Found(time.time_ns(), there.time_ns, robot, role, state, version, lies))
         if state is None:

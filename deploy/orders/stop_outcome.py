@@ -10,7 +10,7 @@ from agent.fleet.model import Fleet
 from agent.messages import key_expressions
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import Message, PlantState, Status, Stop, clipped
-from agent.messages.versions import AHEAD_US_MAX, can_be, least_believed
+from agent.messages.versions import AHEAD_US_MAX, can_be
 from agent.supervision.state_machine import State
 from deploy.console.wording import clock_ahead, clock_behind
 from deploy.orders.robot_clocks import RobotClocks
@@ -24,8 +24,6 @@ PLANT_BRAKES: Final = "braking"
 SAYS_BRAKES: Final = {"agent": BRAKING, "plant": frozenset({PLANT_BRAKES})}
 """By role: what a process says of itself that brakes."""
 NEW_LINK: Final = "over a new link"
-ON_ITS_WAY_US: Final = 2_000_000
-"""A stop that robots are still to hear, of a time that they do not believe, they take as of within this."""
 OUTDONE_MAX: Final = 3
 """So many later orders a robot may have had, one after the other; who tells of more makes them up."""
 
@@ -33,6 +31,11 @@ OUTDONE_MAX: Final = 3
 def has_acknowledged(status: Status | None, stop: Stop) -> bool:
     """Whether an agent that says this, or nothing, has acknowledged a stop and brakes."""
     return status is not None and status.order_version >= stop.version and status.state in BRAKING
+
+
+def _reason(stop: Stop) -> str:
+    """What an agent says that brakes by it (`agent.supervision.stop_latch.StopLatch.stopped`)."""
+    return clipped(f"stop: {stop.reason}" if stop.reason else "stop")
 
 
 class _Brakes(NamedTuple):
@@ -78,7 +81,10 @@ class Stopping:
         """Takes a message that came on `key`, by a way, after the stop was sent first."""
         if type(message) is Status and key == key_expressions.status(self._name, message.robot):
             self.show_clock(now_ns, message.robot, message.time_ns)
-            self._hear_agent(now_ns, message.robot, message.state, message.order_version, way)
+            version = message.order_version
+            if not self._is_believed_by(message.robot) and message.reason == _reason(self.message):
+                version = self.message.version  # it brakes by it, and can acknowledge no such version
+            self._hear_agent(now_ns, message.robot, message.state, version, way)
         elif type(message) is PlantState and key == key_expressions.plant_state(self._name, message.robot):
             self._heard_plants.add(message.robot)
             self._down.pop((message.robot, "plant"), None)
@@ -94,9 +100,9 @@ class Stopping:
         newest_ns = self.clocks.newest(now_ns)
         is_believed = can_be(self._given_version, newest_ns)
         if not is_believed and not self.ahead_s:
-            # Robots take it as given when they hear it: what they will acknowledge is of their time.
+            # Robots brake at once, but what they keep and acknowledge is of their time.
             self.ahead_s = (now_ns - newest_ns) / NS_PER_S
-            self.message = self.message._replace(version=newest_ns // 1_000 + ON_ITS_WAY_US)
+            self.message = self.message._replace(version=newest_ns // 1_000)
         elif is_believed and self.ahead_s:
             self.ahead_s = 0.0
             self.message = self.message._replace(version=max(self._given_version, self.message.version))
@@ -108,13 +114,15 @@ class Stopping:
             self._hear_agent(now_ns, robot, state, version, way)
             return
         self._heard_plants.add(robot)
+        if robot not in self._plants:
+            self.has_had(robot, version)
         if version >= self.message.version and state in SAYS_BRAKES[role]:
             self._plants.setdefault(robot, _Brakes(now_ns, state, way))
 
     def found_down(self, robot: int, role: str, version: int, laid: int, way: str) -> None:
         """Takes what a robot's computer says of a process that is down: the version of the order that it has
         kept, and of the stop that it finds when it comes up, each -1 without any."""
-        self._outdo_robot(robot, version)
+        self.has_had(robot, version)
         if version < self.message.version <= laid:
             self._down[robot, role] = way
 
@@ -126,10 +134,26 @@ class Stopping:
             self.message = self.message._replace(version=version + 1)
             self._down.clear()
 
+    def has_had(self, robot: int, version: int) -> None:
+        """Takes that a robot has had an order of that version."""
+        if version > self.message.version:
+            self._outdo_robot(robot, version)
+
+    def found_laid(self, robot: int, version: int) -> None:
+        """Takes that a stop of that version lay where a robot looks for one, before this one did."""
+        if version >= self.message.version:
+            self._outdo_robot(robot, version)
+
     def _outdo_robot(self, robot: int, version: int) -> None:
-        if version > self.message.version and self._outdone[robot] < OUTDONE_MAX:
-            self._outdone[robot] += 1
+        before = self.message
+        if self._outdone[robot] < OUTDONE_MAX:
             self.outdo(version)
+            self._outdone[robot] += self.message is not before
+
+    def _is_believed_by(self, robot: int) -> bool:
+        """Whether the message can have been given yet by a robot's clock."""
+        its_ns = self.clocks.at(robot, self._begun_ns)
+        return its_ns is None or can_be(self.message.version, its_ns)
 
     def _hear_agent(self, now_ns: int, robot: int, state: str, version: int, way: str) -> None:
         if robot not in self._ids:
@@ -138,16 +162,14 @@ class Stopping:
         self._states[robot] = state, version
         before = self.message
         if robot not in self._agents:
-            self._outdo_robot(robot, version)  # it has had a later resume than this stop
+            self.has_had(robot, version)
         if self.message is before and self._obeys(robot):
             self._agents.setdefault(robot, _Brakes(now_ns, state, way))
 
     def _obeys(self, robot: int) -> bool:
         """Whether the robot's agent has acknowledged the stop and brakes."""
         state, version = self._states.get(robot, ("", -1))
-        its_ns = self.clocks.at(robot, self._begun_ns)
-        least = self.message.version
-        return version >= (least if its_ns is None else least_believed(least, its_ns)) and state in BRAKING
+        return version >= self.message.version and state in BRAKING
 
     def stands_by(self, robot: int) -> bool:
         """Whether agent and plant of a robot both brake."""
@@ -207,11 +229,13 @@ class Stopping:
     def _agent_words(self, robot: int) -> str:
         if robot not in self._states:
             return "nothing heard from its agent"
-        state, brakes = self._states[robot][0], self._agents.get(robot)
+        (state, version), brakes = self._states[robot], self._agents.get(robot)
         if self._obeys(robot) and brakes is not None:
             return f"{state} after {self._ms(brakes)}"
         if brakes is not None:
             return f"{state}: another operator has let it drive again"
+        if state in BRAKING and version < 0:
+            return f"{state}: its agent has kept no order, so by which is not known"
         return f"{state}: its agent has not taken the stop" if state else "its agent has not taken the stop"
 
     def _plant_words(self, robot: int) -> str:

@@ -26,9 +26,13 @@ the robot a tenth of a second in which it accepts nobody else."""
 BOTH: Final = "some robots may have an earlier authority still: linking with both; `handfast up` ends that"
 
 
-def operator_bus(fleet: Fleet) -> OperatorBus:
+def operator_bus(fleet: Fleet, *, whenever: bool = False) -> OperatorBus:
     """On the bus of `fleet`, connected to every agent and plant, or to one of its routers; while an authority
     is being replaced, with the credentials of before as well.
+
+    Args:
+        whenever: tries it with a certificate that is not valid now, too, and says so: this machine's clock
+            may be wrong.
 
     Raises:
         agent.runtime.bus.BusError: the bus cannot be opened.
@@ -52,12 +56,17 @@ def operator_bus(fleet: Fleet) -> OperatorBus:
             f"{', '.join(fleet.network.operators)}"
         )
     earlier = earlier_folders(folder)
-    with suppress(CredentialsError):  # said below
+    try:
         usable(fleet, folder, identity)
+    except NotValidNowError as error:
+        if whenever:
+            _log(f"{error}{_advice(error)}")
+    except CredentialsError:
+        pass  # said below
     try:
         if earlier:
             return _joined(fleet, identity, folder, earlier, connect)
-        return bus_for(fleet, identity, folder, _log, listen=[], connect=connect)
+        return bus_for(fleet, identity, folder, _log, listen=[], connect=connect, whenever=whenever)
     except CredentialsError as error:
         raise InputError(f"{error}{_advice(error)}") from None
 

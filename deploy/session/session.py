@@ -16,7 +16,7 @@ from agent.runtime.clock import RealClock
 from deploy.console.interrupt import Interrupt
 from deploy.faults.live import Receiver, receivers
 from deploy.inventory.running import NoAnswerError
-from deploy.session.joined_bus import JoinedPresence
+from deploy.session.joined_bus import JoinedPresence, OperatorBus
 from deploy.session.operator_bus import operator_bus
 
 CONNECT_S: Final = 3.0
@@ -39,6 +39,9 @@ def valid(payload: bytes) -> Message | None:
 class Session:
     """An operator on the bus of `fleet`, connected to every agent and plant. A context manager.
 
+    Args:
+        bus: `operator_bus` of the fleet, unless it is another one.
+
     Attributes:
         bus: what those that build on this subscribe to and publish on.
         receivers: every agent and plant.
@@ -48,12 +51,12 @@ class Session:
         agent.runtime.bus.BusError: the bus cannot be opened.
     """
 
-    def __init__(self, fleet: Fleet) -> None:
+    def __init__(self, fleet: Fleet, bus: OperatorBus | None = None) -> None:
         self.fleet: Final = fleet
         self.receivers: Final = receivers(fleet)
         self.clock: Final = RealClock()
         self.alive: set[Receiver] = set()
-        self.bus: Final = operator_bus(fleet)
+        self.bus: Final = operator_bus(fleet) if bus is None else bus
         self._presence = self.bus.watch(key_expressions.alive(fleet.fleet.name, "*", "*"))
 
     def __enter__(self: S) -> S:

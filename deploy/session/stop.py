@@ -19,6 +19,7 @@ from agent.runtime.bus import BusError
 from deploy.console.arguments import InputError
 from deploy.inventory.own_orders import OwnOrders
 from deploy.orders.stop_outcome import Stopping
+from deploy.session.operator_bus import operator_bus
 from deploy.session.session import ANSWER_S, INBOX, Session
 
 SEND_PERIOD_S: Final = 0.05
@@ -61,7 +62,7 @@ class StopSession(Session):
     """
 
     def __init__(self, fleet: Fleet, stopping: Stopping) -> None:
-        super().__init__(fleet)
+        super().__init__(fleet, operator_bus(fleet, whenever=True))
         name = fleet.fleet.name
         self._key = key_expressions.stop(name)
         self.bus.declare(self._key)

@@ -1,5 +1,5 @@
-"""`stop` of an operator whose clock is hours or days off, with keys that were made minutes ago, while nothing
-but ssh gets through to the robots' computers.
+"""`stop` of operators whose clocks are hours or days off, with keys that were made minutes ago, by one way
+alone or all, of robots that drive, stand or are down: the last one that somebody meant holds.
 
 Each test goes on from the one before.
 """
@@ -20,10 +20,13 @@ from tests.hosts.hosts import Hosts
 from tests.hosts.operated_fleet import ANNA, Operated, drives, enroll, pair, stopped
 
 pytestmark = pytest.mark.timeout(400)
-ONLY_SSH = """table inet only_ssh {{
-    chain input {{ type filter hook input priority 0; ip saddr {operator} tcp dport != 22 drop; }}
+CLOSED = """table inet closed {{
+    chain input {{ type filter hook input priority 0; ip saddr {operator} tcp dport {ports} drop; }}
 }}
 """
+BUT_SSH = "!= 22"
+SSH = "22"
+HOUR_S = 3600.0
 SOON_S = 5.0
 """A stop that waits for what does not come waits longer."""
 
@@ -51,15 +54,16 @@ def fleet(made: Operated) -> Operated:
 
 
 @contextmanager
-def only_ssh(hosts: Hosts) -> Iterator[None]:
-    rules = ONLY_SSH.format(operator=hosts.operator.address)
+def closed(hosts: Hosts, ports: str) -> Iterator[None]:
+    """Nothing of the operator's computer comes to these ports."""
+    rules = CLOSED.format(operator=hosts.operator.address, ports=ports)
     for host in hosts:
         host.run(["nft", "-f", "-"], input=rules, check=True)
     try:
         yield
     finally:
         for host in hosts:
-            host.run(["nft", "delete", "table", "inet", "only_ssh"], check=True)
+            host.run(["nft", "delete", "table", "inet", "closed"], check=True)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +81,7 @@ def test_all_stop_and_it_says_what_is_wrong(
     """The authority is with main; anna cannot renew her certificate."""
     drives(fleet)
     reason = f"{who}'s, {ahead_s:.0f} s off"
-    with only_ssh(hosts):
+    with closed(hosts, BUT_SSH):
         done = fleet.of(who, who, ahead_s).handfast("stop", "--reason", reason, status=None)
         told = done.stdout + done.stderr
         stopped(fleet, reason)
@@ -86,12 +90,49 @@ def test_all_stop_and_it_says_what_is_wrong(
     assert f"set this machine's clock: {words}" in told
 
 
+def test_who_cannot_renew_a_certificate_tries_the_links_with_it(fleet: Operated, hosts: Hosts) -> None:
+    """Robots judge it by their clocks."""
+    drives(fleet)
+    with closed(hosts, SSH):
+        done = fleet.of(ANNA, ANNA, -2 * HOUR_S).handfast("stop", "--reason", "no ssh")
+        stopped(fleet, "no ssh")
+    assert done.stdout.count("over a new link") == 2
+    assert "anna is not valid yet: is this machine's clock right?" in done.stderr
+
+
+def test_of_a_clock_that_was_ahead_and_is_behind_the_last_holds(fleet: Operated) -> None:
+    drives(fleet)
+    fleet.of(ANNA, ANNA, 25 * HOUR_S).handfast("stop", "--reason", "ahead")
+    stopped(fleet, "ahead")
+    fleet.of(ANNA, ANNA, -25 * HOUR_S).handfast("stop", "--reason", "behind")
+    stopped(fleet, "behind")
+
+
+@pytest.mark.parametrize("ahead_s", [-2 * HOUR_S, 400 * DAY_S])
+def test_of_robots_that_stand_for_a_regular_stop_it_is_meant(
+    fleet: Operated, hosts: Hosts, ahead_s: float
+) -> None:
+    """That one was given by a clock that is right; no drive is to lift this one without a word."""
+    drives(fleet)
+    fleet.handfast("stop", "--reason", "before")
+    fleet.handfast("drive", "--resume", "--duration", "1", "--no-report")
+    stopped(fleet, "the run is over")
+    reason = f"meant, {ahead_s:.0f} s off"
+    with closed(hosts, BUT_SSH):
+        fleet.of(ANNA, ANNA, ahead_s).handfast("stop", "--reason", reason)
+    stopped(fleet, reason)
+    told = fleet.of("main", "main").handfast("drive", "--detach", status=2).stderr
+    assert f"{reason}; drive with --resume" in told
+    drives(fleet)
+    fleet.handfast("stop", "--reason", "after")
+
+
 def test_of_a_fleet_that_is_down_it_says_so_at_once_and_holds_when_it_comes_up(
     fleet: Operated, hosts: Hosts
 ) -> None:
     """Though a clock that was ahead has left a later order there, which this operator does not know of."""
     drives(fleet)
-    fleet.of(ANNA, ANNA, 3600.0).handfast("stop", "--reason", "the run is over")
+    fleet.of(ANNA, ANNA, HOUR_S).handfast("stop", "--reason", "the run is over")
     fleet.handfast("down")
     began_s = time.monotonic()
     told = fleet.of("main", "main").handfast("stop", "--reason", "a hole", status=1).stdout
@@ -99,3 +140,11 @@ def test_of_a_fleet_that_is_down_it_says_so_at_once_and_holds_when_it_comes_up(
     assert told.count("is down; it finds the stop when it comes up (over ssh to host") == 2, told
     told = fleet.of(ANNA, ANNA).handfast("up", timeout=UP_TIMEOUT_S).stdout
     assert told.count("stopped: stop: a hole") == 2, told
+
+
+def test_of_two_stops_of_a_fleet_that_is_down_the_last_holds(fleet: Operated) -> None:
+    fleet.handfast("down")
+    for who, ahead_s, reason in (("main", 0.0, "first"), (ANNA, -2 * HOUR_S, "then"), ("main", 0.0, "last")):
+        fleet.of(who, who, ahead_s).handfast("stop", "--reason", reason, status=1)
+    told = fleet.of(ANNA, ANNA).handfast("up", timeout=UP_TIMEOUT_S).stdout
+    assert told.count("stopped: stop: last") == 2, told

@@ -166,13 +166,23 @@ def test_a_stop_from_ahead_of_time_holds_after_all_that_is_known_and_once():
     owner.take(resume(5_000))  # of a clock that is ahead, too, but can be
     assert owner.latch.accept_ahead(stop(later, "ahead"), now_ns) == "future"
     assert owner.latch.stopped == "stop: ahead"
-    assert owner.latch.version == 5_001
+    assert owner.latch.version == 5_000, "nobody could be told of it"
+    assert owner.latch.mark == (-1, 5_000)
     owner.latch.accept_ahead(stop(later, "ahead"), now_ns)
-    assert owner.latch.version == 5_001, "it is said again and again"
+    owner.take(resume(5_000))
+    assert owner.latch.stopped == "stop: ahead"
+    owner.take(stop(4_000, "older, and said after it"))
+    assert owner.latch.stopped == "stop: older, and said after it"
     owner.take(resume(5_002))
     assert not owner.latch.stopped
     owner.latch.accept_ahead(resume(later), now_ns)
     owner.latch.accept_ahead(stop(later, "ahead"), now_ns)
     assert not owner.latch.stopped, "it is said again, by whomever"
     owner.latch.accept_ahead(stop(later + 1, "another"), 2 * later)
-    assert owner.latch.version == 2 * later // 1_000
+    assert owner.latch.stopped == "stop: another"
+    owner.take(resume(2 * later // 1_000 - 1))
+    assert owner.latch.stopped == "stop: another", "it was given before"
+    owner.take(stop(2 * later // 1_000 + 1, "of right clocks"))
+    assert owner.latch.stopped == "stop: of right clocks"
+    owner.take(resume(2 * later // 1_000 + 2))
+    assert not owner.latch.stopped

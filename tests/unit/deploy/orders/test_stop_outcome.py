@@ -7,7 +7,7 @@ import pytest
 from agent.messages import key_expressions
 from agent.messages.key_expressions import ROLES
 from agent.messages.types import PlantState, Status
-from deploy.orders.stop_outcome import ON_ITS_WAY_US, Stopping
+from deploy.orders.stop_outcome import Stopping
 from tests.unit.deploy.orders.order_fleets import EPOCH, S, square
 
 FLEET = square()
@@ -119,7 +119,7 @@ def test_of_a_clock_that_is_days_ahead_it_takes_the_robots_time() -> None:
     began = made.message.version
     status = Status(1, 1, EPOCH, "running", "", "", 1, 0, (), (), (), ())
     made.feed(EPOCH + 3 * 86_400 * S, key_expressions.status("square", 1), status)
-    given = VERSION + ON_ITS_WAY_US
+    given = VERSION
     assert made.message.version == given < began, "robots acknowledge what can be"
     # One that takes the first only now, as of its own time, is outdone, so that all acknowledge the same.
     agent(made, 2, 10, "stopping", given + 7)
@@ -147,21 +147,22 @@ def test_one_robot_whose_clock_is_behind_takes_no_stop_away() -> None:
 
 
 def test_a_robot_whose_clock_is_days_behind_brakes_by_a_stop_of_its_own_time() -> None:
-    """It takes the stop as given when it hears it, and says so."""
-    made = stopping()
+    """It takes the stop as one that is given when it hears it, and cannot acknowledge its version."""
+    made = stopping("lunch")
     days_ago = EPOCH - 3 * 86_400 * S
 
-    def late(state: str, after_ms: int, version: int) -> None:
-        status = Status(1, 1, days_ago + after_ms * MS, state, "", "", 1, version, (), (), (), ())
+    def late(state: str, after_ms: int, reason: str) -> None:
+        known = days_ago // 1_000 - 1
+        status = Status(1, 1, days_ago + after_ms * MS, state, "", reason, 1, known, (), (), (), ())
         made.feed(EPOCH + after_ms * MS, key_expressions.status("square", 1), status)
 
-    late("running", 5, days_ago // 1_000 - 1)
+    late("running", 5, "")
     agent(made, 2, 10, "stopping", VERSION - 5)  # believes this machine's clock
     brake(made, *FLEET.ids[1:])
     plant(made, 1, 20, driving=False)
-    late("stopped", 25, days_ago // 1_000 - 1)
+    late("stopped", 25, "stop: the run is over")
     assert not made.done, "by an older stop"
-    late("stopping", 30, days_ago // 1_000 + 20_000)
+    late("stopping", 30, "stop: lunch")
     assert made.done, made.outcome(1)
     assert made.outcome(1).startswith("robot 1: stopping after 30 ms")
 
@@ -212,3 +213,38 @@ def test_who_is_down_finds_it_later_and_is_waited_for_no_longer() -> None:
     assert made.settled
     agent(made, 3, 40, "running", 0)
     assert not made.settled, "it is up"
+
+
+def test_what_cannot_be_outdone_yet_is_outdone_when_the_robots_time_is_known() -> None:
+    """As from files on this machine, while its clock is days behind and nothing has come over links."""
+    days_ago = EPOCH - 3 * 86_400 * S
+    made = Stopping(FLEET, days_ago, "")
+    for _ in range(20):
+        made.found(days_ago, 1, "agent", "", VERSION, "by a file")
+    assert made.message.version == days_ago // 1_000
+    status = Status(1, 1, EPOCH, "running", "", "", 1, VERSION, (), (), (), ())
+    made.feed(days_ago, key_expressions.status("square", 1), status)
+    assert made.message.version == VERSION + 1
+
+
+def test_a_later_stop_that_runs_give_is_outdone_too() -> None:
+    """Else the next drive lifted it, for this one was not the last."""
+    made = stopping("a person")
+    made.found(EPOCH, 1, "agent", "stopped", VERSION + 50, "over ssh to host1")
+    assert made.message.version == VERSION + 51
+    made.found(EPOCH, 2, "plant", "braking", VERSION + 70, "over ssh to host2")
+    assert made.message.version == VERSION + 71
+    made.has_had(3, VERSION + 90)
+    assert made.message.version == VERSION + 91
+    made.has_had(3, VERSION + 91)
+    assert made.message.version == VERSION + 91, "it is this one"
+    made.found_laid(3, VERSION + 91)
+    assert made.message.version == VERSION + 92, "of the same version, another lay there"
+
+
+def test_of_one_that_brakes_and_has_kept_nothing_it_is_not_said_that_it_has_not_taken_it() -> None:
+    made = stopping()
+    made.found(EPOCH, 1, "agent", "stopped", -1, "over ssh to host1")
+    assert made.outcome(1).startswith(
+        "robot 1: stopped: its agent has kept no order, so by which is not known, "
+    )
