@@ -62,7 +62,7 @@ _MEANINGS: Final = (
     (b"corrupt message", "it does not speak TLS"),
     (b"alert: UnknownCA", ANOTHER_AUTHORITY[1]),
     (b"alert: DecryptError", ANOTHER_AUTHORITY[1]),
-    (b"alert: CertificateExpired", "to it our certificate has expired"),
+    (b"alert: CertificateExpired", "by its clock our certificate is not valid: are both right?"),
     (b"alert: CertificateRequired", "we have no certificate"),
     (b"alert: BadCertificate", "to it our certificate is wrong, or for other addresses"),
     (b"fatal alert", "it broke the handshake off"),

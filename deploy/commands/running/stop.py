@@ -6,7 +6,7 @@ import argparse
 import sys
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from agent.common.exit import FAILED, PASSED
 from agent.common.wording import printable
@@ -17,6 +17,12 @@ from deploy.inventory.running import MEANING, NoAnswerError, as_running, handled
 
 if TYPE_CHECKING:
     from deploy.inventory.known_fleets import KnownFleet
+
+
+CUT_SHORT: Final = (
+    "handfast: interrupted: robots may drive on. Who heard the stop brakes, and tells the others; say it "
+    "again, or look with `handfast status`"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,6 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _stop(options: argparse.Namespace) -> int:
+    try:
+        return _stopped(options)
+    except KeyboardInterrupt:
+        print(CUT_SHORT, file=sys.stderr)
+        raise
+
+
+def _stopped(options: argparse.Namespace) -> int:
     from deploy.inventory.known_fleets import NONE, NotRunningError, SeveralError, find, known, meant
 
     if options.all:

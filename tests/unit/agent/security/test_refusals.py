@@ -71,7 +71,7 @@ def test_connections_of_ours() -> None:
         "the connection to tls/10.0.0.2:7602: its certificate is for other addresses"
     ]
     assert told(DIALLED.format("received fatal alert: CertificateExpired")) == [
-        "the connection to tls/10.0.0.2:7602: to it our certificate has expired"
+        "the connection to tls/10.0.0.2:7602: by its clock our certificate is not valid: are both right?"
     ]
 
 

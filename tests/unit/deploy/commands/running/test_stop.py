@@ -138,3 +138,17 @@ def test_without_a_name_nothing_is_stopped(fleets: Fleets, capsys: pytest.Captur
         "handfast: stop: which fleet? Give its name, or --all; `handfast list` shows all\n"
     )
     assert fleets.reasons == {}
+
+
+def test_cut_short_it_says_that_robots_may_drive_on(
+    fleets: Fleets, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cut(_: Fleet, __: str, ways: Sequence[Way]) -> None:
+        for way in ways:
+            way.close()
+        raise KeyboardInterrupt
+
+    with fleets.run("pair", "a", Stopping(done=True)):
+        monkeypatch.setattr("deploy.session.stop.stop", cut)
+        assert main(["stop", "pair"]) == 130
+    assert "interrupted: robots may drive on" in capsys.readouterr().err
