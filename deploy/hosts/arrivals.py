@@ -28,6 +28,7 @@ class Arrivals(OperatorSession):
         super().__init__(fleet)
         self._came: dict[Receiver, float] = {}
         self._meant: Stop | None = None
+        self._given: Stop | None = None
 
     def look(self) -> None:
         """Takes what came."""
@@ -73,20 +74,23 @@ class Arrivals(OperatorSession):
 
     def came_up(self) -> Stop:
         """The stop with which the fleet begins: it ends whatever was ordered before. One that somebody gave
-        for a reason holds on, for that reason."""
-        standing = self.meant
-        return self.operator.order_stop(self.now_ns(), CAME_UP if standing is None else standing.reason)
+        for a reason holds on, for that reason; given once more where a later one has become known."""
+        self._meant = self.meant
+        reason = CAME_UP if self._meant is None else self._meant.reason
+        self._given = self.operator.order_stop(self.now_ns(), reason)
+        return self._given
 
     @property
     def meant(self) -> Stop | None:
-        """The stop that somebody gave for a reason and nobody has lifted, None without any."""
+        """The last stop that somebody else gave for a reason and nobody has lifted, None without any."""
         found, resume = self.operator.stop_in_force, self.operator.resume
-        if found is not None and not is_lifted(found):
-            return found
-        lifted = resume is not None and not resume.robots
-        if self._meant is None or (lifted and resume is not None and resume.version > self._meant.version):
-            return None
-        return self._meant
+        standing = []
+        if found is not None and found is not self._given and not is_lifted(found):
+            standing.append(found)
+        lifted = -1 if resume is None or resume.robots else resume.version
+        if self._meant is not None and self._meant.version >= lifted:
+            standing.append(self._meant)
+        return max(standing, key=lambda stop: stop.version, default=None)
 
     def settled(self, robot: int) -> bool:
         """Whether a robot is ready to drive, drives, or has driven."""

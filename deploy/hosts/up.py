@@ -23,7 +23,7 @@ from agent.runtime.order_store import packed
 from agent.supervision.state_machine import DRIVING_NAMES
 from deploy.console.interrupt import Interrupt
 from deploy.console.wording import robots as robots_words
-from deploy.drive.preconditions import CAME_UP, clock, older_mission, why
+from deploy.drive.preconditions import clock, older_mission, why
 from deploy.hosts import systemd_units
 from deploy.hosts.arrivals import Arrivals
 from deploy.hosts.bundle import program_archive
@@ -166,7 +166,7 @@ class BringUp:
         while not self._kept.empty():
             self._arrivals.learn(self._kept.get())
         meant = self._arrivals.meant
-        if starts and (self._stop is None or (self._stop.reason == CAME_UP and meant is not None)):
+        if starts and (self._stop is None or (meant is not None and meant.reason != self._stop.reason)):
             self._stop = self._arrivals.came_up()
             self._stopped.set()
         forgot = self._forgot_stop()

@@ -69,6 +69,7 @@ def closed(hosts: Hosts, ports: str) -> Iterator[None]:
 @pytest.mark.parametrize(
     ("ahead_s", "words"),
     [
+        (25 * HOUR_S, "it is 25 h ahead of the robots'"),
         (400 * DAY_S, "it is 9600 h ahead of the robots'"),
         (-7200.0, "it is 2 h behind the robots'"),
         (-3 * DAY_S, "it is 72 h behind the robots'"),
@@ -148,3 +149,9 @@ def test_of_two_stops_of_a_fleet_that_is_down_the_last_holds(fleet: Operated) ->
         fleet.of(who, who, ahead_s).handfast("stop", "--reason", reason, status=1)
     told = fleet.of(ANNA, ANNA).handfast("up", timeout=UP_TIMEOUT_S).stdout
     assert told.count("stopped: stop: last") == 2, told
+    # Who gave one of those before, and knows of no later one, keeps to what the hosts say.
+    fleet.handfast("down")
+    fleet.of("main", "main").handfast("stop", "--reason", "main's", status=1)
+    fleet.of(ANNA, ANNA, -2 * HOUR_S).handfast("stop", "--reason", "anna's, after it", status=1)
+    told = fleet.of("main", "main").handfast("up", timeout=UP_TIMEOUT_S).stdout
+    assert told.count("stopped: stop: anna's, after it") == 2, told
