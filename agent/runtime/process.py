@@ -41,6 +41,8 @@ END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 _STOP: Final = head(Stop)
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often the parent process, and who knocks, are looked for, ns."""
+SAY_PERIOD_NS: Final = NS_PER_S
+"""How often systemd hears of another reason for the same state, at most: some have a time in them, ns."""
 
 Log = Callable[[str], None]
 
@@ -139,7 +141,7 @@ def loop(
     """
     ticks = Ticks(node, clock.now_ns())
     end_by_ns: int | None = None
-    look_due_ns = 0
+    look_due_ns = say_due_ns = 0
     said = "", ""
     presence = bus.watch(node.watched) if node.watched else None
     heard: Sequence[str] = ()
@@ -167,12 +169,12 @@ def loop(
         if keeper is not None:
             keeper.step(now_ns)
         condition = node.condition
-        if condition != said and (condition[0] != said[0] or now_ns >= look_due_ns):
+        if condition != said and (condition[0] != said[0] or now_ns >= say_due_ns):
             text = f"{condition[0]}: {condition[1]}" if condition[1] else condition[0]
             if condition[0] != said[0]:  # reasons alone may change often
                 log(printable(text))
             service.says(text)
-            said = condition
+            said, say_due_ns = condition, now_ns + SAY_PERIOD_NS
         service.lives(start_ns)
         if end_by_ns is not None and (node.done or now_ns >= end_by_ns):
             return

@@ -65,14 +65,20 @@ def operator_bus(fleet: Fleet, *, whenever: bool = False) -> OperatorBus:
         pass  # said below
     try:
         if earlier:
-            return _joined(fleet, identity, folder, earlier, connect)
+            return _joined(fleet, identity, folder, earlier, connect, whenever=whenever)
         return bus_for(fleet, identity, folder, _log, listen=[], connect=connect, whenever=whenever)
     except CredentialsError as error:
         raise InputError(f"{error}{_advice(error)}") from None
 
 
 def _joined(
-    fleet: Fleet, identity: Identity, folder: Path, earlier: list[Path], connect: list[str]
+    fleet: Fleet,
+    identity: Identity,
+    folder: Path,
+    earlier: list[Path],
+    connect: list[str],
+    *,
+    whenever: bool,
 ) -> OperatorBus:
     """A bus with each of the credentials that can be used; raises as the first where there are none."""
     found: list[Bus | None] = []
@@ -86,6 +92,7 @@ def _joined(
                         listen=[],
                         connect=connect,
                         retry_ms=JOINED_RETRY_MS,
+                        whenever=whenever,
                     )
                 )
             except (CredentialsError, BusError) as error:

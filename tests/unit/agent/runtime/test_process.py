@@ -130,6 +130,31 @@ def test_what_others_give_as_a_reason_stays_on_its_line():
     assert "braking: stop: here\\nrobot 2 plant: all is well" in said
 
 
+class Told(SystemdNotifier):
+    """What systemd is told that the process does."""
+
+    def __init__(self) -> None:
+        super().__init__({})
+        self.texts: list[str] = []
+
+    def says(self, text: str) -> None:
+        self.texts.append(text)
+
+
+def test_another_reason_for_the_same_state_is_told_though_not_logged_and_not_too_often():
+    fleet = parse_fleet(FLEET % "", source="here")
+    node = PlantNode(fleet, 1, from_fleet(fleet, 1))
+    clock, said, service = Clock({}), list[str](), Told()
+    stops = {T0 + k * NS_PER_S // 4: Stop(1 + k, T0, f"reason {k}") for k in range(9)}
+    wire = Wire(clock, {at: ("two/stop", encode(stop)) for at, stop in stops.items()})
+    loop(node, cast(Bus, wire), clock, cast(Shutdown, Ended(200)), said.append, service)
+    told = [text for text in service.texts if "reason" in text]
+    assert said[0] == told[0] == "braking: stop: reason 0"
+    assert not [text for text in said[1:] if "reason" in text]
+    assert told[-1] == "braking: stop: reason 8"
+    assert len(told) <= 4
+
+
 @pytest.mark.parametrize("early_ns", [1, 400_000])
 def test_a_tick_that_begins_early_is_told_its_deadline(early_ns: int):
     """A sleep may end a little too soon."""

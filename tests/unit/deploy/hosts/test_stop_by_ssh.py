@@ -53,6 +53,14 @@ def looked(way: SshWay, stopping: Stopping) -> bool:
     return stopping.done or not busy
 
 
+def followed(way: SshWay, stopping: Stopping, sent: Stop) -> Stop:
+    """Takes what has come back, and sends the stop again where it is another one now; what was sent last."""
+    way.collect(stopping)
+    if stopping.message is not sent:
+        way.send(stopping.message)
+    return stopping.message
+
+
 def test_it_is_laid_there_and_who_takes_it_is_told(fleet: Fleet, home: Path, folder: Path) -> None:  # noqa: F811
     say(home, fleet, agent="running", plant="driving")
     stopping, way = Stopping(fleet, time.time_ns(), "lunch"), SshWay(fleet, fleet.hosts)
@@ -108,11 +116,8 @@ def test_a_later_stop_is_outdone(fleet: Fleet, home: Path, folder: Path) -> None
 
     def taken() -> bool:
         nonlocal sent
-        way.collect(stopping)
-        if stopping.message is not sent:
-            sent = stopping.message
-            way.send(sent)
-        elif (laid := unpacked((folder / STOP_FILE).read_bytes())) == (encode(sent),):
+        before, sent = sent, followed(way, stopping, sent)
+        if sent is before and (laid := unpacked((folder / STOP_FILE).read_bytes())) == (encode(sent),):
             for robot in fleet.ids:
                 for role in ROLES:
                     (folder / f"robot-{robot}-{role}.json").write_bytes(packed(laid))
@@ -149,10 +154,7 @@ def test_who_is_down_finds_it_when_it_comes_up(fleet: Fleet, home: Path, folder:
 
     def settled() -> bool:
         nonlocal sent
-        way.collect(stopping)
-        if stopping.message is not sent:
-            sent = stopping.message
-            way.send(sent)
+        sent = followed(way, stopping, sent)
         return stopping.settled
 
     wait_for(settled, "all are down", 5.0)

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from agent.fleet.model import Fleet
-from agent.security.credentials import load
+from agent.security.certificates import DAY_S
+from agent.security.credentials import load, load_whenever
 from agent.security.identity import Identity, of_operator
 from deploy.console.arguments import InputError
-from deploy.inventory.operator_credentials import KEYS, OPERATOR, earlier_folders
+from deploy.inventory.operator_credentials import AUTHORITY_FILE, KEYS, OPERATOR, earlier_folders
 from deploy.session import operator_bus as module
 from deploy.session.operator_bus import JOINED_RETRY_MS, operator_bus
 from tests.trusted import authority, credentials
@@ -73,9 +74,13 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Opened]:
         folder: Path,
         *__: object,
         retry_ms: tuple[int, int] | None = None,
+        whenever: bool = False,
         **___: object,
     ) -> Opened:
-        load(folder, identity, time.time())
+        if whenever:
+            load_whenever(folder, identity)
+        else:
+            load(folder, identity, time.time())
         found.append(Opened(folder, retry_ms))
         return found[-1]
 
@@ -102,6 +107,20 @@ def test_with_one_authority_there_is_one_bus(fleet: Fleet, made: list[Opened], t
         credentials(by, folder, of_operator(fleet.fleet.name, "main"), now_s=now_s)
     assert operator_bus(fleet) is made[0]  # type: ignore[comparison-overlap]
     assert [each.retry_ms for each in made] == [None]
+
+
+def test_one_that_is_not_valid_now_is_tried_where_robots_are_to_judge(
+    fleet: Fleet, made: list[Opened], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The authority is elsewhere: nobody renews it here."""
+    then_s, folder = time.time() - 400 * DAY_S, tmp_path / "keys"
+    with authority(folder, then_s, fleet.fleet.name) as by:
+        credentials(by, folder, of_operator(fleet.fleet.name, "main"), now_s=then_s)
+    (folder / AUTHORITY_FILE).unlink()
+    assert "expired" in refusal(fleet)
+    operator_bus(fleet, whenever=True)
+    assert [each.folder for each in made] == [folder]
+    assert "expired" in capsys.readouterr().err
 
 
 def test_until_every_robot_has_the_new_one_there_are_two(
