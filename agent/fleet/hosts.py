@@ -22,6 +22,9 @@ PORT_MAX: Final = 32767  # Linux gives ports from 32768 up to outgoing connectio
 PROTECTED_ADDRESS: Final = "127.0.0.1"
 """Where processes listen that a proxy stands before."""
 
+MESH_ROBOTS_MAX: Final = 24
+"""More robots are too many to be linked each to each: links grow with the square (docs/architecture.md)."""
+
 _NOT_BEFORE_IT: Final = {PROTECTED_ADDRESS, "localhost", "0.0.0.0", "[::]"}
 """Addresses that no proxy can have beside `PROTECTED_ADDRESS`, on the same ports."""
 
@@ -118,10 +121,17 @@ class NetworkSection:
         "makes each a certificate.",
         example='["main", "anna"]',
     )
+    topology: Literal["mesh", "routed"] | None = setting(
+        None,
+        '`"mesh"`: every robot is linked to every other one; nobody is in the middle. `"routed"`: each is '
+        "linked to a router, which passes on to each what it listens to. Left out: routed where `routers` "
+        f"are named, and with `handfast run` for more than {MESH_ROBOTS_MAX} robots; else a mesh.",
+    )
     routers: tuple[str, ...] = setting(
         (),
         "Zenoh routers, as `HOST:PORT`. With them robots do not connect to each other but to the first of "
-        "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd).",
+        "these that answers: for large fleets, and across subnets (`handfast router`, or a zenohd). "
+        "`handfast run` starts as many on this machine.",
         example='["192.168.1.2:7447"]',
     )
     admission: Literal["proxy", "off"] = setting(
@@ -157,8 +167,10 @@ _ROUTER = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]{0,252}|\[[0-9A-Fa-f:.]{2,45}\]
 def check_hosts(values: Mapping[str, Any], reader: Reader) -> None:
     """Adds to `reader` what is wrong with hosts, who is on them, and routers."""
     _check_operators(values.get("fleet", {}).get("name"), values.get("network", {}).get("operators"), reader)
-    _check_routers(values.get("network", {}).get("routers") or (), reader)
+    network = values.get("network", {})
+    _check_routers(network.get("routers") or (), reader)
     hosts, robots = values.get("hosts"), values.get("robots")
+    _check_topology(network, any(row.get("host") is not None for row in robots or ()), reader)
     if hosts is None or robots is None:
         return  # they have problems of their own
     _check_addresses(hosts, reader)
@@ -236,6 +248,16 @@ def _check_operators(fleet: str | None, operators: Sequence[str | None] | None, 
             of_operator(fleet, name or MAIN)
         except IdentityError as error:
             reader.add(f"network.operators[{number}]", str(error))
+
+
+def _check_topology(network: Mapping[str, Any], has_hosts: bool, reader: Reader) -> None:
+    topology, routers = network.get("topology"), network.get("routers")
+    if topology == "mesh" and routers:
+        reader.add("network.topology", "is a mesh, which has no routers: leave out topology or routers")
+    elif topology == "routed" and has_hosts and not routers:
+        reader.add(
+            "network.routers", 'is missing: topology = "routed" needs one, such as ["192.168.1.2:7447"]'
+        )
 
 
 def _check_routers(routers: Sequence[str | None], reader: Reader) -> None:

@@ -18,7 +18,13 @@ from agent.common.reader import Problem
 from agent.common.settings import about
 from agent.common.wording import printable, show
 from agent.fleet.fault_rules import FaultsSection
-from agent.fleet.hosts import PROTECTED_ADDRESS, HostSection, NetworkSection, RecordingSection
+from agent.fleet.hosts import (
+    MESH_ROBOTS_MAX,
+    PROTECTED_ADDRESS,
+    HostSection,
+    NetworkSection,
+    RecordingSection,
+)
 from agent.fleet.orders import OrderSection
 from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
 from agent.fleet.sections import (
@@ -195,6 +201,16 @@ class Fleet:
         if self.network.security is not None:
             return self.network.security != "off"
         return any(robot.host is not None for robot in self.robots)
+
+    @property
+    def is_routed(self) -> bool:
+        """Whether robots are to be linked to routers instead of to each other. Where the file names no
+        routers, only who runs the whole fleet can start some."""
+        network = self.network
+        if network.topology is not None:
+            return network.topology == "routed"
+        is_large = len(self.robots) > MESH_ROBOTS_MAX and not any(robot.host for robot in self.robots)
+        return bool(network.routers) or is_large
 
     def host_of(self, robot_id: int) -> HostSection | None:
         """The computer of a robot, None where it has none. `FleetError` when there is no such robot."""

@@ -17,6 +17,7 @@ from deploy.check.bodies import check_motion, check_noise
 from deploy.check.faults import check_faults
 from deploy.check.finding import Finding
 from deploy.check.loop import check_gains, check_loop, check_saturation
+from deploy.check.network import check_network
 from deploy.check.orders import check_orders
 from deploy.check.safety import check_safety
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
@@ -59,4 +60,5 @@ def check(fleet: Fleet) -> list[Finding]:
 
         findings += check_own_plants(fleet)
     findings += check_faults(fleet)
+    findings += check_network(fleet)
     return sorted(findings, key=lambda finding: _ORDER[finding.level])

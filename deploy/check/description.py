@@ -21,6 +21,7 @@ from agent.links.fault_plan import FaultPlan
 from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
+from deploy.check.network import describe_links
 from deploy.check.safety import parting
 from deploy.console.wording import robots, some
 from deploy.faults.wording import defaults, described, words
@@ -56,14 +57,13 @@ def describe(fleet: Fleet) -> str:
     lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines += [f"  {line}" for line in _describe_network(fleet)]
+    lines.append(f"  links: {describe_links(fleet)}")
     return "\n".join(lines)
 
 
 def _describe_network(fleet: Fleet) -> Iterator[str]:
     network = fleet.network
     where = f"ports from {network.base_port} up"
-    if network.routers:
-        where += f", through {' or '.join(network.routers)}"
     where += (
         ", secured" if fleet.is_secured else ", not secured: whoever is on this network can drive the robots"
     )

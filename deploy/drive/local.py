@@ -80,8 +80,14 @@ class LocalRun:
         count = len(self._fleet.robots)
         self._view.say(
             f"starting {count} agents and {count} plants on ports {self._fleet.network.base_port} to "
-            f"{self._fleet.network.base_port + 2 * count - 1}"
+            f"{self._fleet.network.base_port + 2 * count - 1}{self._through()}"
         )
         self._processes.start()
         for vehicle in self._vehicles:
             self._view.say(str(vehicle))
+
+    def _through(self) -> str:
+        routers = self._fleet.network.routers
+        if not routers:
+            return ""
+        return f", through {f'{len(routers)} routers' if len(routers) > 1 else 'a router'} on {routers[0]}"

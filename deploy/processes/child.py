@@ -23,15 +23,18 @@ class Child:
 
     Args:
         robot: the robot's id.
-        role: ``agent``, ``plant`` or ``vehicle``.
+        role: ``agent``, ``plant``, ``vehicle`` or ``router``.
         module: what ``python -m`` runs.
         arguments: of its command line.
         log: where its output goes, after what is there.
+        name: how it is called, unless it is one of the robot's.
     """
 
-    def __init__(self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path) -> None:
+    def __init__(
+        self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path, name: str = ""
+    ) -> None:
         self.robot, self.role, self.log = robot, role, log
-        self.name = f"robot {robot}'s {role}"
+        self.name = name or f"robot {robot}'s {role}"
         with open(log, "ab") as output:
             self._process = subprocess.Popen(
                 # -P: a folder called `agent` in the working directory must not be taken for the package.

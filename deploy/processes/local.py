@@ -3,7 +3,10 @@ to them."""
 
 from __future__ import annotations
 
+import socket
+import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +20,11 @@ from deploy.processes.placement import Vehicle
 
 VEHICLE: Final = "vehicle"
 """Role of a simulated rover. It is no process of the fleet's: it is not on the bus, and no rule names it."""
+ROUTER: Final = "router"
+"""Role of a router, whose number stands for a robot's."""
+ROUTER_S: Final = 10.0
+"""A router that does not listen by then is not waited for: its clients say what they miss."""
+POLL_S: Final = 0.005
 
 
 class Processes:
@@ -53,11 +61,28 @@ class Processes:
         self._dead: set[Process] = set()
 
     def start(self) -> None:
+        self._start_routers()
         for vehicle in self._vehicles:
             simulator = self._fleet.robot(vehicle.robot).kind.simulator
             self._run(vehicle.robot, VEHICLE, simulator, vehicle.arguments)
         for robot, role in self._wanted:
             self._start(robot, role, None)
+
+    def _start_routers(self) -> None:
+        """Starts the fleet's routers, and waits until they listen: a client is not to find nobody there."""
+        routers = self._fleet.network.routers
+        for number in range(1, len(routers) + 1):
+            arguments = ["--fleet", str(self._fleet_file), "--number", str(number)]
+            log = self._log(f"router-{number}.log")
+            self._children[number, ROUTER] = Child(
+                number, ROUTER, "agent.runtime.router", arguments, log, f"router {number}"
+            )
+        deadline_s = time.monotonic() + ROUTER_S
+        for number, router in enumerate(routers, 1):
+            while not _listens(router) and self._children[number, ROUTER].ended() is None:
+                if time.monotonic() > deadline_s:
+                    return
+                time.sleep(POLL_S)
 
     def _start(self, robot: int, role: str, pose: Pose | None) -> None:
         kind = self._fleet.robot(robot).kind
@@ -135,8 +160,16 @@ class Processes:
     def end(self, timeout_s: float) -> list[Child]:
         """Ends all; returns those that had to be killed."""
         expected = self._killed | self._dead
-        # Vehicles last: bridges may still have to stop them.
-        rovers = {process: child for process, child in self._children.items() if child.role == VEHICLE}
-        others = [child for process, child in self._children.items() if process not in rovers]
-        stubborn = [*end_all(others, timeout_s), *end_all(rovers.values(), timeout_s)]
+        # Vehicles last: bridges may still have to stop them; and routers, by which a stop may still go.
+        stubborn: list[Child] = []
+        for roles in (ROLES, (VEHICLE, ROUTER)):
+            stubborn += end_all([each for each in self._children.values() if each.role in roles], timeout_s)
         return [child for child in stubborn if (child.robot, child.role) not in expected]
+
+
+def _listens(router: str) -> bool:
+    """Whether somebody listens on an address and port of this machine."""
+    address, _, port = router.rpartition(":")
+    with suppress(OSError), socket.create_connection((address, int(port)), timeout=1.0):
+        return True
+    return False

@@ -95,7 +95,7 @@ class Vehicle:
 
 class Placed(NamedTuple):
     """A fleet on this machine: as its processes read it, its ports (reserved until given back), and its
-    simulated rovers."""
+    simulated rovers. Its routers are those of `Fleet.network`."""
 
     fleet: Fleet
     ports: Reservation
@@ -103,7 +103,8 @@ class Placed(NamedTuple):
 
 
 def place(fleet: Fleet) -> Placed:
-    """`fleet` on this machine's loopback, on ports that are free.
+    """`fleet` on this machine's loopback, on ports that are free, in its topology: with as many routers as it
+    names, or one where it names none and needs one.
 
     Where a robot's connection is "simulator", the placed fleet names the port of a simulated rover instead,
     so a bridge knows of no simulators.
@@ -113,11 +114,20 @@ def place(fleet: Fleet) -> Placed:
     """
     simulated = [robot.id for robot in fleet.robots if robot.is_simulated]
     of_processes = 2 * len(fleet.robots)
-    ports = Reservation(ADDRESS, fleet.network.base_port, of_processes + len(simulated))
+    of_routers = max(1, len(fleet.network.routers)) if fleet.is_routed else 0
+    ports = Reservation(ADDRESS, fleet.network.base_port, of_processes + len(simulated) + of_routers)
     numbers = {robot: ports.base + of_processes + k for k, robot in enumerate(simulated)}
+    first = ports.base + of_processes + len(simulated)
+    routers = tuple(f"{ADDRESS}:{first + k}" for k in range(of_routers))
     placed = replace(
         fleet,
-        network=NetworkSection(address=ADDRESS, base_port=ports.base),  # no other machine, no security
+        network=NetworkSection(  # no other machine, no security
+            address=ADDRESS,
+            base_port=ports.base,
+            topology=fleet.network.topology,
+            routers=routers,
+            link_timeout_s=fleet.network.link_timeout_s,
+        ),
         hosts=(),
         robots=tuple(replace(connected(robot, numbers.get(robot.id)), host=None) for robot in fleet.robots),
     )

@@ -6,9 +6,8 @@ import argparse
 import json
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from agent.common.exit import INTERRUPTED, PASSED
 from deploy.console.arguments import InputError, describe, fleet_path, load, no_changes
@@ -18,8 +17,6 @@ from deploy.inventory.running import handled
 if TYPE_CHECKING:
     from agent.fleet.model import Fleet
     from agent.security.access_control import Security
-
-POLL_S: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,41 +43,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _router(options: argparse.Namespace) -> int:
-    from agent.messages.key_expressions import alive, robot_of_alive
-    from agent.runtime.bus import Router, init_log, settings_of
-    from agent.runtime.systemd_notify import SystemdNotifier
-    from agent.runtime.tcp_linger import Lingering
-    from agent.runtime.zenoh_log import ZenohLog
-    from agent.security.refusals import FILTER
+    from agent.runtime.bus import settings_of
+    from agent.runtime.router import others, serve
 
     interrupt = Interrupt()
     with interrupt.caught():
         fleet = load(options)
         listen = _listen(options, fleet)
+        security = _security(options, fleet)
         if options.print_config:
-            settings = settings_of("router", [listen], [], _security(options, fleet))
+            settings = settings_of("router", [listen], others(fleet, listen), security)
             print(json.dumps(_nested(settings), indent=2))
             return PASSED
-        name = fleet.fleet.name
-        with ExitStack() as stack:
-            log = stack.enter_context(ZenohLog())
-            init_log(FILTER)
-            security = _security(options, fleet)
-            router = stack.enter_context(Router([listen], [], security))
-            service = stack.enter_context(SystemdNotifier())
-            _say(f"router of {name} on {listen}{', secured' if security else ', not secured'}")
-            lingering = Lingering()
-            presence = router.watch(alive(name, "*", "*"))
-            service.ready()
-            while not interrupt.count:
-                for key, here in presence.update():
-                    robot, role = robot_of_alive(key) or (0, "")
-                    _say(f"robot {robot}'s {role} {'came' if here else 'is gone'}")
-                for line in log.lines(time.monotonic_ns()):
-                    _say(line)
-                lingering.end()
-                service.lives(time.monotonic_ns())
-                time.sleep(POLL_S)
+        serve(fleet, listen, security, lambda: interrupt.count > 0, _say)
     return INTERRUPTED
 
 
@@ -102,17 +77,14 @@ def _listen(options: argparse.Namespace, fleet: Fleet) -> str:
 
 
 def _security(options: argparse.Namespace, fleet: Fleet) -> Security | None:
-    if not fleet.is_secured:
-        return None
-    from agent.runtime.sealed_bus import secured
-    from agent.security.credentials import CredentialsError, MissingError, load
-    from agent.security.identity import IdentityError, of_router
+    from agent.runtime.router import security_of
+    from agent.security.credentials import CredentialsError, MissingError
+    from agent.security.identity import IdentityError
     from deploy.inventory.operator_credentials import keys_folder
 
-    name = fleet.fleet.name
-    folder = keys_folder(name) if options.keys is None else Path(options.keys).expanduser()
+    folder = keys_folder(fleet.fleet.name) if options.keys is None else Path(options.keys).expanduser()
     try:
-        return secured(fleet, load(folder, of_router(name), time.time()))
+        return security_of(fleet, folder)
     except MissingError as error:
         raise InputError(f"{error}; `handfast keys {options.fleet} --router --address A` makes one") from None
     except (CredentialsError, IdentityError) as error:

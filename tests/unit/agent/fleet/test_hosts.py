@@ -203,6 +203,18 @@ def test_a_field_of_a_host_can_be_overridden_by_its_name():
             "host.again.address: host left has the address 10.0.0.1 already: robots may share a host by its",
         ),
         (HOSTS + ROUTERS % "b", LEFT, RIGHT, "network.routers[1]: must be HOST:PORT, such as"),
+        (
+            HOSTS + '[network]\ntopology = "routed"',
+            LEFT,
+            RIGHT,
+            'network.routers: is missing: topology = "routed" needs one, such as ["192.168.1.2:7447"]',
+        ),
+        (
+            HOSTS + ROUTERS % "b:7447" + '\ntopology = "mesh"',
+            LEFT,
+            RIGHT,
+            "network.topology: is a mesh, which has no routers: leave out topology or routers",
+        ),
         (HOSTS + ROUTERS % "b:40000", LEFT, RIGHT, "network.routers[1]: port 40000 must be at most 32767"),
         (
             "[host]\nleft = 3",
@@ -241,3 +253,24 @@ def test_an_override_of_a_host_that_is_not_there_makes_one_which_is_then_looked_
     with pytest.raises(FleetError) as caught:
         fleet(HOSTS, LEFT, RIGHT, "host.other.port=0")
     assert "--set host.other.port: must be between 1 and 65535, got 0" in str(caught.value)
+
+
+def large(*sets: str) -> Fleet:
+    robots = ",".join(f"{{id = {k}, x_m = {k}, y_m = 0}}" for k in range(1, 26))
+    head = FLEET.partition("[[robot]]")[0] % ""
+    return parse_fleet(f"robot = [{robots}]\n{head}", source="here", overrides=sets)
+
+
+@pytest.mark.parametrize(
+    ("made", "routed"),
+    [
+        (large(), True),
+        (large('network.topology="mesh"'), False),
+        (fleet("", "", ""), False),
+        (fleet('[network]\ntopology = "routed"', "", ""), True),
+        (fleet(ROUTERS % "a:7447", "", ""), True),
+        (fleet(), False),
+    ],
+)
+def test_many_robots_are_routed_unless_the_file_says_otherwise(made: Fleet, routed: bool):
+    assert made.is_routed == routed

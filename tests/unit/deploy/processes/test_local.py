@@ -24,9 +24,11 @@ POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)
 class Child:
     """Takes the place of a process: remembers what was done to it."""
 
-    def __init__(self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path) -> None:
+    def __init__(
+        self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path, name: str = ""
+    ) -> None:
         self.robot, self.role, self.module, self.arguments, self.log = robot, role, module, arguments, log
-        self.name = f"robot {robot}'s {role}"
+        self.name = name or f"robot {robot}'s {role}"
         self.how: str | None = None
         started.append(self)
 
@@ -119,6 +121,36 @@ def test_rovers_end_after_their_bridges() -> None:
     running().end(1.0)
     assert [len(names) for names in ended] == [4, 1]
     assert ended[1] == ["robot 2's vehicle"]
+
+
+def routed(monkeypatch: pytest.MonkeyPatch, answers: list[bool]) -> Processes:
+    monkeypatch.setattr(local, "_listens", lambda router: answers.pop(0))
+    fleet = load_fleet(FLEETS / "pair.toml", ['network.routers=["127.0.0.1:7001", "127.0.0.1:7002"]'])
+    made = Processes(fleet, Path("fleet.toml"), Path)
+    made.start()
+    return made
+
+
+def test_routers_listen_before_others_start_and_end_after_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = routed(monkeypatch, [False, True, False, False, True])
+    assert [(child.robot, child.role) for child in started[:3]] == [
+        (1, "router"),
+        (2, "router"),
+        (1, "agent"),
+    ]
+    assert started[1].module == "agent.runtime.router"
+    assert started[1].arguments == ["--fleet", "fleet.toml", "--number", "2"]
+    assert not [process for process in made.names if process[1] == "router"], "no process of a robot's"
+    started[1].how = "exit status 1"
+    assert [(child.name, how) for child, how in made.deaths()] == [("router 2", "exit status 1")]
+    made.end(1.0)
+    assert ended[1] == ["router 1", "router 2"]
+
+
+def test_nobody_waits_for_a_router_that_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Child, "ended", lambda self: "exit status 1")
+    routed(monkeypatch, [False, False])
+    assert [child.role for child in started].count("agent") == 2
 
 
 def test_bridges_that_only_look_are_told_so() -> None:

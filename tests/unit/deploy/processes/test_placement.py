@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import tomli_w
 
 from agent.fleet.loading import digest, load_fleet, parse_fleet, to_dict
 from agent.fleet.mavlink_section import MavlinkSection
@@ -51,8 +52,6 @@ def test_bridges_and_rovers_meet_on_ports_behind_those_of_the_fleet(rovers: Flee
 
 
 def test_the_rest_of_the_file_is_as_it_was_and_can_be_read_again(rovers: Fleet) -> None:
-    import tomli_w
-
     placed, taken, _ = place(rovers)
     taken.close()
     back = tuple(
@@ -67,6 +66,29 @@ def test_a_fleet_without_vehicles_has_none() -> None:
     placed, taken, vehicles = place(fleet)
     taken.close()
     assert (placed.robots, vehicles) == (fleet.robots, ())
+
+
+@pytest.mark.parametrize(
+    ("sets", "routers"),
+    [
+        ((), 0),
+        (('network.topology="routed"',), 1),
+        (('network.routers=["10.0.0.1:7447", "10.0.0.2:7447"]',), 2),
+    ],
+)
+def test_a_routed_fleet_has_as_many_routers_here_as_its_file_names(sets: list[str], routers: int) -> None:
+    placed, taken, _ = place(load_fleet(FLEETS / "pair.toml", sets))
+    taken.close()
+    first = placed.network.base_port + 4
+    assert placed.network.routers == tuple(f"127.0.0.1:{first + k}" for k in range(routers))
+    assert placed.is_routed == (routers > 0)
+    assert parse_fleet(tomli_w.dumps(to_dict(placed)), source="placed").is_routed == (routers > 0)
+
+
+def test_links_may_take_as_long_here_as_the_file_says() -> None:
+    placed, taken, _ = place(load_fleet(FLEETS / "pair.toml", ["network.link_timeout_s=2.5"]))
+    taken.close()
+    assert placed.network.link_timeout_s == 2.5
 
 
 @pytest.mark.parametrize("heading_deg", ["0", "90", "-135", "30"])

@@ -1,0 +1,137 @@
+"""``python -m agent.runtime.router --fleet FILE --number K``: the K-th of a fleet's ``[network] routers``.
+
+It passes on what its clients say to those of them that listen, and links to the other routers of the file.
+`handfast router` serves by the same loop.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+from agent.common.exit import BAD_INPUT, FAILED, PASSED
+from agent.common.wording import printable
+from agent.fleet.loading import load_fleet
+from agent.fleet.model import Fleet, FleetError
+from agent.messages.key_expressions import alive, robot_of_alive
+from agent.runtime.bus import BusError, Router, init_log
+from agent.runtime.process import Log, Shutdown
+from agent.runtime.sealed_bus import secured
+from agent.runtime.systemd_notify import SystemdNotifier
+from agent.runtime.tcp_linger import Lingering
+from agent.runtime.zenoh_log import ZenohLog
+from agent.security.access_control import Security
+from agent.security.credentials import CredentialsError, load
+from agent.security.identity import of_router
+from agent.security.refusals import FILTER
+
+POLL_S: Final = 0.1
+
+
+def others(fleet: Fleet, listen: str) -> list[str]:
+    """Endpoints of the routers that the one on `listen` links to: of any two, the later one in the file."""
+    scheme = "tls" if fleet.is_secured else "tcp"
+    endpoints = [f"{scheme}/{router}" for router in fleet.network.routers]
+    return endpoints[: endpoints.index(listen)] if listen in endpoints else endpoints
+
+
+def security_of(fleet: Fleet, folder: Path) -> Security | None:
+    """How the links of a router are secured whose key is in `folder`; None for not at all.
+
+    Raises:
+        agent.security.credentials.CredentialsError: the files are not there, or not valid.
+    """
+    if not fleet.is_secured:
+        return None
+    return secured(fleet, load(folder, of_router(fleet.fleet.name), time.time()))
+
+
+def serve(
+    fleet: Fleet,
+    listen: str,
+    security: Security | None,
+    asked: Callable[[], bool],
+    log: Log,
+    *,
+    talks: bool = True,
+) -> None:
+    """Is a router on `listen` until it is `asked` to end.
+
+    Args:
+        talks: says who comes and goes.
+
+    Raises:
+        BusError: the endpoint cannot be listened on.
+    """
+    with ExitStack() as stack:
+        zenoh_log = stack.enter_context(ZenohLog())
+        init_log(FILTER)
+        router = stack.enter_context(Router([listen], others(fleet, listen), security))
+        service = stack.enter_context(SystemdNotifier())
+        log(f"router of {fleet.fleet.name} on {listen}{', secured' if security else ', not secured'}")
+        lingering = Lingering()
+        presence = router.watch(alive(fleet.fleet.name, "*", "*")) if talks else None
+        service.ready()
+        while not asked():
+            for key, here in presence.update() if presence is not None else ():
+                robot, role = robot_of_alive(key) or (0, "")
+                log(f"robot {robot}'s {role} {'came' if here else 'is gone'}")
+            for line in zenoh_log.lines(time.monotonic_ns()):
+                log(line)
+            lingering.end()
+            service.lives(time.monotonic_ns())
+            time.sleep(POLL_S)
+        service.stopping()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the process. Returns its exit status: 0 when it was asked to end, 1 when it cannot begin now, 2
+    for bad input."""
+    parser = argparse.ArgumentParser(
+        prog="python -m agent.runtime.router", description="A router of a fleet.", allow_abbrev=False
+    )
+    parser.add_argument("--fleet", required=True, metavar="FILE", help="the fleet file (TOML)")
+    parser.add_argument("--number", type=int, default=1, metavar="K", help="which router, from 1")
+    parser.add_argument("--keys", type=Path, metavar="DIR", help="folder of its key and certificates")
+    parser.add_argument(
+        "--exit-with-parent", action="store_true", help="end when the process that started it is gone"
+    )
+    options = parser.parse_args(argv)
+    shutdown = Shutdown(with_parent=options.exit_with_parent)
+
+    def log(text: str) -> None:
+        print(f"router {options.number}: {printable(text)}", file=sys.stderr, flush=True)
+
+    def asked() -> bool:
+        shutdown.look_for_parent()
+        return shutdown.asked
+
+    try:
+        fleet = load_fleet(options.fleet)
+        routers = fleet.network.routers
+        if not 1 <= options.number <= len(routers):
+            log(f"there is no router {options.number}: network.routers names {len(routers) or 'none'}")
+            return BAD_INPUT
+        if fleet.is_secured and options.keys is None:
+            log("this fleet is secured: give the folder of the router's key and certificates, --keys DIR")
+            return BAD_INPUT
+        scheme = "tls" if fleet.is_secured else "tcp"
+        security = security_of(fleet, options.keys) if fleet.is_secured else None
+        serve(fleet, f"{scheme}/{routers[options.number - 1]}", security, asked, log, talks=False)
+    except BusError as error:
+        log(str(error))
+        return FAILED
+    except (FleetError, CredentialsError) as error:
+        log(str(error))
+        return BAD_INPUT
+    log(f"ending ({shutdown.why})")
+    return PASSED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,82 @@
+"""What a fleet's network carries: links, and the messages that a robot hears (PURE)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from agent.fleet.hosts import MESH_ROBOTS_MAX
+from agent.fleet.model import Fleet
+from deploy.check.finding import Finding
+
+STATUS_HZ: Final = 5.0
+"""How often an agent says its status to operators."""
+
+
+class Load(NamedTuple):
+    """What links and robots have to carry while all is well.
+
+    Attributes:
+        links: between processes of the fleet, an operator's left out.
+        hands, beacons, own: messages a second that an agent hears, on average over the robots: neighbours'
+            hand states, others' beacons, its plant's states.
+        routed: messages a second that all routers pass on, to robots and one operator.
+    """
+
+    links: int
+    hands: float
+    beacons: float
+    own: float
+    routed: float
+
+    @property
+    def heard(self) -> float:
+        """Messages a second that an agent hears."""
+        return self.hands + self.beacons + self.own
+
+
+def load_of(fleet: Fleet) -> Load:
+    """What the network of `fleet` carries. Robots that come near each other hear more of each other."""
+    n, rate = len(fleet.robots), fleet.fleet.rate_hz
+    hands = 2.0 * len(fleet.formation.edges) / n * rate
+    beacons = (n - 1) * rate / fleet.beacon_rounds
+    if not fleet.is_routed:
+        return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0)
+    # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
+    to_operator = n * (3.0 * rate + rate / fleet.beacon_rounds + STATUS_HZ)
+    return Load(3 * n, hands, beacons, rate, n * (hands + beacons) + to_operator)
+
+
+def describe_links(fleet: Fleet) -> str:
+    """The topology, and what it carries, in a line."""
+    load = load_of(fleet)
+    network = fleet.network
+    if not fleet.is_routed:
+        text = "a mesh"
+    elif network.routers:
+        text = f"routed by {' or '.join(network.routers)}"
+    else:
+        text = "routed by a router that `handfast run` starts"
+    heard = [(load.hands, "hand states"), (load.beacons, "beacons"), (load.own, "states of its plant")]
+    text += f": {load.links} link{'s' * (load.links != 1)}; a robot hears "
+    text += f"{', '.join(f'{rate:.0f} {what}' for rate, what in heard if rate)} a second"
+    return text + (f", routers pass on {load.routed:.0f}" if load.routed else "")
+
+
+def check_network(fleet: Fleet) -> Iterator[Finding]:
+    """Warns of a mesh that is too large."""
+    n = len(fleet.robots)
+    if fleet.is_routed or n <= MESH_ROBOTS_MAX:
+        return
+    has_hosts = any(robot.host is not None for robot in fleet.robots)
+    advice = (
+        'name [network] routers, such as ["192.168.1.2:7447"], and start `handfast router` there'
+        if has_hosts
+        else "leave out network.topology"
+    )
+    yield Finding(
+        "warning",
+        "network",
+        f"{n} robots are linked each to each, by {n * (n - 1) // 2} links; {MESH_ROBOTS_MAX} are as many as "
+        f"go well together: {advice}",
+    )
