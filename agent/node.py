@@ -15,6 +15,13 @@ from agent.messages.types import Outgoing
 
 INBOX_SIZE: Final = 64
 """Messages that wait for a node's tick, per subscription; the newest are kept."""
+EACH: Final = 2
+"""So many of each robot wait at least, where all of them may speak on one subscription."""
+
+
+def inbox_size(subscription: str, robots: int) -> int:
+    """How many messages wait on a subscription in a fleet of so many robots."""
+    return max(INBOX_SIZE, EACH * robots) if "*" in subscription else INBOX_SIZE
 
 
 class Node(Protocol):

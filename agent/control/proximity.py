@@ -16,16 +16,18 @@ from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peer, Peers
-from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance
+from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance, speed_max
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 
 AHEAD_S: Final = 0.5
 """A robot that comes closer is listened to so much earlier: beacons and looks take about as long."""
-UNSEEN_M: Final = 4.0
-"""Nobody comes near from so far beyond the sensing distance between two beacons."""
 STAY_M: Final = 0.3
 """A robot is listened to until it is so much further away than the sensing distance."""
+FASTER: Final = 1.2
+"""No body is so many times as fast as robots may be."""
+REST_MAX_NS: Final = NS_PER_S // 2
+"""Whoever is far away is looked at again after so long at the latest: its place may jump."""
 
 
 class Proximity:
@@ -49,6 +51,8 @@ class Proximity:
         self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
         self.distance = self.sensing = 0.0
+        self._closing = 2.0 * FASTER * speed_max(fleet)  # two that make for each other, m/s
+        self._rests: dict[int, int] = {}
 
     def plan(self, plan: Plan) -> None:
         """Takes the formation that holds from now on."""
@@ -56,6 +60,7 @@ class Proximity:
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )
         self.sensing = sensing_distance(self._fleet, self.distance)
+        self._rests.clear()
 
     def look(self, now_ns: int, here: Hand, neighbours: Collection[int]) -> bool:
         """Finds who is close to the own hand; True when these are others than before.
@@ -64,8 +69,12 @@ class Proximity:
             neighbours: robots that are listened to anyway.
         """
         near = []
+        rests = self._rests
         for peer in self._peers.known:
-            if peer.robot not in neighbours and self._is_near(peer, now_ns, here):
+            # Most of a large fleet is too far away to come near until a while from now.
+            if rests.get(peer.robot, 0) > now_ns or peer.robot in neighbours:
+                continue
+            if self._is_near(peer, now_ns, here):
                 near.append(peer)
         near.sort(key=_by_id)
         before, self.close = self.close, tuple(near)
@@ -77,12 +86,10 @@ class Proximity:
         return True
 
     def _is_near(self, peer: Peer, now_ns: int, here: Hand) -> bool:
-        """Whether a robot is within the sensing region, or will be at the next look; wherever it may be."""
+        """Whether a robot is within the sensing region, or will be at the next look; wherever it may be. One
+        that is far away rests: it is not asked for again before it could be."""
         message = peer.message
         if message is not None and peer.is_heard(now_ns):
-            far = self.sensing + UNSEEN_M
-            if not (-far < message.x - here.x < far and -far < message.y - here.y < far):
-                return False  # most of a large fleet
             age_ns = now_ns + peer.clock.used_ns - peer.time_ns
             ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
             dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
@@ -94,13 +101,14 @@ class Proximity:
             if belief is None:
                 return False
             dx, dy, reach = belief.x - here.x, belief.y - here.y, belief.reach
-            far = self.sensing + UNSEEN_M + reach
-            if not -far < dx < far:
-                return False
             vx = vy = 0.0
         away = hypot(dx, dy)
         parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
         reach += self.sensing + (STAY_M if peer in self.close else 0.0)
+        rest_s = (away - reach) / self._closing - AHEAD_S
+        if rest_s > 0.0:
+            self._rests[peer.robot] = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
+            return False
         return away + min(0.0, parting) * AHEAD_S < reach
 
     def fence_distance(self, x: float, y: float) -> float:

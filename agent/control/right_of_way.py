@@ -128,7 +128,12 @@ class RightOfWay:
         """
         place = here.x, here.y, here.vx, here.vy
         self._own.append(_Parting(HandState.placed(self._robot, 0, now_ns, True, 0, place), mark))
-        lost = [peer for peer in self._peers.known if self._is_given_up(peer, now_ns)]
+        late_ns = now_ns - self._horizon_ns
+        lost = [  # `Peer.late_ns` is more than the horizon: of many robots, ten times a second
+            peer
+            for peer in self._peers.known
+            if peer.time_ns - peer.clock.used_ns + peer.lateness.forgiven_ns < late_ns and not peer.is_gone
+        ]
         blind = [peer for peer in self._peers.known if peer.deaf and self._is_blind(peer, now_ns)]
         if lost or blind or self._then:
             then = self._then
@@ -200,9 +205,6 @@ class RightOfWay:
         return next((each for each in reversed(self._own) if each.here.time_ns <= time_ns), self._own[0])
 
     # ------------------------------------------------------------------ who
-
-    def _is_given_up(self, peer: Peer, now_ns: int) -> bool:
-        return not peer.is_gone and peer.late_ns(now_ns) > self._horizon_ns
 
     def _is_blind(self, peer: Peer, now_ns: int) -> bool:
         """Whether a robot that does not hear this one, but is heard, has given it up: nobody tells it."""

@@ -18,7 +18,7 @@ import zenoh
 
 from agent.common.errors import Error
 from agent.messages.key_expressions import robot_of_alive
-from agent.node import INBOX_SIZE
+from agent.node import inbox_size
 from agent.runtime.tcp_linger import Lingering
 from agent.security.access_control import Security
 
@@ -191,6 +191,7 @@ class Bus:
         go_on_waiting: asked whether to try again when no router answers.
         link_timeout_s: a link that is not open by then is tried again.
         retry_ms: shortest and longest pause before that.
+        robots: how many the fleet has: so much may come at once.
 
     Raises:
         BusError: an endpoint cannot be listened on, or no router answers.
@@ -207,9 +208,11 @@ class Bus:
         go_on_waiting: Callable[[], bool] = lambda: False,
         link_timeout_s: float = LINK_TIMEOUT_S,
         retry_ms: tuple[int, int] = RETRY_MS,
+        robots: int = 1,
     ) -> None:
         self._sessions: list[Any] = []
         self._near_keys = near
+        self._robots = robots
         try:
             if listen or connect or not routers:
                 self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
@@ -239,11 +242,13 @@ class Bus:
             if not session.is_closed():
                 session.close()
 
-    def subscribe(self, key: str, inbox_size: int = INBOX_SIZE) -> None:
-        """Listens to `key`, which may hold wildcards; messages wait for `drain`."""
+    def subscribe(self, key: str, size: int | None = None) -> None:
+        """Listens to `key`, which may hold wildcards; so many messages wait for `drain`, or as
+        `agent.node.inbox_size` says."""
+        size = inbox_size(key, self._robots) if size is None else size
         session = self._near if key in self._near_keys else self._far
-        subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(inbox_size))
-        self._inboxes[key] = "" if "*" in key else key, subscriber, inbox_size
+        subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(size))
+        self._inboxes[key] = "" if "*" in key else key, subscriber, size
 
     def listen(self, subscriptions: Sequence[str]) -> None:
         """Listens to exactly these keys, and drains them in this order; what waits on others is lost."""
@@ -296,8 +301,8 @@ class Bus:
         if now_s >= self._linger_due_s:
             self._linger_due_s = now_s + LINGER_PERIOD_S
             self._lingering.end()
-        for key, subscriber, inbox_size in self._inboxes.values():
-            for _ in range(inbox_size):  # a flood that comes faster than it is taken must not keep the loop
+        for key, subscriber, size in self._inboxes.values():
+            for _ in range(size):  # a flood that comes faster than it is taken must not keep the loop
                 if (sample := subscriber.try_recv()) is None:
                     break
                 yield key or str(sample.key_expr), sample.payload.to_bytes()

@@ -170,6 +170,7 @@ def bus_for(
             go_on_waiting=go_on_waiting,
             link_timeout_s=link_timeout_s,
             retry_ms=retry_ms,
+            robots=len(fleet.robots),
         )
     return SealedBus(
         fleet,
@@ -185,4 +186,5 @@ def bus_for(
         whenever=whenever,
         link_timeout_s=link_timeout_s,
         retry_ms=retry_ms,
+        robots=len(fleet.robots),
     )

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Protocol
 
-from agent.node import INBOX_SIZE
 from agent.runtime.bus import Bus
 
 
@@ -35,7 +34,7 @@ class OperatorBus(Protocol):
 
     def close(self) -> None: ...
 
-    def subscribe(self, key: str, inbox_size: int = INBOX_SIZE) -> None: ...
+    def subscribe(self, key: str, size: int | None = None) -> None: ...
 
     def watch(self, key: str) -> Watch: ...
 
@@ -71,9 +70,9 @@ class JoinedBus:
         for bus in reversed(self._buses):
             bus.close()
 
-    def subscribe(self, key: str, inbox_size: int = INBOX_SIZE) -> None:
+    def subscribe(self, key: str, size: int | None = None) -> None:
         for bus in self._buses:
-            bus.subscribe(key, inbox_size)
+            bus.subscribe(key, size)
 
     def watch(self, key: str) -> JoinedPresence:
         return JoinedPresence([bus.watch(key) for bus in self._buses], 0 if self._now is not None else -1)

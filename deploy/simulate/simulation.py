@@ -29,7 +29,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Outgoing, Resume, Stop
 from agent.messages.validation import Malformed
-from agent.node import INBOX_SIZE, Node
+from agent.node import Node, inbox_size
 from agent.supervision.situation import LISTEN_ROUNDS
 from agent.supervision.state_machine import State
 from deploy.drive.readiness import is_ready
@@ -73,10 +73,14 @@ class _Bus:
 
     Args:
         ids: the robots that ``*`` in a subscription stands for.
+
+    Attributes:
+        robots, tokens: how many there are; the liveliness tokens that there are now.
     """
 
     def __init__(self, ids: Sequence[int]) -> None:
         self._ids = ids
+        self.robots: Final = len(ids)
         self._rings: dict[str, dict[_Host, Ring]] = {}
         self._keys: dict[_Host, list[str]] = {}
         self.tokens: set[str] = set()
@@ -168,7 +172,8 @@ class _Host:
         """Listens to what the node wants to hear."""
         if self.node.subscriptions is not self._heard:
             self._heard = self.node.subscriptions
-            self.rings = {key: self.rings.get(key) or deque(maxlen=INBOX_SIZE) for key in self._heard}
+            robots, rings = self._bus.robots, self.rings
+            self.rings = {key: rings.get(key) or deque(maxlen=inbox_size(key, robots)) for key in self._heard}
             self._bus.listen(self)
 
     def see(self, time_ns: int, key: str, here: bool) -> None:

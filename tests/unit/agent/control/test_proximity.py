@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import atan2, cos, inf, sin
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agent.control.controller import LOOK_PERIOD_NS
 from agent.control.hand import Hand
 from agent.control.peers.beliefs import DOUBT_MAX
 from agent.control.peers.peers import Peers
 from agent.control.proximity import AHEAD_S, STAY_M, Proximity
+from agent.control.safety_distances import speed_max
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
@@ -182,3 +185,35 @@ def test_how_far_inside_the_geofence_a_point_is():
     assert proximity.fence_distance(0.0, 0.0) > proximity.warn
     made = parse_fleet(FLEET[: FLEET.index("geofence")], source="here")
     assert Proximity(made, 1, Scene().peers).fence_distance(99.0, 0.0) == inf
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(-0.2, 0.2), st.floats(0.5, 1.0)),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_whoever_rests_is_found_as_soon_as_if_it_were_always_looked_at(
+    others: list[tuple[float, float, float, float]],
+):
+    """Robots that make for each other as fast as they may: nobody comes near while nobody looks."""
+    lazy, eager = Scene(), Scene()
+    most = speed_max(lazy.fleet)
+    heading = atan2(others[0][1], others[0][0])
+    own = Hand(0.0, 0.0, most * cos(heading), most * sin(heading))
+    for _ in range(60):
+        for scene in (lazy, eager):
+            for number, (x, y, off, share) in enumerate(others, 3):
+                t, way = (scene.now - PERIOD - T0) / S, atan2(-y, -x) + off
+                vx, vy = share * most * cos(way), share * most * sin(way)
+                told = (True, x + vx * t, y + vy * t, vx, vy, 0.0, 0, 0, -1, -1)
+                beacon = Beacon(number, 0, scene.now - PERIOD, *told)
+                assert scene.peers.accept_beacon(beacon, scene.now) is None
+        t = (lazy.now - T0) / S
+        here = own._replace(x=own.vx * t, y=own.vy * t)
+        eager.proximity._rests.clear()
+        assert lazy.look(here) == eager.look(here)
+        assert lazy.close == eager.close
+        for scene in (lazy, eager):
+            scene.wait()

@@ -1,0 +1,40 @@
+"""Fleets that are larger than what waits for a tick on one key."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import parse_fleet
+from agent.formation.geometry import resolved
+from deploy.simulate.simulation import Simulation
+
+SIDE = 9
+
+
+def lattice() -> str:
+    """A square lattice of robots that stand at their places."""
+    places = [(float(k % SIDE), float(k // SIDE)) for k in range(SIDE * SIDE)]
+    robots = ", ".join(f"{{ id = {k}, x_m = {x}, y_m = {y} }}" for k, (x, y) in enumerate(places, 1))
+    edges = [
+        [i + 1, j + 1]
+        for i in range(len(places))
+        for j in range(i + 1, len(places))
+        if abs(places[i][0] - places[j][0]) + abs(places[i][1] - places[j][1]) < sqrt(2)
+    ]
+    return f"""
+robot = [{robots}]
+fleet = {{ name = "many", rate_hz = 10, duration_s = 2 }}
+formation = {{ edges = {edges}, offsets = {[list(place) for place in places]}, safe_distance_m = 0.2 }}
+"""
+
+
+def test_every_robot_hears_the_beacons_of_all_others() -> None:
+    """81 of them say one in two ticks: some 40 at a time, while others of the same tick come already."""
+    fleet = resolved(parse_fleet(lattice(), source="here"))
+    simulation = Simulation(fleet)
+    simulation.run()
+    for agent in simulation.agents:
+        ages_ns = {peer.robot: simulation.now_ns - peer.direct_ns for peer in agent._peers.known}
+        assert len(ages_ns) == len(fleet.ids) - 1
+        assert max(ages_ns.values()) < NS_PER_S, (agent.robot, ages_ns)
