@@ -27,7 +27,7 @@ STAY_M: Final = 0.3
 FASTER: Final = 1.2
 """No body is so many times as fast as robots may be."""
 REST_MAX_NS: Final = NS_PER_S // 2
-"""Whoever is far away is looked at again after so long at the latest: its place may jump."""
+"""Whoever is far away is looked at again after so long at the latest."""
 
 
 class Proximity:
@@ -52,7 +52,6 @@ class Proximity:
         self.close: tuple[Peer, ...] = ()
         self.distance = self.sensing = 0.0
         self._closing = 2.0 * FASTER * speed_max(fleet)  # two that make for each other, m/s
-        self._rests: dict[int, int] = {}
 
     def plan(self, plan: Plan) -> None:
         """Takes the formation that holds from now on."""
@@ -60,7 +59,8 @@ class Proximity:
             self._fleet.avoidance.distance_m, self._safe, plan.edges, plan.offsets
         )
         self.sensing = sensing_distance(self._fleet, self.distance)
-        self._rests.clear()
+        for peer in self._peers.known:
+            peer.far_until_ns = 0
 
     def look(self, now_ns: int, here: Hand, neighbours: Collection[int]) -> bool:
         """Finds who is close to the own hand; True when these are others than before.
@@ -69,10 +69,9 @@ class Proximity:
             neighbours: robots that are listened to anyway.
         """
         near = []
-        rests = self._rests
         for peer in self._peers.known:
             # Most of a large fleet is too far away to come near until a while from now.
-            if rests.get(peer.robot, 0) > now_ns or peer.robot in neighbours:
+            if peer.far_until_ns > now_ns or peer.robot in neighbours:
                 continue
             if self._is_near(peer, now_ns, here):
                 near.append(peer)
@@ -107,7 +106,7 @@ class Proximity:
         reach += self.sensing + (STAY_M if peer in self.close else 0.0)
         rest_s = (away - reach) / self._closing - AHEAD_S
         if rest_s > 0.0:
-            self._rests[peer.robot] = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
+            peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
             return False
         return away + min(0.0, parting) * AHEAD_S < reach
 

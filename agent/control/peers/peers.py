@@ -36,6 +36,8 @@ TRUST_LOST_S: Final = 0.5
 TRUST_GAINED_S: Final = 1.5
 """Trust rises from 0 to 1 within this time: the edge is back without a bump."""
 _NEVER: Final = -1
+JUMP_M: Final = 1.0
+"""Between two beacons a robot does not go so far: it has been found somewhere else."""
 NEVER_CAME_NS: Final = 0
 """Stamp of a row about a robot that was never heard."""
 
@@ -68,12 +70,14 @@ class Peer:
             ``future``, else 0.
         other_version: what its messages and this program speak, once one was refused for that; else "".
         received, lost, delayed, duplicated: hand states since the start.
+        far_until_ns: it cannot come near before then, as who looks for that has found; 0 once it is
+            somewhere else than on its way.
     """
 
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
-        "duplicated", "early", "gone_ns", "hand_ns", "here", "knows_ns", "lateness", "lost", "mark",
-        "message", "name", "never_came", "other_version", "received", "robot", "sequence", "slowly",
+        "duplicated", "early", "far_until_ns", "gone_ns", "hand_ns", "here", "knows_ns", "lateness", "lost",
+        "mark", "message", "name", "never_came", "other_version", "received", "robot", "sequence", "slowly",
         "slowly_until_ns", "time_ns", "token", "trust",
     )  # fmt: skip
 
@@ -96,6 +100,7 @@ class Peer:
         self.ahead_ns = 0
         self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
+        self.far_until_ns = 0
 
     def age_ns(self, now_ns: int) -> int | None:
         """Age of its hand state by its own clock, None when none has come.
@@ -313,6 +318,7 @@ class Peers:
                 (said.x, said.y, said.vx, said.vy),
                 said.doubt,
             )
+            peer.far_until_ns = 0
             age_ns = beacon.time_ns - said.time_ns
             lately = said.following and age_ns < self._horizon_s * NS_PER_S
             way = said.x, said.y, said.to_x, said.to_y, said.doubt
@@ -386,6 +392,9 @@ class Peers:
             _note(peer.lateness, now_ns, age_ns, gap_ns, self._beacon_ns)
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
+        before = peer.message
+        if before is None or abs(beacon.x - before.x) + abs(beacon.y - before.y) > JUMP_M:
+            peer.far_until_ns = 0
         peer.message = HandState.placed(
             beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, beacon.place, beacon.doubt
         )
@@ -433,6 +442,7 @@ class Peers:
             peer.time_ns = time_ns
             peer.message = message
             peer.belief = None
+            peer.far_until_ns = 0
             peer.here = peer.token
             if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
                 peer.gone_ns = time_ns - 1

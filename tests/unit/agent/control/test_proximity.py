@@ -212,7 +212,8 @@ def test_whoever_rests_is_found_as_soon_as_if_it_were_always_looked_at(
                 assert scene.peers.accept_beacon(beacon, scene.now) is None
         t = (lazy.now - T0) / S
         here = own._replace(x=own.vx * t, y=own.vy * t)
-        eager.proximity._rests.clear()
+        for peer in eager.peers.known:
+            peer.far_until_ns = 0
         assert lazy.look(here) == eager.look(here)
         assert lazy.close == eager.close
         for scene in (lazy, eager):
