@@ -26,14 +26,23 @@ POLL_S: Final = 0.002
 
 
 def children_of(pid: int) -> list[int]:
-    """Pids of a process's children."""
-    found: list[int] = []
-    for task in os.listdir(f"/proc/{pid}/task"):
-        try:
-            found += map(int, Path(f"/proc/{pid}/task/{task}/children").read_text().split())
-        except OSError:
-            continue
-    return found
+    """Pids of a process's children, and of theirs: those of robots, not the server that forks them."""
+    found, parents = [], [pid]
+    while parents:
+        for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
+            try:
+                parents += map(int, listing.read_text().split())
+            except OSError:
+                continue
+        found += [child for child in parents if child not in found]
+    return [child for child in found if b"--robot" in command_of(child)]
+
+
+def command_of(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def wait_for(what: str, done: threading.Event, process: subprocess.Popen[bytes]) -> None:
