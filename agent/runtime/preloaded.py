@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Final
 
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import digest, load_fleet
 from agent.fleet.model import Fleet
 
 _fleets: Final[dict[str, Fleet]] = {}
@@ -24,6 +24,7 @@ def preload(path: str) -> None:
     for robot in fleet.robots:
         if robot.kind.body:
             import_module(robot.kind.body.partition(":")[0])
+    digest(fleet)  # which it remembers
     _fleets[path] = fleet
 
 

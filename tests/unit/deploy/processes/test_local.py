@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from agent.control.hand import Pose
+from agent.control.law_plugin import Law, Moment
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
@@ -164,12 +165,19 @@ def test_a_fork_server_reads_the_fleet_file_once_for_all() -> None:
     assert server.read == [Path("fleet.toml")]
 
 
-class Foreign(Plant):
+class ForeignLaw(Law):
+    """A law of others."""
+
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+
+class ForeignPlant(Plant):
     """A plant of others."""
 
 
 @pytest.mark.parametrize("settings", [
-    ["control.law=tests.passing_law:Gone"], [f"robot.2.plant={__name__}:Foreign"],
+    [f"control.law={__name__}:ForeignLaw"], [f"robot.2.plant={__name__}:ForeignPlant"],
 ])  # fmt: skip
 def test_a_fork_server_reads_no_fleet_with_plugins(settings: list[str]) -> None:
     """It would run the code of others in the process that the rest is forked from."""
