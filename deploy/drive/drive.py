@@ -274,7 +274,7 @@ class Drive:
             self._heartbeat_due_ns = now_ns + HEARTBEAT_PERIOD_NS
             fleet_state.say(Heartbeat(now_ns, fleet_state.author))
         if now_ns >= self._show_due_ns:
-            self._show_due_ns = now_ns + SHOW_PERIOD_NS
+            self._show_due_ns = self._next_show_ns(now_ns)
             self._show()
         return not self._interrupt.count and not self._deaths()
 
@@ -282,6 +282,11 @@ class Drive:
     def _beats(self) -> bool:
         """Whether robots need this operator's heartbeat."""
         return self._fleet.supervision.deadman_s is not None
+
+    def _next_show_ns(self, now_ns: int) -> int:
+        """When the fleet is shown again: now and then, and when the mission begins."""
+        epoch_ns, due_ns = self._fleet_state.epoch_ns, now_ns + SHOW_PERIOD_NS
+        return due_ns if epoch_ns is None or not now_ns < epoch_ns < due_ns else epoch_ns
 
     def _show(self) -> None:
         self._view.show(self._watch.picture(self._fleet_state.time_s))

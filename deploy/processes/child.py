@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from deploy.processes.fork_server import words_of
+from deploy.processes.command_line import words_of
 from deploy.processes.forking import UNSEEN, ForkServer
 
 LAST_LINES: Final = 5

@@ -6,14 +6,22 @@ handed over (proc(5)), so what is written there is what is seen; there is no mor
 
 from __future__ import annotations
 
-import ctypes
+import sys
 from collections.abc import Sequence
 from os import fsencode
 from pathlib import Path
 from typing import Final
 
+ROOM: Final = 1 << 14
+"""Bytes that the command line of a process is made long that forks others, for theirs."""
 _ARG_START: Final = 48
 """Of the fields in /proc/PID/stat, as proc(5) counts them; the next one is the end."""
+
+
+def words_of(module: str, arguments: Sequence[str]) -> list[str]:
+    """The command line of a program of ours."""
+    # -P: a folder called `agent` in the working directory must not be taken for the package.
+    return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def area() -> tuple[int, int]:
@@ -37,6 +45,8 @@ def show(words: Sequence[str]) -> None:
     Raises:
         ValueError: there is no room for it.
     """
+    import ctypes  # here: who only looks need not wait for it
+
     begin, size = area()
     text = b"".join(fsencode(word) + b"\0" for word in words)
     if len(text) > size:

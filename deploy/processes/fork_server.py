@@ -30,6 +30,8 @@ from agent.common.errors import Error
 from agent.fleet.plants import DEFAULT, KINDS
 from agent.runtime import preloaded
 from deploy.processes import command_line
+from deploy.processes.command_line import ROOM, words_of
+from deploy.processes.forking import MESSAGE_MAX, SERVER
 
 MODULES: Final = frozenset(
     ("agent", *filter(None, (module for kind in KINDS.values() for module in (kind.program, kind.simulator))))
@@ -37,9 +39,6 @@ MODULES: Final = frozenset(
 """Programs that can be forked: each has a `main(argv)` in its `__main__`."""
 PRELOADED: Final = "agent", KINDS[DEFAULT].program
 """Those that every fleet has; others are imported when they are asked for."""
-MESSAGE_MAX: Final = 1 << 17
-ROOM: Final = 1 << 14
-"""Bytes that its command line is made long, for those of the processes that it forks."""
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -110,6 +109,10 @@ class Server:
             return None
         (log,) = handles
         forked = Forked(request["module"], request["arguments"])
+        if forked.module not in MODULES:
+            os.close(log)
+            self._say({"pid": None})
+            return None
         if f"{forked.module}.__main__" not in sys.modules:
             _program(forked.module)
             self._settle()
@@ -158,12 +161,6 @@ class Server:
         socket.send_fds(self._asked, [json.dumps(message).encode()], handles)
 
 
-def words_of(module: str, arguments: Sequence[str]) -> list[str]:
-    """The command line of a program of ours."""
-    # -P: a folder called `agent` in the working directory must not be taken for the package.
-    return [sys.executable, "-P", "-m", module, *arguments]
-
-
 def _end_with_parent(parent: int) -> None:
     """Has the kernel send SIGTERM when `parent` ends: `Shutdown` looks for it too, but only once it runs."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
@@ -203,7 +200,7 @@ def main() -> None:
     """Serves until its standard input is closed."""
     if not Path("/proc/self/task").exists():
         return
-    command_line.show([sys.executable, "-P", "-m", "deploy.processes.fork_server"])
+    command_line.show(words_of(SERVER, []))
     gc.disable()
     for module in PRELOADED:
         _program(module)

@@ -18,8 +18,9 @@ from types import TracebackType
 from typing import Any, Final
 
 from deploy.processes import command_line
-from deploy.processes.fork_server import MESSAGE_MAX, MODULES, ROOM, words_of
+from deploy.processes.command_line import ROOM, words_of
 
+MESSAGE_MAX: Final = 1 << 17
 SERVER: Final = "deploy.processes.fork_server"
 UNSEEN: Final = 1 << 16
 """Exit status of a process that has ended after the server, so that nobody saw how."""
@@ -73,6 +74,8 @@ class ForkServer:
         """Ends the server; safe to call twice."""
         self._is_gone()
         if self._process is not None:
+            if not self._is_ready:  # it may be loading still, and has forked nothing
+                self._process.kill()
             try:
                 self._process.wait(END_TIMEOUT_S)
             except subprocess.TimeoutExpired:
@@ -94,9 +97,7 @@ class ForkServer:
         Raises:
             OSError: the system has no room for another process.
         """
-        if module not in MODULES or command_line.room(words_of(module, arguments)) > ROOM:
-            return None
-        if not self._can_be_asked():
+        if command_line.room(words_of(module, arguments)) > ROOM or not self._can_be_asked():
             return None
         self._count += 1
         self._ask({"number": self._count, "module": module, "arguments": list(arguments)}, [log])
@@ -105,6 +106,8 @@ class ForkServer:
             if "errno" in message:
                 raise OSError(message["errno"], os.strerror(message["errno"]))
             if "pid" in message:
+                if not handles:  # it is no program that it knows
+                    return None
                 return ForkedProcess(self, message["number"], message["pid"], handles[0])
         return None
 

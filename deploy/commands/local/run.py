@@ -5,15 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from agent.common.exit import FAILED
 from deploy.console.arguments import drive_arguments, fleet_arguments, fleet_path, load
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
-
-if TYPE_CHECKING:
-    from deploy.processes.forking import ForkServer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,14 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from deploy.processes.child import environment
-    from deploy.processes.forking import ForkServer
-
-    with ForkServer(environment()) as server:  # it loads while this process does
-        return _drive(options, server)
-
-
-def _drive(options: argparse.Namespace, server: ForkServer) -> int:
     from agent.runtime.bus import BusError
     from deploy.drive.live_view import make_view
     from deploy.drive.local import LocalRun
@@ -45,7 +33,7 @@ def _drive(options: argparse.Namespace, server: ForkServer) -> int:
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
-        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet), server)
+        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet), options.server)
         try:
             with view:
                 run.run()

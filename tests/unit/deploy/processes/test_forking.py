@@ -19,7 +19,7 @@ import pytest
 
 from deploy.processes import child, fork_server, forking
 from deploy.processes.child import Child, environment
-from deploy.processes.fork_server import ROOM
+from deploy.processes.command_line import ROOM
 from deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
 
 PATIENCE_S: Final = 30.0
@@ -75,7 +75,6 @@ def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = os.pathsep.join([str(tmp_path / "path"), str(Path(fork_server.__file__).parents[2])])
     monkeypatch.setenv("PYTHONPATH", path)
     monkeypatch.setattr(forking, "SERVER", "serves")
-    monkeypatch.setattr(forking, "MODULES", ("trivial",))
 
 
 @pytest.fixture
@@ -226,7 +225,7 @@ STARTS: Final = """
 import os, sys
 from deploy.processes import forking
 from deploy.processes.child import environment
-forking.SERVER, forking.MODULES = "serves", ("trivial",)
+forking.SERVER = "serves"
 server = forking.ForkServer(environment())
 pids = [server.pid]
 if sys.argv[1] == "process":
