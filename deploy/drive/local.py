@@ -11,6 +11,7 @@ from agent.fleet.model import Fleet
 from deploy.console.interrupt import Interrupt
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
+from deploy.drive.timing import Timing
 from deploy.inventory.registry import Registration
 from deploy.processes.child import environment
 from deploy.processes.forking import ForkServer
@@ -74,6 +75,7 @@ class LocalRun:
                     drive = Drive(
                         *(self._fleet, self._processes, bus, self._folder.record),
                         *(self._view, self._interrupt),
+                        timing=Timing.of_own_machine(len(self._processes.names)),
                         ways=lambda: [FileWay(self._fleet, self._orders)],
                     )
                     self.reasons = drive.reasons
