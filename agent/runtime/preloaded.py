@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Final
 
@@ -10,6 +10,7 @@ from agent.fleet.loading import digest, load_fleet
 from agent.fleet.model import Fleet
 
 _fleets: Final[dict[str, Fleet]] = {}
+_on_start: Final[list[Callable[[], None]]] = []
 
 
 def preload(path: str) -> None:
@@ -37,3 +38,14 @@ def fleet_of(path: str, overrides: Sequence[str] = (), law: str | None = None) -
     if not overrides and law is None and path in _fleets:
         return _fleets[path]
     return load_fleet(path, overrides, law)
+
+
+def on_start(call: Callable[[], None]) -> None:
+    """Has `call` called once, when this process is on the bus."""
+    _on_start.append(call)
+
+
+def started() -> None:
+    """This process is on the bus."""
+    while _on_start:
+        _on_start.pop()()

@@ -29,7 +29,7 @@ from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
 from agent.runtime.listening_gate import Gate
 from agent.runtime.order_store import OrderStore
-from agent.runtime.preloaded import fleet_of
+from agent.runtime.preloaded import fleet_of, started
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError
@@ -316,6 +316,7 @@ def _run(
         ):
             keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
             appear(node, bus, clock, keeper)
+            started()
             service.ready()
             with Gate(len(fleet.robots)) as gate:
                 if gate.trouble:

@@ -1,4 +1,4 @@
-"""``python -m deploy.processes.fork_server``: has loaded what robots' processes need, and forks them.
+"""``python -m deploy.processes.fork_server PARENT``: has loaded what robots' processes need, and forks them.
 
 An interpreter that starts and imports all of it costs half a second of processor time for each process, and
 memory of its own; one that is forked has both from here. Asked for is over the socket that is its standard
@@ -21,8 +21,10 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -39,6 +41,13 @@ MODULES: Final = frozenset(
 """Programs that can be forked: each has a `main(argv)` in its `__main__`."""
 PRELOADED: Final = "agent", KINDS[DEFAULT].program
 """Those that every fleet has; others are imported when they are asked for."""
+STARTING_MAX: Final = 2 + (os.cpu_count() or 1)
+"""So many processes are forked and not yet on the bus: more would only take each other's time, and robots
+that come later in the file connect to those before them, who should be there by then."""
+START_S: Final = 0.3
+"""Who takes longer waits for something else than processor time, and no other process waits for it."""
+LOOK_S: Final = 0.25
+"""How often who started this process is looked for."""
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -61,13 +70,15 @@ def _program(module: str) -> Any:
 
 
 class Server:
-    """Forks processes for whoever is at the other end of `asked`, and tells how they end."""
+    """Forks processes for `parent`, the process at the other end of `asked`, and tells how they end."""
 
-    def __init__(self, asked: socket.socket) -> None:
-        self._asked = asked
+    def __init__(self, asked: socket.socket, parent: int) -> None:
+        self._asked, self._parent = asked, parent
         self._pid = os.getpid()
         self._numbers: dict[int, int] = {}
         """Who asked for a process gave it a number: those of the system are given again."""
+        self._starting: dict[int, float] = {}
+        """Pipes whose other end a process closes when it has started, and until when that is waited for."""
         self._null = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
         # An end of a process wakes `select`: the handler has nothing to do but to be there.
         self._woken, self._wake = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -78,7 +89,17 @@ class Server:
         """Until nobody asks any more: None. In every process that it forks: what that is to be."""
         self._say({"ready": os.getpid()})
         while True:
-            ready, _, _ = select.select([self._asked.fileno(), self._woken], [], [])
+            full = len(self._starting) >= STARTING_MAX
+            asked = [] if full else [self._asked.fileno()]
+            left_s = min(self._starting.values()) - time.monotonic() if full else LOOK_S
+            waits = [*asked, self._woken, *self._starting]
+            ready, _, _ = select.select(waits, [], [], min(max(0.0, left_s), LOOK_S))
+            if os.getppid() != self._parent:
+                return None  # whoever else holds the other end of the socket does not use it
+            now = time.monotonic()
+            for pipe in [pipe for pipe, until in self._starting.items() if pipe in ready or now >= until]:
+                del self._starting[pipe]
+                os.close(pipe)
             if self._woken in ready:
                 self._bury()
             if self._asked.fileno() in ready:
@@ -116,16 +137,22 @@ class Server:
         if f"{forked.module}.__main__" not in sys.modules:
             _program(forked.module)
             self._settle()
+        starting, has_started = os.pipe()
         try:
             pid = os.fork()
         except OSError as error:
             self._say({"errno": error.errno})
-            os.close(log)
+            for each in (log, starting, has_started):
+                os.close(each)
             return None
         if pid == 0:
+            os.close(starting)
+            preloaded.on_start(partial(os.close, has_started))
             self._become(forked, log)
             return forked
         os.close(log)
+        os.close(has_started)
+        self._starting[starting] = time.monotonic() + START_S
         self._numbers[pid] = request["number"]
         handle = os.pidfd_open(pid)  # its number is nobody else's before it is buried
         self._say({"number": request["number"], "pid": pid}, [handle])
@@ -148,7 +175,7 @@ class Server:
         for handle, standard in ((self._null, 0), (log, 1), (log, 2)):
             os.dup2(handle, standard)
         self._asked.detach()  # it was standard input
-        for handle in (self._null, self._woken, self._wake, log):
+        for handle in (self._null, self._woken, self._wake, log, *self._starting):
             os.close(handle)
         command_line.show(words_of(forked.module, forked.arguments))
         importlib.invalidate_caches()  # of folders as they were
@@ -208,7 +235,7 @@ def main() -> None:
         return
     gc.collect()
     gc.freeze()
-    forked = Server(socket.socket(fileno=0)).serve()
+    forked = Server(socket.socket(fileno=0), int(sys.argv[1])).serve()
     if forked is None:
         os._exit(0)  # its processes hear of it from the kernel
     leave(forked.run)

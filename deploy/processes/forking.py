@@ -9,7 +9,6 @@ import select
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -48,7 +47,7 @@ class ForkServer:
         self._socket, asked = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with asked:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", SERVER, "." * ROOM],
+                words_of(SERVER, [str(os.getpid()), "." * ROOM]),
                 stdin=asked.fileno(),
                 # What keeps it from loading them keeps processes from it too: they say it in their logs.
                 stdout=subprocess.DEVNULL,

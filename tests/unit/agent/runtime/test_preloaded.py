@@ -46,3 +46,11 @@ def test_a_file_that_was_not_preloaded_is_read(tmp_path: Path) -> None:
         preloaded.preload(str(tmp_path / "none.toml"))
     with pytest.raises(FleetError, match="no such file"):
         preloaded.fleet_of(str(tmp_path / "none.toml"))
+
+
+def test_that_a_process_has_started_is_told_once() -> None:
+    told: list[str] = []
+    preloaded.on_start(lambda: told.append("started"))
+    preloaded.started()
+    preloaded.started()
+    assert told == ["started"]

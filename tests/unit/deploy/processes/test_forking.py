@@ -38,6 +38,15 @@ def main(argv):
         atexit.register(lambda: print("at the exit", flush=True))
         threading.Thread(target=lambda: (time.sleep(0.05), print("of a thread", flush=True))).start()
         return 3
+    if what == "start":
+        from agent.runtime import preloaded
+        own = f"{more[0]}/starting-{os.getpid()}"
+        open(own, "w").close()
+        for _ in range(200):
+            os.sched_yield()
+        print(len([name for name in os.listdir(more[0]) if name.startswith("starting")]), flush=True)
+        os.unlink(own)
+        preloaded.started()
     if what == "tell":
         import numpy, random
         print(json.dumps({
@@ -121,8 +130,9 @@ def test_a_fork_has_nothing_of_the_server(server: ForkServer, tmp_path: Path) ->
     for one, process, log in zip(told, made, logs, strict=True):
         assert one["pid"] == one["session"] == process.pid
         assert one["parent"] == server.pid
-        # The fourth is the one that lists them.
-        assert one["handles"] == [0, 1, 2, 3]
+        # The last two are what tells that it has started, and the one that lists them.
+        assert one["handles"][:3] == [0, 1, 2]
+        assert len(one["handles"]) == 5
         assert one["ids"] == [os.stat(os.devnull).st_ino, log.stat().st_ino, log.stat().st_ino]
         assert one["command"] == [sys.executable, "-P", "-m", "trivial", "tell", "--exit-with-parent"]
         assert one["argv"] == [str(tmp_path / "path/trivial/__main__.py"), "tell", "--exit-with-parent"]
@@ -153,6 +163,23 @@ def test_an_end_is_told_as_it_was(server: ForkServer, tmp_path: Path) -> None:
     assert killed.wait(PATIENCE_S) == -signal.SIGKILL
     killed.kill()  # whose number may be another's by now
     assert killed.poll() == -signal.SIGKILL
+
+
+def test_one_starts_after_the_other(tmp_path: Path) -> None:
+    """As many at a time as there is processor time for; but nobody waits for one that has other reasons."""
+    limits = "fork_server.STARTING_MAX, fork_server.START_S = 1, {}\nfork_server.main()"
+    for patience_s, program in (("1e6", "start"), ("0.0", "wait")):
+        text = SERVER.replace("fork_server.main()", limits.format(patience_s))
+        (tmp_path / "path" / "serves.py").write_text(text)
+        logs = [tmp_path / f"{program}-{number}.log" for number in range(8)]
+        with ForkServer(environment()) as server:
+            made = [start(server, log, program, str(tmp_path)) for log in logs]
+            for log in logs:
+                wait_for(lambda log=log: waiting(log))
+            for process in made:
+                process.kill()
+                process.wait(PATIENCE_S)
+    assert [(tmp_path / f"start-{number}.log").read_text() for number in range(8)] == ["1\nwaits\n"] * 8
 
 
 def test_ends_that_nobody_asks_for_do_not_stand_in_the_way(server: ForkServer, tmp_path: Path) -> None:
@@ -222,7 +249,7 @@ def test_no_room_for_a_process_is_an_error(tmp_path: Path) -> None:
 
 
 STARTS: Final = """
-import os, sys
+import os, signal, sys
 from deploy.processes import forking
 from deploy.processes.child import environment
 forking.SERVER = "serves"
@@ -231,14 +258,20 @@ pids = [server.pid]
 if sys.argv[1] == "process":
     made = server.start("trivial", ["wait"], os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT))
     pids.append(made.pid)
+if sys.argv[1] == "fork" and os.fork() == 0:
+    os.close(1)
+    sys.stdin.read()
+    os._exit(0)
 print(*pids, flush=True)
-sys.stdin.read()
+while True:
+    signal.pause()
 """
 
 
-@pytest.mark.parametrize(("when", "count"), [("at once", 1), ("process", 2)])
+@pytest.mark.parametrize(("when", "count"), [("at once", 1), ("process", 2), ("fork", 1)])
 def test_the_server_ends_with_who_started_it(tmp_path: Path, when: str, count: int) -> None:
-    """Killed before the server has loaded everything, and when it has processes."""
+    """Killed before the server has loaded everything, when it has processes, and when another process holds
+    its end of the socket too."""
     with subprocess.Popen(
         [sys.executable, "-c", STARTS, when, str(tmp_path / "log")],
         stdin=subprocess.PIPE,
@@ -248,7 +281,8 @@ def test_the_server_ends_with_who_started_it(tmp_path: Path, when: str, count: i
         pids = [*map(int, starter.stdout.readline().split())]
         assert len(pids) == count
         starter.kill()
-    wait_for(lambda: all(map(gone, pids)))
+        starter.wait()
+        wait_for(lambda: all(map(gone, pids)))
 
 
 def test_everything_has_one_thread_for_linear_algebra() -> None:
