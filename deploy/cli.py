@@ -124,7 +124,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             asked = next((word for word in arguments if not word.startswith("-")), "")
             try:
                 with _fork_server(asked, arguments) as server:
-                    options = _parser([asked]).parse_args(arguments, argparse.Namespace(server=server))
+                    options = _parser([asked]).parse_args(arguments)
+                    options.server = server
                     result: int = options.command(options)
             except SystemExit:
                 print(end="", flush=True)

@@ -149,9 +149,13 @@ class Server:
             os.close(starting)
             preloaded.on_start(partial(os.close, has_started))
             self._become(forked, log)
+            os.write(has_started, b".")
             return forked
         os.close(log)
         os.close(has_started)
+        os.read(
+            starting, 1
+        )  # until it is what it is to be, as who starts a program waits: it is seen at once
         self._starting[starting] = time.monotonic() + START_S
         self._numbers[pid] = request["number"]
         handle = os.pidfd_open(pid)  # its number is nobody else's before it is buried

@@ -123,7 +123,11 @@ def gone(pid: int) -> bool:
 
 def test_a_fork_has_nothing_of_the_server(server: ForkServer, tmp_path: Path) -> None:
     logs = [tmp_path / f"{number}.log" for number in range(3)]
-    made = [start(server, log, "tell", "--exit-with-parent") for log in logs]
+    made = []
+    for log in logs:
+        made.append(start(server, log, "tell", "--exit-with-parent"))
+        seen = Path(f"/proc/{made[-1].pid}/cmdline").read_text()
+        assert "\0tell\0" in seen, "it is seen as it is at once"
     for log in logs:
         wait_for(lambda log=log: waiting(log))
     told = [json.loads(log.read_text().splitlines()[0]) for log in logs]
