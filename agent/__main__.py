@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 from agent.common.time import Clock
 from agent.core import Agent
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
-from agent.runtime.process import Log, Start, main
+from agent.runtime.process import Log, Start
+from agent.runtime.process import main as process_main
 
 
 def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
     """The agent and its endpoints: of any two, the one that is later in the file connects."""
-    fleet = resolved(fleet)
+    if not fleet.is_resolved:
+        fleet = resolved(fleet)
     agent = Agent(fleet, robot)
     # To all, not only to its neighbours: everybody hears everybody's beacons, and peers do not relay.
     others = fleet.ids[: fleet.index(robot)] if not fleet.network.routers else ()
@@ -21,5 +24,14 @@ def start(fleet: Fleet, robot: int, _clock: Clock, _log: Log) -> Start:
     return Start(agent, fleet.agent_listens(robot), connect)
 
 
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the process; returns its exit status.
+
+    Args:
+        argv: the command line after the program's name; None: that of this process.
+    """
+    return process_main(argv, "python -m agent", "agent", start)
+
+
 if __name__ == "__main__":
-    sys.exit(main(None, "python -m agent", "agent", start))
+    sys.exit(main())

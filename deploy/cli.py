@@ -8,11 +8,12 @@ import sys
 import threading
 import time
 from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from errno import ENOSPC
 from importlib import import_module
 from importlib.machinery import PathFinder
 from os.path import dirname
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 for _name in ("agent", "plant", "bridges"):  # before anything of them runs; as in handfast.py
     _ours, _found = PathFinder.find_spec(_name, [dirname(dirname(__file__))]), PathFinder.find_spec(_name)
@@ -26,7 +27,11 @@ from agent.common.exit import BAD_INPUT, FAILED, INTERRUPTED, PASSED
 from deploy.console.data_files import bundled
 from deploy.console.interrupt import remembered
 
+if TYPE_CHECKING:
+    from deploy.processes.forking import ForkServer
+
 ROVER_SIMULATOR: Final = "rover-simulator"
+FORKS: Final = "run"
 THREADS_S: Final = 1.0
 """So long a thread of others may go on after the command."""
 
@@ -118,8 +123,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return run(arguments[1:])
             asked = next((word for word in arguments if not word.startswith("-")), "")
             try:
-                options = _parser([asked]).parse_args(arguments)
-                result: int = options.command(options)
+                with _fork_server(asked, arguments) as server:
+                    options = _parser([asked]).parse_args(arguments)
+                    options.server = server
+                    result: int = options.command(options)
             except SystemExit:
                 print(end="", flush=True)
                 raise
@@ -143,6 +150,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Error as error:
         print(f"handfast: {error}", file=sys.stderr)
         return BAD_INPUT
+
+
+def _fork_server(asked: str, arguments: Collection[str]) -> AbstractContextManager[ForkServer | None]:
+    """What forks robots' processes, for the command that needs it: it loads what they need while the command
+    loads what that needs."""
+    if asked != FORKS or not {"-h", "--help"}.isdisjoint(arguments):
+        return nullcontext()
+    from deploy.processes.child import environment
+    from deploy.processes.forking import ForkServer
+
+    return ForkServer(environment())
 
 
 def process() -> int:

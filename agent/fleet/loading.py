@@ -35,6 +35,8 @@ from agent.fleet.trajectory_checks import kinds_by_field
 
 FILE_BYTES_MAX: Final = 1 << 20
 """Largest fleet file, scenario or file of orders."""
+_last_digest: tuple[Fleet | None, str] = None, ""
+"""The last one that was made, and of which fleet: it takes milliseconds, and a process has one fleet."""
 
 
 def load_fleet(
@@ -307,6 +309,15 @@ def digest(fleet: Fleet) -> str:
     That is everything but where processes run and how they reach each other, the description, what is
     recorded, and how a vehicle's own computer reaches it.
     """
+    global _last_digest
+    before, found = _last_digest
+    if fleet is not before:
+        found = _digest(fleet)
+        _last_digest = fleet, found
+    return found
+
+
+def _digest(fleet: Fleet) -> str:
     table = to_dict(fleet)
     for key in ("network", "host", "recording"):
         table.pop(key, None)

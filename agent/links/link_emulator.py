@@ -44,7 +44,6 @@ from agent.messages.types import (
 TRACE_PERIOD_NS: Final = NS_PER_S // 5
 """Decisions wait at most so long before they are published, ns."""
 _LOST_US: Final = -1
-_PURPOSES: Final = ("delay", "loss", "duplicate", "reorder", "corrupt", "slot", "range", "second delay")
 
 Sample = HandState | PlantState | Wrench | Beacon
 """What links carry; all have a robot, a sequence number and a stamp."""
@@ -56,6 +55,19 @@ class Arrival(NamedTuple):
     key: str
     payload: bytes
     message: Sample | None
+
+
+class _Streams(dict[str, int]):
+    """The streams of draws of one link by what they are for, each made when it is needed first: a robot has
+    two links from every other one, and hardly any of them ever fails."""
+
+    def __init__(self, seed: int, source: int, destination: int, topic: str) -> None:
+        super().__init__()
+        self._link = seed, "link", source, destination, topic
+
+    def __missing__(self, purpose: str) -> int:
+        self[purpose] = made = random_streams.stream(*self._link, purpose)
+        return made
 
 
 class _Link:
@@ -70,10 +82,7 @@ class _Link:
         self.refresh()
         self.waiting = 0
         self.held: list[tuple[int, int, Arrival, Decision]] = []
-        self._streams = {
-            purpose: random_streams.stream(plan.seed, "link", source, destination, TOPICS[topic], purpose)
-            for purpose in _PURPOSES
-        }
+        self._streams = _Streams(plan.seed, source, destination, TOPICS[topic])
         self._free_ns = 0
         self._departures: deque[int] = deque()
 

@@ -17,7 +17,6 @@ from agent.common.errors import Error
 from agent.common.exit import BAD_INPUT, FAILED, PASSED
 from agent.common.time import NS_PER_S, Clock
 from agent.common.wording import printable
-from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.links.fault_plan import FaultPlan
 from agent.links.ticks import Ticks
@@ -30,6 +29,7 @@ from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
 from agent.runtime.listening_gate import Gate
 from agent.runtime.order_store import OrderStore
+from agent.runtime.preloaded import fleet_of, started
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError
@@ -75,6 +75,7 @@ class Shutdown:
 
     def _on_signal(self, number: int, _frame: object) -> None:
         self.asked, self.why = True, signal.Signals(number).name
+        self.look_for_parent()  # its end may be why the kernel sent it
 
     def look_for_parent(self) -> None:
         """Asks the process to end when its parent is gone, if it is to end with it."""
@@ -291,7 +292,7 @@ def _run(
         shutdown.look_for_parent()
         return shutdown.asked
 
-    fleet = load_fleet(options.fleet, options.overrides, options.law)
+    fleet = fleet_of(options.fleet, options.overrides, options.law)
     # Before the wall clock is read for good: it may be set meanwhile.
     wait_until_valid(fleet, options.robot, options.keys, asked, service, log)
     if shutdown.asked:
@@ -315,6 +316,7 @@ def _run(
         ):
             keeper = None if store is None else OrderKeeper(node, bus, store, fleet.fleet.name, log)
             appear(node, bus, clock, keeper)
+            started()
             service.ready()
             with Gate(len(fleet.robots)) as gate:
                 if gate.trouble:

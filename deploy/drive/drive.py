@@ -32,6 +32,8 @@ from deploy.session.stop import Way
 
 POLL_S: Final = 0.04
 SHOW_PERIOD_NS: Final = NS_PER_S // 4
+SHOW_FIRST_NS: Final = NS_PER_S // 10
+"""So long after a mission's begin all have told that they drive."""
 ORDER_LATE_NS: Final = NS_PER_S // 2
 """An order of the fleet file counts as given at its time, as in a simulation, unless that is so long ago."""
 
@@ -274,7 +276,7 @@ class Drive:
             self._heartbeat_due_ns = now_ns + HEARTBEAT_PERIOD_NS
             fleet_state.say(Heartbeat(now_ns, fleet_state.author))
         if now_ns >= self._show_due_ns:
-            self._show_due_ns = now_ns + SHOW_PERIOD_NS
+            self._show_due_ns = self._next_show_ns(now_ns)
             self._show()
         return not self._interrupt.count and not self._deaths()
 
@@ -282,6 +284,12 @@ class Drive:
     def _beats(self) -> bool:
         """Whether robots need this operator's heartbeat."""
         return self._fleet.supervision.deadman_s is not None
+
+    def _next_show_ns(self, now_ns: int) -> int:
+        """When the fleet is shown again: now and then, and as soon as it can be heard to drive."""
+        epoch_ns, due_ns = self._fleet_state.epoch_ns, now_ns + SHOW_PERIOD_NS
+        first_ns = due_ns if epoch_ns is None else epoch_ns + SHOW_FIRST_NS
+        return first_ns if now_ns < first_ns < due_ns else due_ns
 
     def _show(self) -> None:
         self._view.show(self._watch.picture(self._fleet_state.time_s))

@@ -11,7 +11,10 @@ from agent.fleet.model import Fleet
 from deploy.console.interrupt import Interrupt
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
+from deploy.drive.timing import Timing
 from deploy.inventory.registry import Registration
+from deploy.processes.child import environment
+from deploy.processes.forking import ForkServer
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle, held_orders, orders_folder
 from deploy.report.run_folder import RunFolder
@@ -25,7 +28,8 @@ VEHICLES_END_TIMEOUT_S: Final = 2.0
 
 class LocalRun:
     """One run: starts the processes of `fleet` (resolved and placed, with these simulated rovers), drives it
-    and ends it. `source`: the fleet file that it is started from, for whoever looks for it by that.
+    and ends it. `source`: the fleet file that it is started from, for whoever looks for it by that. `server`:
+    what its processes are forked by, closed at the end.
 
     After `run`, `reasons` holds what went wrong in the operator's eyes, as sentences for the verdict.
     """
@@ -38,12 +42,15 @@ class LocalRun:
         interrupt: Interrupt,
         vehicles: Sequence[Vehicle] = (),
         source: Path | None = None,
+        server: ForkServer | None = None,
     ) -> None:
-        self._source = source
+        self._source, self._server = source, server or ForkServer(environment())
         self._fleet, self._folder, self._view, self._vehicles = fleet, folder, view, vehicles
         self._interrupt = interrupt
         self._orders = orders_folder(fleet)
-        self._processes = Processes(fleet, folder.fleet_file, folder.log, vehicles, orders=self._orders)
+        self._processes = Processes(
+            *(fleet, folder.fleet_file, folder.log, vehicles), orders=self._orders, server=self._server
+        )
         self.reasons: list[str] = []
         self._has_vehicles = any(robot.kind.vehicle for robot in fleet.robots)
 
@@ -58,6 +65,7 @@ class LocalRun:
         # Known before it starts and until it has ended: whoever wants to stop it must find it.
         name, path = self._fleet.fleet.name, self._folder.path
         with (
+            self._server,
             Registration(name, path, self._folder.fleet_file, self._source),
             held_orders(self._fleet),
         ):
@@ -67,6 +75,7 @@ class LocalRun:
                     drive = Drive(
                         *(self._fleet, self._processes, bus, self._folder.record),
                         *(self._view, self._interrupt),
+                        timing=Timing.of_own_machine(len(self._processes.names)),
                         ways=lambda: [FileWay(self._fleet, self._orders)],
                     )
                     self.reasons = drive.reasons

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from agent.common.time import NS_PER_S
+
+OWN_AHEAD_NS: Final = NS_PER_S // 4
+OWN_AHEAD_PER_PROCESS_NS: Final = NS_PER_S // 250
+"""Of processes on the machine of who drives them: each of them has to run once until the mission begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +45,11 @@ class Timing:
     stop_s: float = 2.0
     interrupt_stop_s: float = 0.3
     vehicles_stop_s: float = 4.0
+
+    @classmethod
+    def of_own_machine(cls, processes: int) -> Timing:
+        """For so many processes on the machine of who drives them: no network is between them."""
+        return cls(epoch_ahead_ns=OWN_AHEAD_NS + processes * OWN_AHEAD_PER_PROCESS_NS)
 
     def ready_timeout_s(self, processes: int, *, has_vehicles: bool) -> float:
         """After so long a fleet that is not ready will not be."""

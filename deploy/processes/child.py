@@ -5,17 +5,24 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
+
+from deploy.processes.command_line import words_of
+from deploy.processes.forking import UNSEEN, ForkServer
 
 LAST_LINES: Final = 5
 LINE_MAX: Final = 300
 
 ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a process with one thread for its linear algebra: matrices are tiny, threads are not."""
+
+
+def environment() -> dict[str, str]:
+    """Of every process: that of this one, with one thread for linear algebra."""
+    return os.environ | ONE_THREAD
 
 
 class Child:
@@ -27,22 +34,31 @@ class Child:
         module: what ``python -m`` runs.
         arguments: of its command line.
         log: where its output goes, after what is there.
+        server: has it forked, where that can be had.
         name: how it is called, unless it is one of the robot's.
     """
 
     def __init__(
-        self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path, name: str = ""
+        self,
+        robot: int,
+        role: str,
+        module: str,
+        arguments: Sequence[str],
+        log: Path,
+        server: ForkServer | None = None,
+        name: str = "",
     ) -> None:
         self.robot, self.role, self.log = robot, role, log
         self.name = name or f"robot {robot}'s {role}"
+        arguments = [*arguments, "--exit-with-parent"]
         with open(log, "ab") as output:
-            self._process = subprocess.Popen(
-                # -P: a folder called `agent` in the working directory must not be taken for the package.
-                [sys.executable, "-P", "-m", module, *arguments, "--exit-with-parent"],
+            forked = None if server is None else server.start(module, arguments, output.fileno())
+            self._process = forked or subprocess.Popen(
+                words_of(module, arguments),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
-                env=os.environ | ONE_THREAD,
+                env=environment(),
                 start_new_session=True,
             )
         self._guard: subprocess.Popen[bytes] | None = None
@@ -56,6 +72,8 @@ class Child:
         status = self._process.poll()
         if status is None:
             return None
+        if status == UNSEEN:
+            return "with the process that had forked it"
         if status < 0:
             return f"killed by {signal.Signals(-status).name}"
         return f"exit status {status}"

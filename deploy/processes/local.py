@@ -16,6 +16,7 @@ from agent.messages.key_expressions import ROLES
 from agent.runtime.order_store import order_file
 from deploy.faults.process_actions import Action, Process
 from deploy.processes.child import Child, end_all
+from deploy.processes.forking import ForkServer
 from deploy.processes.placement import Vehicle
 
 VEHICLE: Final = "vehicle"
@@ -37,6 +38,7 @@ class Processes:
         processes: which are wanted; all agents and plants unless given.
         look: bridges arm nothing: looking at a vehicle must not make it able to move.
         orders: folder in which operators' orders outlive them; None: nowhere.
+        server: has them forked.
     """
 
     def __init__(
@@ -49,12 +51,13 @@ class Processes:
         *,
         look: bool = False,
         orders: Path | None = None,
+        server: ForkServer | None = None,
     ) -> None:
         self._fleet, self._fleet_file, self._log, self._vehicles = fleet, fleet_file, log, vehicles
         self._wanted = (
             [(robot, role) for robot in fleet.ids for role in ROLES] if processes is None else processes
         )
-        self._look, self._orders = look, orders
+        self._look, self._orders, self._server = look, orders, server
         self.ours: Final = True
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
@@ -62,6 +65,12 @@ class Processes:
 
     def start(self) -> None:
         self._start_routers()
+        fleet = self._fleet
+        # Plugins are the code of others: each process imports them for itself.
+        has_plugins = fleet.control.law is not None or any(robot.kind.is_plugin for robot in fleet.robots)
+        if self._server is not None and not has_plugins:
+            self._server.preload(self._fleet_file)
+        self._wait_for_routers()
         for vehicle in self._vehicles:
             simulator = self._fleet.robot(vehicle.robot).kind.simulator
             self._run(vehicle.robot, VEHICLE, simulator, vehicle.arguments)
@@ -69,16 +78,19 @@ class Processes:
             self._start(robot, role, None)
 
     def _start_routers(self) -> None:
-        """Starts the fleet's routers, and waits until they listen: a client is not to find nobody there."""
+        """Starts the fleet's routers: they begin while the others' server loads what those need."""
         routers = self._fleet.network.routers
         for number in range(1, len(routers) + 1):
             arguments = ["--fleet", str(self._fleet_file), "--number", str(number)]
             log = self._log(f"router-{number}.log")
             self._children[number, ROUTER] = Child(
-                number, ROUTER, "agent.runtime.router", arguments, log, f"router {number}"
+                number, ROUTER, "agent.runtime.router", arguments, log, name=f"router {number}"
             )
+
+    def _wait_for_routers(self) -> None:
+        """Waits until they listen: a client is not to find nobody there."""
         deadline_s = time.monotonic() + ROUTER_S
-        for number, router in enumerate(routers, 1):
+        for number, router in enumerate(self._fleet.network.routers, 1):
             while not _listens(router) and self._children[number, ROUTER].ended() is None:
                 if time.monotonic() > deadline_s:
                     return
@@ -99,7 +111,7 @@ class Processes:
 
     def _run(self, robot: int, role: str, module: str, arguments: Sequence[str]) -> None:
         log = self._log(f"robot-{robot}-{role}.log")
-        self._children[robot, role] = Child(robot, role, module, arguments, log)
+        self._children[robot, role] = Child(robot, role, module, arguments, log, self._server)
 
     @property
     def names(self) -> dict[Process, str]:

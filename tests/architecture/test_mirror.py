@@ -61,6 +61,7 @@ BY_OTHERS: Final = {
         deploy/hosts/view
         deploy/inventory/running
         deploy/processes/child
+        deploy/processes/fork_server
         deploy/processes/ports
         deploy/processes/protocol
         deploy/session/author

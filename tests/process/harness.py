@@ -75,16 +75,17 @@ def running(pid: int) -> bool:
 
 
 def children(pid: int) -> dict[int, str]:
-    """The processes that `pid` has started and that run: pid -> command line."""
-    found = {}
-    for listing in Path(f"/proc/{pid}/task").glob("*/children"):
-        try:
-            for child in map(int, listing.read_text().split()):
-                command = Path(f"/proc/{child}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-                if running(child):
-                    found[child] = command
-        except OSError:
-            continue
+    """The processes that `pid` has started, or those that it started, and that run: pid -> command line."""
+    found, parents = {}, [pid]
+    while parents:
+        for listing in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
+            try:
+                for child in map(int, listing.read_text().split()):
+                    parents.append(child)
+                    if running(child):
+                        found[child] = _command(child)
+            except OSError:
+                continue
     return found
 
 

@@ -33,7 +33,7 @@ def _run(options: argparse.Namespace) -> int:
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
-        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet))
+        run = LocalRun(fleet, folder, view, interrupt, vehicles, fleet_path(options.fleet), options.server)
         try:
             with view:
                 run.run()

@@ -228,6 +228,13 @@ def test_round_trip_of_vehicles(text: str) -> None:
     assert "datum" not in to_dict(small())
 
 
+def test_the_digest_that_is_remembered_is_that_of_the_same_fleet() -> None:
+    one, other = small(), small("fleet.rate_hz=12")
+    first = digest(one)
+    assert digest(other) != first
+    assert [digest(one), digest(small()), digest(one)] == [first] * 3
+
+
 def test_how_its_own_computer_reaches_a_vehicle_is_no_affair_of_the_others() -> None:
     base = digest(small(text=MIXED))
     for override in ("connection=/dev/ttyACM0", "connection=simulator", "baud=57600", "signing_key=~/key"):

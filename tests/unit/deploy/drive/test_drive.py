@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from io import StringIO
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
@@ -21,7 +23,7 @@ from agent.messages.types import Ask, Heartbeat, Message, Mission, PlantState, R
 from agent.runtime.bus import Bus
 from deploy.console.interrupt import Interrupt
 from deploy.drive.attached import Attached
-from deploy.drive.drive import Drive
+from deploy.drive.drive import SHOW_FIRST_NS, SHOW_PERIOD_NS, Drive
 from deploy.drive.live_view import Lines
 from deploy.drive.preconditions import BROKEN_OFF, OVER, refusal
 from deploy.drive.timing import Timing
@@ -438,3 +440,20 @@ def test_robots_that_somebody_stops_meanwhile_are_not_said_to_drive_on() -> None
     assert reason.startswith("Not left to drive alone: the robots were told to stop at ")
     assert reason.endswith(": a person.")
     assert ": a person" in robots.of(Stop)[-1].reason
+
+
+@pytest.mark.parametrize(
+    ("epoch_ns", "due_ns"),
+    [
+        (None, SHOW_PERIOD_NS),  # no mission yet
+        (NS_PER_S, SHOW_PERIOD_NS),  # one that begins later than the next look
+        (0, SHOW_FIRST_NS),
+        (NS_PER_S // 20, NS_PER_S // 20 + SHOW_FIRST_NS),
+        (-SHOW_FIRST_NS, SHOW_PERIOD_NS),  # one that has been shown
+    ],
+)
+def test_a_fleet_is_shown_as_soon_as_it_can_be_heard_to_drive(epoch_ns: int | None, due_ns: int) -> None:
+    now_ns, drive = 7 * NS_PER_S, object.__new__(Drive)
+    state: Any = SimpleNamespace(epoch_ns=None if epoch_ns is None else now_ns + epoch_ns)
+    drive._fleet_state = state
+    assert drive._next_show_ns(now_ns) - now_ns == due_ns

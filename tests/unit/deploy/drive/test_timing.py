@@ -17,3 +17,9 @@ def test_who_ends_with_the_run_may_take_less_time_to_stand_but_a_vehicle_may_not
     for is_hurried, stands_s in ((False, 2.0), (True, 0.3)):
         assert timing.standstill_timeout_s(has_vehicles=False, is_hurried=is_hurried) == stands_s
         assert timing.standstill_timeout_s(has_vehicles=True, is_hurried=is_hurried) == 4.0
+
+
+def test_on_its_own_machine_a_mission_begins_sooner_the_fewer_have_to_hear_of_it() -> None:
+    few, many = Timing.of_own_machine(12), Timing.of_own_machine(200)
+    assert few.epoch_ahead_ns < Timing().epoch_ahead_ns < many.epoch_ahead_ns
+    assert few.stopped_ahead_ns == Timing().stopped_ahead_ns

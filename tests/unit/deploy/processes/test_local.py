@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from agent.control.hand import Pose
+from agent.control.law_plugin import Law, Moment
 from agent.fleet.loading import load_fleet
 from agent.fleet.model import Fleet
 from agent.messages.key_expressions import ROLES
@@ -17,6 +18,7 @@ from deploy.faults.process_actions import Action
 from deploy.processes import local
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle
+from plant.backend import Plant
 
 POSE = Pose(1.5, -2.0, 0.5, 0.3, 0.1)
 
@@ -25,8 +27,16 @@ class Child:
     """Takes the place of a process: remembers what was done to it."""
 
     def __init__(
-        self, robot: int, role: str, module: str, arguments: Sequence[str], log: Path, name: str = ""
+        self,
+        robot: int,
+        role: str,
+        module: str,
+        arguments: Sequence[str],
+        log: Path,
+        server: Any = None,
+        name: str = "",
     ) -> None:
+        self.server = server
         self.robot, self.role, self.module, self.arguments, self.log = robot, role, module, arguments, log
         self.name = name or f"robot {robot}'s {role}"
         self.how: str | None = None
@@ -172,3 +182,43 @@ def test_a_disk_that_is_lost_takes_the_orders_of_its_process_with_it(tmp_path: P
         for what in ("kill", "start"):
             made.carry_out(Action(1.0, robot, "agent", what, "x", wipe and what == "kill"), POSE)
     assert [process for process, path in files.items() if not path.exists()] == [(1, "agent")]
+
+
+class Server:
+    """Takes the place of a fork server: remembers what was read ahead."""
+
+    def __init__(self) -> None:
+        self.read: list[Path] = []
+
+    def preload(self, fleet_file: Path) -> None:
+        self.read.append(fleet_file)
+
+
+def test_a_fork_server_reads_the_fleet_file_once_for_all() -> None:
+    server: Any = Server()
+    made = running(server=server)
+    assert restart(made, 1).server is server
+    assert {child.server for child in started} == {server}
+    assert server.read == [Path("fleet.toml")]
+
+
+class ForeignLaw(Law):
+    """A law of others."""
+
+    def acceleration(self, now: Moment) -> tuple[float, float]:
+        return now.navigation
+
+
+class ForeignPlant(Plant):
+    """A plant of others."""
+
+
+@pytest.mark.parametrize("settings", [
+    [f"control.law={__name__}:ForeignLaw"], [f"robot.2.plant={__name__}:ForeignPlant"],
+])  # fmt: skip
+def test_a_fork_server_reads_no_fleet_with_plugins(settings: list[str]) -> None:
+    """It would run the code of others in the process that the rest is forked from."""
+    server: Any = Server()
+    Processes(load_fleet(FLEETS / "pair.toml", settings), Path("fleet.toml"), Path, server=server).start()
+    assert started
+    assert server.read == []

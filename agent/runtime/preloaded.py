@@ -1,0 +1,51 @@
+"""What one process reads for all that are forked from it (`deploy.processes.fork_server`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Final
+
+from agent.fleet.loading import digest, load_fleet
+from agent.fleet.model import Fleet
+
+_fleets: Final[dict[str, Fleet]] = {}
+_on_start: Final[list[Callable[[], None]]] = []
+
+
+def preload(path: str) -> None:
+    """Reads a fleet file, and imports what its robots need, for `fleet_of` in whatever is forked from here.
+
+    Not for a fleet with plugins: importing one runs the code of others.
+
+    Raises:
+        agent.fleet.model.FleetError: there is none.
+    """
+    fleet = load_fleet(path)
+    for robot in fleet.robots:
+        if robot.kind.body:
+            import_module(robot.kind.body.partition(":")[0])
+    digest(fleet)  # which it remembers
+    _fleets[path] = fleet
+
+
+def fleet_of(path: str, overrides: Sequence[str] = (), law: str | None = None) -> Fleet:
+    """The fleet of a file, as it was read before, or else as it is now with what the command line sets.
+
+    Raises:
+        agent.fleet.model.FleetError: there is none.
+    """
+    if not overrides and law is None and path in _fleets:
+        return _fleets[path]
+    return load_fleet(path, overrides, law)
+
+
+def on_start(call: Callable[[], None]) -> None:
+    """Has `call` called once, when this process is on the bus."""
+    _on_start.append(call)
+
+
+def started() -> None:
+    """This process is on the bus."""
+    while _on_start:
+        _on_start.pop()()

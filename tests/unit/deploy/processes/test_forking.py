@@ -1,0 +1,293 @@
+"""Processes that are forked: real ones, of programs that are a few lines each.
+
+The server is the real one; the programs that it knows are exchanged for those of a module of this test.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from deploy.processes import child, fork_server, forking
+from deploy.processes.child import Child, environment
+from deploy.processes.command_line import ROOM
+from deploy.processes.forking import UNSEEN, ForkedProcess, ForkServer
+
+PATIENCE_S: Final = 30.0
+PROGRAM: Final = """
+import atexit, json, os, signal, sys, threading, time
+
+def main(argv):
+    what, *more = argv
+    if what == "exit":
+        return int(more[0])
+    if what == "raise":
+        raise RuntimeError("of the program")
+    if what == "leave":
+        sys.exit("goes")
+    if what == "late":
+        atexit.register(lambda: print("at the exit", flush=True))
+        threading.Thread(target=lambda: (time.sleep(0.05), print("of a thread", flush=True))).start()
+        return 3
+    if what == "start":
+        from agent.runtime import preloaded
+        own = f"{more[0]}/starting-{os.getpid()}"
+        open(own, "w").close()
+        for _ in range(200):
+            os.sched_yield()
+        print(len([name for name in os.listdir(more[0]) if name.startswith("starting")]), flush=True)
+        os.unlink(own)
+        preloaded.started()
+    if what == "tell":
+        import numpy, random
+        print(json.dumps({
+            "argv": sys.argv, "random": random.random(), "numpy": float(numpy.random.rand()),
+            "handles": sorted(map(int, os.listdir("/proc/self/fd"))),
+            "session": os.getsid(0), "pid": os.getpid(),
+            "ids": [os.fstat(number).st_ino for number in (0, 1, 2)], "parent": os.getppid(),
+            "threads": len(os.listdir("/proc/self/task")), "wake": signal.set_wakeup_fd(-1),
+            "ends": signal.getsignal(signal.SIGCHLD) == signal.SIG_DFL, "gc": __import__("gc").isenabled(),
+            "one": os.environ["OMP_NUM_THREADS"],
+            "command": open("/proc/self/cmdline").read().rstrip("\\0").split("\\0"),
+        }), flush=True)
+    print("waits", file=sys.stderr, flush=True)
+    while True:
+        signal.pause()
+"""
+"""``python -m trivial WHAT``."""
+SERVER: Final = """
+import sys
+from deploy.processes import fork_server
+fork_server.MODULES = fork_server.PRELOADED = ("trivial",)
+fork_server.main()
+"""
+
+
+@pytest.fixture(autouse=True)
+def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package `trivial`, and a server that forks that, under the name of the server."""
+    for name, text in (("trivial/__init__", ""), ("trivial/__main__", PROGRAM), ("serves", SERVER)):
+        path = tmp_path / "path" / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    with open(tmp_path / "path" / "trivial" / "__main__.py", "a") as file:
+        file.write('\nif __name__ == "__main__":\n    sys.exit(main(sys.argv[1:]))\n')
+    path = os.pathsep.join([str(tmp_path / "path"), str(Path(fork_server.__file__).parents[2])])
+    monkeypatch.setenv("PYTHONPATH", path)
+    monkeypatch.setattr(forking, "SERVER", "serves")
+
+
+@pytest.fixture
+def server() -> Iterator[ForkServer]:
+    with ForkServer(environment()) as made:
+        yield made
+
+
+def start(server: ForkServer, log: Path, *arguments: str) -> ForkedProcess:
+    with open(log, "ab") as output:
+        made = server.start("trivial", arguments, output.fileno())
+    assert made is not None
+    return made
+
+
+def wait_for(look: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not look():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def waiting(log: Path) -> bool:
+    return log.exists() and "waits" in log.read_text()
+
+
+def state(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "X"
+
+
+def gone(pid: int) -> bool:
+    return state(pid) in "ZX"
+
+
+def test_a_fork_has_nothing_of_the_server(server: ForkServer, tmp_path: Path) -> None:
+    logs = [tmp_path / f"{number}.log" for number in range(3)]
+    made = []
+    for log in logs:
+        made.append(start(server, log, "tell", "--exit-with-parent"))
+        seen = Path(f"/proc/{made[-1].pid}/cmdline").read_text()
+        assert "\0tell\0" in seen, "it is seen as it is at once"
+    for log in logs:
+        wait_for(lambda log=log: waiting(log))
+    told = [json.loads(log.read_text().splitlines()[0]) for log in logs]
+    for one, process, log in zip(told, made, logs, strict=True):
+        assert one["pid"] == one["session"] == process.pid
+        assert one["parent"] == server.pid
+        # The last two are what tells that it has started, and the one that lists them.
+        assert one["handles"][:3] == [0, 1, 2]
+        assert len(one["handles"]) == 5
+        assert one["ids"] == [os.stat(os.devnull).st_ino, log.stat().st_ino, log.stat().st_ino]
+        assert one["command"] == [sys.executable, "-P", "-m", "trivial", "tell", "--exit-with-parent"]
+        assert one["argv"] == [str(tmp_path / "path/trivial/__main__.py"), "tell", "--exit-with-parent"]
+        assert (one["threads"], one["wake"], one["ends"], one["gc"], one["one"]) == (1, -1, True, True, "1")
+    for draws in ("random", "numpy"):
+        assert len({one[draws] for one in told}) == len(told), f"{draws}: each draws for itself"
+    server.close()
+    for process in made:
+        assert process.wait(PATIENCE_S) == UNSEEN
+        assert gone(process.pid)
+
+
+def test_an_end_is_told_as_it_was(server: ForkServer, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    assert start(server, log, "exit", "0").wait(PATIENCE_S) == 0
+    assert start(server, log, "exit", "7").wait(PATIENCE_S) == 7
+    assert start(server, log, "raise").wait(PATIENCE_S) == 1
+    assert "RuntimeError: of the program" in log.read_text()
+    assert start(server, log, "leave").wait(PATIENCE_S) == 1
+    assert log.read_text().endswith("goes\n")
+    assert start(server, log, "late").wait(PATIENCE_S) == 3
+    assert log.read_text().endswith("of a thread\nat the exit\n")
+    killed = start(server, log, "wait")
+    assert killed.poll() is None
+    with pytest.raises(subprocess.TimeoutExpired):
+        killed.wait(0.0)
+    killed.kill()
+    assert killed.wait(PATIENCE_S) == -signal.SIGKILL
+    killed.kill()  # whose number may be another's by now
+    assert killed.poll() == -signal.SIGKILL
+
+
+def test_one_starts_after_the_other(tmp_path: Path) -> None:
+    """As many at a time as there is processor time for; but nobody waits for one that has other reasons."""
+    limits = "fork_server.STARTING_MAX, fork_server.START_S = 1, {}\nfork_server.main()"
+    for patience_s, program in (("1e6", "start"), ("0.0", "wait")):
+        text = SERVER.replace("fork_server.main()", limits.format(patience_s))
+        (tmp_path / "path" / "serves.py").write_text(text)
+        logs = [tmp_path / f"{program}-{number}.log" for number in range(8)]
+        with ForkServer(environment()) as server:
+            made = [start(server, log, program, str(tmp_path)) for log in logs]
+            for log in logs:
+                wait_for(lambda log=log: waiting(log))
+            for process in made:
+                process.kill()
+                process.wait(PATIENCE_S)
+    assert [(tmp_path / f"start-{number}.log").read_text() for number in range(8)] == ["1\nwaits\n"] * 8
+
+
+def test_ends_that_nobody_asks_for_do_not_stand_in_the_way(server: ForkServer, tmp_path: Path) -> None:
+    made = [start(server, tmp_path / "log", "exit", str(number)) for number in range(40)]
+    assert [process.wait(PATIENCE_S) for process in made[::-1]] == [*range(40)][::-1]
+
+
+def test_no_handle_is_left(server: ForkServer, tmp_path: Path) -> None:
+    start(server, tmp_path / "log", "exit", "0").wait(PATIENCE_S)
+    before = len(os.listdir("/proc/self/fd")), len(os.listdir(f"/proc/{server.pid}/fd"))
+    for _ in range(5):
+        start(server, tmp_path / "log", "exit", "0").wait(PATIENCE_S)
+    assert (len(os.listdir("/proc/self/fd")), len(os.listdir(f"/proc/{server.pid}/fd"))) == before
+
+
+def test_whoever_is_left_ends_with_the_server(server: ForkServer, tmp_path: Path) -> None:
+    logs = [tmp_path / "1.log", tmp_path / "2.log"]
+    made = [Child(number, "agent", "trivial", ["wait"], log, server) for number, log in enumerate(logs)]
+    for log in logs:
+        wait_for(lambda log=log: waiting(log))
+    assert server.pid is not None
+    made[0].pause()
+    wait_for(lambda: state(made[0].pid) == "T")
+    os.kill(server.pid, signal.SIGKILL)
+    wait_for(made[1].ended)
+    assert made[1].ended() == "with the process that had forked it"
+    assert made[0].ended() is None, "it is frozen"
+    made[0].terminate()
+    assert made[0].wait(PATIENCE_S)
+    assert all(gone(each.pid) for each in made)
+
+
+def test_what_cannot_be_forked_is_started(tmp_path: Path) -> None:
+    """A server that is gone, a program that it does not know, a command line that is too long."""
+    with ForkServer(environment()) as server, open(tmp_path / "log", "ab") as log:
+        assert server.start("json.tool", [], log.fileno()) is None
+        assert server.start("trivial", ["x" * ROOM], log.fileno()) is None
+        assert server.start("trivial", ["exit", "0"], log.fileno()) is not None
+        assert server.pid is not None
+        os.kill(server.pid, signal.SIGKILL)
+        made = Child(1, "agent", "trivial", ["exit", "4"], tmp_path / "log", server)
+        assert made.wait(PATIENCE_S)
+        assert made.ended() == "exit status 4"
+
+
+def test_a_server_that_cannot_serve_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here it has another thread: what that holds, a fork would hold for good."""
+    thread = "import threading, time\nthreading.Thread(target=time.sleep, args=(30,), daemon=True).start()\n"
+    (tmp_path / "path" / "trivial" / "__init__.py").write_text(thread)
+    with ForkServer(environment()) as server, open(tmp_path / "log", "ab") as log:
+        assert server.start("trivial", ["exit", "0"], log.fileno()) is None
+    monkeypatch.delattr(os, "pidfd_open")
+    with ForkServer(environment()) as server, open(tmp_path / "log", "ab") as log:
+        assert server.pid is None
+        assert server.start("trivial", ["exit", "0"], log.fileno()) is None
+
+
+def test_no_room_for_a_process_is_an_error(tmp_path: Path) -> None:
+    fork = "import os\ndef fork(): raise OSError(11, 'x')\nos.fork = fork\n"
+    (tmp_path / "path" / "serves.py").write_text(fork + SERVER)
+    with (
+        ForkServer(environment()) as full,
+        open(tmp_path / "log", "ab") as log,
+        pytest.raises(BlockingIOError),
+    ):
+        full.start("trivial", ["exit", "0"], log.fileno())
+
+
+STARTS: Final = """
+import os, signal, sys
+from deploy.processes import forking
+from deploy.processes.child import environment
+forking.SERVER = "serves"
+server = forking.ForkServer(environment())
+pids = [server.pid]
+if sys.argv[1] == "process":
+    made = server.start("trivial", ["wait"], os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT))
+    pids.append(made.pid)
+if sys.argv[1] == "fork" and os.fork() == 0:
+    os.close(1)
+    sys.stdin.read()
+    os._exit(0)
+print(*pids, flush=True)
+while True:
+    signal.pause()
+"""
+
+
+@pytest.mark.parametrize(("when", "count"), [("at once", 1), ("process", 2), ("fork", 1)])
+def test_the_server_ends_with_who_started_it(tmp_path: Path, when: str, count: int) -> None:
+    """Killed before the server has loaded everything, when it has processes, and when another process holds
+    its end of the socket too."""
+    with subprocess.Popen(
+        [sys.executable, "-c", STARTS, when, str(tmp_path / "log")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as starter:
+        assert starter.stdout is not None
+        pids = [*map(int, starter.stdout.readline().split())]
+        assert len(pids) == count
+        starter.kill()
+        starter.wait()
+        wait_for(lambda: all(map(gone, pids)))
+
+
+def test_everything_has_one_thread_for_linear_algebra() -> None:
+    assert environment().items() >= child.ONE_THREAD.items()
