@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
@@ -171,8 +172,9 @@ def _open(
 
 
 def _close(session: Any) -> None:
-    if not session.is_closed():
-        session.close()
+    with suppress(zenoh.ZError):  # that it took too long
+        if not session.is_closed():
+            session.close()
     if session in _SESSIONS:
         _SESSIONS.remove(session)
 
@@ -264,9 +266,22 @@ class Bus:
 
     def close(self) -> None:
         """Closes its sessions; safe to call twice."""
-        self._watch.give_up(self._sockets.look() or ())
-        for session in self._sessions:
-            _close(session)
+        if not self._sessions:
+            return
+        closed = threading.Event()
+        threading.Thread(target=self._give_up_until, args=(closed,), daemon=True).start()
+        try:
+            for session in self._sessions:
+                _close(session)
+        finally:
+            closed.set()
+
+    def _give_up_until(self, closed: threading.Event) -> None:
+        """Closing a session waits for the links that are being opened, each as long as Zenoh's own limit."""
+        while True:
+            self._watch.give_up(self._sockets.look() or ())
+            if closed.wait(RETRY_MS[0] / 1000):
+                return
 
     def leave(self) -> None:
         """Instead of `close`, where the process ends outright: the kernel closes its links, which others see
