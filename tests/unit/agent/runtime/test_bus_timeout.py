@@ -65,3 +65,12 @@ def test_a_session_is_closed_though_a_peer_does_not_answer() -> None:
             begun = time.monotonic()
             bus.close()
             assert time.monotonic() - begun < LINK_TIMEOUT_S
+
+
+def test_a_bus_that_is_left_closes_nothing() -> None:
+    bus = Bus(listen=[], connect=[])
+    [session] = bus._sessions
+    bus.leave()
+    bus.close()
+    assert not session.is_closed()
+    session.close()
