@@ -74,3 +74,32 @@ def test_a_bus_that_is_left_closes_nothing() -> None:
     bus.close()
     assert not session.is_closed()
     session.close()
+
+
+def test_a_link_that_is_opened_anew_is_heard_over_again() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        endpoint = f"tcp/127.0.0.1:{found.getsockname()[1]}"
+    with Bus(listen=[endpoint], connect=[]) as there, Bus(listen=[], connect=[endpoint]) as here:
+        here.subscribe("all/**")
+        there.declare("all/told")
+
+        def links() -> set[str]:
+            """Of the one that connects, once something has been heard over it."""
+            until = time.monotonic() + 10.0
+            list(here.drain())
+            while time.monotonic() < until:
+                there.publish("all/told", b"something")
+                if list(here.drain()):
+                    return {str(link.src) for link in here._sessions[0].info.links()}
+                time.sleep(0.01)
+            raise AssertionError("nothing is heard")
+
+        before = links()
+        assert not here.reopen("tcp/127.0.0.1:9")
+        until = time.monotonic() + 10.0
+        while not here.reopen(endpoint) and time.monotonic() < until:  # it is one that the watch knows
+            links()
+        while (after := links()) == before and time.monotonic() < until:
+            pass
+        assert len(before) == len(after) == 1
+        assert before != after
