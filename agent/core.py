@@ -12,7 +12,7 @@ from math import isfinite
 from typing import Final
 
 from agent.common.errors import Error
-from agent.common.time import MachineClock
+from agent.common.time import NS_PER_S, MachineClock
 from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
@@ -37,6 +37,7 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.messages.versions import can_be
+from agent.supervision.deafness import Deafness
 from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
@@ -82,6 +83,9 @@ class Agent:
         others = [other for other in fleet.ids if other != robot]
         self._hand_of = {other: key_expressions.hand(name, other) for other in others}
         self._hands = {key: other for other, key in self._hand_of.items()}
+        self._said_by = {key: (other, True) for key, other in self._hands.items()}
+        self._said_by |= {key_expressions.beacon(name, other): (other, False) for other in others}
+        self._deafness = Deafness(others, round(fleet.control.prediction_horizon_s * NS_PER_S))
         self._ingress = Ingress(
             fleet, robot, "agent", {"hand": others, "beacon": others, "state": (robot,)}, self._damaged
         )
@@ -112,6 +116,7 @@ class Agent:
             self._relay.key,
             *self._ingress.publications,
         )
+        self._listened: set[int] = set()
         self._controller.look(0)
         self._listen()
 
@@ -145,6 +150,9 @@ class Agent:
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes one message off the bus. What is not valid is counted by its reason and changes nothing."""
+        said_by = self._said_by.get(key)
+        if said_by is not None:
+            self._deafness.came(said_by[0], now_ns, hand=said_by[1])
         self._ingress.receive(now_ns, key, payload)
 
     def present(self, key: str, here: bool) -> None:
@@ -152,6 +160,15 @@ class Agent:
         found = key_expressions.robot_of_alive(key)
         if found is not None and found[0] != self.robot:
             self._peers.present(found[0], here)
+            self._deafness.present(found[0], here)
+
+    def deaf_to(self, now_ns: int) -> Sequence[int]:
+        """See `agent.node.Node`: robots that others hear."""
+        return self._deafness.look(now_ns, self._listened)
+
+    def link_opened_anew(self, now_ns: int, what: str) -> None:
+        """See `agent.node.Node`: its status says so for a while."""
+        self._report.link_opened_anew(now_ns, what)
 
     def _damaged(self, key: str, error: Malformed) -> None:
         other = self._hands.get(key)
@@ -162,6 +179,7 @@ class Agent:
 
     def _accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
         self._relay.compare(now_ns, beacon)
+        self._deafness.told(beacon)
         reason = self._peers.accept_beacon(beacon, now_ns)
         situation = self._situation
         if not situation.may_go_on and reason is None and beacon.following and situation.mission is not None:
@@ -305,6 +323,7 @@ class Agent:
             self._trust.changed = False
             close = self._controller.proximity.close
             wanted = {peer.robot for _, peer in self._controller.edges} | {peer.robot for peer in close}
+            self._listened = wanted
             self.subscriptions = (*self._always, *(self._hand_of[other] for other in sorted(wanted)))
 
     def _drive(self, now_ns: int, here: Hand) -> list[Outgoing]:
@@ -359,7 +378,8 @@ class Agent:
         mission_version, order_version = lasting.acknowledged
         if not self._situation.may_go_on:
             mission_version = 0
-        situation = (self.state.value, self.transition, clipped(self.reason))
+        reason = "; ".join(filter(None, (self.reason, self._report.opened_anew(now_ns))))
+        situation = (self.state.value, self.transition, clipped(reason))
         neighbours = [peer for _, peer in self._controller.edges]
         status = self._report.status(
             now_ns,

@@ -108,6 +108,15 @@ class Node(Protocol):
         """Takes a change of presence: the process of a watched token came (`here`) or went."""
         ...
 
+    def deaf_to(self, now_ns: int) -> Sequence[int]:
+        """Robots from which nothing comes though others hear them: their links are opened anew, where they
+        are this process's. Asked a few times a second; not in virtual time, where there are no links."""
+        ...
+
+    def link_opened_anew(self, now_ns: int, what: str) -> None:
+        """Takes that a link is opened anew; `what` says which, and why."""
+        ...
+
     def tick(self, now_ns: int) -> list[Outgoing]:
         """Does one tick and returns what to publish, most urgent first."""
         ...

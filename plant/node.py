@@ -134,6 +134,13 @@ class PlantNode:
     def present(self, key: str, here: bool) -> None:
         """Nothing: it watches nobody's presence, and goes by the age of the last wrench."""
 
+    def deaf_to(self, now_ns: int) -> Sequence[int]:
+        """Nobody: it brakes when it does not hear its agent."""
+        return ()
+
+    def link_opened_anew(self, now_ns: int, what: str) -> None:
+        """Nothing: its log says it."""
+
     def timed(self, duration_ns: int, missed: int) -> None:
         """Counts the `missed` ticks before one that took `duration_ns`."""
         self.overruns += missed

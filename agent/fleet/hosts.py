@@ -142,9 +142,11 @@ class NetworkSection:
     )
     link_timeout_s: float = setting(
         0.4,
-        "A link between robots, or to a router, that is not open by then is tried anew: so soon do robots "
-        "find each other again. Opening one takes four round trips; with radios that need longer for these, "
-        "raise it. (Operators' commands wait longer.)",
+        "A link between robots on which nothing comes for so long while it is opened is tried anew, and one "
+        "to a router that is not open by then: so soon do robots find each other again. One takes four round "
+        "trips to open; with radios that need longer for these, raise it. Who lets others connect and does "
+        "not answer is given more time each time, four times as much in the end. (Operators' commands wait "
+        "longer.)",
         unit="s",
         ge=0.1,
         le=10.0,

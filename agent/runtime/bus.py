@@ -9,8 +9,10 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Literal
 
@@ -19,7 +21,9 @@ import zenoh
 from agent.common.errors import Error
 from agent.messages.key_expressions import robot_of_alive
 from agent.node import inbox_size
+from agent.runtime.link_watch import LinkWatch
 from agent.runtime.tcp_linger import Lingering
+from agent.runtime.tcp_sockets import TcpSockets
 from agent.security.access_control import Security
 
 Mode = Literal["peer", "client", "router"]
@@ -33,8 +37,9 @@ Zenoh would hold a gigabyte for each link before it looks at the size of the pay
 LEASE_MS: Final = 1000
 """A peer that was silent for so long is gone."""
 LINK_TIMEOUT_S: Final = 3.0
-"""A link that is not open by then is tried again. Robots have a shorter one among each other, by their fleet
-file: the first packet of an attempt is lost where a peer is out of reach, and not sent again for a second."""
+"""A link that is being opened and on which nothing comes for so long is tried again. Robots have a shorter
+one among each other, by their fleet file: the first packet of an attempt is lost where a peer is out of
+reach, and not sent again for a second."""
 TX_QUEUE_SIZE: Final = 16
 """Batches that wait on one link to be sent."""
 RUNTIME: Final = (
@@ -46,12 +51,19 @@ messages a second keep none of them busy, and handing over between threads cost 
 Zenoh reads it from the environment; a ``ZENOH_RUNTIME`` that is set already is left alone."""
 RETRY_MS: Final = (50, 150)
 """Shortest and longest pause between two attempts to connect."""
-LINGER_PERIOD_S: Final = 0.5
-"""How often new links are looked for (`agent.runtime.tcp_linger`)."""
+OPEN_TIMEOUT_MS: Final = 10_000
+"""Zenoh's own limit for opening a link, which may leave one that is never read from where it runs out
+(`agent.runtime.link_watch`, which is sooner): for what has no socket yet, as a name that is looked for."""
+FLUSH_S: Final = 0.02
+"""So long Zenoh's thread has to send what was published last, before a process ends."""
 PRESENCE_SIZE: Final = 4096
 """Changes of who is there that wait, and that are taken at once."""
 M_ARENA_MAX: Final = -8
 """Parameter of glibc's mallopt(3): the number of arenas."""
+
+
+_SESSIONS: Final[list[Any]] = []
+"""All that are open in this process: a link is one of one of them."""
 
 
 class BusError(Error, RuntimeError):
@@ -70,14 +82,13 @@ def settings_of(
 
     Explicit endpoints only: no multicast, no gossip, so links are those that were asked for.
     """
-    link_timeout_ms = round(link_timeout_s * 1000)
     settings: dict[str, Any] = {
         "mode": mode,
         "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
-        **({"connect/timeout_ms": link_timeout_ms} if mode == "client" else {}),
+        **({"connect/timeout_ms": round(link_timeout_s * 1000)} if mode == "client" else {}),
         "connect/retry": {
             "period_init_ms": retry_ms[0],
             "period_max_ms": retry_ms[1],
@@ -89,8 +100,7 @@ def settings_of(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
-        # A frozen process accepts connections but does not answer: nobody waits long for it.
-        "transport/unicast/open_timeout": link_timeout_ms,
+        "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         # Messages of one tick wait here while Zenoh's thread has not run; its default of 2 lost some.
         "transport/link/tx/queue/size/data": TX_QUEUE_SIZE,
         "transport/link/rx/max_message_size": RECEIVED_BYTES_MAX,
@@ -145,7 +155,9 @@ def _open(
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     _share_heap()
     try:
-        return zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s, retry_ms)))
+        session = zenoh.open(_config(settings_of(mode, listen, connect, security, link_timeout_s, retry_ms)))
+        _SESSIONS.append(session)
+        return session
     except zenoh.ZError as error:
         text = str(error)
     if mode == "client":
@@ -157,6 +169,23 @@ def _open(
     if "os error 99" in text or "assign requested address" in text:
         raise BusError(f"cannot listen on {where}: this machine does not have that address")
     raise BusError(f"cannot open the bus on {where}: {text.split(' at ')[0]}")
+
+
+def _close(session: Any) -> None:
+    with suppress(zenoh.ZError):  # that it took too long
+        if not session.is_closed():
+            session.close()
+    if session in _SESSIONS:
+        _SESSIONS.remove(session)
+
+
+def _open_links() -> set[str]:
+    """Own addresses, ``HOST:PORT``, of all links of this process that are open."""
+    found: set[str] = set()
+    for session in tuple(_SESSIONS):
+        with suppress(zenoh.ZError):  # closed meanwhile
+            found.update(str(link.src).partition("/")[2] for link in session.info.links())
+    return found
 
 
 def _open_client(
@@ -189,7 +218,7 @@ class Bus:
         near: keys that come directly from this robot's own processes, though there are routers.
         security: how links are secured, None for not at all.
         go_on_waiting: asked whether to try again when no router answers.
-        link_timeout_s: a link that is not open by then is tried again.
+        link_timeout_s: a link on which nothing new comes for so long while it is opened is tried again.
         retry_ms: shortest and longest pause before that.
         robots: how many the fleet has: so much may come at once.
 
@@ -213,6 +242,10 @@ class Bus:
         self._sessions: list[Any] = []
         self._near_keys = near
         self._robots = robots
+        self._sockets, self._lingering = TcpSockets(), Lingering()
+        self._watch = LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links)
+        self._look_due_ns = 0
+        self._were_deaf: list[str] = []
         try:
             if listen or connect or not routers:
                 self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
@@ -222,8 +255,6 @@ class Bus:
             self.close()
             raise
         self._near, self._far = self._sessions[0], self._sessions[-1]
-        self._lingering = Lingering()
-        self._linger_due_s = 0.0
         self._inboxes: dict[str, tuple[str, Any, int]] = {}
         self._publishers: dict[str, list[Any]] = {}
         self._tokens: list[Any] = []
@@ -238,9 +269,28 @@ class Bus:
 
     def close(self) -> None:
         """Closes its sessions; safe to call twice."""
-        for session in self._sessions:
-            if not session.is_closed():
-                session.close()
+        if not self._sessions:
+            return
+        closed = threading.Event()
+        threading.Thread(target=self._give_up_until, args=(closed,), daemon=True).start()
+        try:
+            for session in self._sessions:
+                _close(session)
+        finally:
+            closed.set()
+
+    def _give_up_until(self, closed: threading.Event) -> None:
+        """Closing a session waits for the links that are being opened, each as long as Zenoh's own limit."""
+        while True:
+            self._watch.give_up(self._sockets.look() or ())
+            if closed.wait(RETRY_MS[0] / 1000):
+                return
+
+    def leave(self) -> None:
+        """Instead of `close`, where the process ends outright: the kernel closes its links, which others see
+        at once. A session that is closed says goodbye on each, and waits for all that it has begun."""
+        time.sleep(FLUSH_S)
+        self._sessions.clear()
 
     def subscribe(self, key: str, size: int | None = None) -> None:
         """Listens to `key`, which may hold wildcards; so many messages wait for `drain`, or as
@@ -297,15 +347,31 @@ class Bus:
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """What has come since the last call, (key, payload), at most an inbox for each subscription."""
-        now_s = time.monotonic()
-        if now_s >= self._linger_due_s:
-            self._linger_due_s = now_s + LINGER_PERIOD_S
-            self._lingering.end()
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._look_due_ns:
+            self._look_at_links(now_ns)
         for key, subscriber, size in self._inboxes.values():
             for _ in range(size):  # a flood that comes faster than it is taken must not keep the loop
                 if (sample := subscriber.try_recv()) is None:
                     break
                 yield key or str(sample.key_expr), sample.payload.to_bytes()
+
+    def _look_at_links(self, now_ns: int) -> None:
+        found = self._sockets.look()
+        if found is not None:
+            self._lingering.end(found)
+            self._were_deaf += self._watch.look(found, now_ns)
+        self._look_due_ns = now_ns + self._watch.period_ns
+
+    def were_deaf(self) -> list[str]:
+        """The endpoints of links on which nothing was read though they stood, and which were shut down since
+        the last call, so that they are opened anew; "" stands for one that was opened to this process."""
+        found, self._were_deaf = self._were_deaf, []
+        return found
+
+    def reopen(self, endpoint: str) -> bool:
+        """Has the link to an endpoint opened anew, if it is open; whether it was."""
+        return self._watch.reopen(endpoint, self._sockets.look() or ())
 
 
 class Router:
@@ -329,7 +395,7 @@ class Router:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._session.close()
+        _close(self._session)
 
     def watch(self, key: str) -> Presence:
         """See `Bus.watch`."""

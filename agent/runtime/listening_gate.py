@@ -17,12 +17,12 @@ import os
 import resource
 import socket
 import struct
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Final
 
 from agent.common.time import NS_PER_S
+from agent.runtime.tcp_sockets import borrowed
 
 WAITING: Final = 96
 """So many may wait, and for each robot of the fleet `EACH` more: all start together. Fewer would make it easy
@@ -72,7 +72,7 @@ class Gate:
 
     def _take(self, number: int) -> None:
         """Looks after a socket that listens: the kernel's queue is short as well."""
-        with suppress(OSError), _borrowed(number) as found:
+        with suppress(OSError), borrowed(number) as found:
             found.listen(self._waiting)
             # Not `found.dup()`, which would have the socket block: it is Zenoh's.
             self._listening.append(self._stack.enter_context(socket.socket(fileno=os.dup(number))))
@@ -123,7 +123,7 @@ class Gate:
         """How many of these are connections to what listens here: those that wait, and links."""
         found = 0
         for number in opened:
-            with suppress(OSError), _borrowed(number) as each:
+            with suppress(OSError), borrowed(number) as each:
                 listens = each.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
                 found += not listens and _port(each) in self._ports
         return found
@@ -134,19 +134,9 @@ class Gate:
                 each.setsockopt(socket.SOL_SOCKET, option, value)
 
 
-@contextmanager
-def _borrowed(number: int) -> Iterator[socket.socket]:
-    """A descriptor as a socket, which stays whoever's it is; raises OSError where it is none."""
-    found = socket.socket(fileno=number)
-    try:
-        yield found
-    finally:
-        found.detach()
-
-
 def _listens(number: int) -> bool:
     """Whether a descriptor is a socket that listens."""
-    with suppress(OSError), _borrowed(number) as found:
+    with suppress(OSError), borrowed(number) as found:
         return bool(found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
     return False
 

@@ -9,14 +9,14 @@ it, the kernel sees to what is left to be sent.
 
 from __future__ import annotations
 
-import os
 import socket
-import stat
+from collections.abc import Sequence
+from contextlib import suppress
 from struct import Struct
 from typing import Final
 
-FOLDER: Final = "/dev/fd"
-"""Lists the file descriptors of the process."""
+from agent.runtime.tcp_sockets import TcpSocket, TcpSockets, held
+
 _LINGER: Final = Struct("ii")  # whether, and for how many seconds
 
 
@@ -26,40 +26,30 @@ class Lingering:
 
     def __init__(self) -> None:
         self._done: set[int] = set()
+        self._sockets = TcpSockets()
 
-    def end(self) -> int:
-        """Has no TCP socket wait when it is closed; how many were changed."""
-        try:
-            names = os.listdir(FOLDER)
-        except OSError:
+    def end(self, found: Sequence[TcpSocket] | None = None) -> int:
+        """Has no TCP socket wait when it is closed; how many were changed.
+
+        Args:
+            found: all of them, where they are known.
+        """
+        if found is None and (found := self._sockets.look()) is None:
             return 0  # no file handle is left for that: next time
-        changed, there = 0, set()
-        for name in names:
-            try:
-                about = os.fstat(int(name))
-                if not stat.S_ISSOCK(about.st_mode):
-                    continue
-                there.add(about.st_ino)
-                if about.st_ino not in self._done and _without(int(name)):
-                    self._done.add(about.st_ino)
-                    changed += 1
-            except OSError:
-                continue  # closed meanwhile
-        self._done &= there
+        changed = 0
+        for each in found:
+            if each.inode not in self._done:
+                with suppress(OSError):  # closed meanwhile
+                    if _without(each):
+                        self._done.add(each.inode)
+                        changed += 1
+        self._done.intersection_update(each.inode for each in found)
         return changed
 
 
-def _without(handle: int) -> bool:
-    """Whether it was a TCP socket that lingered; it does no more."""
-    own = os.dup(handle)
-    try:
-        found = socket.socket(fileno=own)
-    except OSError:  # it has become something else
-        os.close(own)
-        raise
-    with found:
-        if found.family not in (socket.AF_INET, socket.AF_INET6) or found.type != socket.SOCK_STREAM:
-            return False
+def _without(which: TcpSocket) -> bool:
+    """Whether it lingered; it does no more."""
+    with held(which) as found:
         lingers, _ = _LINGER.unpack(found.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size))
         if lingers:
             found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))

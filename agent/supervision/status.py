@@ -11,6 +11,8 @@ from agent.control.peers.peers import Peer
 from agent.messages.types import NeighbourStatus, Status, Total
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
+OPENED_ANEW_NS: Final = 5 * NS_PER_S
+"""For so long a status says that a link was opened anew."""
 STATUS_VALUES_MAX: Final = 200
 """A status goes out early rather than hold more tick times or ages than this."""
 
@@ -37,6 +39,8 @@ class StatusReport:
         self._tick_us: list[int] = []
         self._overruns = 0
         self._sequence = self._due_ns = 0
+        self._opened_anew: dict[str, int] = {}
+        self._links_opened_anew = 0
 
     def timed(self, duration_ns: int, missed: int) -> None:
         """Takes how long a tick took, and how many were skipped before it."""
@@ -47,6 +51,18 @@ class StatusReport:
         """Counts a tick in which the safety filter changed what the law asked for, if it did, by cause."""
         self._interventions.update(causes)
         self._interventions["any"] += bool(causes)
+
+    def link_opened_anew(self, now_ns: int, what: str) -> None:
+        """Counts that a link was opened anew; `what` says which, and why."""
+        self._links_opened_anew += 1
+        self._opened_anew[what] = now_ns
+
+    def opened_anew(self, now_ns: int) -> str:
+        """Which links were of late, "" for none."""
+        self._opened_anew = {
+            what: then_ns for what, then_ns in self._opened_anew.items() if now_ns - then_ns < OPENED_ANEW_NS
+        }
+        return "; ".join(self._opened_anew)
 
     def hurry(self) -> None:
         """There is news that operators wait for: the next status goes out with the next tick."""
@@ -83,6 +99,7 @@ class StatusReport:
             "corrupted": self.corrupted,
             "rejected": sum(self._rejected.values()),
             "overruns": self._overruns,
+            **({"links.opened_anew": self._links_opened_anew} if self._links_opened_anew else {}),
             **{f"rejected.{reason}": count for reason, count in sorted(self._rejected.items())},
             **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
         }

@@ -45,6 +45,7 @@ NAMES: Final = (
     "stop_under_flood",
     "attack_memory",
     "many_hosts",
+    "deaf_links",
 )
 LOAD_QUIET: Final = 0.5
 

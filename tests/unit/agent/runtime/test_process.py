@@ -11,8 +11,9 @@ from agent.common.time import NS_PER_S
 from agent.fleet.loading import digest, parse_fleet
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
+from agent.node import Node
 from agent.runtime.bus import Bus
-from agent.runtime.process import Shutdown, loop
+from agent.runtime.process import Shutdown, look_at_links, loop, names_of
 from agent.runtime.systemd_notify import SystemdNotifier
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
@@ -53,6 +54,7 @@ class Wire:
         self._clock, self._incoming = clock, incoming
         self.stamps: list[int] = []
         self.listened: list[Sequence[str]] = []
+        self.deaf: list[str] = []
 
     def listen(self, subscriptions: Sequence[str]) -> None:
         self.listened.append(subscriptions)
@@ -61,6 +63,10 @@ class Wire:
         for time_ns in sorted(self._incoming):
             if time_ns <= self._clock.time_ns:
                 yield self._incoming.pop(time_ns)
+
+    def were_deaf(self) -> list[str]:
+        found, self.deaf = self.deaf, []
+        return found
 
     def publish(self, key: str, payload: bytes) -> None:
         message = decode(payload)
@@ -160,3 +166,59 @@ def test_a_tick_that_begins_early_is_told_its_deadline(early_ns: int):
     """A sleep may end a little too soon."""
     _, _, stamps, _ = looped("", {T0 + 2 * PERIOD: -early_ns}, 3)
     assert [(stamp - T0) / PERIOD for stamp in stamps] == [1, 2, 3, 4]
+
+
+class Links:
+    """A bus with links: those that were deaf, and those that are open."""
+
+    def __init__(self, deaf: Sequence[str], opened: Sequence[str]) -> None:
+        self._deaf, self._open = list(deaf), opened
+        self.opened_anew: list[str] = []
+
+    def were_deaf(self) -> list[str]:
+        return self._deaf
+
+    def reopen(self, endpoint: str) -> bool:
+        self.opened_anew.append(endpoint)
+        return endpoint in self._open
+
+
+class Listener:
+    """A node that is deaf to some robots."""
+
+    def __init__(self, *robots: int) -> None:
+        self._robots = robots
+        self.told: list[str] = []
+
+    def deaf_to(self, now_ns: int) -> Sequence[int]:
+        return self._robots
+
+    def link_opened_anew(self, now_ns: int, what: str) -> None:
+        self.told.append(what)
+
+
+def test_links_that_were_deaf_are_said_and_those_that_others_hear_opened_anew():
+    fleet = parse_fleet(FLEET % "", source="here")
+    first, second = fleet.agent_endpoint(1), fleet.agent_endpoint(2)
+    names = names_of(fleet, 1)
+    for endpoints, who in (
+        ([second, ""], ["robot 2", "one that had connected to it"]),
+        ([first, fleet.plant_endpoint(1)], ["its agent", "its plant"]),
+    ):
+        node, links, log = Listener(), Links(endpoints, []), list[str]()
+        look_at_links(cast(Node, node), cast(Bus, links), T0, names, log.append)
+        assert log == node.told == [f"was deaf to {each}: link opened anew" for each in who]
+        assert links.opened_anew == []
+    for opened, said in (([second], ["deaf to robot 2: link opened anew"]), ([], [])):
+        node, links = Listener(2), Links([], opened)
+        log = []
+        look_at_links(cast(Node, node), cast(Bus, links), T0, names, log.append)
+        assert links.opened_anew == [second]
+        assert log == node.told == said
+
+
+def test_routers_and_others_plants_have_names():
+    routers = parse_fleet(FLEET % "", source="here", overrides=['network.routers=["here:7447"]'])
+    names = names_of(routers, 2)
+    assert names["tcp/here:7447"] == "the router at here:7447"
+    assert names[routers.plant_endpoint(1)] == "robot 1's plant"

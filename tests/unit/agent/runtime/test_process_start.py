@@ -109,3 +109,73 @@ def test_who_waits_for_a_router_lives(
 def test_a_log_holds_nothing_that_moves_a_cursor(capsys: pytest.CaptureFixture[str]) -> None:
     process.logger(3, "agent")("stopped: \x1b[2Jhere\r\nand there")
     assert capsys.readouterr().err == f"robot 3 agent: stopped: \\x1b[2Jhere\\r{os.linesep}and there\n"
+
+
+class Left(Exception):
+    """The process has ended outright, with this status."""
+
+
+class AskedLater(Asked):
+    """Somebody asks the process to end once it runs, as what is looked at last says."""
+
+    why = "SIGTERM"
+
+    @property
+    def asked(self) -> bool:
+        return self.looked > 0
+
+    @asked.setter
+    def asked(self, _: bool) -> None: ...
+
+
+class NobodysBus:
+    """A bus on which nobody is. Closing it takes for ever."""
+
+    def __init__(self) -> None:
+        self.left = False
+
+    def __enter__(self) -> NobodysBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self.left, "it is left, and not closed"
+
+    def leave(self) -> None:
+        self.left = True
+
+    def were_deaf(self) -> list[str]:
+        return []
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        return iter(())
+
+    def watch(self, _: str) -> NobodysBus:
+        return self
+
+    def update(self) -> list[tuple[str, bool]]:
+        return []
+
+    def declare(self, _: str) -> None: ...
+
+    def announce(self, _: str) -> None: ...
+
+    def listen(self, _: object) -> None: ...
+
+    def publish(self, *_: object) -> None: ...
+
+
+def test_it_ends_outright_and_waits_for_no_link(
+    begin: Callable[[Callable[..., Any]], int],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(process, "Shutdown", AskedLater)
+    monkeypatch.setattr(process, "wait_until_valid", lambda *_: None)
+
+    def leave(status: int) -> None:
+        raise Left(status)
+
+    monkeypatch.setattr(os, "_exit", leave)
+    with pytest.raises(Left, match=str(process.PASSED)):
+        begin(lambda *_, **__: NobodysBus())
+    assert "robot 1 agent: ending (SIGTERM)\n" in capsys.readouterr().err

@@ -107,3 +107,15 @@ def test_status_fits_after_a_long_stall_of_the_loop():
         bench.agent.timed(10**12, 0)
     bench.run(12)
     assert bench.last.tick_us
+
+
+def test_a_link_that_is_opened_anew_is_counted_and_said_for_a_while():
+    bench = Bench()
+    bench.drive()
+    assert "links.opened_anew" not in dict(next(out.status for out in bench.run(20) if out.status).counters)
+    bench.agent.link_opened_anew(bench.now, "was deaf to robot 2: link opened anew")
+    statuses = [out.status for out in bench.run(400) if out.status is not None]
+    said = [status.reason for status in statuses if "was deaf to robot 2: link opened anew" in status.reason]
+    assert 24 <= len(said) <= 25  # five seconds
+    assert "deaf" not in statuses[-1].reason
+    assert dict(statuses[-1].counters)["links.opened_anew"] == 1

@@ -1,0 +1,130 @@
+"""Whom a robot does not hear though others do, so that its link to it is opened anew (PURE).
+
+Whatever keeps messages from coming over a link that stands: it counts what the bus delivered, before links
+that fail on purpose, so that no fault rule looks like it. Of a process that has ended, is frozen or cannot be
+reached the token goes with its link, and others do not hear it either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Final
+
+from agent.common.time import NS_PER_S
+from agent.messages.types import Beacon
+
+LOOK_NS: Final = NS_PER_S // 2
+SILENT_NS: Final = NS_PER_S
+"""For so long no hand state has come from a robot whose beacons do."""
+LATE_NS: Final = NS_PER_S // 2
+"""Others may be so much longer in saying that they do not hear a robot either."""
+PAUSE_NS: Final = 2 * NS_PER_S
+PAUSE_MAX_NS: Final = 60 * NS_PER_S
+"""A link that was opened anew, and did not help, is so again after this, then after twice as long."""
+_NEVER: Final = -1
+
+
+class _Other:
+    """One other robot.
+
+    Attributes:
+        token_ns: since when its agent's process is there, -1 while it is not.
+        came_ns, beacon_ns, hand_ns: when anything, a beacon, a hand state came of it last, -1 for never.
+        listened_ns: since when its hand states are listened to, -1 while they are not.
+        began_ns, told_ns: stamps of its first beacon since it is there, and of its latest.
+        unheard: whom it said then that it does not hear.
+    """
+
+    __slots__ = (
+        "beacon_ns", "began_ns", "came_ns", "due_ns", "hand_ns", "listened_ns", "pause_ns", "token_ns",
+        "told_ns", "unheard",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.token_ns = self.came_ns = self.beacon_ns = self.hand_ns = _NEVER
+        self.listened_ns = self.began_ns = self.told_ns = _NEVER
+        self.unheard: tuple[int, ...] = ()
+        self.due_ns, self.pause_ns = 0, PAUSE_NS
+
+
+class Deafness:
+    """What one robot hears of the others.
+
+    Args:
+        robots: their ids.
+        horizon_ns: who was not heard for so long is said to be not heard.
+    """
+
+    def __init__(self, robots: Iterable[int], horizon_ns: int) -> None:
+        self._others = {robot: _Other() for robot in robots}
+        self._heard_after_ns = horizon_ns + LATE_NS
+        self._now_ns = self._due_ns = 0
+
+    def came(self, robot: int, now_ns: int, *, hand: bool) -> None:
+        """The bus delivered a hand state, or a beacon, on the key of a robot."""
+        other = self._others[robot]
+        other.came_ns = now_ns
+        if hand:
+            other.hand_ns = now_ns
+        else:
+            other.beacon_ns = now_ns
+
+    def present(self, robot: int, here: bool) -> None:
+        """The process of a robot's agent came or went."""
+        other = self._others.get(robot)
+        if other is not None:
+            other.token_ns = self._now_ns if here else _NEVER
+            other.began_ns = _NEVER
+
+    def told(self, beacon: Beacon) -> None:
+        """Takes a beacon: whom its sender does not hear."""
+        sender = self._others[beacon.robot]
+        if sender.began_ns == _NEVER:
+            sender.began_ns = beacon.time_ns
+        sender.told_ns, sender.unheard = beacon.time_ns, beacon.unheard
+
+    def look(self, now_ns: int, listened: Collection[int]) -> list[int]:
+        """Robots whose links are to be opened anew now; looks twice a second.
+
+        Args:
+            listened: those whose hand states are listened to.
+        """
+        self._now_ns = now_ns
+        if now_ns < self._due_ns:
+            return []
+        self._due_ns = now_ns + LOOK_NS
+        found = []
+        for robot, other in self._others.items():
+            if robot not in listened:
+                other.listened_ns = _NEVER
+            elif other.listened_ns == _NEVER:
+                other.listened_ns = now_ns
+            if other.token_ns == _NEVER:
+                continue
+            if not (self._lacks_all(robot, other, now_ns) or _lacks_hands(other, now_ns)):
+                if now_ns - other.due_ns > PAUSE_MAX_NS:
+                    other.pause_ns = PAUSE_NS
+            elif now_ns >= other.due_ns:
+                other.due_ns = now_ns + other.pause_ns
+                other.pause_ns = min(2 * other.pause_ns, PAUSE_MAX_NS)
+                found.append(robot)
+        return found
+
+    def _lacks_all(self, robot: int, other: _Other, now_ns: int) -> bool:
+        """Whether nothing comes, and another robot that has been there as long goes on hearing it: so late
+        that it must know."""
+        since_ns = max(other.came_ns, other.token_ns)
+        return now_ns - since_ns > self._heard_after_ns and any(
+            each.told_ns - max(since_ns, each.began_ns) > self._heard_after_ns
+            and each.began_ns != _NEVER
+            and robot not in each.unheard
+            for each in self._others.values()
+            if each is not other
+        )
+
+
+def _lacks_hands(other: _Other, now_ns: int) -> bool:
+    """Whether only beacons come: who says where it is says it to its neighbours in every tick."""
+    since_ns = max(other.hand_ns, other.listened_ns, other.token_ns)
+    heard = other.listened_ns != _NEVER and now_ns - other.beacon_ns < SILENT_NS
+    return heard and other.beacon_ns - since_ns > SILENT_NS and now_ns - since_ns > SILENT_NS
