@@ -246,6 +246,7 @@ class Bus:
         self._watch = LinkWatch(listen, [*connect, *routers], link_timeout_s, _open_links)
         self._look_due_ns = 0
         self._were_deaf: list[str] = []
+        self._reopened_ns: dict[str, int] = {}
         try:
             if listen or connect or not routers:
                 self._sessions.append(_open("peer", listen, connect, security, link_timeout_s, retry_ms))
@@ -369,9 +370,16 @@ class Bus:
         found, self._were_deaf = self._were_deaf, []
         return found
 
-    def reopen(self, endpoint: str) -> bool:
-        """Has the link to an endpoint opened anew, if it is open; whether it was."""
-        return self._watch.reopen(endpoint, self._sockets.look() or ())
+    def reopen(self, endpoint: str, pause_ns: int = 0) -> bool:
+        """Has the link to an endpoint opened anew, if it is open, and that was not so ordered for `pause_ns`;
+        whether it is."""
+        now_ns, last_ns = time.monotonic_ns(), self._reopened_ns.get(endpoint)
+        if last_ns is not None and now_ns - last_ns < pause_ns:
+            return False
+        done = self._watch.reopen(endpoint, self._sockets.look() or ())
+        if done:
+            self._reopened_ns[endpoint] = now_ns
+        return done
 
 
 class Router:

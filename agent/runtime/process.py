@@ -46,6 +46,10 @@ SAY_PERIOD_NS: Final = NS_PER_S
 
 DIALLED: Final = "one that had connected to it"
 
+A_ROUTER: Final = "the router at "
+ROUTER_PAUSE_NS: Final = 10 * NS_PER_S
+"""The link to a router is not opened anew more often, whoever behind it is not heard: others are."""
+
 Log = Callable[[str], None]
 
 
@@ -202,8 +206,10 @@ def look_at_links(node: Node, bus: Bus, now_ns: int, names: Mapping[str, str], l
     deaf_to = node.deaf_to(now_ns)
     if deaf_to:
         endpoints = {name: endpoint for endpoint, name in names.items()}
+        routers = [endpoint for endpoint, name in names.items() if name.startswith(A_ROUTER)]
         for name in (f"robot {robot}" for robot in deaf_to):
-            if name in endpoints and bus.reopen(endpoints[name]):
+            there = name in endpoints and bus.reopen(endpoints[name])
+            if there or any(bus.reopen(each, ROUTER_PAUSE_NS) for each in routers):
                 said.append(f"deaf to {name}: link opened anew")
     for each in said:
         log(each)
@@ -213,7 +219,7 @@ def look_at_links(node: Node, bus: Bus, now_ns: int, names: Mapping[str, str], l
 def names_of(fleet: Fleet, robot: int) -> dict[str, str]:
     """Who is at which endpoint, as texts of a process of `robot` have it."""
     scheme = "tls" if fleet.is_secured else "tcp"
-    names = {f"{scheme}/{router}": f"the router at {router}" for router in fleet.network.routers}
+    names = {f"{scheme}/{router}": f"{A_ROUTER}{router}" for router in fleet.network.routers}
     for other in fleet.ids:
         names[fleet.agent_endpoint(other)] = f"robot {other}"
         names[fleet.plant_endpoint(other)] = f"robot {other}'s plant"

@@ -116,7 +116,6 @@ BY_OTHERS: Final = {
         agent/fleet/fault_targets
         agent/fleet/sections
         agent/formation/points
-        agent/node
         bridges/mavlink/bridge/parameter_audit
         bridges/mavlink/session/codec
         bridges/mavlink/session/settings

@@ -13,7 +13,7 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Stop
 from agent.node import Node
 from agent.runtime.bus import Bus
-from agent.runtime.process import Shutdown, look_at_links, loop, names_of
+from agent.runtime.process import ROUTER_PAUSE_NS, Shutdown, look_at_links, loop, names_of
 from agent.runtime.systemd_notify import SystemdNotifier
 from plant.node import PlantNode
 from plant.unicycle import from_fleet
@@ -174,12 +174,14 @@ class Links:
     def __init__(self, deaf: Sequence[str], opened: Sequence[str]) -> None:
         self._deaf, self._open = list(deaf), opened
         self.opened_anew: list[str] = []
+        self.pauses_ns: list[int] = []
 
     def were_deaf(self) -> list[str]:
         return self._deaf
 
-    def reopen(self, endpoint: str) -> bool:
+    def reopen(self, endpoint: str, pause_ns: int = 0) -> bool:
         self.opened_anew.append(endpoint)
+        self.pauses_ns.append(pause_ns)
         return endpoint in self._open
 
 
@@ -215,6 +217,15 @@ def test_links_that_were_deaf_are_said_and_those_that_others_hear_opened_anew():
         look_at_links(cast(Node, node), cast(Bus, links), T0, names, log.append)
         assert links.opened_anew == [second]
         assert log == node.told == said
+
+
+def test_who_is_deaf_to_somebody_behind_a_router_opens_the_link_to_that_anew_now_and_then():
+    fleet = parse_fleet(FLEET % "", source="here", overrides=['network.routers=["here:7447"]'])
+    node, links, log = Listener(2), Links([], ["tcp/here:7447"]), list[str]()
+    look_at_links(cast(Node, node), cast(Bus, links), T0, names_of(fleet, 1), log.append)
+    assert log == ["deaf to robot 2: link opened anew"]
+    assert links.opened_anew == [fleet.agent_endpoint(2), "tcp/here:7447"]
+    assert links.pauses_ns == [0, ROUTER_PAUSE_NS]
 
 
 def test_routers_and_others_plants_have_names():
