@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,7 @@ from deploy.processes.forking import ForkServer
 from deploy.processes.local import Processes
 from deploy.processes.placement import Vehicle, held_orders, orders_folder
 from deploy.report.run_folder import RunFolder
+from deploy.session.joined_bus import OperatorBus
 from deploy.session.operator_bus import operator_bus
 from deploy.session.stop_by_file import FileWay
 
@@ -70,8 +72,7 @@ class LocalRun:
             held_orders(self._fleet),
         ):
             try:
-                self._start()
-                with operator_bus(self._fleet) as bus:
+                with self._started() as bus:
                     drive = Drive(
                         *(self._fleet, self._processes, bus, self._folder.record),
                         *(self._view, self._interrupt),
@@ -85,15 +86,26 @@ class LocalRun:
                 for child in self._processes.end(timeout_s):
                     self._view.say(f"{child.name} did not end when asked and was killed")
 
-    def _start(self) -> None:
+    @contextmanager
+    def _started(self) -> Iterator[OperatorBus]:
+        """Starts all processes; a bus on which they are."""
+        self._say_start()
+        self._processes.start_routers()
+        with ExitStack() as stack:
+            bus = None
+            if self._fleet.network.routers:  # before so many others want it
+                bus = stack.enter_context(operator_bus(self._fleet))
+            self._processes.start()
+            for vehicle in self._vehicles:
+                self._view.say(str(vehicle))
+            yield bus or stack.enter_context(operator_bus(self._fleet))
+
+    def _say_start(self) -> None:
         count = len(self._fleet.robots)
         self._view.say(
             f"starting {count} agents and {count} plants on ports {self._fleet.network.base_port} to "
             f"{self._fleet.network.base_port + 2 * count - 1}{self._through()}"
         )
-        self._processes.start()
-        for vehicle in self._vehicles:
-            self._view.say(str(vehicle))
 
     def _through(self) -> str:
         routers = self._fleet.network.routers

@@ -62,35 +62,36 @@ class Processes:
         self._children: dict[Process, Child] = {}
         self._killed: set[Process] = set()
         self._dead: set[Process] = set()
+        self._has_begun = False
 
     def start(self) -> None:
-        self._start_routers()
-        fleet = self._fleet
-        # Plugins are the code of others: each process imports them for itself.
-        has_plugins = fleet.control.law is not None or any(robot.kind.is_plugin for robot in fleet.robots)
-        if self._server is not None and not has_plugins:
-            self._server.preload(self._fleet_file)
-        self._wait_for_routers()
+        self.start_routers()
         for vehicle in self._vehicles:
             simulator = self._fleet.robot(vehicle.robot).kind.simulator
             self._run(vehicle.robot, VEHICLE, simulator, vehicle.arguments)
         for robot, role in self._wanted:
             self._start(robot, role, None)
 
-    def _start_routers(self) -> None:
-        """Starts the fleet's routers: they begin while the others' server loads what those need."""
-        routers = self._fleet.network.routers
+    def start_routers(self) -> None:
+        """Starts the fleet's routers, if it has any, and waits until they listen: a client is not to find
+        nobody there. Meanwhile what forks the others loads what those need. Once."""
+        if self._has_begun:
+            return
+        self._has_begun = True
+        fleet = self._fleet
+        routers = fleet.network.routers
         for number in range(1, len(routers) + 1):
             arguments = ["--fleet", str(self._fleet_file), "--number", str(number)]
             log = self._log(f"router-{number}.log")
             self._children[number, ROUTER] = Child(
                 number, ROUTER, "agent.runtime.router", arguments, log, name=f"router {number}"
             )
-
-    def _wait_for_routers(self) -> None:
-        """Waits until they listen: a client is not to find nobody there."""
+        # Plugins are the code of others: each process imports them for itself.
+        has_plugins = fleet.control.law is not None or any(robot.kind.is_plugin for robot in fleet.robots)
+        if self._server is not None and not has_plugins:
+            self._server.preload(self._fleet_file)
         deadline_s = time.monotonic() + ROUTER_S
-        for number, router in enumerate(self._fleet.network.routers, 1):
+        for number, router in enumerate(routers, 1):
             while not _listens(router) and self._children[number, ROUTER].ended() is None:
                 if time.monotonic() > deadline_s:
                     return

@@ -189,6 +189,7 @@ class Peers:
         self._known = {robot: Peer(robot, period_ns) for robot in self._starts}
         self._beliefs: dict[int, tuple[HandState, Belief]] = {}
         self._strangers: dict[int, HandState] = {}
+        self._at_starts: dict[int, Belief] = {}
         self._removed: dict[int, int] = {}
         self._early: list[Peer] = []
         self._early_beacons: list[tuple[Peer, Beacon]] = []
@@ -539,8 +540,10 @@ class Peers:
         if peer.is_gone:
             return None
         if message is None:
-            start = self._starts.get(robot)
-            return None if start is None else stood_between(*start, *start, 0.0)
+            unheard = self._at_starts.get(robot)
+            if unheard is None and (start := self._starts.get(robot)) is not None:
+                unheard = self._at_starts[robot] = stood_between(*start, *start, 0.0)
+            return unheard
         if peer.belief is not None:
             return peer.belief
         known = self._beliefs.get(robot)
