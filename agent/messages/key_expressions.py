@@ -14,6 +14,12 @@ def of_robot(fleet: str, robot: int) -> str:
     return f"{fleet}/robot/{robot}/"
 
 
+def of_any_robot(key: str) -> str:
+    """The subscription that hears what `key` is, of every robot; other keys as they are."""
+    fleet, _, rest = key.partition("/robot/")
+    return f"{fleet}/robot/*/{rest.partition('/')[2]}" if rest else key
+
+
 def hand(fleet: str, robot: int | str) -> str:
     """Hand state of one robot, from its agent to its neighbours."""
     return f"{fleet}/robot/{robot}/hand"

@@ -13,6 +13,7 @@ of their own, and notice nothing.
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
 import resource
 import socket
@@ -89,12 +90,13 @@ class Gate:
     def look(self, now_ns: int) -> str:
         """Shuts or opens the gate, by how many wait; returns what is to be said of that, "" for nothing.
 
-        Some 30 us, in a flood a millisecond; to be called ten times a second.
+        Some microseconds, in a flood a millisecond; to be called ten times a second.
 
         Args:
             now_ns: any clock.
         """
-        if not self._listening:
+        # A flood takes every number that is free, from the lowest on.
+        if not self._listening or not (self.shut or _lowest_free(self._listening[0]) > self._few):
             return ""
         opened = _opened()
         if opened and len(opened) <= self._few:  # which is so but in a flood: nothing is looked at
@@ -132,6 +134,16 @@ class Gate:
         for each in self._listening:
             with suppress(OSError):  # no such filter in this kernel: it stays as it was
                 each.setsockopt(socket.SOL_SOCKET, option, value)
+
+
+def _lowest_free(any_socket: socket.socket) -> int:
+    """The number that the next descriptor gets, `OPENED_MAX` where there is none left."""
+    try:
+        number = fcntl.fcntl(any_socket, fcntl.F_DUPFD_CLOEXEC, 0)
+    except OSError:
+        return OPENED_MAX
+    os.close(number)
+    return number
 
 
 def _listens(number: int) -> bool:

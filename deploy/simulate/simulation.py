@@ -72,36 +72,37 @@ class _Bus:
     """Who listens to which keys, and which liveliness tokens there are.
 
     Args:
-        ids: the robots that ``*`` in a subscription stands for.
+        robots: how many there are.
 
     Attributes:
         robots, tokens: how many there are; the liveliness tokens that there are now.
     """
 
-    def __init__(self, ids: Sequence[int]) -> None:
-        self._ids = ids
-        self.robots: Final = len(ids)
+    def __init__(self, robots: int) -> None:
+        self.robots: Final = robots
         self._rings: dict[str, dict[_Host, Ring]] = {}
-        self._keys: dict[_Host, list[str]] = {}
+        self._keys: dict[_Host, tuple[str, ...]] = {}
+        self._wild: dict[str, str] = {}
         self.tokens: set[str] = set()
 
     def listen(self, host: _Host) -> None:
         """`host` hears from now on what its rings are for, and nothing else."""
         self.forget(host)
-        heard = self._keys[host] = []
+        self._keys[host] = tuple(host.rings)
         for subscription, ring in host.rings.items():
-            wild = "*" in subscription
-            for key in [subscription.replace("*", str(i)) for i in self._ids] if wild else [subscription]:
-                self._rings.setdefault(key, {})[host] = ring
-                heard.append(key)
+            self._rings.setdefault(subscription, {})[host] = ring
 
     def forget(self, host: _Host) -> None:
-        for key in self._keys.pop(host, ()):
-            del self._rings[key][host]
+        for subscription in self._keys.pop(host, ()):
+            del self._rings[subscription][host]
 
     def put(self, arrival_ns: int, key: str, payload: bytes) -> None:
-        for ring in self._rings.get(key, {}).values():
-            ring.append((arrival_ns, key, payload))
+        wild = self._wild.get(key)
+        if wild is None:
+            wild = self._wild[key] = key_expressions.of_any_robot(key)
+        for subscription in (key, wild) if wild != key else (key,):
+            for ring in self._rings.get(subscription, {}).values():
+                ring.append((arrival_ns, key, payload))
 
     def announce(self, token: str, time_ns: int, *, here: bool) -> None:
         """Shows others, at `time_ns`, that a process comes or goes."""
@@ -256,7 +257,7 @@ class Simulation:
         self.plants = [self._plant(robot) for robot in fleet.ids]
         nodes: list[tuple[str, int, Node]] = [("plant", node.robot, node) for node in self.plants]
         nodes += [("agent", node.robot, node) for node in self.agents]
-        self._bus = _Bus(fleet.ids)
+        self._bus = _Bus(len(fleet.ids))
         self._hosts = [_Host(node, clocks[robot], self.now_ns, self._bus) for _, robot, node in nodes]
         self._order: dict[Process, int] = {(r, role): order for order, (role, r, _) in enumerate(nodes)}
         self._due = [(host.due_ns, order, host.life) for order, host in enumerate(self._hosts)]

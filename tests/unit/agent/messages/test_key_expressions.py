@@ -66,3 +66,9 @@ def test_a_token_names_its_process(role: str):
 )
 def test_a_token_of_no_robot_is_not_one(robot: str):
     assert key_expressions.robot_of_alive(key_expressions.alive("delta", robot, "agent")) is None
+
+
+def test_what_one_robot_says_is_heard_by_who_listens_to_any():
+    for key in (key_expressions.hand, key_expressions.wrench, key_expressions.checks):
+        assert key_expressions.of_any_robot(key("two", 7)) == key("two", "*")
+    assert key_expressions.of_any_robot(key_expressions.stop("two")) == "two/stop"
