@@ -273,12 +273,15 @@ class Bus:
         if not self._sessions:
             return
         closed = threading.Event()
-        threading.Thread(target=self._give_up_until, args=(closed,), daemon=True).start()
+        # Not a daemon: one that is in Zenoh when the interpreter ends takes the process down with it.
+        thread = threading.Thread(target=self._give_up_until, args=(closed,))
+        thread.start()
         try:
             for session in self._sessions:
                 _close(session)
         finally:
             closed.set()
+            thread.join()
 
     def _give_up_until(self, closed: threading.Event) -> None:
         """Closing a session waits for the links that are being opened, each as long as Zenoh's own limit."""
