@@ -7,6 +7,7 @@ It passes on what its clients say to those of them that listen, and links to the
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -31,6 +32,8 @@ from agent.security.identity import of_router
 from agent.security.refusals import FILTER
 
 POLL_S: Final = 0.1
+_LEFT: Final[list[ExitStack]] = []
+"""What is not to be closed: a session that nobody has any more is."""
 
 
 def others(fleet: Fleet, listen: str) -> list[str]:
@@ -59,11 +62,13 @@ def serve(
     log: Log,
     *,
     talks: bool = True,
+    leaves: bool = False,
 ) -> None:
     """Is a router on `listen` until it is `asked` to end.
 
     Args:
         talks: says who comes and goes.
+        leaves: closes no link: the process ends outright after this, and the kernel closes them at once.
 
     Raises:
         BusError: the endpoint cannot be listened on.
@@ -87,6 +92,8 @@ def serve(
             service.lives(time.monotonic_ns())
             time.sleep(POLL_S)
         service.stopping()
+        if leaves:
+            _LEFT.append(stack.pop_all())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -122,7 +129,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return BAD_INPUT
         scheme = "tls" if fleet.is_secured else "tcp"
         security = security_of(fleet, options.keys) if fleet.is_secured else None
-        serve(fleet, f"{scheme}/{routers[options.number - 1]}", security, asked, log, talks=False)
+        serve(
+            fleet, f"{scheme}/{routers[options.number - 1]}", security, asked, log, talks=False, leaves=True
+        )
     except BusError as error:
         log(str(error))
         return FAILED
@@ -130,7 +139,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         log(str(error))
         return BAD_INPUT
     log(f"ending ({shutdown.why})")
-    return PASSED
+    os._exit(PASSED)  # as a robot's process ends (`agent.runtime.bus.Bus.leave`)
 
 
 if __name__ == "__main__":

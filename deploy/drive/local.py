@@ -23,9 +23,10 @@ from deploy.session.joined_bus import OperatorBus
 from deploy.session.operator_bus import operator_bus
 from deploy.session.stop_by_file import FileWay
 
-END_TIMEOUT_S: Final = 0.4
-VEHICLES_END_TIMEOUT_S: Final = 2.0
-"""A bridge that is just opening its connection takes longer to let go of it."""
+END_TIMEOUT_S: Final = 2.0
+END_EACH_S: Final = 0.02
+"""Processes have so long to end, and so much longer for each of them: on a busy machine they wait for each
+other. They take a few tenths of a second where it has time for them."""
 
 
 class LocalRun:
@@ -54,7 +55,6 @@ class LocalRun:
             *(fleet, folder.fleet_file, folder.log, vehicles), orders=self._orders, server=self._server
         )
         self.reasons: list[str] = []
-        self._has_vehicles = any(robot.kind.vehicle for robot in fleet.robots)
 
     def run(self) -> None:
         """From start to end; whatever happens, no process is left.
@@ -82,7 +82,7 @@ class LocalRun:
                     self.reasons = drive.reasons
                     drive.run()
             finally:
-                timeout_s = VEHICLES_END_TIMEOUT_S if self._has_vehicles else END_TIMEOUT_S
+                timeout_s = END_TIMEOUT_S + END_EACH_S * len(self._processes.names)
                 for child in self._processes.end(timeout_s):
                     self._view.say(f"{child.name} did not end when asked and was killed")
 
