@@ -264,6 +264,10 @@ class Peers:
             self._heard = None
         peer.ahead_ns = 0
         if not early:
+            waits = peer.early
+            if waits is not None and waits.time_ns < time_ns:  # at a tick that is late both have come
+                peer.early = None
+                self._take(peer, waits, now_ns)
             self._take(peer, message, now_ns)
         return None
 

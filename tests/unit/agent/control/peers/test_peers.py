@@ -226,3 +226,14 @@ def test_a_copy_of_the_shared_multiplier_is_taken_once():
     heard(known, message(2, 2, T0 + 2 * PERIOD, multipliers=()), now_ns=T0 + 3 * PERIOD)
     assert known.take_copy(2) is None  # the latest has none
     assert known.get(2).degree == 1
+
+
+def test_at_a_late_tick_a_message_that_was_to_wait_is_not_overtaken_by_the_next():
+    known = peers(standing)
+    heard(known, message(2, 0, T0), now_ns=T0 + PERIOD)
+    now_ns = T0 + 2 * PERIOD  # others are a period ahead of it, and more
+    for number in (1, 2, 3):
+        assert known.accept(message(2, number, T0 + number * PERIOD), now_ns) is None
+    known.begin(now_ns + PERIOD)
+    peer = known.get(2)
+    assert (peer.received, peer.lost, peer.sequence) == (4, 0, 3)
