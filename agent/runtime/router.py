@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import socket
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
@@ -37,10 +38,25 @@ _LEFT: Final[list[ExitStack]] = []
 
 
 def others(fleet: Fleet, listen: str) -> list[str]:
-    """Endpoints of the routers that the one on `listen` links to: of any two, the later one in the file."""
+    """Endpoints of the routers that the one on `listen` links to: of any two, the later one in the file. One
+    that listens on another address than the file has, such as 0.0.0.0, links to all but itself."""
     scheme = "tls" if fleet.is_secured else "tcp"
     endpoints = [f"{scheme}/{router}" for router in fleet.network.routers]
-    return endpoints[: endpoints.index(listen)] if listen in endpoints else endpoints
+    if listen in endpoints:
+        return endpoints[: endpoints.index(listen)]
+    port = listen.rpartition(":")[2]
+    return [each for each in endpoints if each.rpartition(":")[2] != port or not _is_here(each)]
+
+
+def _is_here(endpoint: str) -> bool:
+    """Whether an endpoint's host is this machine."""
+    host = endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+    with suppress(OSError):
+        for family, _, _, _, address in socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM):
+            with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as found:
+                found.bind(address)
+                return True
+    return False
 
 
 def security_of(fleet: Fleet, folder: Path) -> Security | None:

@@ -13,7 +13,6 @@ BY_OTHERS: Final = {
         agent/__main__
         agent/admission/__main__
         agent/recorder/__main__
-        agent/runtime/router
         agent/security/__main__
         bridges/mavlink/__main__
         bridges/mavlink/simulator/__main__
