@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.fleet.model import Fleet
+from agent.supervision.situation import LISTEN_ROUNDS
 from deploy.console.interrupt import Interrupt
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
@@ -23,6 +24,8 @@ from deploy.session.joined_bus import OperatorBus
 from deploy.session.operator_bus import operator_bus
 from deploy.session.stop_by_file import FileWay
 
+LISTEN_MORE: Final = 2
+"""Periods more until the first tick in which a robot may drive."""
 END_TIMEOUT_S: Final = 2.0
 END_EACH_S: Final = 0.02
 """Processes have so long to end, and so much longer for each of them: on a busy machine they wait for each
@@ -76,7 +79,7 @@ class LocalRun:
                     drive = Drive(
                         *(self._fleet, self._processes, bus, self._folder.record),
                         *(self._view, self._interrupt),
-                        timing=Timing.of_own_machine(len(self._processes.names)),
+                        timing=Timing.of_own_machine(len(self._processes.names), self._listening_ns),
                         ways=lambda: [FileWay(self._fleet, self._orders)],
                     )
                     self.reasons = drive.reasons
@@ -85,6 +88,11 @@ class LocalRun:
                 timeout_s = END_TIMEOUT_S + END_EACH_S * len(self._processes.names)
                 for child in self._processes.end(timeout_s):
                     self._view.say(f"{child.name} did not end when asked and was killed")
+
+    @property
+    def _listening_ns(self) -> int:
+        fleet = self._fleet
+        return (LISTEN_ROUNDS * fleet.beacon_rounds + LISTEN_MORE) * fleet.period_ns
 
     @contextmanager
     def _started(self) -> Iterator[OperatorBus]:

@@ -47,9 +47,13 @@ class Timing:
     vehicles_stop_s: float = 4.0
 
     @classmethod
-    def of_own_machine(cls, processes: int) -> Timing:
-        """For so many processes on the machine of who drives them: no network is between them."""
-        return cls(epoch_ahead_ns=OWN_AHEAD_NS + processes * OWN_AHEAD_PER_PROCESS_NS)
+    def of_own_machine(cls, processes: int, listening_ns: int) -> Timing:
+        """For so many processes on the machine of who drives them: no network is between them.
+
+        Args:
+            listening_ns: so long after its first tick a robot may begin to drive; it is ready before that.
+        """
+        return cls(epoch_ahead_ns=max(listening_ns, OWN_AHEAD_NS + processes * OWN_AHEAD_PER_PROCESS_NS))
 
     def ready_timeout_s(self, processes: int, *, has_vehicles: bool) -> float:
         """After so long a fleet that is not ready will not be."""

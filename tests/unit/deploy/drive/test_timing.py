@@ -20,6 +20,7 @@ def test_who_ends_with_the_run_may_take_less_time_to_stand_but_a_vehicle_may_not
 
 
 def test_on_its_own_machine_a_mission_begins_sooner_the_fewer_have_to_hear_of_it() -> None:
-    few, many = Timing.of_own_machine(12), Timing.of_own_machine(200)
+    few, many = Timing.of_own_machine(12, 0), Timing.of_own_machine(200, 0)
     assert few.epoch_ahead_ns < Timing().epoch_ahead_ns < many.epoch_ahead_ns
+    assert Timing.of_own_machine(200, 9_000_000_000).epoch_ahead_ns == 9_000_000_000, "all have listened"
     assert few.stopped_ahead_ns == Timing().stopped_ahead_ns
