@@ -97,12 +97,17 @@ class _Bus:
             del self._rings[subscription][host]
 
     def put(self, arrival_ns: int, key: str, payload: bytes) -> None:
+        for rings in self.heard_by(key):
+            for ring in rings.values():
+                ring.append((arrival_ns, key, payload))
+
+    def heard_by(self, key: str) -> list[dict[_Host, Ring]]:
+        """Who listens to this key: by its name, and by that of any robot's."""
         wild = self._wild.get(key)
         if wild is None:
             wild = self._wild[key] = key_expressions.of_any_robot(key)
-        for subscription in (key, wild) if wild != key else (key,):
-            for ring in self._rings.get(subscription, {}).values():
-                ring.append((arrival_ns, key, payload))
+        subscriptions = (key, wild) if wild != key else (key,)
+        return [rings for name in subscriptions if (rings := self._rings.get(name))]
 
     def announce(self, token: str, time_ns: int, *, here: bool) -> None:
         """Shows others, at `time_ns`, that a process comes or goes."""

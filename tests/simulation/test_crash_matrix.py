@@ -8,6 +8,7 @@ says why it comes out so.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import Final
 
 import pytest
@@ -36,7 +37,7 @@ class Field:
         self.drove: set[int] = set()
         self.simulation = Simulation(fleet or triangle(), self._hear)
         self._cut_off = frozenset(cut_off)
-        put = self.simulation._bus.put
+        put, heard_by = self.simulation._bus.put, self.simulation._bus.heard_by
 
         def passes(arrival_ns: int, key: str, payload: bytes) -> None:
             """As `put`, but nothing goes between those that are cut off and the others."""
@@ -44,7 +45,7 @@ class Field:
                 put(arrival_ns, key, payload)
                 return
             sender = _robot(key) in self._cut_off
-            for host, ring in self.simulation._bus._rings.get(key, {}).items():
+            for host, ring in chain.from_iterable(rings.items() for rings in heard_by(key)):
                 if (_robot(host.node.alive_key) in self._cut_off) is sender:
                     ring.append((arrival_ns, key, payload))
 
