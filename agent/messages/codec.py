@@ -33,7 +33,7 @@ from agent.messages.types import (
 from agent.messages.validation import HEAD, Malformed, Taker, omitted, shown, taker
 
 TYPE_OF: Final = {cls: number for number, cls in enumerate(CLASSES)}
-_OMITTING: Final = frozenset(cls for cls in CLASSES if omitted(cls))
+_FEWEST: Final = {cls: len(cls._fields) - len(rest) for cls in CLASSES if (rest := omitted(cls))}
 _takers: dict[int, Taker] = {}
 """By the number of the class; each is made when the first of its messages comes."""
 _STATUS_VALUES_MAX: Final = 2048
@@ -85,8 +85,14 @@ def _content(mission: Mission) -> bytes:
 def encode(message: Message) -> bytes:
     """The message's bytes. Does not check: what is sent was made here (see `Agent.tick`)."""
     cls = type(message)
-    fields = message[:-1] if cls in _OMITTING and not message[-1] else message
-    packed: bytes = _pack((VERSION, TYPE_OF[cls], *fields))
+    fewest = _FEWEST.get(cls)
+    if fewest is None or message[-1]:
+        packed: bytes = _pack((VERSION, TYPE_OF[cls], *message))
+    else:
+        count = len(message) - 1
+        while count > fewest and not message[count - 1]:
+            count -= 1
+        packed = _pack((VERSION, TYPE_OF[cls], *message[:count]))
     return packed + _checksum(_UINT32, crc32(packed))
 
 

@@ -37,7 +37,7 @@ class About:
         row: class that declares the columns of rows that are bare tuples.
         before: what stands for it in a recording from before it was added, or a function from the JSON
             object to that.
-        omitted: as a last field: left out on the wire while it is empty.
+        omitted: left out on the wire while it and all that follow it, which are so too, are empty or 0.
     """
 
     doc: str

@@ -91,6 +91,14 @@ _HAND_X: Final = About("Hand point, east (world ENU)", "m")
 _HAND_Y: Final = About("Hand point, north (world ENU)", "m")
 _HAND_VX: Final = About("Velocity of the hand point, east", "m/s")
 _HAND_VY: Final = About("Velocity of the hand point, north", "m/s")
+_NEXT: Final = About(
+    "Its next one is stamped so much later at most; 0: as much later as is usual",
+    "ms",
+    least=0,
+    most=60_000,
+    before=0,
+    omitted=True,
+)
 _DOUBT: Final = About(
     "Position uncertainty: how far it may be from there; 0 unless its plant is lost",
     "m",
@@ -180,6 +188,7 @@ class HandState(NamedTuple):
         tuple[Annotated[float, About("One number")], ...],
         About("Numbers of its law's own, for its neighbours' laws", rows=OWN_MAX, before=(), omitted=True),
     ] = ()
+    next_ms: Annotated[int, _NEXT] = 0
 
     @classmethod
     def placed(
@@ -576,6 +585,7 @@ class Beacon(NamedTuple):
         tuple[Annotated[int, _ROBOT], ...],
         About("Robots from which it hears nothing", rows=ROBOT_MAX, before=()),
     ] = ()
+    next_ms: Annotated[int, _NEXT] = 0
 
     @property
     def place(self) -> tuple[float, float, float, float]:

@@ -9,6 +9,7 @@ what is wrong.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import takewhile
 from math import isfinite
 from typing import Any, Final
 
@@ -44,8 +45,9 @@ def shown(value: Any) -> str:
 
 
 def omitted(cls: type[Row]) -> Row:
-    """What a message of this class ends with where the wire leaves it out: ``((),)``, or nothing."""
-    return ((),) if declared(cls)[-1].about.omitted else ()
+    """What a message of this class ends with where the wire leaves it out, or nothing: ``((),)``."""
+    left_out = tuple(takewhile(lambda field: field.about.omitted, reversed(declared(cls))))
+    return tuple(field.kind() for field in reversed(left_out))
 
 
 # ---------------------------------------------------------------------- the short way
@@ -60,7 +62,7 @@ def taker(cls: type[Message]) -> Taker:
     body = ""
     if cls not in (Faults, Mission):  # rare, and with bounds that are no comparison of one number
         rest = omitted(cls)
-        for left_out in (rest, ()) if rest else (rest,):
+        for left_out in (rest[first:] for first in range(len(rest) + 1)):
             fields = declared(cls)[: len(cls._fields) - len(left_out)]
             whole = ", ".join(field.name for field in fields)
             body += (
@@ -129,9 +131,9 @@ def examined(cls: type[Message], values: Row) -> Message:
     Raises:
         Malformed: with the first thing that is wrong with them; wrong types come first.
     """
-    rest = omitted(cls)
-    if rest and len(values) == len(cls._fields) - 1:
-        values = (*values, *rest)
+    rest, missing = omitted(cls), len(cls._fields) - len(values)
+    if 0 < missing <= len(rest):
+        values = (*values, *rest[-missing:])
     message = cls._make(_row(cls, values, cls.__name__))
     if isinstance(message, Faults) and (contradiction := message.contradiction()):
         raise Malformed("range", contradiction)

@@ -1,0 +1,65 @@
+"""When what others know already is said again."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.messages.trickle_timer import TrickleTimer
+
+LEAST, MOST = 200, 1600
+
+
+def said_at(timer: TrickleTimer, until: int, changes: tuple[int, ...] = (), step: int = 100) -> list[int]:
+    times = []
+    for now in range(0, until, step):
+        if now in changes:
+            timer.changed()
+        if timer.is_due(now):
+            timer.said(now)
+            times.append(now)
+    return times
+
+
+def test_intervals_double_up_to_the_longest() -> None:
+    assert said_at(TrickleTimer(LEAST, MOST), 6500) == [0, 200, 600, 1400, 3000, 4600, 6200]
+
+
+def test_a_change_is_said_at_once_and_soon_again() -> None:
+    assert said_at(TrickleTimer(LEAST, MOST), 5000, (2000,)) == [0, 200, 600, 1400, 2000, 2200, 2600, 3400]
+
+
+def test_never_sooner_than_the_shortest_interval() -> None:
+    assert said_at(TrickleTimer(LEAST, MOST), 900, tuple(range(0, 900, 100))) == [0, 200, 400, 600, 800]
+
+
+def test_an_interval_may_be_shortened_for_a_time() -> None:
+    timer = TrickleTimer(LEAST, MOST)
+    said_at(timer, 3100)
+    assert timer.next_ns == MOST
+    assert timer.said(4600, most_ns=700) == 700
+    assert timer.said(5300) == 1400
+    assert timer.said(6700, most_ns=1) == LEAST
+
+
+def test_impossible_intervals_are_refused() -> None:
+    with pytest.raises(ValueError, match="least_ns = 0"):
+        TrickleTimer(0, 5)
+    with pytest.raises(ValueError, match="most_ns = 4"):
+        TrickleTimer(5, 4)
+
+
+@given(st.lists(st.integers(0, 20_000)), st.sampled_from([10, 50, 70, 100]))
+def test_what_was_promised_is_kept(changes: list[int], step: int) -> None:
+    timer = TrickleTimer(LEAST, MOST)
+    promised = last = None
+    for now in range(0, 20_000, step):
+        if any(now - step < change <= now for change in changes):
+            timer.changed()
+        if timer.is_due(now):
+            if promised is not None and last is not None:
+                assert LEAST <= now - last < promised + step
+            promised, last = timer.said(now), now
+            assert LEAST <= promised <= MOST
+    assert promised is not None
