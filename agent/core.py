@@ -85,7 +85,9 @@ class Agent:
         self._hands = {key: other for other, key in self._hand_of.items()}
         self._said_by = {key: (other, True) for key, other in self._hands.items()}
         self._said_by |= {key_expressions.beacon(name, other): (other, False) for other in others}
-        self._deafness = Deafness(others, round(fleet.control.prediction_horizon_s * NS_PER_S))
+        self._watches_all = fleet.beacon_rounds_max == fleet.beacon_rounds
+        horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
+        self._deafness = Deafness(others, horizon_ns, sees_all=self._watches_all)
         self._ingress = Ingress(
             fleet, robot, "agent", {"hand": others, "beacon": others, "state": (robot,)}, self._damaged
         )
@@ -95,7 +97,10 @@ class Agent:
         self._route(name, others)
 
         self.alive_key: Final = key_expressions.alive(name, robot, "agent")
-        self.watched: Final = key_expressions.alive(name, "*", "agent")
+        self._alive_of = {other: key_expressions.alive(name, other, "agent") for other in others}
+        self.watched: tuple[str, ...] = ()
+        if self._watches_all:
+            self.watched = (key_expressions.alive(name, "*", "agent"),)
         self._always = (
             # A stop is taken before a mission: who catches up must not drive first. What robots relay comes
             # on one key, and so in the order in which it is said: there too the stop first.
@@ -118,7 +123,7 @@ class Agent:
         )
         self._listened: set[int] = set()
         self._controller.look(0)
-        self._listen()
+        self._listen(0)
 
     # ------------------------------------------------------------------ in
 
@@ -181,6 +186,7 @@ class Agent:
         self._relay.compare(now_ns, beacon)
         self._deafness.told(beacon)
         reason = self._peers.accept_beacon(beacon, now_ns)
+        self._outbox.heard(beacon)
         situation = self._situation
         if not situation.may_go_on and reason is None and beacon.following and situation.mission is not None:
             its_mission = beacon.mission_version, beacon.mission_tag
@@ -278,7 +284,7 @@ class Agent:
         self._controller.look(now_ns)
         here = self._find_hand(now_ns)
         self._report.ages_us.extend(self._trust.update(now_ns, self.state, here))
-        self._listen()
+        self._listen(now_ns)
         self._lasting.look(situation.mission)
         was = self.state
         situation.lost_plant(was)
@@ -317,12 +323,17 @@ class Agent:
             self._ingress.position = own.here.x, own.here.y
         return own.here
 
-    def _listen(self) -> None:
+    def _listen(self, now_ns: int) -> None:
         """Changes the subscriptions when other robots are to be listened to."""
         if self._trust.changed:
             self._trust.changed = False
             close = self._controller.proximity.close
             wanted = {peer.robot for _, peer in self._controller.edges} | {peer.robot for peer in close}
+            self._peers.listen(wanted, now_ns)
+            if not self._watches_all:
+                for other in self._listened - wanted:  # whether it goes is not seen any more
+                    self._peers.present(other, True)
+                self.watched = tuple(self._alive_of[other] for other in sorted(wanted))
             self._listened = wanted
             self.subscriptions = (*self._always, *(self._hand_of[other] for other in sorted(wanted)))
 

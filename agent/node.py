@@ -57,8 +57,9 @@ class Node(Protocol):
         ...
 
     @property
-    def watched(self) -> str:
-        """Key expression of the liveliness tokens whose changes `present` takes; "" for none."""
+    def watched(self) -> Sequence[str]:
+        """Key expressions of the liveliness tokens whose changes `present` takes, another object when they
+        have changed; none overlap."""
         ...
 
     @property

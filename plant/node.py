@@ -101,7 +101,7 @@ class PlantNode:
             key_expressions.mission(name),
             *self._ingress.subscriptions,
         )
-        self.watched: Final = ""
+        self.watched: Final = ()
         self.publications: Final = (
             self._key_state,
             self._key_truth,

@@ -6,6 +6,7 @@ from math import floor
 from typing import Final, NamedTuple, Protocol
 
 NS_PER_S: Final = 1_000_000_000
+NS_PER_MS: Final = 1_000_000
 
 
 class LocalTime(NamedTuple):

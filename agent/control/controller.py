@@ -112,6 +112,7 @@ class Controller:
             starts={other.id: start_hand(other) for other in fleet.robots if other.id != robot},
             horizon_s=control.prediction_horizon_s,
             beacon_ns=fleet.beacon_rounds * fleet.period_ns,
+            beacon_max_ns=fleet.beacon_rounds_max * fleet.period_ns,
         )
         self.proximity: Final = Proximity(fleet, robot, self.peers)
         self._references: dict[Mark, Reference] = {}

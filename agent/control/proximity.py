@@ -14,9 +14,16 @@ from agent.common.quantities import DISTANCE_MIN
 from agent.common.time import NS_PER_S
 from agent.control.boundaries import Boundary, fence_of, obstacles_of
 from agent.control.hand import Hand
+from agent.control.peers.beliefs import Stretch
 from agent.control.peers.lateness import UNSURE_NS
 from agent.control.peers.peers import Peer, Peers
-from agent.control.safety_distances import avoidance_distance, clearance, sensing_distance, speed_max
+from agent.control.safety_distances import (
+    avoidance_distance,
+    barrier_rate,
+    clearance,
+    sensing_distance,
+    speed_max,
+)
 from agent.fleet.model import Fleet
 from agent.formation.mission_plan import Plan
 
@@ -51,6 +58,9 @@ class Proximity:
         self.warn: Final = fleet.geofence.warn_m if fleet.geofence is not None else 0.0
         self.close: tuple[Peer, ...] = ()
         self.distance = self.sensing = 0.0
+        self._keep = self._safe + fleet.avoidance.margin_m
+        self._until_seen_s = AHEAD_S + 1.0 / barrier_rate(fleet)  # then the filter begins to brake
+        self._soon = self._keep + self._until_seen_s * speed_max(fleet)
         self._closing = 2.0 * FASTER * speed_max(fleet)  # two that make for each other, m/s
 
     def plan(self, plan: Plan) -> None:
@@ -88,13 +98,20 @@ class Proximity:
         """Whether a robot is within the sensing region, or will be at the next look; wherever it may be. One
         that is far away rests: it is not asked for again before it could be."""
         message = peer.message
+        stood = inf
         if message is not None and peer.is_heard(now_ns):
             age_ns = now_ns + peer.clock.used_ns - peer.time_ns
             ahead_s = max(0.0, age_ns / NS_PER_S) if message.following else 0.0
             dx, dy = message.x + ahead_s * message.vx - here.x, message.y + ahead_s * message.vy - here.y
-            if age_ns > UNSURE_NS and hypot(message.x - here.x, message.y - here.y) < self.sensing:
-                return True  # silent a little longer, it may have stood there: beacons alone would not do
             vx, vy, reach = message.vx, message.vy, peer.doubt(now_ns)
+            if age_ns > UNSURE_NS:
+                if self._peers.is_seldom(peer):
+                    stood = hypot(dx, dy) - ahead_s * hypot(vx, vy)
+                    if stood < self._soon:
+                        way = Stretch(message.x, message.y, ahead_s * vx, ahead_s * vy, 0.0, 0.0)
+                        stood = way.distance(here.x, here.y)
+                elif hypot(message.x - here.x, message.y - here.y) < self.sensing:
+                    return True  # silent a little longer, it may have stood there: beacons alone would not do
         else:
             belief = self._peers.belief(peer)
             if belief is None:
@@ -104,10 +121,14 @@ class Proximity:
         away = hypot(dx, dy)
         parting = (dx * (vx - here.vx) + dy * (vy - here.vy)) / max(away, DISTANCE_MIN)
         reach += self.sensing + (STAY_M if peer in self.close else 0.0)
-        rest_s = (away - reach) / self._closing - AHEAD_S
+        rest_s = (min(away, stood) - reach) / self._closing - AHEAD_S
         if rest_s > 0.0:
             peer.far_until_ns = now_ns + min(REST_MAX_NS, int(rest_s * NS_PER_S))
             return False
+        if stood < self._keep + self._until_seen_s * hypot(here.vx, here.vy):
+            # It says seldom where it is, and may have come to a stand anywhere on its way. Whoever is
+            # listened to and silent is noticed in time to brake for it.
+            return True
         return away + min(0.0, parting) * AHEAD_S < reach
 
     def fence_distance(self, x: float, y: float) -> float:

@@ -108,7 +108,12 @@ class RightOfWay:
         self._within = self._apart + most / self._rate + most / LOOKS_PER_S
         self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         horizon_s = fleet.control.prediction_horizon_s
-        self._own: deque[_Parting] = deque(maxlen=ceil((horizon_s + REMEMBERED_S) * LOOKS_PER_S))
+        rest_ns = (
+            3 * (fleet.beacon_rounds_max - fleet.beacon_rounds) * fleet.period_ns
+        )  # and so much is forgiven
+        remembered_s = horizon_s + REMEMBERED_S + rest_ns / NS_PER_S
+        self._own: deque[_Parting] = deque(maxlen=ceil(remembered_s * LOOKS_PER_S))
+        self._gaining_ns = GAINED_NS + rest_ns
         self._then: dict[int, _Parting] = {}  # by robot: when it was heard last, or heard this one
         self._ways: dict[int, _Ways] = {}
         self._gained_ns: int | None = 0  # all begin together
@@ -143,7 +148,7 @@ class RightOfWay:
             for peer in blind:
                 parted = then.get(peer.robot) or self._at(peer.knows_ns)
                 self._then[peer.robot] = parted if parted.message else parted._replace(message=peer.message)
-        has_way = self._has_way(now_ns, len(lost) + len(blind))
+        has_way = self._has_way(now_ns, lost, blind)
         movers = self._movers(lost, now_ns) if lost else []
         movers += [peer for peer in blind if peer.message is not None and peer.message.following]
         self.hold, self.keep_out, self.keep_in = "", (), ()
@@ -211,17 +216,25 @@ class RightOfWay:
         heard = not peer.is_gone and peer.late_ns(now_ns) <= self._horizon_ns
         return heard and now_ns - peer.knows_ns > self._horizon_ns
 
-    def _has_way(self, now_ns: int, lost: int) -> bool:
-        """Whether the robot has the right of way."""
-        if not lost:
+    def _has_way(self, now_ns: int, lost: list[Peer], blind: list[Peer]) -> bool:
+        """Whether the robot has the right of way.
+
+        Whoever cut it off from those that are lost may have cut it off from others at the same time, who say
+        so seldom where they are that they are not missed yet: they count once they have been heard since.
+        """
+        if not lost and not blind:
             self._gained_ns = self._gained_ns if self._gained_ns is not None else now_ns
             return True
+        lost_ns = max(map(_heard_ns, lost), default=0)
         there = {peer.robot for peer in self._peers.known if not peer.is_gone}
         there.add(self._robot)
         group = {
             peer.robot
             for peer in self._peers.known
-            if peer.robot in there and not peer.deaf and peer.direct_late_ns(now_ns) <= self._horizon_ns
+            if peer.robot in there
+            and not peer.deaf
+            and peer.direct_late_ns(now_ns) <= self._horizon_ns
+            and (not self._peers.is_seldom(peer) or _direct_ns(peer) > lost_ns)
         }
         group.add(self._robot)
         more = 2 * len(group) - len(there)
@@ -230,7 +243,7 @@ class RightOfWay:
             return False
         if self._gained_ns is None:
             self._gained_ns = now_ns
-        return self._gained_ns == 0 or now_ns - self._gained_ns >= GAINED_NS
+        return self._gained_ns == 0 or now_ns - self._gained_ns >= self._gaining_ns
 
     def _movers(self, lost: list[Peer], now_ns: int) -> list[Peer]:
         """Those who may drive on: they share an edge with somebody who would not tell this robot of them,
@@ -240,10 +253,13 @@ class RightOfWay:
             for peer in self._peers.known
             if peer.deaf or peer.direct_late_ns(now_ns) > self._horizon_ns
         }
+        # Who speaks seldom may have been lost with it, and be missed later: until it has been heard since.
+        seldom = {peer.robot: peer for peer in self._peers.known if self._peers.is_seldom(peer)}
         found, stood = [], {}
         for peer in lost:
             since_ns = self._stands.get(peer.robot, now_ns)
-            if self._may_drive(peer, silent, stands=now_ns - since_ns >= self._stood_ns):
+            unsure = {robot: other for robot, other in seldom.items() if not _heard_since(other, peer)}
+            if self._may_drive(peer, unsure | silent, stands=now_ns - since_ns >= self._stood_ns):
                 found.append(peer)
             else:
                 stood[peer.robot] = since_ns
@@ -326,6 +342,15 @@ class RightOfWay:
 
 def _heard_ns(peer: Peer) -> int:
     return peer.time_ns - peer.clock.used_ns
+
+
+def _direct_ns(peer: Peer) -> int:
+    return peer.direct_ns - peer.clock.used_ns
+
+
+def _heard_since(peer: Peer, lost: Peer) -> bool:
+    """Whether a robot has been heard, itself, since another one was last."""
+    return _direct_ns(peer) > _heard_ns(lost)
 
 
 def _nearest(runs: tuple[Run, ...], here: Hand) -> Vector:

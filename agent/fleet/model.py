@@ -26,7 +26,14 @@ from agent.fleet.hosts import (
     RecordingSection,
 )
 from agent.fleet.orders import OrderSection
-from agent.fleet.safety import AvoidanceSection, GeofenceSection, ObstacleSection, SupervisionSection
+from agent.fleet.safety import (
+    BEACONS_HZ,
+    BEACONS_MANY,
+    AvoidanceSection,
+    GeofenceSection,
+    ObstacleSection,
+    SupervisionSection,
+)
 from agent.fleet.sections import (
     Body,
     ControlSection,
@@ -42,6 +49,9 @@ LOOPBACK: Final = re.compile(r"127\.[0-9.]+|\[::1\]|localhost")
 
 ANY_ADDRESS: Final = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}
 """Where everybody is listened to, and where a robot's own processes are then."""
+
+LISTEN_BEACONS: Final = 2
+"""So many times all others have said where they are before a robot joins in a drive."""
 
 _PROBLEMS_SHOWN_MAX: Final = 100
 
@@ -145,6 +155,23 @@ class Fleet:
     def beacon_rounds(self) -> int:
         """Control periods between two beacons of one robot."""
         return max(1, round(self.fleet.rate_hz / self.avoidance.beacon_hz))
+
+    @property
+    def beacon_rounds_max(self) -> int:
+        """The most control periods between two beacons of one robot that nothing is new of; a multiple of
+        `beacon_rounds`."""
+        longest_s, robots = self.avoidance.beacon_interval_max_s, len(self.robots)
+        if longest_s is None:
+            longest_s = robots / BEACONS_HZ if robots > BEACONS_MANY else 0.0
+        longest_s = min(longest_s, self.control.prediction_horizon_s)
+        turns = int(longest_s * self.fleet.rate_hz / self.beacon_rounds + 1e-9)
+        return max(1, turns) * self.beacon_rounds
+
+    @property
+    def listening_rounds(self) -> int:
+        """Control periods in which a robot hears `LISTEN_BEACONS` beacons of every other, or the one that
+        comes seldom."""
+        return LISTEN_BEACONS * self.beacon_rounds + self.beacon_rounds_max - self.beacon_rounds
 
     @property
     def period_ns(self) -> int:

@@ -18,6 +18,11 @@ from agent.common.wording import show
 CORNERS_MAX: Final = 200
 """Corners of one polygon: every robot measures its way to each side in every tick."""
 
+BEACONS_MANY: Final = 24
+"""Robots of a larger fleet tell where they are less often, where nothing is new of it..."""
+BEACONS_HZ: Final = 50
+"""...so that each hears so many beacons a second, as many as of one neighbour's hand states at 50 Hz."""
+
 _SLOW_SHARE: Final = 0.75
 
 
@@ -59,6 +64,17 @@ class AvoidanceSection:
     )
     beacon_hz: float = setting(
         5.0, "How often every robot tells all others where it is.", unit="Hz", ge=0.5, le=50
+    )
+    beacon_interval_max_s: float | None = setting(
+        None,
+        "A robot tells it less often while it moves as the others expect by what it told last, has nothing "
+        "new to tell and lacks nothing: so long after the last time at the latest. At most "
+        "`control.prediction_horizon_s`. Left out: 1 / `beacon_hz`; of more than "
+        f"{BEACONS_MANY} robots so many seconds that each of them hears {BEACONS_HZ} beacons a second.",
+        unit="s",
+        gt=0,
+        le=60,
+        example="1.0",
     )
     barrier_rate: float | None = setting(
         None,
@@ -173,6 +189,7 @@ def check_safety(values: Mapping[str, Any], reader: Reader) -> None:
     if fence and fence.get("points_m") is not None:
         _check_polygon(fence["points_m"], "geofence.points_m", reader)
     _check_avoidance(values.get("avoidance", {}), values.get("formation", {}).get("safe_distance_m"), reader)
+    _check_beacons(values, reader)
     _check_supervision(values, reader)
 
 
@@ -329,6 +346,24 @@ def _check_avoidance(avoidance: Mapping[str, Any], safe: float | None, reader: R
             "avoidance.sensing_m",
             f"{show(sensing)} is too small: a robot must be listened to before it comes as near as "
             f"{name} = {show(least)}",
+        )
+
+
+def _check_beacons(values: Mapping[str, Any], reader: Reader) -> None:
+    avoidance, place = values.get("avoidance", {}), "avoidance.beacon_interval_max_s"
+    longest, rate = avoidance.get("beacon_interval_max_s"), avoidance.get("beacon_hz")
+    horizon = values.get("control", {}).get("prediction_horizon_s")
+    if longest is not None and rate is not None and longest < 1.0 / rate * (1.0 - 1e-9):
+        reader.add(
+            place,
+            f"{show(longest)} is too short: avoidance.beacon_hz = {show(rate)} means {1.0 / rate:.6g} s "
+            "between two",
+        )
+    if longest is not None and horizon is not None and longest > horizon:
+        reader.add(
+            place,
+            f"{show(longest)} is too long: a robot that is silent for control.prediction_horizon_s = "
+            f"{show(horizon)} is given up",
         )
 
 

@@ -424,6 +424,10 @@ class Presence:
         self._subscriber = subscriber
         self.alive: set[str] = set()
 
+    def close(self) -> None:
+        """Watches them no longer."""
+        self._subscriber.undeclare()
+
     def update(self) -> list[tuple[str, bool]]:
         """Changes since the last call: (key of the token, True when it came or False when it went).
 

@@ -30,6 +30,7 @@ from agent.runtime.clock import RealClock
 from agent.runtime.listening_gate import Gate
 from agent.runtime.order_store import OrderStore
 from agent.runtime.preloaded import fleet_of, started
+from agent.runtime.presence import Watches
 from agent.runtime.sealed_bus import bus_for
 from agent.runtime.systemd_notify import SystemdNotifier
 from agent.security.credentials import CredentialsError, NotValidNowError
@@ -154,7 +155,7 @@ def loop(
     end_by_ns: int | None = None
     look_due_ns = say_due_ns = 0
     said = "", ""
-    presence = bus.watch(node.watched) if node.watched else None
+    watches = Watches(bus)
     heard: Sequence[str] = ()
     while True:
         if node.subscriptions is not heard:
@@ -163,9 +164,8 @@ def loop(
         clock.sleep_until(ticks.due_ns)
         start_ns = clock.now_ns()
         now_ns, missed = ticks.take(start_ns)
-        if presence is not None:
-            for key, here in presence.update():
-                node.present(key, here)
+        for key, here in watches.update(node.watched):
+            node.present(key, here)
         for key, payload in bus.drain():
             node.receive(now_ns, key, payload)
         if shutdown.asked and end_by_ns is None:

@@ -53,10 +53,15 @@ class Deafness:
     Args:
         robots: their ids.
         horizon_ns: who was not heard for so long is said to be not heard.
+        sees_all: whether `present` is told of all of them; else it is taken that they are there, for those
+            that are not, nobody hears.
     """
 
-    def __init__(self, robots: Iterable[int], horizon_ns: int) -> None:
+    def __init__(self, robots: Iterable[int], horizon_ns: int, *, sees_all: bool = True) -> None:
         self._others = {robot: _Other() for robot in robots}
+        if not sees_all:
+            for other in self._others.values():
+                other.token_ns = 0
         self._heard_after_ns = horizon_ns + LATE_NS
         self._now_ns = self._due_ns = 0
 

@@ -21,6 +21,7 @@ from agent.messages.types import (
     Outgoing,
     Wrench,
 )
+from agent.supervision.beacon_schedule import BeaconSchedule
 from agent.supervision.stop_latch import StopLatch
 
 
@@ -40,11 +41,11 @@ class Outbox:
         self, fleet: Fleet, robot: int, phase_ns: int, peers: Peers, missions: MissionChoice, latch: StopLatch
     ) -> None:
         name, period_ns = fleet.fleet.name, fleet.period_ns
-        self._robot, self._period_ns, self._phase_ns = robot, period_ns, phase_ns
+        self._robot = robot
         self._peers, self._missions, self._latch = peers, missions, latch
         self._wrenches = SequenceNumbers(period_ns, phase_ns)
         self._hands = SequenceNumbers(period_ns, phase_ns)
-        self._beacon_rounds = fleet.beacon_rounds
+        self._schedule = BeaconSchedule(fleet, robot, phase_ns)
         self._key_wrench = key_expressions.wrench(name, robot)
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
@@ -99,10 +100,19 @@ class Outbox:
         return self._key_hand, encode(message)
 
     def beacon(self, now_ns: int, here: Hand, doubt: float, *, following: bool) -> list[Outgoing]:
-        """The beacon if it is this robot's turn: so they do not come all at once."""
-        if ((now_ns - self._phase_ns) // self._period_ns + self._robot) % self._beacon_rounds:
+        """The beacon, when it is due."""
+        if not self._schedule.is_turn(now_ns):
             return []
-        message = Beacon(
+        message = self._schedule.timed(self._beacon(now_ns, here, doubt, following=following))
+        return [] if message is None else [(self._key_beacon, encode(message))]
+
+    def heard(self, beacon: Beacon) -> None:
+        """Takes another's beacon, for what it shows of this robot's."""
+        if self._schedule.is_seldom:
+            self._schedule.heard(beacon, (*self._missions.mark, *self._latch.mark))
+
+    def _beacon(self, now_ns: int, here: Hand, doubt: float, *, following: bool) -> Beacon:
+        return Beacon(
             self._robot,
             self._hands.at(now_ns),
             now_ns,
@@ -114,4 +124,3 @@ class Outbox:
             self._peers.silent(now_ns),
             self._peers.given_up(now_ns),
         )
-        return [(self._key_beacon, encode(message))]

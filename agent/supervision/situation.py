@@ -19,8 +19,6 @@ from agent.supervision.stop_latch import AWAITED, StopLatch
 
 NOT_SAID: Final = "for an operator's word, or for one who drives by its mission: that is of before its start"
 """Why a robot does not drive by a mission that it has only been told of."""
-LISTEN_ROUNDS: Final = 2
-"""So many times all others have said where they are before a robot joins in a drive."""
 UNHEEDED_S: Final = 1.0
 """A plant that brakes for so long longer than it waits for a wrench does not hear its agent."""
 RUNAWAY: Final = 2.0
@@ -66,7 +64,8 @@ class Situation:
         deadman_s = fleet.supervision.deadman_s
         self._deadman_ns = None if deadman_s is None else round(deadman_s * NS_PER_S)
         self._alone = not controller.proximity.enabled or len(fleet.ids) == 1
-        self._listening_ns = LISTEN_ROUNDS * fleet.beacon_rounds * fleet.period_ns
+        self._listening_ns = fleet.listening_rounds * fleet.period_ns
+        self._beacon_ns = fleet.beacon_rounds * fleet.period_ns
         self._listened_ns: int | None = None
         self._plant_came_ns = self._plant_ahead_ns = 0
         self._moved_ns = 0
@@ -207,7 +206,7 @@ class Situation:
         if self._alone:
             return ""
         peers = self._controller.peers
-        told_ns = max(0, peers.rounds_to_tell - 1) * self._listening_ns // LISTEN_ROUNDS
+        told_ns = max(0, peers.rounds_to_tell - 1) * self._beacon_ns
         if now_ns < (self._listened_ns or 0) + told_ns:
             return "hears who is near"
         unknown = ", ".join(f"robot {robot}" for robot in peers.unknown)

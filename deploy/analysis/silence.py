@@ -64,7 +64,9 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
     period_s = 1.0 / fleet.fleet.rate_hz
     beacon_s = fleet.beacon_rounds * period_s
     allowed_s = links.delay_s + links.gap_s
-    forgiven_s = min(max(0.0, allowed_s - UNSURE_S), LATE_MAX_NS / NS_PER_S)
+    rest_s = (fleet.beacon_rounds_max - fleet.beacon_rounds) * period_s
+    late_max_s = LATE_MAX_NS / NS_PER_S + 2.0 * rest_s
+    forgiven_s = min(max(0.0, allowed_s + rest_s - UNSURE_S), late_max_s)
     braking_s = BRAKE_TIME_S + most / links.deceleration if links.deceleration > 0.0 else inf
     unmet = []
     if not fleet.avoidance.enabled:

@@ -21,6 +21,10 @@ from deploy.chaos.profiles.reordered import draw_reordered
 from deploy.chaos.profiles.scale import draw_scale
 
 WIPED: Final = 0.3
+SELDOM: Final = 0.3
+"""So many fleets say where they are as seldom as large ones do..."""
+SELDOM_S: Final = (0.4, 2.0)
+"""...with so long between two beacons."""
 
 
 class Profile(NamedTuple):
@@ -60,7 +64,16 @@ def draw(seed: int) -> Tables:
     """The tables of the fleet file of this scenario."""
     tables = PROFILES[profile_of(seed)].draw(seed)
     _wipe(Dice("wipe", seed), tables)
+    _say_seldom(Dice("seldom", seed), tables)
     return tables
+
+
+def _say_seldom(dice: Dice, tables: Tables) -> None:
+    """Some fleets behave in this as those of more than `agent.fleet.safety.BEACONS_MANY` robots."""
+    if dice.chance(SELDOM):
+        horizon_s = tables.get("control", {}).get("prediction_horizon_s", SELDOM_S[1])
+        longest_s = dice.between(SELDOM_S[0], min(SELDOM_S[1], horizon_s), 1)
+        tables.setdefault("avoidance", {})["beacon_interval_max_s"] = longest_s
 
 
 def _wipe(dice: Dice, tables: Tables) -> None:

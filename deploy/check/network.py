@@ -14,7 +14,7 @@ STATUS_HZ: Final = 5.0
 
 
 class Load(NamedTuple):
-    """What links and robots have to carry while all is well.
+    """What links and robots have to carry while all is well, and robots move as others expect.
 
     Attributes:
         links: between processes of the fleet, an operator's left out.
@@ -39,11 +39,11 @@ def load_of(fleet: Fleet) -> Load:
     """What the network of `fleet` carries. Robots that come near each other hear more of each other."""
     n, rate = len(fleet.robots), fleet.fleet.rate_hz
     hands = 2.0 * len(fleet.formation.edges) / n * rate
-    beacons = (n - 1) * rate / fleet.beacon_rounds
+    beacons = (n - 1) * rate / fleet.beacon_rounds_max
     if not fleet.is_routed:
         return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0)
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    to_operator = n * (3.0 * rate + rate / fleet.beacon_rounds + STATUS_HZ)
+    to_operator = n * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
     return Load(3 * n, hands, beacons, rate, n * (hands + beacons) + to_operator)
 
 

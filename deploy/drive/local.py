@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 from agent.fleet.model import Fleet
-from agent.supervision.situation import LISTEN_ROUNDS
 from deploy.console.interrupt import Interrupt
 from deploy.drive.drive import Drive
 from deploy.drive.live_view import View
@@ -92,7 +91,7 @@ class LocalRun:
     @property
     def _listening_ns(self) -> int:
         fleet = self._fleet
-        return (LISTEN_ROUNDS * fleet.beacon_rounds + LISTEN_MORE) * fleet.period_ns
+        return (fleet.listening_rounds + LISTEN_MORE) * fleet.period_ns
 
     @contextmanager
     def _started(self) -> Iterator[OperatorBus]:

@@ -30,7 +30,6 @@ from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Outgoing, Resume, Stop
 from agent.messages.validation import Malformed
 from agent.node import Node, inbox_size
-from agent.supervision.situation import LISTEN_ROUNDS
 from agent.supervision.state_machine import State
 from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
@@ -144,9 +143,7 @@ class _Host:
         self.up = True
         self._heard: Sequence[str] = ()
         self._listen()
-        self._changes = deque(
-            (now_ns, key, True) for key in sorted(self._bus.tokens) if _matches(node.watched, key)
-        )
+        self._changes = deque((now_ns, key, True) for key in sorted(self._bus.tokens) if self._watches(key))
         self._bus.announce(node.alive_key, now_ns + LATENCY_NS, here=True)
         self._local = self._wrong
         self._ticks = Ticks(node, self._local.local_ns(now_ns) - 1)
@@ -184,8 +181,11 @@ class _Host:
 
     def see(self, time_ns: int, key: str, here: bool) -> None:
         """Notes that a liveliness token comes or goes at `time_ns`."""
-        if self.up and _matches(self.node.watched, key):
+        if self.up and self._watches(key):
             self._changes.append((time_ns, key, here))
+
+    def _watches(self, token: str) -> bool:
+        return any(_matches(each, token) for each in self.node.watched)
 
     def tick(self, true_ns: int) -> list[Outgoing]:
         """One round of `agent.runtime.process.loop`."""
@@ -219,8 +219,7 @@ def _warm_up_periods(fleet: Fleet, ahead_ns: int) -> int:
     """Periods from the start to the earliest epoch, which the clock that is furthest ahead shows first."""
     if not fleet.avoidance.enabled or len(fleet.ids) == 1:
         return WARM_UP_PERIODS
-    listening = ceil(LISTEN_ROUNDS * fleet.fleet.rate_hz / fleet.avoidance.beacon_hz) + 1
-    return max(WARM_UP_PERIODS, listening + ceil(ahead_ns / fleet.period_ns))
+    return max(WARM_UP_PERIODS, fleet.listening_rounds + 1 + ceil(ahead_ns / fleet.period_ns))
 
 
 class Simulation:

@@ -28,8 +28,14 @@ FORGOTTEN_S: Final = 60.0
 """So long after its last message a robot was once taken to have been carried off."""
 
 
+SELDOM: Final = ("avoidance.beacon_interval_max_s=2.0",)
+"""As in a fleet of a hundred robots."""
+
+
 def driven(text: str) -> RunResult:
-    return RunResult(drive(resolved(parse_fleet(text, source="scene"))))
+    """Half of all scenes with beacons that come seldom."""
+    overrides = SELDOM if Dice("seldom", text).chance(0.5) else ()
+    return RunResult(drive(resolved(parse_fleet(text, source="scene", overrides=overrides))))
 
 
 def closest_m(result: RunResult) -> float:

@@ -40,11 +40,12 @@ class Lateness:
             forgiven.
         forgiven_ns: how old it may get, beyond `UNSURE_NS`, before its sender counts as silent.
         heeds: whether a message that comes in time has anything to say.
+        most_ns: no more is forgiven, whatever is usual.
     """
 
     __slots__ = (
         "_burst", "_expected_ns", "_mean_ns", "_scatter_ns", "_share", "_taken_ns", "forgiven_ns", "heeds",
-        "usual_ns",
+        "most_ns", "usual_ns",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -53,6 +54,7 @@ class Lateness:
         self._expected_ns = self._taken_ns = 0
         self._share = self._burst = 0.0
         self.heeds = True
+        self.most_ns = LATE_MAX_NS
 
     def take(self, now_ns: int, age_ns: int, gap_ns: int | None, expected_ns: int) -> None:
         """Takes a message.
@@ -84,7 +86,7 @@ class Lateness:
         self._expected_ns = expected_ns
         aged_ns = self._mean_ns + self._run_ns()
         allowed_ns = aged_ns + 4 * self._scatter_ns - UNSURE_NS
-        self.forgiven_ns = max(0, min(allowed_ns, LATE_MAX_NS))
+        self.forgiven_ns = max(0, min(allowed_ns, self.most_ns))
         most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
         self.usual_ns = min(aged_ns + self._scatter_ns, most_ns)
         self.heeds = allowed_ns > 0 or self._share > _HEEDED

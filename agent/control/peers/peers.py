@@ -9,12 +9,12 @@ in that clock: the own one plus its offset, as far as that is proven (`agent.con
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from math import inf
 from typing import Final
 
 from agent.common.quantities import Vector
-from agent.common.time import NS_PER_S
+from agent.common.time import NS_PER_MS, NS_PER_S
 from agent.control.peers.beliefs import (
     DOUBT_AFTER_S,
     DOUBT_MAX,
@@ -25,7 +25,7 @@ from agent.control.peers.beliefs import (
 )
 from agent.control.peers.clock_offset import ClockOffset
 from agent.control.peers.forecast import Forecast, Motion
-from agent.control.peers.lateness import IN_TIME_NS, OUTAGE_NS, UNSURE_NS, Lateness
+from agent.control.peers.lateness import IN_TIME_NS, LATE_MAX_NS, OUTAGE_NS, UNSURE_NS, Lateness
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
 
@@ -49,6 +49,8 @@ class Peer:
         name: ``robot ID``, as texts have it.
         message: its latest, a hand state, or a beacon in the form of one; None when nothing has come.
         hand_ns, beacon_ns: stamps of its latest hand state and beacon, -1 while none has come.
+        next_ns: within so long the next beacon comes after that one, as it says.
+        listened: whether its hand states are listened to, so that beacons alone are not enough.
         clock: what is known of its clock.
         token: False while its agent's process is seen to be gone.
         here: likewise, but True again only when it has been heard again.
@@ -76,13 +78,14 @@ class Peer:
 
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
-        "duplicated", "early", "far_until_ns", "gone_ns", "hand_ns", "here", "knows_ns", "lateness", "lost",
-        "mark", "message", "name", "never_came", "other_version", "received", "robot", "sequence", "slowly",
-        "slowly_until_ns", "time_ns", "token", "trust",
+        "duplicated", "early", "far_until_ns", "gone_ns", "hand_ns", "here", "knows_ns", "lateness",
+        "listened", "lost", "mark", "message", "name", "never_came", "next_ns", "other_version", "received",
+        "robot", "sequence", "slowly", "slowly_until_ns", "time_ns", "token", "trust",
     )  # fmt: skip
 
-    def __init__(self, robot: int, period_ns: int) -> None:
+    def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
         self.robot, self.name = robot, f"robot {robot}"
+        self.next_ns, self.listened = next_ns, False
         self.message: HandState | None = None
         self.early: HandState | None = None
         self.time_ns = self.hand_ns = self.beacon_ns = self.direct_ns = _NEVER
@@ -153,7 +156,8 @@ class Peers:
         predict: False takes every message as it came, whatever its age.
         most: speed limit of all (m/s) by which they make for their places (N1), None without one.
         starts: where the hands of all others are until they are heard, m, W.
-        beacon_ns: time between two beacons of one robot.
+        beacon_ns: time between two beacons of one robot, that has something to tell.
+        beacon_max_ns: longest time between two.
         horizon_s: a robot that hears nobody for so long stands.
 
     Attributes:
@@ -175,10 +179,12 @@ class Peers:
         starts: Mapping[int, Vector] | None = None,
         horizon_s: float = 0.0,
         beacon_ns: int = NS_PER_S // 5,
+        beacon_max_ns: int = 0,
     ) -> None:
         self._owner = owner
         self._period_ns = period_ns
         self._beacon_ns = beacon_ns
+        self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
         self.forecast: Final = Forecast(c1, c2, motion, decay, most)
         self._horizon_s = horizon_s
@@ -186,7 +192,7 @@ class Peers:
         self._told = self._most_unheard = 0
         self._began_ns = _NEVER
         self._starts = starts or {}
-        self._known = {robot: Peer(robot, period_ns) for robot in self._starts}
+        self._known = {robot: Peer(robot, period_ns, beacon_ns) for robot in self._starts}
         self._beliefs: dict[int, tuple[HandState, Belief]] = {}
         self._strangers: dict[int, HandState] = {}
         self._at_starts: dict[int, Belief] = {}
@@ -200,8 +206,12 @@ class Peers:
         """What is known of a robot, though it be nothing."""
         peer = self._known.get(robot)
         if peer is None:
-            peer = self._known[robot] = Peer(robot, self._period_ns)
+            peer = self._known[robot] = Peer(robot, self._period_ns, self._beacon_ns)
         return peer
+
+    def is_seldom(self, peer: Peer) -> bool:
+        """Whether the next beacon of a robot may be further away than that of one with something to tell."""
+        return peer.next_ns > self._beacon_ns
 
     @property
     def known(self) -> Iterable[Peer]:
@@ -291,8 +301,9 @@ class Peers:
             peer.deaf = self._owner in unheard
             if unheard:
                 self._most_unheard = max(self._most_unheard, len(unheard))
+                until_ns = now_ns + ELSEWHERE_NS + beacon.next_ms * NS_PER_MS
                 for robot in unheard:
-                    self._unheard_elsewhere[robot] = now_ns + ELSEWHERE_NS
+                    self._unheard_elsewhere[robot] = until_ns
         if time_ns <= peer.time_ns:
             return None  # a hand state was quicker
         if time_ns - peer.clock.used_ns < now_ns:
@@ -332,12 +343,12 @@ class Peers:
 
     def given_up(self, now_ns: int) -> tuple[int, ...]:
         """Robots from which nothing has come, now or since the start, for so long that they are given up."""
-        horizon_ns = round(self._horizon_s * NS_PER_S)
+        late_ns = now_ns - round(self._horizon_s * NS_PER_S)
+        began_ns = self._began_ns + self._rest_ns
         return tuple(
             peer.robot
             for peer in self._known.values()
-            if now_ns - max(peer.direct_ns - peer.clock.used_ns, self._began_ns) - peer.lateness.forgiven_ns
-            > horizon_ns
+            if max(peer.direct_ns - peer.clock.used_ns, began_ns) + peer.lateness.forgiven_ns < late_ns
         )
 
     @property
@@ -389,12 +400,16 @@ class Peers:
     def _take_beacon(self, peer: Peer, beacon: Beacon, now_ns: int) -> None:
         time_ns = beacon.time_ns
         since_ns = time_ns - peer.hand_ns
+        expected_ns = peer.next_ns
+        peer.next_ns = max(self._beacon_ns, beacon.next_ms * NS_PER_MS)
         if self._beacon_ns < since_ns <= OUTAGE_NS and peer.lateness.heeds:
-            peer.lateness.expect(self._beacon_ns)
+            self._expect_beacon(peer)
         elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
             gap_ns = None if peer.direct_ns == _NEVER else time_ns - peer.direct_ns
-            _note(peer.lateness, now_ns, age_ns, gap_ns, self._beacon_ns)
+            _note(peer.lateness, now_ns, age_ns, gap_ns, expected_ns)
+            if peer.next_ns != expected_ns or (peer.listened and self.is_seldom(peer)):
+                self._expect_beacon(peer)
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
         before = peer.message
@@ -408,6 +423,13 @@ class Peers:
         peer.here = peer.token
         if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
             peer.gone_ns = time_ns - 1
+
+    def _expect_beacon(self, peer: Peer) -> None:
+        """The next that comes of it is a beacon, as late as it said; of one that is listened to something
+        else must come before."""
+        next_ns = self._beacon_ns if peer.listened else peer.next_ns
+        peer.lateness.most_ns = LATE_MAX_NS + 2 * (next_ns - self._beacon_ns)
+        peer.lateness.expect(next_ns)
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
         # A clock that was behind and has been set must not be refused for what it was.
@@ -432,6 +454,7 @@ class Peers:
         age_ns = now_ns + peer.clock.used_ns - time_ns
         if age_ns > 2 * period_ns:
             peer.delayed += 1
+        peer.lateness.most_ns = LATE_MAX_NS
         _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
@@ -483,14 +506,24 @@ class Peers:
         copy, peer.copy = peer.copy, None
         return copy
 
+    def listen(self, robots: Collection[int], now_ns: int) -> None:
+        """The hand states of these robots are listened to from now on, and of no others."""
+        for peer in self._known.values():
+            was, peer.listened = peer.listened, peer.robot in robots
+            if peer.listened and not was and self.is_seldom(peer):
+                # What is known of it may be old by the interval of its beacons; what comes now is not.
+                age_ns = now_ns + peer.clock.used_ns - peer.time_ns
+                peer.lateness.forgiven_ns = min(peer.lateness.forgiven_ns, max(0, age_ns))
+
     def ignore(self, robot: int) -> None:
         """Its hand states are not listened to any more: those that did not come are not lost, and beacons,
         which are rarer, have to do."""
         peer = self._known.get(robot)
         if peer is not None:
             peer.sequence = _NEVER
-            if peer.lateness.heeds:
-                peer.lateness.expect(self._beacon_ns)
+            peer.listened = False
+            if peer.lateness.heeds or self.is_seldom(peer):
+                self._expect_beacon(peer)
 
     # ------------------------------------------------------------------ what is known
 

@@ -98,6 +98,17 @@ def test_who_was_within_it_when_it_was_last_heard_is_listened_to_where_messages_
         assert (scene.close == [3]) is close
 
 
+def test_who_says_seldom_where_it_is_is_near_where_it_may_have_stood():
+    """It was to drive past, and would be at x = 4 by now, but may have stopped at any place on its way."""
+    for y, speed, close in ((0.2, 0.5, True), (0.2, -0.5, True), (0.7, 0.5, False), (0.7, 1.4, True)):
+        scene = Scene()
+        at = scene.now - 9 * S // 5
+        told = Beacon(3, 0, at, True, -0.5, y, 2.5, 0.0, 0.0, 0, 0, -1, -1, next_ms=2000)
+        assert scene.peers.accept_beacon(told, scene.now) is None
+        scene.look(HERE._replace(vx=speed))
+        assert (scene.close == [3]) is close, (y, speed)
+
+
 def test_neighbours_are_not_counted_and_others_come_in_the_order_of_their_ids():
     scene = Scene()
     for robot in (7, 3, 2):

@@ -66,6 +66,13 @@ class Scene:
                 told = Beacon(robot, 0, self.now, True, *place, *self.marks[robot], -1, -1, (), unheard)
                 assert self.peers.accept_beacon(told, self.now + PERIOD) is None
 
+    def hear_seldom(self, *robots: int, now: int) -> None:
+        """They say now that they say it again 0.9 s later."""
+        for robot in robots:
+            place = *self.starts[robot], 0.0, 0.0, 0.0
+            told = Beacon(robot, 0, now, True, *place, *self.marks[robot], -1, -1, next_ms=900)
+            assert self.peers.accept_beacon(told, self.now + PERIOD) is None
+
     def run(self, seconds: float, *robots: int, unheard: tuple[int, ...] = ()) -> None:
         """Only `robots` are heard from now on, who say from whom they hear nothing."""
         for _ in range(round(seconds / 0.1)):
@@ -114,6 +121,27 @@ def test_more_than_half_or_the_half_with_the_lowest_id_go_on(robot: int, heard: 
         assert scene.way.keep_in
     else:
         assert scene.way.hold.startswith("on the lane of robot 1, which has the right of way (silent for ")
+
+
+def test_who_speaks_seldom_counts_once_it_has_been_heard_since_the_others_were_lost():
+    """Robots 2, 3 and 5 are cut off at once. That 3 and 5 are is not known yet when 2 is given up."""
+    heard_since, not_yet = (
+        Scene(1, "avoidance.beacon_interval_max_s=1.0"),
+        Scene(1, "avoidance.beacon_interval_max_s=1.0"),
+    )
+    for scene in (heard_since, not_yet):
+        scene.now += S // 20
+        scene.hear_seldom(3, 5, now=scene.now)
+        scene.now += S // 20
+        scene.hear(2)
+        scene.run(1.1)
+        if scene is heard_since:
+            scene.hear_seldom(3, 5, now=scene.now)
+        scene.run(0.3)
+        assert {2, 4} <= set(scene.peers.given_up(scene.now))
+        assert not {3, 5} & set(scene.peers.given_up(scene.now))
+    assert heard_since.way.hold == ""
+    assert not_yet.way.hold != "" or not_yet.names
 
 
 def test_who_has_no_right_of_way_stays_out_of_the_lanes_of_the_others_and_in_its_own():

@@ -10,10 +10,11 @@ import pytest
 from agent.common.time import NS_PER_S
 from agent.control.controller import Controller
 from agent.fleet.loading import load_fleet
+from agent.fleet.model import LISTEN_BEACONS
 from agent.formation.geometry import resolve, resolved
 from agent.messages.types import PlantState, Removed, Resume, Stop
 from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.situation import LISTEN_ROUNDS, NOT_SAID, Situation
+from agent.supervision.situation import NOT_SAID, Situation
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
 from deploy.console.data_files import FLEETS
@@ -234,7 +235,7 @@ def test_who_comes_into_a_drive_listens_first() -> None:
     fresh.mission = made.mission
     fresh.check_plant(NOW)
     assert fresh.conditions(NOW, State.WAITING).neighbours == "hears who is near"
-    later = NOW + LISTEN_ROUNDS * NS_PER_S
+    later = NOW + LISTEN_BEACONS * NS_PER_S
     lost = "nobody heard tells where to look for robot 2"
     assert fresh.conditions(later, State.WAITING).neighbours == lost
     controller.peers.remove([Removed(2, later)])

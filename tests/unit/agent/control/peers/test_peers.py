@@ -237,3 +237,80 @@ def test_at_a_late_tick_a_message_that_was_to_wait_is_not_overtaken_by_the_next(
     known.begin(now_ns + PERIOD)
     peer = known.get(2)
     assert (peer.received, peer.lost, peer.sequence) == (4, 0, 3)
+
+
+# ---------------------------------------------------------------------- beacons that come seldom
+
+
+def seldom(known: Peers, stamp: int, next_ms: int = 2000, robot: int = 2, late_ns: int = PERIOD) -> int:
+    """A beacon that says when the next one comes; when that is."""
+    told = beacon(robot, stamp)._replace(next_ms=next_ms)
+    assert known.accept_beacon(told, stamp + late_ns) is None
+    return stamp + next_ms * S // 1000
+
+
+def test_within_what_a_robot_said_it_is_not_silent():
+    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
+    due = seldom(known, T0)
+    peer = known.get(2)
+    assert peer.is_heard(due)
+    assert known.silent(due) == ()
+    assert not peer.is_heard(due + S)
+    due = seldom(known, due, 400)
+    assert not peer.is_heard(due + S // 2), "it has something to tell: the next comes soon"
+    assert peer.is_heard(seldom(known, due))
+
+
+def test_where_messages_are_lost_more_is_forgiven_one_that_speaks_seldom():
+    """So that two that are lost in a row do not make it silent, nor ten."""
+    known, peer, stamp = peers(beacon_ns=S // 5, beacon_max_ns=2 * S), None, T0
+    for k in range(60):
+        stamp += 2 * S
+        if k % 5 not in (3, 4):
+            seldom(known, stamp)
+    peer = known.get(2)
+    assert LATE_MAX_NS < peer.lateness.forgiven_ns <= LATE_MAX_NS + 2 * (2 * S - S // 5)
+
+
+def test_who_begins_to_be_listened_to_must_be_heard_at_once():
+    """What is known of it is old by as much as it said, and what comes now is not."""
+    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
+    now = seldom(known, T0) - S
+    known.listen({2}, now)
+    peer = known.get(2)
+    assert peer.is_heard(now + UNSURE_NS - PERIOD)
+    assert not peer.is_heard(now + UNSURE_NS + PERIOD)
+    heard(known, message(2, 5, now), now_ns=now + PERIOD)
+    assert peer.is_heard(now + UNSURE_NS - PERIOD)
+    assert not peer.is_heard(now + UNSURE_NS + PERIOD)
+
+
+def test_beacons_alone_are_not_enough_of_one_that_is_listened_to():
+    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
+    known.get(2)
+    known.listen({2}, T0)
+    due = seldom(known, T0 + S)
+    due = seldom(known, due)
+    assert not known.get(2).is_heard(due)
+    known.ignore(2)
+    assert known.get(2).is_heard(due)
+
+
+def test_whoever_has_just_started_says_of_nobody_that_it_does_not_hear_him_before_he_had_to_speak():
+    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S, horizon_s=1.0)
+    known.begin(T0)
+    known.get(2)
+    assert known.given_up(T0 + S + 17 * S // 10) == ()
+    assert known.given_up(T0 + S + 19 * S // 10) == (2,)
+
+
+def test_whom_another_does_not_hear_he_is_told_of_until_he_speaks_again():
+    known = peers(beacon_ns=S // 5, beacon_max_ns=2 * S)
+    told = beacon(5, T0)._replace(next_ms=2000, unheard=(2,))
+    assert known.accept_beacon(told, T0 + PERIOD) is None
+    seldom(known, T0 + S)
+    assert [row.robot for row in known.silent(T0 + 2 * S)] == [2], "heard here, and told of to robot 5"
+    seldom(known, T0 + 2 * S, robot=5)
+    assert [row.robot for row in known.silent(T0 + 29 * S // 10)] == [2]
+    seldom(known, T0 + 3 * S)
+    assert known.silent(T0 + 31 * S // 10) == ()

@@ -1,0 +1,108 @@
+"""When a robot says where it is: at its turn, and seldom while that is no news to anybody (PURE).
+
+In a small fleet it does so at every turn. In a large one that would be most of what everybody hears, and
+grow with the fleet. There others carry a robot forward at the velocity that it told (dead reckoning, as in
+IEEE 1278.1), and its next beacon comes when it is elsewhere by more than they allow for (U2), has something
+else to tell, or finds that others lack what it has told; after that again soon, in case that was lost; and
+after `Fleet.beacon_rounds_max` at the latest. Each beacon says until when the next one comes.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import Final
+
+from agent.common.time import NS_PER_MS, NS_PER_S
+from agent.control.peers.beliefs import said_doubt
+from agent.fleet.model import Fleet
+from agent.messages.trickle_timer import TrickleTimer
+from agent.messages.types import Beacon, Silent
+
+SURE_M: Final = 0.03
+"""A place is told again that is off by so much more than its age makes up for: measurements scatter."""
+RELAY_NS: Final = NS_PER_S
+"""A robot that others do not hear is told of again after so long at the latest."""
+
+_Marks = tuple[int, int, int, int]
+
+
+class BeaconSchedule:
+    """Of robot `robot` of `fleet`; robots take turns, so that their beacons do not come all at once.
+
+    Args:
+        phase_ns: of its ticks.
+
+    Attributes:
+        is_seldom: whether there are turns at which nothing is said.
+    """
+
+    def __init__(self, fleet: Fleet, robot: int, phase_ns: int) -> None:
+        self._robot, self._phase_ns, self._period_ns = robot, phase_ns, fleet.period_ns
+        self._rounds = fleet.beacon_rounds
+        least_ns, most_ns = self._rounds * fleet.period_ns, fleet.beacon_rounds_max * fleet.period_ns
+        self._timer = TrickleTimer(least_ns, most_ns)
+        self.is_seldom: Final = most_ns > least_ns
+        self._turn: int | None = None
+        self._said: Beacon | None = None
+        self._heard: dict[int, tuple[_Marks, bool]] = {}
+
+    def is_turn(self, now_ns: int) -> bool:
+        """Whether this is the robot's turn, or the first tick after it; asked in every tick."""
+        turn, past = divmod((now_ns - self._phase_ns) // self._period_ns + self._robot, self._rounds)
+        before, self._turn = self._turn, turn
+        return not past if before is None else turn != before
+
+    def timed(self, beacon: Beacon) -> Beacon | None:
+        """What is to be said at a turn: this, with until when the next one comes, or nothing."""
+        if not self.is_seldom:
+            return beacon
+        timer, now_ns = self._timer, beacon.time_ns
+        if self._said is None or _is_news(beacon, self._said):
+            timer.changed()
+        if not timer.is_due(now_ns):
+            return None
+        relays = any(now_ns - row.time_ns < RELAY_NS for row in beacon.silent)
+        next_ns = timer.said(now_ns, most_ns=RELAY_NS if relays else None)
+        self._said = beacon
+        return beacon if next_ns == timer.least_ns else beacon._replace(next_ms=next_ns // NS_PER_MS)
+
+    def heard(self, beacon: Beacon, own: _Marks) -> None:
+        """Takes another's beacon: it may lack what this robot has told, or does not hear it any more.
+
+        Args:
+            own: which mission, stop and resume this robot has acknowledged.
+        """
+        told = _marks(beacon), self._robot in beacon.unheard
+        before = self._heard.get(beacon.robot)
+        if told != before:
+            self._heard[beacon.robot] = told
+            if told[0] != own or told[1]:
+                self._timer.changed()
+
+
+def _marks(beacon: Beacon) -> _Marks:
+    return beacon.mission_version, beacon.mission_tag, beacon.stop_version, beacon.resume_version
+
+
+def _is_news(beacon: Beacon, said: Beacon) -> bool:
+    """Whether others do not know what is in `beacon`, who have heard `said`."""
+    if beacon.following is not said.following or _marks(beacon) != _marks(said):
+        return True
+    if beacon.unheard != said.unheard or abs(beacon.doubt - said.doubt) > SURE_M:
+        return True
+    if _is_elsewhere(beacon, said):
+        return True
+    if not beacon.silent:
+        return False
+    rows = {row.robot: row for row in said.silent}
+    return any(row.robot not in rows or _is_elsewhere(row, rows[row.robot]) for row in beacon.silent)
+
+
+def _is_elsewhere(now: Beacon | Silent, said: Beacon | Silent) -> bool:
+    """Whether a robot is not where it was said to be going."""
+    if now.following is not said.following:
+        return True
+    age_s = (now.time_ns - said.time_ns) / NS_PER_S
+    ahead_s = age_s if said.following else 0.0
+    off = hypot(now.x - said.x - ahead_s * said.vx, now.y - said.y - ahead_s * said.vy)
+    return off > said_doubt(age_s) + SURE_M

@@ -1,0 +1,180 @@
+"""When a robot says where it is, and that others always know it well enough."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import cos, hypot, sin
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.common.time import NS_PER_MS, NS_PER_S
+from agent.control.peers.beliefs import said_doubt
+from agent.fleet.loading import parse_fleet
+from agent.fleet.model import Fleet
+from agent.messages.types import Beacon, Silent
+from agent.supervision.beacon_schedule import RELAY_NS, SURE_M, BeaconSchedule
+
+T0 = 1000 * NS_PER_S
+MARKS = (3, 7, -1, -1)
+
+
+def fleet(robots: int = 6, rate_hz: float = 10.0, **avoidance: float) -> Fleet:
+    lines = ["[fleet]", 'name = "row"', f"rate_hz = {rate_hz}", "[formation]", "edges = [[1, 2]]"]
+    lines += [f"offsets = {[[2 * k, 0] for k in range(robots)]}", "safe_distance_m = 0.3", "[avoidance]"]
+    lines += [f"{key} = {value}" for key, value in avoidance.items()]
+    for k in range(robots):
+        lines += ["[[robot]]", f"id = {k + 1}", f"x_m = {2 * k}", "y_m = 0"]
+    return parse_fleet("\n".join(lines), source="here")
+
+
+def beacon(
+    now_ns: int,
+    place: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    robot: int = 2,
+    marks: tuple[int, int, int, int] = MARKS,
+    silent: tuple[Silent, ...] = (),
+    unheard: tuple[int, ...] = (),
+    follows: bool = True,
+) -> Beacon:
+    return Beacon(robot, 0, now_ns, follows, *place, 0.0, *marks, silent, unheard)
+
+
+class Bench:
+    """Robot 2 of a fleet that says seldom where it is: at 10 Hz every other tick is a turn."""
+
+    def __init__(self, made: Fleet | None = None) -> None:
+        self.fleet = made or fleet(beacon_interval_max_s=1.6)
+        self.schedule = BeaconSchedule(self.fleet, 2, self.fleet.period_ns // 2)
+        self.now_ns = T0 + self.fleet.period_ns // 2
+        self.said: list[tuple[float, Beacon]] = []
+
+    def run(self, duration_s: float, **fields: object) -> list[float]:
+        """When (s) something is said meanwhile, if all goes on as it is."""
+        since = len(self.said)
+        for _ in range(round(duration_s * self.fleet.fleet.rate_hz)):
+            if self.schedule.is_turn(self.now_ns):
+                made = self.schedule.timed(beacon(self.now_ns, **fields))  # type: ignore[arg-type]
+                if made is not None:
+                    self.said.append(((self.now_ns - T0) / NS_PER_S, made))
+            self.now_ns += self.fleet.period_ns
+        return [round(at - 0.05, 1) for at, _ in self.said[since:]]
+
+    def later_s(self) -> list[float]:
+        return [made.next_ms / 1e3 for _, made in self.said]
+
+
+def test_a_small_fleet_says_it_at_every_turn_and_nothing_of_it() -> None:
+    bench = Bench(fleet())
+    assert not bench.schedule.is_seldom
+    assert bench.run(1.0) == [0.0, 0.2, 0.4, 0.6, 0.8]
+    assert bench.later_s() == [0.0] * 5
+
+
+def test_robots_take_turns() -> None:
+    made = fleet(beacon_hz=2.0)
+    turns = []
+    for robot in (1, 2, 3):
+        schedule = BeaconSchedule(made, robot, 0)
+        turns.append([k for k in range(10) if schedule.is_turn(T0 + k * made.period_ns)])
+    assert turns == [[4, 9], [3, 8], [2, 7]]
+
+
+def test_a_turn_that_was_slept_through_is_made_up_for() -> None:
+    bench = Bench(fleet(beacon_hz=2.0))
+    bench.run(0.5)
+    said = bench.run(0.2)
+    bench.now_ns += 4 * bench.fleet.period_ns
+    assert said + bench.run(0.1) == [1.1 + 0.0]
+
+
+def test_while_nothing_is_new_it_is_said_ever_more_seldom() -> None:
+    bench = Bench()
+    assert bench.schedule.is_seldom
+    assert bench.run(6.4) == [0.0, 0.2, 0.6, 1.4, 3.0, 4.6, 6.2]
+    assert bench.later_s() == [0.0, 0.4, 0.8, 1.6, 1.6, 1.6, 1.6]
+
+
+def quiet() -> Bench:
+    bench = Bench()
+    bench.run(5.0)
+    return bench
+
+
+def test_what_is_new_is_said_at_the_next_turn_and_again() -> None:
+    row = Silent(4, T0, True, 1.0, 2.0, 0.0, 0.0, 1.0, 2.0, 0.0)
+    for fields in (
+        {"place": (0.5, 0.0, 0.0, 0.0)},
+        {"follows": False},
+        {"marks": (4, 0, -1, -1)},
+        {"marks": (3, 7, 5, -1)},
+        {"unheard": (4,)},
+        {"silent": (row,)},
+    ):
+        bench = quiet()
+        assert bench.run(2.0, **fields) == [5.0, 5.2, 5.6, 6.4]
+        assert bench.said[-4][1].next_ms == 0
+
+
+def test_who_moves_as_it_said_has_nothing_new_to_say() -> None:
+    bench = Bench()
+    for _ in range(40):
+        x = 0.3 * (bench.now_ns - T0) / NS_PER_S
+        bench.run(0.1, place=(x, 0.0, 0.3, 0.0))
+    assert len(bench.said) == 5
+
+
+def test_a_silent_robot_is_told_of_again_where_there_is_news_of_it() -> None:
+    row = Silent(4, T0, True, 1.0, 2.0, 0.0, 0.0, 1.0, 2.0, 0.0)
+    bench = Bench()
+    bench.run(5.0, silent=(row,))
+    assert bench.run(1.0, silent=(row._replace(x=1.5, time_ns=T0 + NS_PER_S),)) == [5.0, 5.2, 5.6]
+
+
+def test_who_is_heard_here_and_not_elsewhere_is_told_of_at_least_every_second() -> None:
+    bench = Bench()
+    for _ in range(100):
+        bench.run(0.1, silent=(Silent(4, bench.now_ns, True, 1.0, 2.0, 0.0, 0.0, 1.0, 2.0, 0.0),))
+    times = [at for at, _ in bench.said]
+    assert max(b - a for a, b in pairwise(times)) < RELAY_NS / NS_PER_S + 0.01
+    assert len(times) < 15
+
+
+def test_who_lacks_what_was_said_hears_it_soon() -> None:
+    for other in (beacon(T0, robot=5, marks=(2, 0, -1, -1)), beacon(T0, robot=5, unheard=(2,))):
+        bench = quiet()
+        bench.schedule.heard(other, MARKS)
+        assert bench.run(1.0) == [5.0, 5.2, 5.6]
+        bench.schedule.heard(other, MARKS)  # it says the same again: there is nobody to hurry for
+        assert bench.run(1.0) == [6.4]
+
+
+def test_who_knows_as_much_changes_nothing() -> None:
+    bench = quiet()
+    bench.schedule.heard(beacon(T0, robot=5), MARKS)
+    assert bench.run(1.0) == []
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.integers(1, 12)), min_size=1, max_size=12
+    ),
+    st.floats(0.0, 6.3),
+)
+def test_others_always_know_where_it_is(motions: list[tuple[float, float, int]], angle: float) -> None:
+    """Whatever it does: by (U2), give or take what it does between two turns."""
+    bench = Bench()
+    x, y, vx, vy = 0.0, 0.0, 0.3 * cos(angle), 0.3 * sin(angle)
+    said: Beacon | None = None
+    for ax, ay, rounds in motions:
+        for _ in range(rounds):
+            turn_ns = bench.now_ns
+            bench.run(0.1, place=(x, y, vx, vy))
+            if bench.said:
+                said = bench.said[-1][1]
+                age_s = (turn_ns - said.time_ns) / NS_PER_S
+                off = hypot(x - said.x - age_s * said.vx, y - said.y - age_s * said.vy)
+                assert off <= said_doubt(age_s) + SURE_M + 0.1 * hypot(vx - said.vx, vy - said.vy) + 0.02
+                promised_ns = (said.next_ms or 200) * NS_PER_MS
+                assert turn_ns - said.time_ns < promised_ns
+            x, y, vx, vy = x + 0.1 * vx, y + 0.1 * vy, vx + 0.1 * ax, vy + 0.1 * ay
