@@ -1,21 +1,25 @@
 """Links that stand and are never read from, and what looking for them costs.
 
 Processes that listen and processes that connect to all of them, each with a `Bus` as a robot has it, beside
-busy loops; every link carries ten messages a second each way. A direction is deaf where nothing has come for
-1.5 s at the end. Zenoh's own limit for opening a link is set so short that it runs out between the start of
-sending and that of reading (`agent.runtime.link_watch`): without the watch, with it, and as robots have it.
+busy loops; every link carries ten messages a second each way. All are judged at one time, so long after the
+last of them has opened its bus, and none ends before all were. A direction is deaf where nothing has come for
+1.5 s over a link that stands; one whose link is not there is counted beside it. Zenoh's own limit for opening
+a link is set so short that it runs out between the start of sending and that of reading
+(`agent.runtime.link_watch`): without the watch, with it, and as robots have it.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import select
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from agent.common.time import NS_PER_S
 from agent.runtime import bus as robots_bus
@@ -29,12 +33,14 @@ from tests.benchmarks.processes import BenchmarkError, environment
 BASE_PORT: Final = 21_000
 SHORT_MS: Final = 15
 SILENT_S: Final = 1.5
+PERIOD_S: Final = 0.1
 LINKS: Final = 100
 LOOKS: Final = 200
 
 
 def main() -> None:
-    """One of the processes; prints how many others it does not hear, and how many links were opened anew."""
+    """One of the processes; once it is asked, prints how many others it does not hear over links that stand,
+    how many without one, and how many links were opened anew; ends when its input does."""
     order = json.loads(sys.argv[1])
     if order["open_timeout_ms"]:
         _shorten(order["open_timeout_ms"])
@@ -49,17 +55,22 @@ def main() -> None:
     bus.declare(f"all/{me}")
     heard: dict[str, float] = {}
     anew = 0
-    until = time.monotonic() + order["seconds"]
-    while time.monotonic() < until:
-        time.sleep(0.1)
+    others = range(half) if opens else range(half, 2 * half)
+    print(flush=True)
+    while True:
+        asked = select.select([sys.stdin], [], [], PERIOD_S)[0]
         bus.publish(f"all/{me}", bytes(100))
         for key, _ in bus.drain():
             heard[key] = time.monotonic()
         anew += len(bus.were_deaf())
-    others = range(half) if opens else range(half, 2 * half)
-    silent = [k for k in others if time.monotonic() - heard.get(f"all/{k}", 0.0) > SILENT_S]
-    print(json.dumps([len(silent), anew]), flush=True)
-    os._exit(0)
+        if asked:
+            if not sys.stdin.readline():
+                os._exit(0)
+            silent = [k for k in others if time.monotonic() - heard.get(f"all/{k}", 0.0) > SILENT_S]
+            # Who accepts a link cannot see whose it is: there all of them stand, or as many fewer do.
+            ends = [str(link.dst) for link in bus._near.info.links()]
+            absent = len([k for k in silent if endpoints[k] not in ends]) if opens else half - len(ends)
+            print(json.dumps([len(silent) - absent, absent, anew]), flush=True)
 
 
 def _shorten(open_timeout_ms: int) -> None:
@@ -71,8 +82,17 @@ def _shorten(open_timeout_ms: int) -> None:
     robots_bus.settings_of = shorter  # type: ignore[assignment]
 
 
-def _deaf(count: int, busy: int, **order: Any) -> tuple[int, int, int]:
-    """Deaf directions at those that open links and at those that accept them; links opened anew."""
+class Counts(NamedTuple):
+    """Deaf directions at those that open links and at those that accept them; links that are not there, of
+    those that were to be opened; links opened anew."""
+
+    openers: int
+    listeners: int
+    absent: int
+    anew: int
+
+
+def _deaf(count: int, busy: int, seconds: float, **order: Any) -> Counts:
     with ExitStack() as stack:
         for _ in range(busy):
             loop = subprocess.Popen([sys.executable, "-c", "while True: pass"])
@@ -83,18 +103,39 @@ def _deaf(count: int, busy: int, **order: Any) -> tuple[int, int, int]:
             whole = json.dumps(order | {"me": me, "count": count})
             process = subprocess.Popen(
                 [sys.executable, "-m", "tests.benchmarks.deaf_links", whole],
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env=environment(),
+                text=True,
             )
             stack.callback(process.wait)
             stack.callback(process.kill)
             processes.append(process)
-        told = [process.communicate()[0] for process in processes]
-    if not all(told):
+        _told(processes)  # every one is up
+        time.sleep(seconds)
+        for process in processes:
+            assert process.stdin is not None
+            process.stdin.write("\n")
+            process.stdin.flush()
+        rows = [json.loads(each) for each in _told(processes)]
+    listeners, openers = rows[: count // 2], rows[count // 2 :]
+    return Counts(
+        sum(row[0] for row in openers),
+        sum(row[0] for row in listeners),
+        sum(row[1] for row in openers),
+        sum(row[2] for row in rows),
+    )
+
+
+def _told(processes: Sequence[subprocess.Popen[str]]) -> list[str]:
+    """The next line of each."""
+    lines = []
+    for process in processes:
+        assert process.stdout is not None
+        lines.append(process.stdout.readline())
+    if not all(lines):
         raise BenchmarkError("one of the processes has failed")
-    rows = [json.loads(each) for each in told]
-    silent = [row[0] for row in rows]
-    return sum(silent[count // 2 :]), sum(silent[: count // 2]), sum(row[1] for row in rows)
+    return lines
 
 
 def _look_cpu_s() -> float:
@@ -129,14 +170,17 @@ def run(options: Options) -> Result:
         (f"{SHORT_MS} ms, watched", SHORT_MS, True),
         ("as robots have it", 0, True),
     ):
-        opener, listener, anew = _deaf(
-            count, 12, open_timeout_ms=open_timeout_ms, watch=watch, seconds=seconds
-        )
-        rows.append([what, str(opener), str(listener), str((count // 2) ** 2), str(anew)])
-    result.figures.append(Figure("deaf directions as robots have it", opener + listener, "", 0))
+        found = _deaf(count, 12, seconds, open_timeout_ms=open_timeout_ms, watch=watch)
+        links = str((count // 2) ** 2)
+        rows.append([what, *map(str, (found.openers, found.listeners)), links, *map(str, found[2:])])
+    result.figures += [
+        Figure("deaf directions as robots have it", found.openers + found.listeners, "", 0),
+        Figure("links that are not there, as robots have it", found.absent, "", 0),
+    ]
     share = _look_cpu_s() / (PERIOD_NS / NS_PER_S)
     result.figures.append(Figure(f"CPU of looking at {LINKS} links", 100.0 * share, "%", 0.2))
-    result.details += table(["Zenoh's limit", "deaf: openers", "listeners", "of each", "opened anew"], rows)
+    heading = ["Zenoh's limit", "deaf: openers", "listeners", "of each", "not there", "opened anew"]
+    result.details += table(heading, rows)
     return result
 
 
