@@ -13,6 +13,12 @@ from deploy.console.data_files import TEMPLATE
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds what ``handfast new`` takes."""
     parser.add_argument("name", metavar="NAME", help="the fleet's name; NAME.toml is written")
+    parser.add_argument(
+        "--lattice",
+        metavar="N",
+        type=int,
+        help="N robots in a triangular lattice of 1 m, to study large fleets (default: three robots)",
+    )
     parser.set_defaults(command=_new)
 
 
@@ -20,7 +26,7 @@ def _new(options: argparse.Namespace) -> int:
     from agent.fleet.loading import parse_fleet
 
     path = Path(f"{options.name}.toml")
-    text = TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
+    text = _text(options)
     parse_fleet(text, source=str(path))  # a bad name is refused here, with the reason
     try:
         with open(path, "x", encoding="utf-8") as file:
@@ -31,3 +37,13 @@ def _new(options: argparse.Namespace) -> int:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from None
     print(f"wrote {path}; next: handfast check {path}")
     return PASSED
+
+
+def _text(options: argparse.Namespace) -> str:
+    if options.lattice is None:
+        return TEMPLATE.read_text(encoding="utf-8").replace("@NAME@", options.name)
+    from deploy.analysis.lattice import ROBOTS_MAX, ROBOTS_MIN, lattice
+
+    if not ROBOTS_MIN <= options.lattice <= ROBOTS_MAX:
+        raise InputError(f"--lattice: must be {ROBOTS_MIN} to {ROBOTS_MAX} robots, got {options.lattice}")
+    return lattice(options.name, options.lattice)

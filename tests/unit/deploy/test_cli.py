@@ -242,3 +242,16 @@ def test_the_law_may_be_a_plugin(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])
     assert "package.module:Class" in capsys.readouterr().out
+
+
+def test_a_lattice_of_many_robots_is_written_as_a_fleet_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "many", "--lattice", "30"]) == 0
+    assert capsys.readouterr().out == "wrote many.toml; next: handfast check many.toml\n"
+    assert len(load_fleet(tmp_path / "many.toml").robots) == 30
+    for robots in ("2", "1001"):
+        assert main(["new", "few", "--lattice", robots]) == 2
+        assert f"--lattice: must be 3 to 1000 robots, got {robots}" in capsys.readouterr().err
+    assert not (tmp_path / "few.toml").exists()
