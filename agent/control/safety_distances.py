@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import islice
 from math import hypot, inf
 from typing import Final
 
@@ -57,9 +57,14 @@ def avoidance_distance(
 def least_apart(edges: Mapping[tuple[int, int], float], offsets: Mapping[int, tuple[float, float]]) -> float:
     """Least distance between the places of two members without an edge; inf when there are none."""
     least = inf
-    for (i, (xi, yi)), (j, (xj, yj)) in combinations(offsets.items(), 2):
-        if (i, j) not in edges and (j, i) not in edges:
-            least = min(least, hypot(xi - xj, yi - yj))
+    # From left to right, so that of many robots only those are compared that could be nearer.
+    in_order = sorted((x, y, robot) for robot, (x, y) in offsets.items())
+    for k, (xi, yi, i) in enumerate(in_order, 1):
+        for xj, yj, j in islice(in_order, k, None):
+            if xj - xi >= least:
+                break
+            if (i, j) not in edges and (j, i) not in edges:
+                least = min(least, hypot(xi - xj, yi - yj))
     return least
 
 

@@ -185,6 +185,11 @@ class FaultPlan:
             self._replays.get(((source, destination), topic)),
         )
 
+    @property
+    def rules_links(self) -> bool:
+        """Whether there is anything that may happen to the messages of a link, until `changes` counts up."""
+        return bool(self._timed or self._defaults or self._replays)
+
     def sensor(self, robot: int, time_ns: int) -> SensorFaults | None:
         """Faults of a measurement of `robot` that is taken at `time_ns`; None for none."""
         found = self._settings(SENSOR_FIELDS, robot, time_ns)

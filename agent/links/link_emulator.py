@@ -183,11 +183,9 @@ class LinkEmulator:
         """`sources`: by topic, the robots whose messages come here."""
         self.plan: Final = plan
         self.robot: Final = robot
-        self._links = {
-            (TOPICS.index(topic), source): _Link(plan, source, robot, TOPICS.index(topic))
-            for topic, robots in sources.items()
-            for source in robots
-        }
+        self._sources = [(TOPICS.index(topic), each) for topic, robots in sources.items() for each in robots]
+        self._links: dict[tuple[int, int], _Link] = {}
+        """Empty while nothing can happen to any message: a node has two of them for every robot there is."""
         self._order = 0
         self._pending: list[tuple[int, int, _Link, Arrival]] = []
         self._holding = 0
@@ -195,16 +193,25 @@ class LinkEmulator:
         self._trace_due_ns: int | None = None
         self._trace_sequence = 0
         self._changes = plan.changes
-        self._ruled = any(not link.rules.idle for link in self._links.values())
+        self._ruled = self._rule()
         self.idle = not self._ruled
+
+    def _rule(self) -> bool:
+        """Takes over the plan's rules; whether they may do anything to any message."""
+        if not self._links and self.plan.rules_links:
+            self._links = {
+                (t, source): _Link(self.plan, source, self.robot, t) for t, source in self._sources
+            }
+        else:
+            for link in self._links.values():
+                link.refresh()
+        return any(not link.rules.idle for link in self._links.values())
 
     def refresh(self) -> None:
         """Takes over the plan's rules; to be called when they have changed."""
         if self._changes != self.plan.changes:
             self._changes = self.plan.changes
-            for link in self._links.values():
-                link.refresh()
-            self._ruled = any(not link.rules.idle for link in self._links.values())
+            self._ruled = self._rule()
         self.idle = not (self._ruled or self._pending or self._holding or self._trace)
 
     def take(
@@ -221,6 +228,8 @@ class LinkEmulator:
             topic: index into `TOPICS`.
             own_position: (x, y), m, W, for a range channel; None while not known: it then does nothing.
         """
+        if not self._links:
+            return True
         link = self._links[topic, message.robot]
         if link.rules.idle:
             return True

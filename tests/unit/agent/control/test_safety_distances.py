@@ -3,7 +3,9 @@ in."""
 
 from __future__ import annotations
 
-from math import inf
+from itertools import combinations
+from math import dist, inf
+from random import Random
 
 import pytest
 
@@ -38,6 +40,16 @@ def test_the_distance_of_avoidance_is_below_what_the_formation_puts_between_robo
     assert avoidance_distance(None, 0.2, CHAIN, close) == pytest.approx(0.45)
     # Below the safe distance there would be nothing to push from.
     assert avoidance_distance(None, 0.48, CHAIN, close) == pytest.approx(1.05 * 0.48)
+
+
+def test_the_least_distance_of_many_is_that_of_all_pairs() -> None:
+    random = Random(0)
+    for robots in (2, 7, 40):
+        places = {k: (random.uniform(-3.0, 3.0), random.uniform(-3.0, 3.0)) for k in range(robots)}
+        pairs = list(combinations(places, 2))
+        edges = {pair[:: random.choice((1, -1))]: 1.0 for pair in random.sample(pairs, len(pairs) // 2)}
+        apart = [dist(places[i], places[j]) for i, j in pairs if not {(i, j), (j, i)} & set(edges)]
+        assert least_apart(edges, places) == min(apart)
 
 
 def test_the_distance_of_avoidance_without_edges() -> None:
