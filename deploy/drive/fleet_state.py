@@ -12,7 +12,7 @@ from agent.formation.geometry import resolve
 from agent.messages import key_expressions
 from agent.messages.types import Ask, Beacon, Heartbeat, Message, Mission, PlantState, Resume, Status, Stop
 from agent.runtime.clock import RealClock
-from deploy.console.wording import robots
+from deploy.console.wording import robots, some
 from deploy.drive.readiness import in_words, is_ready, may_begin, waits
 from deploy.drive.vehicle_checks import VehicleChecks
 from deploy.drive.watch import Watch, fleet_time_s
@@ -214,7 +214,7 @@ class FleetState:
     def waits(self, missing: Sequence[str]) -> str:
         """What keeps the fleet from starting, in words; `missing` are processes that are not there."""
         if missing:
-            return ", ".join(missing)
+            return some(missing)
         found = waits(self.fleet.ids, self.watch.statuses, self.states, self._begins)
         ahead = self.operator.ahead(self.clock.now_ns())
         if ahead and not found:

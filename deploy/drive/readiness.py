@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from agent.messages.types import PlantState, Status
 from agent.supervision.state_machine import State, at_rest
-from deploy.console.wording import robots
+from deploy.console.wording import NAMES_SHOWN, robots
 
 
 def is_ready(state: str) -> bool:
@@ -60,8 +60,12 @@ def waits(
 
 
 def in_words(waits: Mapping[int, str]) -> str:
-    """All of them on one line; robots that wait for the same are named together."""
+    """On one line; robots that wait for the same are named together, and of many reasons the first few."""
     who: dict[str, list[int]] = {}
     for robot, why in waits.items():
         who.setdefault(why, []).append(robot)
-    return "; ".join(f"{robots(ids)}: {why}" for why, ids in who.items())
+    shown = [f"{robots(ids)}: {why}" for why, ids in list(who.items())[:NAMES_SHOWN]]
+    left = sum(map(len, list(who.values())[NAMES_SHOWN:]))
+    if left:
+        shown.append(f"and {left} more robot{'s' * (left != 1)}")
+    return "; ".join(shown)

@@ -14,7 +14,7 @@ import heapq
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from math import ceil
 from typing import Final
 
@@ -61,6 +61,7 @@ Ring = deque[tuple[int, str, bytes]]
 """Messages that wait for a node: time of arrival (ns), key, payload."""
 
 
+@lru_cache(maxsize=4096)  # all agents watch the same
 def _matches(watched: str, token: str) -> bool:
     """Whether a token is among those that are watched."""
     wanted, parts = watched.split("/"), token.split("/")
@@ -228,6 +229,7 @@ class Simulation:
     Args:
         fleet: resolved (`agent.formation.geometry.resolved`). Every body is simulated, whatever its
         connection. sink: called with every message, (time of arrival ns, key, payload).
+        begin_ns: true time at which it begins, at the earliest.
 
     Attributes:
         now_ns: true time.
@@ -239,7 +241,7 @@ class Simulation:
         agent.fleet.model.FleetError: the formation cannot be resolved.
     """
 
-    def __init__(self, fleet: Fleet, sink: Sink | None = None) -> None:
+    def __init__(self, fleet: Fleet, sink: Sink | None = None, begin_ns: int = 0) -> None:
         self.fleet = fleet
         self.reasons: list[str] = []
         self.attended = True
@@ -249,7 +251,7 @@ class Simulation:
         clocks = self._clocks = {robot: LocalTime(*plan.clock(robot)) for robot in fleet.ids}
         # No clock may show a time before 0.
         behind_ns = max(0, *(-clock.skew_ns for clock in clocks.values()))
-        self.now_ns = next_tick_ns(behind_ns - 1, fleet.period_ns, 0)
+        self.now_ns = next_tick_ns(max(begin_ns, behind_ns) - 1, fleet.period_ns, 0)
         ahead_ns = max(0, *(clock.skew_ns for clock in clocks.values()))
         self.epoch_ns = self.now_ns + _warm_up_periods(fleet, ahead_ns) * fleet.period_ns
         self._operator = Operator(fleet, resolve(fleet))
