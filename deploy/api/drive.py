@@ -17,7 +17,7 @@ import msgpack
 from agent.common.errors import Error, packages_named
 from agent.messages.codec import decode
 from deploy.api.changes import in_words_of_python, own_classes
-from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors
+from deploy.api.fleet import Changes, Source, load, names_known, refuse_errors, refuse_overload
 from deploy.api.given import a_path, flags
 from deploy.api.recording import Recording
 from deploy.inventory.folders import out_folder, refuse_full
@@ -130,7 +130,7 @@ def run(
         fleet, changes, named: as `load` takes them. Laws and plants of one's own have to be in a module.
         out: the run's folder (default: ``runs/FLEET-TIME``); must be empty or new.
         report: whether figures and ``report.html`` are made.
-        check: refuses a fleet that `check` finds errors in.
+        check: refuses a fleet that `check` finds errors in, and one that this machine does not carry.
         progress: shows on stderr what happens.
 
     Raises:
@@ -152,6 +152,7 @@ def run(
     )
     if check:
         refuse_errors(loaded)
+        refuse_overload(loaded)
     interrupt = Interrupt()
     with interrupt.caught(), path:
         settings, ports, vehicles = place(loaded.resolved)

@@ -365,3 +365,16 @@ def refuse_errors(fleet: Fleet) -> None:
     if errors:
         lines = "\n".join(f"  {finding.place}: {finding.message}" for finding in errors)
         raise Error(f"{fleet.source}: not started (check=False drives all the same):\n{lines}")
+
+
+def refuse_overload(fleet: Fleet) -> None:
+    """Refuses a fleet that this machine does not carry as processes.
+
+    Raises:
+        Error: what it carries, and what would fit.
+    """
+    from deploy.processes.machine import overload_here
+
+    text = overload_here(fleet.settings)
+    if text:
+        raise Error(f"{fleet.source}: not started (check=False drives all the same): {text}")

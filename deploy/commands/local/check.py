@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from agent.common.exit import BAD_INPUT, PASSED
 from deploy.console.arguments import fleet_arguments, load_unresolved
+
+if TYPE_CHECKING:
+    from agent.fleet.model import Fleet
+    from deploy.check.finding import Finding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +26,18 @@ def _check(options: argparse.Namespace) -> int:
 
     fleet = load_unresolved(options)
     print(describe(fleet))
-    findings = check(fleet)
+    findings = [*check(fleet), *_capacity(fleet)]
     for finding in findings:
         print(finding)
     return BAD_INPUT if any(finding.level == "error" for finding in findings) else PASSED
+
+
+def _capacity(fleet: Fleet) -> Sequence[Finding]:
+    """Whether this machine carries a fleet that `handfast run` would have on it."""
+    from deploy.check.capacity import ROBOTS_MIN, check_capacity
+
+    if len(fleet.robots) < ROBOTS_MIN or any(robot.host for robot in fleet.robots):
+        return ()
+    from deploy.processes.machine import measured
+
+    return tuple(check_capacity(fleet, measured()))

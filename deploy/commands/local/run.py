@@ -7,7 +7,8 @@ import sys
 from contextlib import suppress
 
 from agent.common.exit import FAILED
-from deploy.console.arguments import drive_arguments, fleet_arguments, fleet_path, load
+from agent.fleet.model import Fleet
+from deploy.console.arguments import InputError, drive_arguments, fleet_arguments, fleet_path, load
 from deploy.console.interrupt import Interrupt
 from deploy.drive.outcome import finish, refuse_errors, run_folder
 
@@ -30,6 +31,7 @@ def _run(options: argparse.Namespace) -> int:
     with interrupt.caught():
         fleet = load(options)
         refuse_errors(options, fleet)
+        _refuse_overload(options, fleet)
         fleet, ports, vehicles = place(fleet)
         folder = run_folder(options, fleet, "run")
         view = make_view(quiet=options.quiet)
@@ -45,3 +47,23 @@ def _run(options: argparse.Namespace) -> int:
         finally:
             ports.close()
         return finish(options, folder, run.reasons, interrupted=interrupt.count > 0)
+
+
+def _refuse_overload(options: argparse.Namespace, fleet: Fleet) -> None:
+    """Says how many robots like those of a large fleet this machine carries.
+
+    Raises:
+        InputError: these are more, and the options do not say to drive all the same.
+    """
+    from deploy.check.capacity import ROBOTS_MIN, describe_capacity, overload
+
+    if len(fleet.robots) < ROBOTS_MIN:
+        return
+    from deploy.processes.machine import measured
+
+    machine = measured()
+    text = overload(fleet, machine)
+    if text and options.check:
+        raise InputError(f"{options.fleet}: not started: {text} (--no-check drives all the same)")
+    if not options.quiet:
+        print(f"warning: {text}" if text else describe_capacity(fleet, machine), file=sys.stderr)

@@ -1,0 +1,173 @@
+"""How many robots of a fleet a machine carries, by a model of what their processes cost (PURE).
+
+The costs were measured on one processor (`docs/architecture.md` has which, and how); that of another machine
+is that many times as fast as `Machine.speed` says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+from agent.fleet.model import Fleet
+from deploy.check.check import check
+from deploy.check.finding import Finding
+from deploy.check.network import STATUS_HZ, load_of
+
+ROBOTS_MIN: Final = 13
+"""Smaller fleets are not looked at: they fit."""
+AGENT_TICK_S: Final = 0.95e-3
+AGENT_MESSAGE_S: Final = 38e-6
+PLANT_TICK_S: Final = 0.5e-3
+ROUTER_MESSAGE_S: Final = 6.5e-6
+RECORDED_S: Final = 70e-6
+"""Processor time of an agent for a round of its loop and for a message that it hears, of a plant for a round,
+of a router for a message that it passes on, of `run` for one that it records; Zenoh's part in each, s."""
+FULL: Final = 0.9
+"""Of a machine that is used more, ticks are missed."""
+TIMEOUTS: Final = "plant_timeout_s", "wrench_timeout_s"
+TIMEOUT_PERIODS: Final = 3.0
+"""Fields of `[control]` that must be at least two periods; with so many one lost message is nothing."""
+RATES_HZ: Final = (50.0, 40.0, 30.0, 25.0, 20.0, 15.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0)
+"""Rates that are proposed."""
+
+
+class Machine(NamedTuple):
+    """A machine that robots are to run on: how many processors may be used, and how fast one is, against that
+    on which the costs were measured."""
+
+    cores: float
+    speed: float
+
+
+class Cost(NamedTuple):
+    """Processor time in a second while all is well, s, on the machine on which the costs were measured: of
+    one agent, of one plant, of all routers together, of `run`; and how many robots there are."""
+
+    agent: float
+    plant: float
+    routers: float
+    run: float
+    robots: int
+
+    @property
+    def robot(self) -> float:
+        """Of a robot, with its share of the routers and of `run`."""
+        return self.agent + self.plant + (self.routers + self.run) / self.robots
+
+    @property
+    def whole(self) -> float:
+        return self.robots * self.robot
+
+
+def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
+    """What `fleet` costs, or one of as many robots like these; of a larger one each hears more beacons."""
+    n, rate = len(fleet.robots), fleet.fleet.rate_hz
+    load = load_of(fleet)
+    count = n if robots is None else robots
+    beacons = load.beacons * max(1.0, (count - 1) / max(1, n - 1))
+    heard = load.hands + beacons + load.own
+    # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
+    recorded = count * (3.0 * rate + rate / fleet.beacon_rounds + STATUS_HZ)
+    routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
+    return Cost(
+        AGENT_TICK_S * rate + AGENT_MESSAGE_S * heard,
+        PLANT_TICK_S * rate,
+        ROUTER_MESSAGE_S * routed,
+        RECORDED_S * recorded,
+        count,
+    )
+
+
+def used(cost: Cost, machine: Machine) -> float:
+    """The share of a machine that a fleet uses; above 1 it does not fit."""
+    return cost.whole / (machine.cores * machine.speed)
+
+
+def carried(fleet: Fleet, machine: Machine) -> int:
+    """How many robots like those of `fleet` a machine carries, at its rate."""
+    least, most = 0, 1
+    while used(cost_of(fleet, most), machine) <= FULL:
+        least, most = most, 2 * most
+    while most - least > 1:
+        middle = (least + most) // 2
+        fits = used(cost_of(fleet, middle), machine) <= FULL
+        least, most = (middle, most) if fits else (least, middle)
+    return least
+
+
+def slower(fleet: Fleet, rate_hz: float) -> Fleet:
+    """`fleet` at a lower rate, with timeouts that suit it."""
+    control = fleet.control
+    least_s = TIMEOUT_PERIODS / rate_hz
+    timeouts = {name: max(getattr(control, name), least_s) for name in TIMEOUTS}
+    return replace(
+        fleet,
+        fleet=replace(fleet.fleet, rate_hz=rate_hz),
+        control=replace(control, **timeouts),
+    )
+
+
+def that_fits(fleet: Fleet, machine: Machine) -> Fleet | None:
+    """`fleet` at the highest of the usual rates, below its own, at which the machine carries it; None where
+    there is none, or `check` finds errors there."""
+    for rate_hz in RATES_HZ:
+        if rate_hz < fleet.fleet.rate_hz:
+            found = slower(fleet, rate_hz)
+            if used(cost_of(found), machine) <= FULL:
+                return None if any(finding.level == "error" for finding in check(found)) else found
+    return None
+
+
+def describe_cost(fleet: Fleet) -> str:
+    """What a fleet takes of processors, in a line."""
+    cost = cost_of(fleet)
+    text = f"a robot takes some {_percent(cost.agent + cost.plant)} of a core"
+    text += f" (agent {_percent(cost.agent)}, plant {_percent(cost.plant)})"
+    more = f", routers {_percent(cost.routers)} together" if cost.routers else ""
+    return f"{text}{more}; recording all takes {_percent(cost.run)}"
+
+
+def describe_capacity(fleet: Fleet, machine: Machine) -> str:
+    """How many robots like these a machine carries, in a sentence without its end."""
+    count, cores = carried(fleet, machine), f"{machine.cores:g} core{'s' * (machine.cores != 1)}"
+    return f"this machine ({cores}) carries about {count} robots like these at {fleet.fleet.rate_hz:g} Hz"
+
+
+def overload(fleet: Fleet, machine: Machine) -> str:
+    """Why a machine does not carry `fleet`, and what would fit, as a sentence without its end; "" where it
+    does."""
+    n, cost = len(fleet.robots), cost_of(fleet)
+    if n < ROBOTS_MIN or used(cost, machine) <= FULL:
+        return ""
+    needs = cost.whole / machine.speed
+    found = that_fits(fleet, machine)
+    if found is None:
+        advice = "drive fewer, on a larger machine or in virtual time (`handfast simulate`)"
+    else:
+        changes = [f"fleet.rate_hz={found.fleet.rate_hz:g}"]
+        for name in TIMEOUTS:
+            if getattr(found.control, name) != getattr(fleet.control, name):
+                changes.append(f"control.{name}={getattr(found.control, name):g}")
+        words = " ".join(f"--set {change}" for change in changes)
+        advice = f"all {n} fit at {found.fleet.rate_hz:g} Hz: {words}"
+    return (
+        f"{n} robots at {fleet.fleet.rate_hz:g} Hz need about {needs:.2g} cores, and "
+        f"{describe_capacity(fleet, machine)}; {advice}"
+    )
+
+
+def check_capacity(fleet: Fleet, machine: Machine) -> Iterator[Finding]:
+    """Warns of a fleet that this machine does not carry with `handfast run`, says how many it does."""
+    if len(fleet.robots) < ROBOTS_MIN:
+        return
+    text = overload(fleet, machine)
+    if text:
+        yield Finding("warning", "fleet.rate_hz", f"`handfast run` refuses it here: {text}")
+    else:
+        yield Finding("info", "fleet.rate_hz", describe_capacity(fleet, machine))
+
+
+def _percent(cores: float) -> str:
+    return f"{100.0 * cores:.2g} %"

@@ -1,0 +1,113 @@
+"""What this machine has to give to robots' processes: how many processors, and how fast one is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from math import dist, inf
+from pathlib import Path
+from statistics import median
+from typing import Final
+
+from agent.fleet.model import Fleet
+from agent.messages.codec import decode, encode
+from agent.messages.types import PlantState
+from deploy.check.capacity import ROBOTS_MIN, Machine, overload
+
+ROUNDS: Final = 12
+MESSAGES: Final = 150
+ROUND_S: Final = 1.65e-3
+"""Processor time of one round of `_work` where the costs of `deploy.check.capacity` were measured."""
+BUSY: Final = (
+    "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nos.write(1, b'.')\nwhile True: pass"
+)
+_CPUS: Final = Path("/sys/devices/system/cpu")
+_CGROUPS: Final = Path("/sys/fs/cgroup")
+_OWN_CGROUP: Final = Path("/proc/self/cgroup")
+
+
+def measured() -> Machine:
+    """This machine, by some 20 ms of work of the kind that robots do, beside another program that is busy:
+    two processors that are threads of one core are not twice as fast as one."""
+    allowed = os.sched_getaffinity(0)
+    here = min(allowed)
+    there = [cpu for cpu in _siblings(_CPUS, here) if cpu in allowed] or sorted(allowed - {here})
+    with ExitStack() as stack:
+        if there:
+            stack.enter_context(_busy(there[0]))
+            os.sched_setaffinity(0, {here})
+            stack.callback(os.sched_setaffinity, 0, allowed)
+        took_s = median(_work() for _ in range(ROUNDS))
+    return Machine(cores(), ROUND_S / took_s)
+
+
+@contextmanager
+def _busy(cpu: int) -> Iterator[None]:
+    """A program that takes a processor."""
+    words = [sys.executable, "-I", "-S", "-c", BUSY, str(cpu)]
+    with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as program:
+        try:
+            assert program.stdout is not None
+            program.stdout.read(1)
+            yield
+        finally:
+            program.kill()
+
+
+def _siblings(cpus: Path, cpu: int) -> list[int]:
+    """The other processors of the same core, as far as this machine tells."""
+    with suppress(OSError, ValueError):
+        found = []
+        for part in (cpus / f"cpu{cpu}/topology/thread_siblings_list").read_text().strip().split(","):
+            first, _, last = part.partition("-")
+            found += range(int(first), int(last or first) + 1)
+        return [each for each in found if each != cpu]
+    return []
+
+
+def overload_here(fleet: Fleet) -> str:
+    """Why this machine does not carry `fleet` as processes, "" where it does; small ones cost nothing."""
+    return overload(fleet, measured()) if len(fleet.robots) >= ROBOTS_MIN else ""
+
+
+def cores() -> float:
+    """How many processors this process may use: those that it may run on, and no more than its control group
+    is given."""
+    return min(float(len(os.sched_getaffinity(0))), _quota(_CGROUPS, _OWN_CGROUP))
+
+
+def _quota(cgroups: Path, own: Path) -> float:
+    """Processors that the control group of this process is given, or one that it is in; inf for no limit."""
+    least = inf
+    with suppress(OSError, ValueError):
+        for line in own.read_text().splitlines():
+            number, _, path = line.partition("::")
+            if number != "0":
+                continue
+            folder = cgroups / path.lstrip("/")
+            for each in (folder, *folder.parents):
+                with suppress(OSError, ValueError):
+                    quota, period = (each / "cpu.max").read_text().split()
+                    if quota != "max":
+                        least = min(least, int(quota) / int(period))
+                if each == cgroups:
+                    break
+    return least
+
+
+def _work() -> float:
+    """Messages written, read and looked at as an agent does; the processor time that it took, s."""
+    begun = time.thread_time()
+    near = 0
+    for number in range(MESSAGES):
+        x, y = 0.01 * number, 1.0 - 0.01 * number
+        sent = PlantState(1, number, number, x, y, 0.1, 0.1, 0.1, 0.1, 0.1, False, True, True, "")
+        came = decode(encode(sent))
+        if type(came) is PlantState:
+            near += sum(dist((came.x, came.y), (0.1 * k, 0.0)) < 1.5 for k in range(20))
+    assert near
+    return time.thread_time() - begun

@@ -1,0 +1,103 @@
+"""How many robots a machine carries, and what is said about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from agent.fleet.loading import load_fleet, parse_fleet
+from agent.fleet.model import Fleet
+from agent.formation.geometry import resolved
+from deploy.analysis.lattice import lattice
+from deploy.check.capacity import (
+    FULL,
+    ROBOTS_MIN,
+    Machine,
+    carried,
+    check_capacity,
+    cost_of,
+    describe_cost,
+    overload,
+    that_fits,
+    used,
+)
+from deploy.check.check import check
+from deploy.console.data_files import FLEETS
+
+LAPTOP = Machine(2.0, 1.0)
+
+
+def fleet(robots: int, rate_hz: float = 10.0) -> Fleet:
+    return resolved(parse_fleet(lattice(f"lattice{robots}", robots, rate_hz=rate_hz), source="many"))
+
+
+def test_a_faster_machine_and_one_of_more_cores_carry_more() -> None:
+    many = fleet(100)
+    few = carried(many, LAPTOP)
+    assert 1.8 * few < carried(many, Machine(4.0, 1.0)) <= carried(many, Machine(2.0, 2.0)) + 1
+    assert carried(many, Machine(2.0, 0.01)) == 0
+
+
+def test_what_is_carried_fits_and_one_more_does_not() -> None:
+    for each in (fleet(24), fleet(100), fleet(45, 20.0)):
+        count = carried(each, LAPTOP)
+        assert used(cost_of(each, count), LAPTOP) <= FULL < used(cost_of(each, count + 1), LAPTOP)
+
+
+def test_a_robot_costs_more_where_it_hears_more() -> None:
+    assert cost_of(fleet(100)).agent > cost_of(fleet(24)).agent > cost_of(fleet(24, 5.0)).agent
+    small = cost_of(fleet(24))
+    assert small.routers == 0.0, "a mesh has none"
+    assert small.whole == pytest.approx(24 * (small.agent + small.plant) + small.run)
+
+
+def test_small_fleets_are_never_too_many() -> None:
+    slow = Machine(0.5, 0.05)
+    assert overload(fleet(ROBOTS_MIN - 1), slow) == ""
+    assert list(check_capacity(fleet(ROBOTS_MIN - 1), slow)) == []
+    assert overload(fleet(ROBOTS_MIN), slow) != ""
+
+
+def test_a_fleet_that_is_too_large_is_told_what_fits_and_that_fits() -> None:
+    many, machine = fleet(100, 20.0), LAPTOP
+    text = overload(many, machine)
+    assert text.startswith("100 robots at 20 Hz need about ")
+    assert f"this machine (2 cores) carries about {carried(many, machine)} robots like these at 20 Hz" in text
+    slower = that_fits(many, machine)
+    assert slower is not None
+    changes = text.partition("--set ")[2].split(" --set ")
+    assert changes[0] == f"fleet.rate_hz={slower.fleet.rate_hz:g}"
+    told = resolved(parse_fleet(lattice("many", 100, rate_hz=20.0), source="many", overrides=changes))
+    assert overload(told, machine) == ""
+    assert [str(each) for each in check(told) if each.level == "error"] == []
+
+
+def test_where_no_rate_fits_it_says_so() -> None:
+    text = overload(fleet(100), Machine(1.0, 0.05))
+    assert text.endswith("; drive fewer, on a larger machine or in virtual time (`handfast simulate`)")
+    assert "this machine (1 core) carries about " in text
+
+
+def test_the_rate_is_none_at_which_the_law_would_be_unsound() -> None:
+    stiff = fleet(100, 50.0)
+    stiff = replace(stiff, control=replace(stiff.control, c1=60.0, c2=16.0))
+    found = that_fits(stiff, Machine(2.0, 1.5))
+    assert found is None or not any(each.level == "error" for each in check(found))
+    assert that_fits(stiff, LAPTOP) is None
+
+
+def test_check_warns_of_what_run_refuses_and_says_what_fits_otherwise() -> None:
+    (finding,) = check_capacity(fleet(100), LAPTOP)
+    assert (finding.level, finding.place) == ("warning", "fleet.rate_hz")
+    assert finding.message.startswith("`handfast run` refuses it here: 100 robots at 10 Hz need about ")
+    (finding,) = check_capacity(fleet(24), Machine(8.0, 1.0))
+    assert finding.level == "info"
+    assert finding.message.startswith("this machine (8 cores) carries about ")
+
+
+def test_what_a_robot_costs_in_words() -> None:
+    text = describe_cost(load_fleet(FLEETS / "delta.toml"))
+    assert text.startswith("a robot takes some ")
+    assert "routers" not in text
+    assert ", routers " in describe_cost(fleet(100))

@@ -1,0 +1,67 @@
+"""How many processors this machine has for robots, and how fast they are."""
+
+from __future__ import annotations
+
+import os
+from math import inf
+from pathlib import Path
+
+import pytest
+
+from agent.fleet.loading import load_fleet
+from deploy.console.data_files import FLEETS
+from deploy.processes import machine
+from deploy.processes.machine import measured, overload_here
+
+
+def test_it_is_measured_on_the_processors_that_may_be_used_and_leaves_them_as_they_were() -> None:
+    allowed = os.sched_getaffinity(0)
+    found = measured()
+    assert 0.0 < found.cores <= len(allowed)
+    assert found.speed > 0.0
+    assert os.sched_getaffinity(0) == allowed
+
+
+def test_one_processor_is_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.delattr(os, "sched_setaffinity")
+    assert measured().cores == 1.0
+
+
+def test_a_small_fleet_costs_no_look_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(machine, "measured")
+    assert overload_here(load_fleet(FLEETS / "delta.toml")) == ""
+
+
+@pytest.mark.parametrize(
+    ("limits", "processors"),
+    [
+        ({}, inf),
+        ({"a/b": "max 100000"}, inf),
+        ({"a/b": "150000 100000"}, 1.5),
+        ({"a": "50000 100000", "a/b": "max 100000"}, 0.5),
+        ({"": "400000 100000", "a/b": "200000 50000"}, 4.0),
+        ({"a/b": "nonsense"}, inf),
+    ],
+)
+def test_a_control_group_may_have_less(tmp_path: Path, limits: dict[str, str], processors: float) -> None:
+    groups, own = tmp_path / "cgroup", tmp_path / "own"
+    (groups / "a" / "b").mkdir(parents=True)
+    own.write_text("1:cpu:/other\n0::/a/b\n")
+    for folder, text in limits.items():
+        (groups / folder / "cpu.max").write_text(text + "\n")
+    assert machine._quota(groups, own) == processors
+    assert machine._quota(groups, tmp_path / "absent") == inf
+
+
+def test_processors_of_one_core(tmp_path: Path) -> None:
+    def told(text: str) -> list[int]:
+        (tmp_path / "cpu2" / "topology").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "cpu2" / "topology" / "thread_siblings_list").write_text(text)
+        return machine._siblings(tmp_path, 2)
+
+    assert told("2,10\n") == [10]
+    assert told("2-3\n") == [3]
+    assert told("2\n") == []
+    assert told("?") == []
+    assert machine._siblings(tmp_path, 7) == []
