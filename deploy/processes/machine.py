@@ -61,7 +61,7 @@ def _busy(cpu: int) -> Iterator[None]:
 def _siblings(cpus: Path, cpu: int) -> list[int]:
     """The other processors of the same core, as far as this machine tells."""
     with suppress(OSError, ValueError):
-        found = []
+        found: list[int] = []
         for part in (cpus / f"cpu{cpu}/topology/thread_siblings_list").read_text().strip().split(","):
             first, _, last = part.partition("-")
             found += range(int(first), int(last or first) + 1)

@@ -15,7 +15,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -33,7 +33,7 @@ from agent.runtime.bus import Bus
 from agent.supervision.state_machine import State
 from deploy.processes.placement import place
 from deploy.simulate.simulation import Simulation
-from tests.benchmarks.processes import ROLES, BenchmarkError, Group, cpu_s
+from tests.benchmarks.processes import ROLES, BenchmarkError, Group, cpu_s, start_routers
 
 LEAD_S: Final = 3.0
 """The processes are started so long before the first message."""
@@ -121,8 +121,9 @@ def measure(fleet: Fleet, robot: int, folder: Path, window_s: float, *, count: b
         with ExitStack() as stack:
             group = stack.enter_context(Group(folder))
             words = ["--fleet", str(path), "--exit-with-parent"]
-            group.start(0, "router", [sys.executable, "-P", "-m", "agent.runtime.router", *words], {})
-            bus = stack.enter_context(_bus(fleet, group))
+            start_routers(group, fleet, path)
+            routers = [f"tcp/{router}" for router in fleet.network.routers]
+            bus = stack.enter_context(Bus(listen=[], connect=[], routers=routers, robots=len(fleet.ids)))
             for role in ROLES:
                 module = ["tests.benchmarks.fed_robot", str(folder / COUNTED)] if count else [role]
                 module = module if role == "agent" else [role]
@@ -131,19 +132,6 @@ def measure(fleet: Fleet, robot: int, folder: Path, window_s: float, *, count: b
             return _fed(fleet, robot, group, bus, said, window_s, folder / COUNTED)
     finally:
         ports.close()
-
-
-@contextmanager
-def _bus(fleet: Fleet, group: Group) -> Iterator[Bus]:
-    deadline = time.monotonic() + 10.0
-
-    def go_on() -> bool:
-        group.check()
-        return time.monotonic() < deadline
-
-    routers = [f"tcp/{router}" for router in fleet.network.routers]
-    with Bus(listen=[], connect=[], routers=routers, go_on_waiting=go_on, robots=len(fleet.ids)) as bus:
-        yield bus
 
 
 def _fed(

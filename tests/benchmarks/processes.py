@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -24,11 +25,11 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Mission, PlantState, Status
 from agent.messages.validation import Malformed
-from agent.runtime.bus import Bus
 from agent.runtime.clock import RealClock
 from agent.supervision.state_machine import State
 from deploy.processes.child import ONE_THREAD
 from deploy.processes.placement import place
+from deploy.session.operator_bus import operator_bus
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ROLES: Final = ("agent", "plant")
@@ -170,8 +171,7 @@ class Observer:
         self._missed: dict[int, int] = {}
         self._plants: dict[int, int] = {}
         name = fleet.fleet.name
-        ends = [each(robot) for robot in fleet.ids for each in (fleet.agent_endpoint, fleet.plant_endpoint)]
-        self._bus = Bus(listen=[], connect=ends)
+        self._bus = operator_bus(fleet)
         self._bus.declare(key_expressions.mission(name))
         self._bus.subscribe(key_expressions.everything(name), 65_536)
         self._presence = self._bus.watch(key_expressions.alive(name, "*", "*"))
@@ -261,6 +261,25 @@ class Observer:
 Starter = Callable[[Group, Fleet, Path], None]
 
 
+def start_routers(group: Group, fleet: Fleet, fleet_file: Path) -> None:
+    """The routers of a fleet that is placed; none for a mesh."""
+    for number, router in enumerate(fleet.network.routers, 1):
+        command = [sys.executable, "-P", "-m", "agent.runtime.router", "--fleet", str(fleet_file)]
+        group.start(number, "router", [*command, "--number", str(number), "--exit-with-parent"], {})
+        host, _, port = router.rpartition(":")
+        deadline = time.monotonic() + READY_TIMEOUT_S
+        while not _listens(host, int(port)):
+            group.check()
+            if time.monotonic() > deadline:
+                raise BenchmarkError(f"router {number} does not listen")
+            time.sleep(POLL_S)
+
+
+def _listens(host: str, port: int) -> bool:
+    with socket.socket() as found:
+        return found.connect_ex((host, port)) == 0
+
+
 def start_handfast(
     group: Group, fleet: Fleet, fleet_file: Path, extra: Mapping[str, str] | None = None
 ) -> None:
@@ -294,6 +313,7 @@ def measure(
         fleet_file = folder / "fleet.toml"
         fleet_file.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
         with Group(folder) as group:
+            start_routers(group, fleet, fleet_file)
             start(group, fleet, fleet_file)
             with Observer(fleet, group) as observer:
                 observer.wait_alive()

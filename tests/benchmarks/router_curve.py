@@ -30,7 +30,7 @@ from agent.runtime import bus as robots_bus
 from deploy.analysis.lattice import edges, lattice, places
 from deploy.processes.placement import place
 from tests.benchmarks.figures import number, table
-from tests.benchmarks.processes import BenchmarkError, Group, cpu_s, environment
+from tests.benchmarks.processes import BenchmarkError, Group, cpu_s, environment, start_routers
 
 PERIOD_NS: Final = NS_PER_S // 10
 SIZE: Final = 170
@@ -154,8 +154,7 @@ def carried(count: int, seconds: float) -> Carried:
             path = Path(name) / "fleet.toml"
             path.write_text(tomli_w.dumps(to_dict(fleet)), encoding="utf-8")
             group = stack.enter_context(Group(Path(name)))
-            words = ["-m", "agent.runtime.router", "--fleet", str(path), "--exit-with-parent"]
-            group.start(0, "router", [sys.executable, "-P", *words], {})
+            start_routers(group, fleet, path)
             router = fleet.network.routers[0]
             shares: list[dict[str, list[str]]] = [{str(OPERATOR): ["*"]}]
             for first in range(1, count + 1, EACH):
