@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from statistics import median
 from typing import Any
 
@@ -62,7 +63,9 @@ class Options:
 
 
 def number(value: float) -> str:
-    """Three significant digits or so."""
+    """Three significant digits or so; "-" for what was not to be had (nan, inf)."""
+    if not isfinite(value):
+        return "-"
     size = abs(value)
     if size >= 100.0 or value == int(value):
         return f"{value:.0f}"
