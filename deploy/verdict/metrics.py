@@ -20,6 +20,7 @@ from deploy.analysis.analysis import Approach, norm
 from deploy.analysis.places import last_there_s
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.recording.recorder import RecordingError
+from deploy.verdict import overload
 
 if TYPE_CHECKING:
     from deploy.verdict.evidence import Evidence
@@ -269,6 +270,15 @@ METRICS: tuple[Metric, ...] = (
         lambda r: percentile(r.ticks_us, 99), "Tick, 99 %", "µs",
     ),
     Metric("tick.overruns", "Rounds that started too late and were skipped.", _total("overruns"), "Overruns"),
+    Metric(
+        "machine.late_robots",
+        "Robots whose agents skipped many rounds by no doing of the fleet: their machine was too slow.",
+        lambda r: sorted(overload.late_robots(r.recording)),
+    ),
+    Metric(
+        "machine.stood_still_s", "For how long, in all, no robot of a machine could do anything.",
+        lambda r: round(sum(each.end_s - each.start_s for each in overload.stalls(r.recording)), 3),
+    ),
     Metric("links", "Of each link: what was asked, what was done, what was measured.", _link("links")),
     Metric("injected", "What was done to messages on purpose, over all links.", _link("injected")),
     Metric("links_audit", "Every recorded decision on a message, made again.", _link("links_audit")),

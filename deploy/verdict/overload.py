@@ -14,6 +14,8 @@ from deploy.verdict.violations import windows
 
 SKIPPED_SHARE: Final = 0.05
 """So large a share of a robot's ticks is skipped where its machine, or the law of others, is named."""
+STOOD_SHARE: Final = 0.1
+"""A machine that stood still for so large a share of a drive is named before what failed."""
 STALL_S: Final = 0.5
 """A machine of whose robots none sent a pose for longer than this stood still."""
 
@@ -71,6 +73,22 @@ def warnings(recording: Recording) -> list[str]:
             "the fleet's doing: other programs run there, or too many robots at this rate."
         )
     return out
+
+
+def explains(recording: Recording) -> list[str]:
+    """A sentence where machines were too slow for most robots, to be read before all that failed by it."""
+    if recording.mode == "simulate":
+        return []
+    stood_s, late = sum(stall.end_s - stall.start_s for stall in stalls(recording)), late_robots(recording)
+    if 2 * len(late) <= len(recording.ids) and stood_s <= STOOD_SHARE * recording.end_s:
+        return []
+    stood = f", and {stood_s:.1f} s none could do anything" if stood_s else ""
+    were = "Machines were" if len(_machines(recording)) > 1 else "The machine was"
+    return [
+        f"{were} too slow: {len(late)} of {len(recording.ids)} robots skipped many ticks{stood}. What "
+        "follows may come of that alone; `handfast check` says how many robots a machine carries at which "
+        "rate."
+    ]
 
 
 def late_robots(recording: Recording) -> frozenset[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -11,7 +12,7 @@ from agent.supervision.state_machine import DRIVING, State
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.patience import SHARE_MAX
 from deploy.analysis.stability import SETTLED
-from deploy.console.wording import robots
+from deploy.console.wording import NAMES_SHOWN, robots
 from deploy.recording.recording import Recording
 from deploy.verdict import link_metrics, overload
 from deploy.verdict.completeness import Completeness, last_states
@@ -24,6 +25,8 @@ _GOOD_STATES: Final = frozenset(
     state.value for state in (*DRIVING, State.STOPPING, State.STOPPED, State.RELEASED, State.STANDBY)
 )
 """Of a robot at the end of its drive. Its operator may take it whenever he likes: that is a warning."""
+FEW: Final = 3
+"""Where more fails, what all of it may come of is said first."""
 _IN_FAULT: Final = f" ended the drive in state {State.FAULT.value}: "
 
 
@@ -48,7 +51,8 @@ def reasons(
         if name in ("recovery", "formed") and (states or unsettled):
             continue  # the same, in words about the end
         found += [violation.message for violation in each or ()]
-    return found + unsettled
+    found += unsettled
+    return [*overload.explains(recording), *found] if len(found) > FEW else found
 
 
 def of_fault(reason: str) -> bool:
@@ -100,16 +104,29 @@ def _states(recording: Recording, among: frozenset[int]) -> list[str]:
     for robot, last in last_states(recording).items():
         if robot in among and last is not None and last[0] not in _GOOD_STATES:
             same.setdefault(last, []).append(robot)
-    out = []
+    reasons_of = Counter(state for state, _ in same)
+    out, told = [], set()
     for (state, reason), ids in same.items():
-        they, its = ("it", "its") if len(ids) == 1 else ("they", "their")
-        why = f" ({reason})" if reason else ""
-        meaning = {
-            State.FAULT.value: f"{they} braked because something of {its} own was wrong",
-            State.HOLDING.value: f"{they} braked, and waited until {they} might drive again",
-        }.get(state, f"{they} did not drive")
-        out.append(f"{robots(ids).capitalize()} ended the drive in state {state}: {meaning}{why}.")
+        if reasons_of[state] <= NAMES_SHOWN:
+            out.append(_ended(ids, state, reason))
+        elif state not in told:  # of a large fleet, all that a page of reasons says is that it did not drive
+            told.add(state)
+            all_ids = [robot for (its, _), those in same.items() if its == state for robot in those]
+            first = f"{robots(ids)}: {reason}" if reason else robots(ids)
+            out.append(
+                _ended(all_ids, state, f"{first}; the others for {reasons_of[state] - 1} other reasons")
+            )
     return out
+
+
+def _ended(ids: Sequence[int], state: str, reason: str) -> str:
+    they, its = ("it", "its") if len(ids) == 1 else ("they", "their")
+    why = f" ({reason})" if reason else ""
+    meaning = {
+        State.FAULT.value: f"{they} braked because something of {its} own was wrong",
+        State.HOLDING.value: f"{they} braked, and waited until {they} might drive again",
+    }.get(state, f"{they} did not drive")
+    return f"{robots(ids).capitalize()} ended the drive in state {state}: {meaning}{why}."
 
 
 def _releases(recording: Recording) -> list[str]:

@@ -32,7 +32,7 @@ def test_a_perfect_run() -> None:
         "fleet", "law", "seed", "mode", "robots", "edges", "rate_hz", "duration_s", "min_distance_m",
         "settling_time_s", "tracking_settling_time_s", "changes", "final_distance_error_m",
         "final_tracking_error_m",
-        "rms_distance_error_m", "messages", "age_of_information_ms", "tick", "links", "injected",
+        "rms_distance_error_m", "messages", "age_of_information_ms", "tick", "machine", "links", "injected",
         "links_audit", "clock_offsets",
         "oracles", "verdict", "messages_rejected_by_reason",
     ]  # fmt: skip
@@ -45,6 +45,7 @@ def test_a_perfect_run() -> None:
     assert found["final_distance_error_m"] == found["final_tracking_error_m"] == 0.0
     assert found["rms_distance_error_m"] == 0.0
     assert found["verdict"] == {"passed": True, "reasons": [], "warnings": []}
+    assert found["machine"] == {"late_robots": [], "stood_still_s": 0}
     assert found["links"] == []
     assert found["injected"]["decided"] == found["links_audit"]["decided"] == 0
 

@@ -43,6 +43,12 @@ def test_skipped_ticks_are_the_machines_and_fail_nothing() -> None:
     assert warnings(late(3)) == []
 
 
+def test_metrics_tell_the_machine_from_the_fleet() -> None:
+    assert RunResult(late(30)).metrics["machine"] == {"late_robots": [1, 2], "stood_still_s": 0.0}
+    assert RunResult(gap(1, 2)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.6}
+    assert RunResult(gap(1)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.0}
+
+
 def test_hosts_are_named() -> None:
     recording = late(30)
     robots = tuple(replace(robot, host=f"pi{robot.id}") for robot in recording.fleet.robots)

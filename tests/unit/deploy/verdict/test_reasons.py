@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -292,3 +293,38 @@ def test_a_drive_that_ends_because_every_plant_fails_says_why() -> None:
         f"Robot 2 ended the drive in state fault: it braked because something of its own was wrong {why}",
         "The data are incomplete: robot 2 sent no pose from 0.98 s to 2.00 s.",
     ]
+
+
+def crowd(reasons: Sequence[str], skipped: int = 0) -> list[str]:
+    """What is said of a fleet whose robots wait to the end, each for a reason of its own."""
+    fleet = make_fleet([(float(k), 0.0) for k in range(len(reasons))], [(1, 2)])
+
+    def said(message: Message) -> Message:
+        if type(message) is not Status:
+            return message
+        why, counters = reasons[message.robot - 1], (("overruns", skipped),)
+        return message._replace(state="waiting", reason=why, counters=counters)
+
+    sent = [(received, key, said(each)) for received, key, each in messages(fleet, in_formation(fleet))]
+    found: list[str] = judged(fleet, sent)["verdict"]["reasons"]
+    return found
+
+
+def test_of_many_that_wait_for_many_things_it_is_said_once() -> None:
+    sentence = (
+        "Robots 1, 2, 3, 4, 5, 6, 7, 8 and 2 more ended the drive in state waiting: they did not drive "
+    )
+    found = crowd([f"for robot {robot + 1}" for robot in range(1, 11)])
+    assert found[0] == f"{sentence}(robot 1: for robot 2; the others for 9 other reasons)."
+    assert len(crowd([f"for robot {robot + 1}" for robot in range(1, 9)])) > len(found)
+    (same,) = (each for each in crowd(["for its plant"] * 10) if "waiting" in each)
+    assert same == f"{sentence}(for its plant)."
+
+
+def test_a_machine_that_was_too_slow_for_most_is_named_before_the_many_things_that_failed() -> None:
+    found = crowd([f"for robot {robot + 1}" for robot in range(1, 6)], skipped=50)
+    assert found[0] == (
+        "The machine was too slow: 5 of 5 robots skipped many ticks. What follows may come of that alone; "
+        "`handfast check` says how many robots a machine carries at which rate."
+    )
+    assert not any("too slow" in each for each in crowd([f"for robot {k}" for k in range(1, 6)]))
