@@ -112,7 +112,10 @@ def drive_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-report", dest="report", action="store_false", help="no figures, no report.html")
     parser.add_argument(
-        "--no-check", dest="check", action="store_false", help="drive even where `check` finds errors"
+        "--no-check",
+        dest="check",
+        action="store_false",
+        help="drive even where `check` finds errors (and `run` more robots than this machine carries)",
     )
     parser.add_argument("--quiet", action="store_true", help="say only what went wrong and the verdict")
 

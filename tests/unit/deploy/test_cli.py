@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import IO, Final
 import pytest
 
 from agent.fleet.loading import load_fleet
+from deploy.check.capacity import Machine
 from deploy.check.check import check
 from deploy.cli import COMMANDS, _parser, main
 from deploy.console.data_files import FLEETS
@@ -255,3 +257,36 @@ def test_a_lattice_of_many_robots_is_written_as_a_fleet_file(
         assert main(["new", "few", "--lattice", robots]) == 2
         assert f"--lattice: must be 3 to 1000 robots, got {robots}" in capsys.readouterr().err
     assert not (tmp_path / "few.toml").exists()
+
+
+def test_more_robots_than_this_machine_carries_are_refused_with_what_fits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("deploy.processes.machine.measured", lambda: Machine(2.0, 0.5))
+    assert main(["new", "many", "--lattice", "60"]) == 0
+    assert main(["run", "many.toml"]) == 2
+    told = capsys.readouterr().err
+    assert re.search(
+        r"many\.toml: not started: 60 robots at 10 Hz need about [\d.]+ cores, and this machine \(2 cores\) "
+        r"carries about \d+ robots like these at 10 Hz; all 60 fit at \d Hz: --set fleet\.rate_hz=\d .* "
+        r"\(--no-check drives all the same\)\n$",
+        told,
+    ), told
+    assert not (tmp_path / "runs").exists()
+    assert main(["check", "many.toml"]) == 0
+    assert "warning: fleet.rate_hz: `handfast run` refuses it here: 60 robots" in capsys.readouterr().out
+
+
+def test_nothing_is_measured_for_a_small_fleet_or_one_on_hosts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("deploy.processes.machine.measured", None)
+    assert main(["check", "delta"]) == 0
+    text = (FLEETS / "lattice45.toml").read_text(encoding="utf-8")
+    on_hosts = re.sub(r"\{ id = (\d+),", r'{ id = \1, host = "pi\1",', text)
+    hosts = "".join(f'\n[host.pi{k}]\naddress = "10.0.0.{k}"\n' for k in range(1, 46))
+    router = '\nrouters = ["10.0.1.1:7447"]\n'
+    path = tmp_path / "hosts.toml"
+    path.write_text(on_hosts.replace("[network]\n", f"[network]{router}") + hosts)
+    assert main(["check", str(path)]) == 0
