@@ -1,0 +1,36 @@
+"""A fleet in virtual time; what it does is in tests/simulation."""
+
+from __future__ import annotations
+
+from agent.common.time import NS_PER_S
+from agent.fleet.loading import load_fleet
+from agent.formation.geometry import resolved
+from agent.messages.codec import decode
+from agent.messages.types import PlantState
+from deploy.console.data_files import FLEETS
+from deploy.simulate.simulation import Simulation
+
+PAIR = resolved(load_fleet(FLEETS / "pair.toml", ["fleet.duration_s=2"]))
+
+
+def poses(begin_ns: int) -> tuple[int, list[tuple[int, float, float]]]:
+    """The epoch of a drive, and poses by fleet time (ns)."""
+    found = []
+
+    def sink(_: int, key: str, payload: bytes) -> None:
+        message = decode(payload)
+        if type(message) is PlantState:
+            found.append((message.time_ns, message.x, message.y))
+
+    simulation = Simulation(PAIR, sink, begin_ns)
+    simulation.run()
+    epoch_ns = simulation.epoch_ns
+    return epoch_ns, [(time_ns - epoch_ns, x, y) for time_ns, x, y in found]
+
+
+def test_it_begins_when_it_is_told_and_drives_the_same_way() -> None:
+    late_ns = 1_700_000_000 * NS_PER_S + 1
+    early, late = poses(0), poses(late_ns)
+    assert late_ns <= late[0] < late_ns + 2 * NS_PER_S
+    assert early[0] < 2 * NS_PER_S
+    assert [each for each in early[1] if each[0] >= 0] == [each for each in late[1] if each[0] >= 0]
