@@ -71,7 +71,7 @@ def cost_of(fleet: Fleet, robots: int | None = None) -> Cost:
     beacons = load.beacons * max(1.0, (count - 1) / max(1, n - 1))
     heard = load.hands + beacons + load.own
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    recorded = count * (3.0 * rate + rate / fleet.beacon_rounds + STATUS_HZ)
+    recorded = count * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
     routed = count * (load.hands + beacons) + recorded if fleet.is_routed else 0.0
     tick_s = AGENT_TICK_S + (0.0 if fleet.is_routed else MESH_TICK_S)
     return Cost(

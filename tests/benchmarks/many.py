@@ -22,11 +22,14 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from agent.fleet.loading import load_fleet
+from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
 from agent.supervision.state_machine import DRIVING_NAMES
+from deploy.analysis.lattice import lattice
+from deploy.check.capacity import FULL, RATES_HZ, carried, cost_of, slower, used
 from deploy.console.data_files import FLEETS
+from deploy.processes.machine import measured
 from deploy.recording.recording import Recording
 from tests.benchmarks import fed_robot, router_curve
 from tests.benchmarks.figures import Figure, Options, Result, number, spread, table
@@ -51,6 +54,7 @@ HOG_ROBOTS: Final = 24
 HOG_AFTER_S, HOG_S, HOG_THEN_S = 8.0, 10.0, 12.0
 BACK_S: Final = 5.0
 STOP_S: Final = 1.0
+BEYOND_ROBOTS: Final = 45
 ROUTED: Final = (25, 50, 100, 200, 400, 800)
 ROUTED_QUICK: Final = (50, 200)
 HEADING: Final = (
@@ -304,12 +308,20 @@ def beyond(folder: Path, robots: int, rate_hz: float) -> tuple[list[Figure], lis
 
 
 def carries() -> tuple[int, float]:
-    """How many robots of a lattice this machine carries at 10 Hz, by the model."""
-    from deploy.check.capacity import carried
-    from deploy.processes.machine import measured
+    """How many robots of a lattice this machine carries at 10 Hz by the model, and the rate at which
+    `BEYOND_ROBOTS` need about twice what it has."""
+    machine = measured()
+    large = _lattice(BEYOND_ROBOTS, 10.0)
+    rates = [
+        rate_hz
+        for rate_hz in sorted(RATES_HZ)
+        if used(cost_of(slower(large, rate_hz)), machine) >= 2.0 * FULL
+    ]
+    return carried(_lattice(100, 10.0), machine), rates[0] if rates else RATES_HZ[0]
 
-    fleet = resolved(load_fleet(FLEETS / "lattice45.toml", ["fleet.rate_hz=10"]))
-    return carried(fleet, measured()), 10.0
+
+def _lattice(robots: int, rate_hz: float) -> Fleet:
+    return resolved(parse_fleet(lattice(f"lattice{robots}", robots, rate_hz=rate_hz), source="lattice"))
 
 
 def run(options: Options) -> Result:
@@ -319,14 +331,14 @@ def run(options: Options) -> Result:
         folder = Path(name)
         robots, rate_hz = carries()
         result.figures.append(
-            Figure(f"robots that this machine carries at {rate_hz:g} Hz, by the model", robots)
+            Figure("robots of a lattice that this machine carries at 10 Hz, by the model", robots)
         )
         parts = [
             starts(folder, options.count or (STARTS_QUICK if quick else STARTS)),
             sizes(folder, SIZES_QUICK if quick else SIZES),
             in_fleets(folder, FED_QUICK if quick else FED, 8.0 if quick else 20.0),
             hogged(folder),
-            beyond(folder, 2 * robots, rate_hz),
+            beyond(folder, BEYOND_ROBOTS, rate_hz),
         ]
         if not quick:
             parts.append(bundled(folder))
