@@ -38,7 +38,7 @@ class Unit:
 
 _BITS: Final = {
     f"{prefix}{name}": (scale * size, 1.0)
-    for name, size in (("bit", 1), ("bps", 8))
+    for name, size in (("bit", 1), ("bps", 8), ("bit/s", 1))
     for prefix, scale in (
         ("", 1), ("k", 10**3), ("m", 10**6), ("g", 10**9), ("ki", 2**10), ("mi", 2**20), ("gi", 2**30),
     )
@@ -63,7 +63,8 @@ UNITS: Final[Mapping[str, Unit]] = {
     "dB": Unit("4dB", {"dB": (1, 1)}, ("dB",)),
     "bit/s": Unit("100kbit", _BITS, ("bit", "kbit", "mbit", "gbit"), any_case=True),
 }
-"""By unit. Rates are as in tc(8): bit is a bit a second, bps a byte a second, in any case."""
+"""By unit. Rates are as in tc(8), where bit is a bit a second and bps a byte a second, or with bit/s; in any
+case."""
 
 
 def shown(raw: object) -> str:

@@ -22,6 +22,7 @@ from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.check.network import describe_links
+from deploy.check.radio import describe_radio
 from deploy.check.safety import parting
 from deploy.console.wording import robots, some
 from deploy.faults.wording import defaults, described, words
@@ -58,6 +59,7 @@ def describe(fleet: Fleet) -> str:
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines += [f"  {line}" for line in _describe_network(fleet)]
     lines.append(f"  links: {describe_links(fleet)}")
+    lines += [f"  {line}" for line in describe_radio(fleet, geometry)]
     return "\n".join(lines)
 
 
