@@ -29,6 +29,7 @@ from agent.messages.types import (
     HELD,
     LOST,
     OVERFLOW,
+    QUEUED,
     RANGE,
     REORDERED,
     TOPICS,
@@ -179,8 +180,11 @@ class LinkEmulator:
     While `idle` is True nothing happens to any message, and none need come here.
     """
 
-    def __init__(self, plan: FaultPlan, robot: int, sources: Mapping[str, Sequence[int]]) -> None:
-        """`sources`: by topic, the robots whose messages come here."""
+    def __init__(
+        self, plan: FaultPlan, robot: int, sources: Mapping[str, Sequence[int]], *, radio: bool = False
+    ) -> None:
+        """`sources`: by topic, the robots whose messages come here. `radio`: they come over a radio, whose
+        decisions are published as well: it is never idle."""
         self.plan: Final = plan
         self.robot: Final = robot
         self._links = {
@@ -196,7 +200,8 @@ class LinkEmulator:
         self._trace_sequence = 0
         self._changes = plan.changes
         self._ruled = any(not link.rules.idle for link in self._links.values())
-        self.idle = not self._ruled
+        self._radio = radio
+        self.idle = not (self._ruled or radio)
 
     def refresh(self) -> None:
         """Takes over the plan's rules; to be called when they have changed."""
@@ -205,7 +210,7 @@ class LinkEmulator:
             for link in self._links.values():
                 link.refresh()
             self._ruled = any(not link.rules.idle for link in self._links.values())
-        self.idle = not (self._ruled or self._pending or self._holding or self._trace)
+        self.idle = not (self._ruled or self._radio or self._pending or self._holding or self._trace)
 
     def take(
         self,
@@ -251,6 +256,15 @@ class LinkEmulator:
             self._trace.append(entry)
             self._wait(link, sent_ns + delay_ns, arrival)
         return False
+
+    def queued(self, topic: int, message: Sample, until_ns: int | None) -> None:
+        """Notes that a message waits for the radio until then; None: it was dropped there."""
+        sent = message.robot, topic, message.sequence, message.time_ns
+        if until_ns is None:
+            self._trace.append(Decision(*sent, QUEUED | LOST | OVERFLOW, _LOST_US))
+            return
+        delay_ns = until_ns - self._links[topic, message.robot].sent_ns(message.time_ns)
+        self._trace.append(Decision(*sent, QUEUED, max(0, delay_ns) // 1000))
 
     def _replay(self, link: _Link, delays_us: tuple[int, int], arrival: Arrival) -> bool:
         """Gives a message the fate that it had in another run."""

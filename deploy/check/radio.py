@@ -253,8 +253,8 @@ def _words(fleet: Fleet, geometry: Geometry, sets: Mapping[str, float]) -> str:
 
 
 def fitting_rates(fleet: Fleet, geometry: Geometry, *, operator: bool) -> dict[str, float] | None:
-    """Settings with the highest rate, of `_lower_rates`, at which the budget carries everything; None if there
-    is none.
+    """Settings with the highest rate (of `_lower_rates`) at which the budget carries everything; None if
+    there is none.
 
     Beacons become fewer where the rate would have to be below `_GOOD_HZ` otherwise.
     """

@@ -12,7 +12,7 @@ from agent.fleet.fault_rules import ACTION_FIELDS, Rule
 from agent.formation.points import Floats
 from agent.links.fault_plan import FaultPlan
 from agent.links.timed_rules import link_effects
-from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, RANGE, REORDERED
+from agent.messages.types import CORRUPTED, DUPLICATED, HELD, OVERFLOW, QUEUED, RANGE, REORDERED
 from deploy.analysis.analysis import Analysis
 from deploy.analysis.rounding import largest, mean, number, percentile
 from deploy.console.wording import robots, some
@@ -73,6 +73,7 @@ def injected(rows: LinkTable) -> dict[str, Any]:
         "reordered": rows.count(REORDERED),
         "held": rows.count(HELD),
         "overflow": rows.count(OVERFLOW),
+        "queued": rows.count(QUEUED),
         "range": rows.count(RANGE),
         "delay_ms": {
             "mean": mean(delays_ms),
