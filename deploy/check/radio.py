@@ -1,197 +1,32 @@
-"""What the robots' radios carry, and whether it fits into `network.budget` (PURE).
-
-Bytes on the link, as `agent.links.wire_size` counts them. All stand at their places, nobody is silent, no
-fault rule holds, and no order has just been given: that is what goes on all the time. Robots that pass each
-other on the way to their places listen to each other as well.
-"""
+"""Whether what the robots' radios carry fits into `network.budget`, and which rates do (PURE)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
-import numpy as np
-
-from agent.control.safety_distances import sensing_distance
+from agent.fleet.hosts import MESH_ROBOTS_MAX
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
-from agent.links.wire_size import (
-    KEEP_ALIVE_HZ,
-    acknowledged_bytes,
-    carried_bytes,
-    joined_bytes,
-    keep_alive_bytes,
-)
-from agent.messages.codec import encode
-from agent.messages.sequence_numbers import FIRST_ROUND
-from agent.messages.types import (
-    HEARD_ROUNDS,
-    Beacon,
-    HandState,
-    Message,
-    NeighbourStatus,
-    PlantState,
-    Status,
-    Total,
-    Wrench,
-)
+from agent.messages.types import SILENT_MAX
 from deploy.check.finding import Finding
 from deploy.check.loop import check_loop
-from deploy.check.network import STATUS_HZ, beacon_hz
-from deploy.check.safety import parting
+from deploy.check.radio_load import kbit, worst_load
 
-_NOW_NS: Final = 1_790_000_000_000_000_000
-_ROUND: Final = FIRST_ROUND + 10_000
-_ECHO_US: Final = 20_000
 _GOOD_HZ: Final = 10.0
 """A lower rate than this is not proposed while beacons can be fewer."""
 _BEACON_HZ: Final = (2.0, 1.0, 0.5)
 """Fewer beacons that are proposed."""
 _PERIODS: Final = 2.5
 """Timeouts of plant and wrench at a rate at which they would be shorter than the least that is allowed."""
-_COUNTERS: Final = (
-    "sent", "received", "lost", "delayed", "duplicated", "corrupted", "rejected", "overruns",
-    "filtered.any", "filtered.speed",
-)  # fmt: skip
-"""What a status counts in an uneventful drive."""
-
-
-class Stream(NamedTuple):
-    """Messages of one kind that leave, or come to, a robot.
-
-    Attributes:
-        hz: how often.
-        copies: over so many links, each time.
-        bytes: of one without what is around it, on average.
-        joined: of the copies, so many go along with another message of their tick.
-    """
-
-    hz: float
-    copies: int
-    bytes: float
-    joined: int = 0
-
-
-class RadioLoad(NamedTuple):
-    """What the radio of a robot sends and receives, bit/s."""
-
-    robot: int
-    up: float
-    down: float
-
-    @property
-    def most(self) -> float:
-        """The way that carries more."""
-        return max(self.up, self.down)
-
-    def __str__(self) -> str:
-        return f"robot {self.robot} sends {kbit(self.up)} and receives {kbit(self.down)}"
-
-
-def kbit(bits_per_second: float) -> str:
-    """In kbit/s, or in Mbit/s from 1000 of these on, in three digits."""
-    if bits_per_second < 999_500.0:
-        return f"{bits_per_second / 1e3:.3g} kbit/s"
-    return f"{bits_per_second / 1e6:.4g} Mbit/s"
-
-
-def radio_loads(fleet: Fleet, geometry: Geometry, *, operator: bool) -> list[RadioLoad]:
-    """Of every robot, in the order of the file.
-
-    Args:
-        operator: whether one listens to all, as `handfast drive` does to record it.
-    """
-    listened = listeners(fleet, geometry)
-    hands = {robot: _hand_bytes(fleet, robot, listened[robot]) for robot in fleet.ids}
-    return [_load(fleet, robot, listened[robot], hands, operator) for robot in fleet.ids]
-
-
-def worst_load(fleet: Fleet, geometry: Geometry, *, operator: bool) -> RadioLoad:
-    """Of the robot whose radio carries most."""
-    return max(radio_loads(fleet, geometry, operator=operator), key=lambda load: load.most)
-
-
-def listeners(fleet: Fleet, geometry: Geometry) -> dict[int, set[int]]:
-    """Whose hand states each robot listens to when all are at their places; these listen to its own."""
-    found: dict[int, set[int]] = {robot: set() for robot in fleet.ids}
-    ids = geometry.ids
-    for i, j in geometry.edges.tolist():
-        found[ids[i]].add(ids[j])
-        found[ids[j]].add(ids[i])
-    if not fleet.avoidance.enabled:
-        return found
-    x, y = geometry.offsets.T
-    apart = np.hypot(x[:, None] - x, y[:, None] - y)
-    near = np.argwhere(apart < sensing_distance(fleet, parting(fleet, geometry)[0]))
-    for i, j in near.tolist():
-        if i != j:
-            found[ids[i]].add(ids[j])
-    return found
-
-
-def _load(
-    fleet: Fleet, robot: int, near: Set[int], hand_bytes: Mapping[int, float], operator: bool
-) -> RadioLoad:
-    """Of one robot that listens to those in `near`; sizes of all robots' hand states by their ids."""
-    up, down = _streams(fleet, robot, near, hand_bytes, operator)
-    secured = fleet.is_secured
-    links, idle = _idle(fleet, near)
-    signs = keep_alive_bytes(secured) + acknowledged_bytes(0.0, secured)
-    sent = received = links * idle * signs
-    for streams, there, back in ((up, 1, 0), (down, 0, 1)):
-        for hz, copies, size, joined in streams:
-            alone = copies - joined
-            carried = hz * (alone * carried_bytes(size, secured) + joined * joined_bytes(size))
-            acknowledged = hz * alone * acknowledged_bytes(size, secured)
-            sent += there * carried + back * acknowledged
-            received += back * carried + there * acknowledged
-    return RadioLoad(robot, 8.0 * sent, 8.0 * received)
-
-
-def _idle(fleet: Fleet, near: Set[int]) -> tuple[int, float]:
-    """Links on which less goes than signs of life would, each way, and how often one of these goes then."""
-    others = len(fleet.robots) - 1
-    if fleet.is_routed or not others:
-        return 0, 0.0
-    return others - len(near), max(0.0, KEEP_ALIVE_HZ - beacon_hz(fleet))
-
-
-def _streams(
-    fleet: Fleet, robot: int, near: Set[int], hand_bytes: Mapping[int, float], operator: bool
-) -> tuple[list[Stream], list[Stream]]:
-    """What leaves a robot, and what comes to it."""
-    rate, beacons = fleet.fleet.rate_hz, beacon_hz(fleet)
-    others = len(fleet.robots) - 1
-    # Of what is said on links to routers they make a copy for each; in a mesh its sender does.
-    hands, beacons_to = len(near) + operator, others + operator
-    if fleet.is_routed:
-        hands, beacons_to = min(1, hands), min(1, beacons_to)
-    up = [
-        Stream(rate, hands, hand_bytes[robot]),
-        Stream(beacons, beacons_to, _beacon_bytes(robot), hands),
-    ]
-    if operator:
-        up += [
-            Stream(rate, 1, _size(_wrench(robot)), 1),
-            Stream(STATUS_HZ, 1, _size(_status(fleet, robot)), 1),
-            Stream(rate, 1, _size(_plant_state(robot))),  # from another process
-        ]
-        if _tells_truth(fleet, robot):
-            up.append(Stream(rate, 1, _size(_plant_state(robot)), 1))
-    down = [Stream(rate, 1, hand_bytes[other]) for other in sorted(near)]
-    down.append(Stream(beacons, others, _beacon_bytes(robot), len(near)))
-    return up, down
-
-
-# --- what is said of it ------------------------------------------------------------------------
 
 
 def describe_radio(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
     """What the busiest radio carries, in a line; nothing without a budget."""
     if fleet.network.budget is None:
         return
-    alone = worst_load(fleet, geometry, operator=False)
+    alone = worst_load(fleet, geometry)
     watched = worst_load(fleet, geometry, operator=True)
     yield (
         f"radio: {alone}, of {kbit(fleet.network.budget)} each way; while an operator listens to all, "
@@ -205,14 +40,14 @@ def check_radio(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
     if budget is None:
         return
     place = "network.budget"
-    alone = worst_load(fleet, geometry, operator=False)
+    alone = worst_load(fleet, geometry)
     watched = worst_load(fleet, geometry, operator=True)
     if alone.most > budget:
         yield Finding(
             "warning",
             place,
             f"{alone} with all headers, where {kbit(budget)} are to do each way: messages will queue, come "
-            f"late and be lost; {_advice(fleet, geometry, operator=False)}",
+            f"late and be lost; {_advice(fleet, geometry)}",
         )
     elif watched.most > budget:
         yield Finding(
@@ -222,6 +57,15 @@ def check_radio(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             f"listens to all adds, as `handfast drive` does to record it: {watched}; "
             f"{_advice(fleet, geometry, operator=True)}",
         )
+    else:
+        stressed = worst_load(fleet, geometry, silences=True)
+        if stressed.most > budget:
+            yield Finding(
+                "info",
+                place,
+                f"while robots are silent, others' beacons tell of up to {SILENT_MAX} of them: {stressed} "
+                f"then, of {kbit(budget)} each way. A fleet whose radios fall behind may not catch up",
+            )
     if fleet.network.emulate_budget and any(robot.host is not None for robot in fleet.robots):
         yield Finding(
             "warning",
@@ -230,7 +74,7 @@ def check_radio(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
         )
 
 
-def _advice(fleet: Fleet, geometry: Geometry, *, operator: bool) -> str:
+def _advice(fleet: Fleet, geometry: Geometry, *, operator: bool = False) -> str:
     sets = fitting_rates(fleet, geometry, operator=operator)
     if sets is None:
         routed = replace(fleet, network=replace(fleet.network, topology="routed"))
@@ -247,6 +91,8 @@ def _advice(fleet: Fleet, geometry: Geometry, *, operator: bool) -> str:
 
 def _words(fleet: Fleet, geometry: Geometry, sets: Mapping[str, float]) -> str:
     words = " ".join(f"--set {name}={value:g}" for name, value in sets.items())
+    if len(fleet.robots) > MESH_ROBOTS_MAX:
+        return words  # to look takes seconds; whoever checks it with these is told
     found = check_loop(with_rates(fleet, sets), geometry)
     unsound = any(each.place == "fleet.rate_hz" for each in found)
     return f"{words} (but the law wants a higher rate)" if unsound else words
@@ -301,49 +147,3 @@ def with_rates(fleet: Fleet, sets: Mapping[str, float]) -> Fleet:
         table, _, attribute = name.partition(".")
         fleet = replace(fleet, **{table: replace(getattr(fleet, table), **{attribute: value})})
     return fleet
-
-
-# --- sizes ------------------------------------------------------------------------------------
-
-
-def _size(message: Message) -> int:
-    return len(encode(message))
-
-
-def _hand_bytes(fleet: Fleet, robot: int, near: Set[int]) -> float:
-    """One hand state on average: it echoes what was heard once in `HEARD_ROUNDS`."""
-    multipliers = tuple((other, 0.1) for other in fleet.neighbours(robot))
-    heard = tuple((other, _ECHO_US) for other in sorted(near))
-    hand = HandState(robot, _ROUND, _NOW_NS, True, len(multipliers), *(0.1,) * 11, multipliers, ())
-    return (_size(hand._replace(heard=heard)) + (HEARD_ROUNDS - 1) * _size(hand)) / HEARD_ROUNDS
-
-
-def _beacon_bytes(robot: int) -> int:
-    return _size(Beacon(robot, _ROUND, _NOW_NS, True, *(0.1,) * 5, _NOW_NS, 2**31, -1, -1))
-
-
-def _wrench(robot: int) -> Wrench:
-    return Wrench(robot, _ROUND, _NOW_NS, 0.1, 0.1, False, (_NOW_NS, _NOW_NS))
-
-
-def _plant_state(robot: int) -> PlantState:
-    return PlantState(robot, _ROUND, _NOW_NS, *(0.1,) * 7, True, True, True, "")
-
-
-def _status(fleet: Fleet, robot: int) -> Status:
-    """One of an uneventful drive: it tells of each tick since the last, and of each neighbour in each."""
-    neighbours, ticks = fleet.neighbours(robot), round(fleet.fleet.rate_hz / STATUS_HZ)
-    rows = tuple(NeighbourStatus(other, _ECHO_US, 10_000, 10, 100, 200) for other in neighbours)
-    ages_us = (_ECHO_US,) * (ticks * len(neighbours))
-    counted = tuple(Total(name, 10_000) for name in _COUNTERS)
-    return Status(
-        robot, 1000, _NOW_NS, "running", "", "", _NOW_NS, -1, rows, (300,) * ticks, ages_us, counted
-    )
-
-
-def _tells_truth(fleet: Fleet, robot: int) -> bool:
-    """Whether its plant says where the body really is, beside what it measures."""
-    body = fleet.robot(robot)
-    return any(
-        (body.position_noise_m, body.heading_noise_rad, body.speed_noise_mps, body.yaw_rate_noise_radps)
-    )

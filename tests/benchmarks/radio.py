@@ -33,7 +33,7 @@ from agent.links.wire_size import (
 from agent.messages import key_expressions
 from agent.runtime.bus import Bus
 from agent.security.access_control import Security
-from deploy.check.radio import RadioLoad, radio_loads
+from deploy.check.radio_load import RadioLoad, radio_loads
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 from tests.benchmarks.processes import BenchmarkError, NotHereError, end, environment, handfast
 from tests.benchmarks.startup import command_of
