@@ -47,6 +47,7 @@ NAMES: Final = (
     "many_hosts",
     "deaf_links",
     "radio",
+    "radio_queue",
 )
 LOAD_QUIET: Final = 0.5
 

@@ -1,9 +1,10 @@
 """What messages take on the links between robots, and whether `check` says so: bytes, counted by the kernel.
 
-Real agents and plants on loopback, in a mesh, with routers and with secured links. Of each TCP socket the kernel
-tells how many bytes and packets it has sent (tcp_info, `ss`); a packet has 52 bytes of headers. Between the
-processes of one robot nothing goes over its radio. What `deploy.check.radio` predicts is compared for every
-robot: where it is off, the constants of `agent.links.wire_size` or the sizes of messages are stale.
+Real agents and plants on loopback, in a mesh, with routers and with secured links. Of each TCP socket the
+kernel tells how many bytes and packets it has sent (tcp_info, `ss`); a packet has 52 bytes of headers.
+Between the processes of one robot nothing goes over its radio. What `deploy.check.radio_load` predicts is
+compared for every robot: where it is off, the constants of `agent.links.wire_size` or the sizes of messages
+are stale.
 """
 
 from __future__ import annotations
@@ -114,9 +115,13 @@ def sent_within(window_s: float, meanwhile: Callable[[], None] = lambda: None) -
 
 
 class Around(NamedTuple):
-    """What is around messages of a pair of sessions, one message every `PERIOD_S`: bytes of the stream around
-    each payload, packets that carry one, packets that only acknowledge one; and signs of life on an idle link,
-    a second, and the bytes of the stream for each."""
+    """What is around messages of a pair of sessions, one message every `PERIOD_S`.
+
+    Attributes:
+        stream: bytes of the stream around each payload, by `SIZES`.
+        packets, acknowledged: that carry it, that only acknowledge it, for each message.
+        alive_hz, alive_bytes: signs of life on an idle link, a second, and bytes of the stream for each.
+    """
 
     stream: list[float]
     packets: list[float]
@@ -130,31 +135,33 @@ def around(port: int, key: str, count: int, security: Callable[[str], Security] 
     scheme = "tls" if security is not None else "tcp"
     endpoint = f"{scheme}/127.0.0.1:{port}"
     one, other = (security(name) if security is not None else None for name in ("listens", "dials"))
-    with Bus(listen=[endpoint], connect=[], security=one) as source:
-        with Bus(listen=[], connect=[endpoint], security=other) as sink:
-            source.declare(key)
-            sink.subscribe(key)
-            time.sleep(1.0)
+    with (
+        Bus(listen=[endpoint], connect=[], security=one) as source,
+        Bus(listen=[], connect=[endpoint], security=other) as sink,
+    ):
+        source.declare(key)
+        sink.subscribe(key)
+        time.sleep(1.0)
 
-            def both(sent: Mapping[Ends, Socket]) -> tuple[Socket, Socket]:
-                there = next(each for (own, _), each in sent.items() if own.endswith(f":{port}"))
-                back = next(each for (_, far), each in sent.items() if far.endswith(f":{port}"))
-                return there, back
+        def both(sent: Mapping[Ends, Socket]) -> tuple[Socket, Socket]:
+            there = next(each for (own, _), each in sent.items() if own.endswith(f":{port}"))
+            back = next(each for (_, far), each in sent.items() if far.endswith(f":{port}"))
+            return there, back
 
-            idle, _ = both(sent_within(IDLE_S))
-            found = Around([], [], [], idle.with_data / IDLE_S, idle.stream_bytes / max(1, idle.with_data))
-            for size in SIZES:
-                before, came = sockets(), 0
-                for _ in range(count):
-                    source.publish(key, bytes(size))
-                    time.sleep(PERIOD_S)
-                    came += sum(1 for _ in sink.drain())
-                there, back = both({k: each.since(before[k]) for k, each in sockets().items() if k in before})
-                assert came == count, f"{came} of {count} messages came"
-                found.stream.append(there.stream_bytes / count - size)
-                found.packets.append(there.with_data / count)
-                found.acknowledged.append((back.packets - back.with_data) / count)
-            return found
+        idle, _ = both(sent_within(IDLE_S))
+        found = Around([], [], [], idle.with_data / IDLE_S, idle.stream_bytes / max(1, idle.with_data))
+        for size in SIZES:
+            before, came = sockets(), 0
+            for _ in range(count):
+                source.publish(key, bytes(size))
+                time.sleep(PERIOD_S)
+                came += sum(1 for _ in sink.drain())
+            there, back = both({k: each.since(before[k]) for k, each in sockets().items() if k in before})
+            assert came == count, f"{came} of {count} messages came"
+            found.stream.append(there.stream_bytes / count - size)
+            found.packets.append(there.with_data / count)
+            found.acknowledged.append((back.packets - back.with_data) / count)
+        return found
 
 
 # --- whole fleets ---------------------------------------------------------------------------------
@@ -275,7 +282,7 @@ def run(options: Options) -> Result:
             for load in loads
             for predicted, measured in ((load.up, found.up[load.robot]), (load.down, found.down[load.robot]))
         ]
-        note = f"{min(ratios):.3f} to {max(ratios):.3f}; {found.acknowledged:.2f} acknowledged by packets of their own"
+        note = f"{min(ratios):.3f} to {max(ratios):.3f}; acknowledged alone {found.acknowledged:.2f}"
         result.figures.append(Figure(f"{arm}: measured / predicted", median(ratios), note=note))
         worst = max(loads, key=lambda load: load.most)
         pairs = ((worst.up, found.up[worst.robot]), (worst.down, found.down[worst.robot]))
@@ -302,7 +309,7 @@ def _around(result: Result, folder: Path, count: int) -> None:
         Figure(
             "packets that acknowledge, for each message of a one-way link",
             median(plain.acknowledged),
-            note=f"of both ways {ACKNOWLEDGED} are taken",
+            note=f"taken as {ACKNOWLEDGED}: most links carry something both ways",
         ),
     ]
     rows = [
