@@ -1,8 +1,8 @@
 """What the robots' radios carry (PURE).
 
-Bytes on the link, as `agent.links.wire_size` counts them. All stand at their places, nobody is silent, no
-fault rule holds, and no order has just been given: that is what goes on all the time. Robots that pass each
-other on the way to their places listen to each other as well.
+Bytes on the link, as `agent.links.wire_size` counts them. All stand where they start or at their places,
+nobody is silent, no fault rule holds, and no order has just been given: that is what goes on all the time.
+Robots that pass each other in between listen to each other as well.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.control.safety_distances import sensing_distance
 from agent.fleet.model import Fleet
-from agent.formation.geometry import Geometry
+from agent.formation.geometry import Geometry, start_hands
 from agent.links.wire_size import (
     KEEP_ALIVE_HZ,
     acknowledged_bytes,
@@ -67,11 +67,12 @@ class Stream(NamedTuple):
 
 
 class RadioLoad(NamedTuple):
-    """What the radio of a robot sends and receives, bit/s."""
+    """What the radio of a robot sends and receives, bit/s; `at_start` or, if not that, at its place."""
 
     robot: int
     up: float
     down: float
+    at_start: bool = False
 
     @property
     def most(self) -> float:
@@ -79,7 +80,8 @@ class RadioLoad(NamedTuple):
         return max(self.up, self.down)
 
     def __str__(self) -> str:
-        return f"robot {self.robot} sends {kbit(self.up)} and receives {kbit(self.down)}"
+        where = " at the start" if self.at_start else ""
+        return f"robot {self.robot} sends {kbit(self.up)} and receives {kbit(self.down)}{where}"
 
 
 def kbit(bits_per_second: float) -> str:
@@ -90,29 +92,40 @@ def kbit(bits_per_second: float) -> str:
 
 
 def radio_loads(
-    fleet: Fleet, geometry: Geometry, *, operator: bool = False, silences: bool = False
+    fleet: Fleet,
+    geometry: Geometry,
+    *,
+    at_start: bool = False,
+    operator: bool = False,
+    silences: bool = False,
 ) -> list[RadioLoad]:
     """Of every robot, in the order of the file.
 
     Args:
+        at_start: while robots are where they start, not at their places.
         operator: whether one listens to all, as `handfast drive` does to record it.
         silences: whether so many robots are silent that beacons tell of as many as they can.
     """
-    joined, listened = neighbours(fleet, geometry), listeners(fleet, geometry)
+    joined, listened = neighbours(fleet, geometry), listeners(fleet, geometry, at_start=at_start)
     hands = {robot: _hand_bytes(robot, joined[robot], listened[robot]) for robot in fleet.ids}
     beacon = _beacon_bytes(fleet, min(SILENT_MAX, max(0, len(fleet.ids) - 2)) if silences else 0)
     loads = []
     for robot in fleet.ids:
         status = _status_bytes(fleet, robot, joined[robot]) if operator else None
-        loads.append(_load(fleet, robot, listened[robot], hands, beacon, status))
+        load = _load(fleet, robot, listened[robot], hands, beacon, status)
+        loads.append(load._replace(at_start=at_start))
     return loads
 
 
 def worst_load(
     fleet: Fleet, geometry: Geometry, *, operator: bool = False, silences: bool = False
 ) -> RadioLoad:
-    """Of the robot whose radio carries most; arguments as of `radio_loads`."""
-    loads = radio_loads(fleet, geometry, operator=operator, silences=silences)
+    """Of the robot whose radio carries most, at its place or at the start; arguments as of `radio_loads`."""
+    loads = [
+        load
+        for at_start in (False, True)
+        for load in radio_loads(fleet, geometry, at_start=at_start, operator=operator, silences=silences)
+    ]
     return max(loads, key=lambda load: load.most)
 
 
@@ -126,17 +139,18 @@ def neighbours(fleet: Fleet, geometry: Geometry) -> dict[int, set[int]]:
     return found
 
 
-def listeners(fleet: Fleet, geometry: Geometry) -> dict[int, set[int]]:
-    """Whose hand states each robot listens to when all are at their places; these listen to its own."""
+def listeners(fleet: Fleet, geometry: Geometry, *, at_start: bool = False) -> dict[int, set[int]]:
+    """Whose hand states each robot listens to at the places or at the start; these listen to its own."""
     found = neighbours(fleet, geometry)
     if not fleet.avoidance.enabled:
         return found
-    x, y = geometry.offsets.T
+    ids = geometry.ids
+    x, y = (start_hands(fleet) if at_start else geometry.offsets).T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     near = np.argwhere(apart < sensing_distance(fleet, parting(fleet, geometry)[0]))
     for i, j in near.tolist():
         if i != j:
-            found[geometry.ids[i]].add(geometry.ids[j])
+            found[ids[i]].add(ids[j])
     return found
 
 

@@ -28,7 +28,7 @@ from deploy.simulate.simulation import Simulation
 from tests.benchmarks.figures import Figure, Options, Result, number, table
 
 RATE_HZ: Final = 20.0
-SHARES: Final = (2.0, 1.2, 1.0, 0.9, 0.75, 0.5, 0.25)
+SHARES: Final = (1.5, 1.2, 1.0, 0.9, 0.75, 0.5, 0.25)
 """Budgets, by what the busiest radio needs as `check` says."""
 DURATION_S: Final = 40.0
 WITHIN: Final = 0.05

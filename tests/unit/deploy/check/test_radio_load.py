@@ -115,7 +115,7 @@ def test_a_robot_alone_says_nothing_to_anybody() -> None:
         robots=there.robots[:1],
         formation=replace(there.formation, edges=(), offsets=((0.0, 0.0),), distance_m=()),
     )
-    assert loads(alone)[1][1:] == (0.0, 0.0)
+    assert loads(alone)[1] == (1, 0.0, 0.0, False)
     assert loads(alone, operator=True)[1].up > 0.0
 
 
@@ -157,3 +157,16 @@ def test_rates_are_said_in_three_digits() -> None:
     ]  # fmt: skip
     assert str(RadioLoad(3, 1e5, 2e5)) == "robot 3 sends 100 kbit/s and receives 200 kbit/s"
     assert RadioLoad(3, 1e5, 2e5).most == 2e5
+
+
+def test_at_the_start_others_may_be_near() -> None:
+    there = fleet()
+    geometry = resolve(there)
+    at_start, in_place = (listeners(there, geometry, at_start=each) for each in (True, False))
+    assert all(at_start[robot] >= in_place[robot] for robot in there.ids)
+    assert sum(map(len, at_start.values())) > sum(map(len, in_place.values()))
+    worst = worst_load(there, geometry)
+    assert worst.at_start
+    assert worst.most == max(load.most for load in radio_loads(there, geometry, at_start=True))
+    assert worst.most > max(load.most for load in radio_loads(there, geometry))
+    assert str(worst).endswith(" at the start")
