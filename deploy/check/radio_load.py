@@ -104,15 +104,19 @@ def radio_loads(
     Args:
         at_start: while robots are where they start, not at their places.
         operator: whether one listens to all, as `handfast drive` does to record it.
-        silences: whether so many robots are silent that beacons tell of as many as they can.
+        silences: whether so many robots are silent that beacons tell of as many as they can; they come as
+            often as they may then, in large fleets too.
     """
     joined, listened = neighbours(fleet, geometry), listeners(fleet, geometry, at_start=at_start)
     hands = {robot: _hand_bytes(robot, joined[robot], listened[robot]) for robot in fleet.ids}
-    beacon = _beacon_bytes(fleet, min(SILENT_MAX, max(0, len(fleet.ids) - 2)) if silences else 0)
+    beacons = beacon_hz(fleet), _beacon_bytes(fleet, 0)
+    if silences:
+        told = min(SILENT_MAX, max(0, len(fleet.ids) - 2))
+        beacons = fleet.fleet.rate_hz / fleet.beacon_rounds, _beacon_bytes(fleet, told)
     loads = []
     for robot in fleet.ids:
         status = _status_bytes(fleet, robot, joined[robot]) if operator else None
-        load = _load(fleet, robot, listened[robot], hands, beacon, status)
+        load = _load(fleet, robot, listened[robot], hands, beacons, status)
         loads.append(load._replace(at_start=at_start))
     return loads
 
@@ -155,17 +159,23 @@ def listeners(fleet: Fleet, geometry: Geometry, *, at_start: bool = False) -> di
 
 
 def _load(
-    fleet: Fleet, robot: int, near: Set[int], hands: Mapping[int, float], beacon: int, status: int | None
+    fleet: Fleet,
+    robot: int,
+    near: Set[int],
+    hands: Mapping[int, float],
+    beacons: tuple[float, int],
+    status: int | None,
 ) -> RadioLoad:
     """Of one robot that listens to those in `near`.
 
     Args:
         hands: bytes of a hand state, by who says it.
-        beacon, status: bytes of such a message; no status goes where no operator listens.
+        beacons: how often (Hz) they come from every robot, and their bytes.
+        status: its bytes; none goes where no operator listens.
     """
-    up, down = _streams(fleet, robot, near, hands, beacon, status)
+    up, down = _streams(fleet, robot, near, hands, beacons, status)
     secured = fleet.is_secured
-    links, idle = _idle(fleet, near)
+    links, idle = _idle(fleet, near, beacons[0])
     signs = keep_alive_bytes(secured) + acknowledged_bytes(0.0, secured)
     sent = received = links * idle * signs
     for streams, there, back in ((up, 1, 0), (down, 0, 1)):
@@ -178,25 +188,30 @@ def _load(
     return RadioLoad(robot, 8.0 * sent, 8.0 * received)
 
 
-def _idle(fleet: Fleet, near: Set[int]) -> tuple[int, float]:
+def _idle(fleet: Fleet, near: Set[int], beacons_hz: float) -> tuple[int, float]:
     """Links on which less goes than signs of life would, each way, and how often one of these goes then."""
     others = len(fleet.robots) - 1
     if fleet.is_routed or not others:
         return 0, 0.0
-    return others - len(near), max(0.0, KEEP_ALIVE_HZ - beacon_hz(fleet))
+    return others - len(near), max(0.0, KEEP_ALIVE_HZ - beacons_hz)
 
 
 def _streams(
-    fleet: Fleet, robot: int, near: Set[int], hands: Mapping[int, float], beacon: int, status: int | None
+    fleet: Fleet,
+    robot: int,
+    near: Set[int],
+    hands: Mapping[int, float],
+    beacons: tuple[float, int],
+    status: int | None,
 ) -> tuple[list[Stream], list[Stream]]:
     """What leaves a robot, and what comes to it."""
-    rate, beacons = fleet.fleet.rate_hz, beacon_hz(fleet)
+    rate, (beacons_hz, beacon) = fleet.fleet.rate_hz, beacons
     others, operator = len(fleet.robots) - 1, status is not None
     # Of what is said on links to routers they make a copy for each; in a mesh its sender does.
     hearers, all_others = len(near) + operator, others + operator
     if fleet.is_routed:
         hearers, all_others = min(1, hearers), min(1, all_others)
-    up = [Stream(rate, hearers, hands[robot]), Stream(beacons, all_others, beacon, hearers)]
+    up = [Stream(rate, hearers, hands[robot]), Stream(beacons_hz, all_others, beacon, hearers)]
     if status is not None:
         up += [
             Stream(rate, 1, _size(_wrench(robot)), 1),
@@ -206,7 +221,7 @@ def _streams(
         if _tells_truth(fleet, robot):
             up.append(Stream(rate, 1, _size(_plant_state(robot)), 1))
     down = [Stream(rate, 1, hands[other]) for other in sorted(near)]
-    down.append(Stream(beacons, others, beacon, len(near)))
+    down.append(Stream(beacons_hz, others, beacon, len(near)))
     return up, down
 
 
