@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
 from agent.common.errors import Error
 from agent.common.time import NS_PER_S, MachineClock
@@ -19,7 +19,8 @@ from agent.control.own_hand import OwnHand
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolve
 from agent.formation.mission_choice import MissionChoice, MissionRefused
-from agent.links.ingress import Ingress
+from agent.links.ingress import Accept, Ingress, OnAir
+from agent.links.radio import Radio
 from agent.messages import key_expressions
 from agent.messages.codec import decode, encode, mark_of
 from agent.messages.types import (
@@ -88,12 +89,18 @@ class Agent:
         self._watches_all = fleet.beacon_rounds_max == fleet.beacon_rounds
         horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         self._deafness = Deafness(others, horizon_ns, sees_all=self._watches_all)
+        self._radio = Radio[OnAir](fleet, robot) if fleet.network.emulate_budget else None
         self._ingress = Ingress(
-            fleet, robot, "agent", {"hand": others, "beacon": others, "state": (robot,)}, self._damaged
+            fleet,
+            robot,
+            "agent",
+            {"hand": others, "beacon": others, "state": (robot,)},
+            self._damaged,
+            self._radio,
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected
-        self._report = StatusReport(self.rejected)
+        self._report = StatusReport(self.rejected, self._radio)
         self._route(name, others)
 
         self.alive_key: Final = key_expressions.alive(name, robot, "agent")
@@ -143,15 +150,28 @@ class Agent:
         on(key_expressions.mission(name), Mission, self._accept_operators_mission)
         on(key_expressions.stop(name), Stop, self._relay.accept)
         on(key_expressions.resume(name), Resume, self._accept_operators_resume)
-        for key in (key_expressions.relayed(name, other) for other in others):
-            on(key, Mission, self._accept_mission)
-            on(key, Stop, self._relay.accept)
-            on(key, Resume, self._relay.accept)
+        for other in others:
+            key = key_expressions.relayed(name, other)
+            on(key, Mission, self._over_the_radio(other, self._accept_mission))
+            on(key, Stop, self._over_the_radio(other, self._relay.accept))
+            on(key, Resume, self._over_the_radio(other, self._relay.accept))
         on(key_expressions.heartbeat(name), Heartbeat, self._situation.accept_heartbeat)
         on(key_expressions.ask(name), Ask, self._relay.accept_question)
         on(key_expressions.beacon(name, robot), Beacon, _own)
         for kind in (Mission, Stop, Resume):
             on(self._relay.key, kind, _own)
+
+    def _over_the_radio(self, other: int, accept: Accept) -> Accept:
+        """`accept` for orders that robot `other` relays: they take their time on a radio, if there is one."""
+        radio = self._radio
+        if radio is None:
+            return accept
+
+        def heard(order: Any, now_ns: int) -> str | None:
+            radio.hear_order(now_ns, other, encode(order))
+            return accept(order, now_ns)
+
+        return heard
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes one message off the bus. What is not valid is counted by its reason and changes nothing."""
@@ -308,6 +328,8 @@ class Agent:
         out += self._relay.due(now_ns)
         stopping = situation.ending or self.state in (State.STOPPING, State.STOPPED)
         out += self._ingress.outgoing(now_ns, flush=stopping)
+        if self._radio is not None:
+            out = self._radio.send(now_ns, out, len(self._listened))
         return out
 
     def _find_hand(self, now_ns: int) -> Hand | None:

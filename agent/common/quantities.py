@@ -34,6 +34,7 @@ class Unit:
     suffixes: Mapping[str, tuple[float, float]]
     written: tuple[str, ...] = ()  # suffixes that `text` chooses from
     any_case: bool = False
+    ending: tuple[str, str] = ("", "")  # of a suffix, and what it may be written as too: ("bit", "bit/s")
 
 
 _BITS: Final = {
@@ -61,9 +62,9 @@ UNITS: Final[Mapping[str, Unit]] = {
     "N m": Unit("2Nm", {"Nm": (1, 1)}),
     "ratio": Unit("30%", {"%": (1, 100), "ppm": (1, 1e6)}, ("%",)),
     "dB": Unit("4dB", {"dB": (1, 1)}, ("dB",)),
-    "bit/s": Unit("100kbit", _BITS, ("bit", "kbit", "mbit", "gbit"), any_case=True),
+    "bit/s": Unit("100kbit", _BITS, ("bit", "kbit", "mbit", "gbit"), True, ("bit", "bit/s")),
 }
-"""By unit. Rates are as in tc(8): bit is a bit a second, bps a byte a second, in any case."""
+"""By unit. Rates are as in tc(8): bit, or bit/s, is a bit a second, bps a byte a second, in any case."""
 
 
 def shown(raw: object) -> str:
@@ -82,6 +83,8 @@ def quantity(raw: object, unit: str) -> float:
         suffix = match[2] if match else None
         if suffix is not None and known.any_case:
             suffix = suffix.lower()
+        if suffix is not None and known.ending[1] and suffix.endswith(known.ending[1]):
+            suffix = suffix.removesuffix(known.ending[1]) + known.ending[0]
         if match is not None and (suffix is None or suffix in known.suffixes):
             times, divided = known.suffixes[suffix] if suffix else (1.0, 1.0)
             return _finite(float(match[1]) * times / divided, raw)

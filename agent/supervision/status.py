@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from typing import Final
+from typing import Any, Final
 
 from agent.common.time import NS_PER_S
 from agent.control.peers.peers import Peer
+from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
@@ -22,6 +23,7 @@ class StatusReport:
 
     Args:
         rejected: messages that were not valid, by reason.
+        radio: what drops messages on purpose, None where nothing does.
 
     Attributes:
         ages_us: ages of neighbours' states that the law worked with since the last status, us.
@@ -30,8 +32,8 @@ class StatusReport:
         digest: of its fleet file, once it has refused a mission for another one: `Status.digest`.
     """
 
-    def __init__(self, rejected: Counter[str]) -> None:
-        self._rejected = rejected
+    def __init__(self, rejected: Counter[str], radio: Radio[Any] | None = None) -> None:
+        self._rejected, self._radio = rejected, radio
         self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
         self.sent_hands = self.corrupted = 0
@@ -100,6 +102,7 @@ class StatusReport:
             "rejected": sum(self._rejected.values()),
             "overruns": self._overruns,
             **({"links.opened_anew": self._links_opened_anew} if self._links_opened_anew else {}),
+            **(self._radio.counted() if self._radio is not None else {}),
             **{f"rejected.{reason}": count for reason, count in sorted(self._rejected.items())},
             **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
         }

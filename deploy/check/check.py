@@ -19,6 +19,7 @@ from deploy.check.finding import Finding
 from deploy.check.loop import check_gains, check_loop, check_saturation
 from deploy.check.network import check_network
 from deploy.check.orders import check_orders
+from deploy.check.radio import check_radio
 from deploy.check.safety import check_safety
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
 from deploy.check.stiffness import check_stiffness
@@ -50,6 +51,7 @@ def check(fleet: Fleet) -> list[Finding]:
 
             findings += check_own_law(fleet, geometry)
         findings += check_orders(fleet, geometry)
+        findings += check_radio(fleet, geometry)
     findings += check_gains(fleet)
     findings += check_motion(fleet, geometry)
     findings += check_noise(fleet)

@@ -23,6 +23,7 @@ from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.check.capacity import describe_cost
 from deploy.check.network import describe_links
+from deploy.check.radio import describe_radio
 from deploy.check.safety import parting
 from deploy.console.wording import robots, some
 from deploy.faults.wording import defaults, described, words
@@ -60,6 +61,7 @@ def describe(fleet: Fleet) -> str:
     lines += [f"  {line}" for line in _describe_network(fleet)]
     lines.append(f"  links: {describe_links(fleet)}")
     lines.append(f"  processor: {describe_cost(fleet)}")
+    lines += [f"  {line}" for line in describe_radio(fleet, geometry)]
     return "\n".join(lines)
 
 

@@ -35,15 +35,20 @@ class Load(NamedTuple):
         return self.hands + self.beacons + self.own
 
 
+def beacon_hz(fleet: Fleet) -> float:
+    """How often a robot says its beacon while it moves as others expect."""
+    return fleet.fleet.rate_hz / fleet.beacon_rounds_max
+
+
 def load_of(fleet: Fleet) -> Load:
     """What the network of `fleet` carries. Robots that come near each other hear more of each other."""
     n, rate = len(fleet.robots), fleet.fleet.rate_hz
     hands = 2.0 * len(fleet.formation.edges) / n * rate
-    beacons = (n - 1) * rate / fleet.beacon_rounds_max
+    beacons = (n - 1) * beacon_hz(fleet)
     if not fleet.is_routed:
         return Load(n * (n - 1) // 2 + n, hands, beacons, rate, 0.0)
     # An operator listens to all: hand state, wrench and the plant's state, beacon and status.
-    to_operator = n * (3.0 * rate + rate / fleet.beacon_rounds_max + STATUS_HZ)
+    to_operator = n * (3.0 * rate + beacon_hz(fleet) + STATUS_HZ)
     return Load(3 * n, hands, beacons, rate, n * (hands + beacons) + to_operator)
 
 

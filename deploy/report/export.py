@@ -24,6 +24,7 @@ from agent.messages.types import (
     HELD,
     LOST,
     OVERFLOW,
+    QUEUED,
     RANGE,
     REORDERED,
     TOPICS,
@@ -50,7 +51,7 @@ _DTYPES: Final = {int: np.int64, float: np.float64, bool: np.bool_}
 _NAMES: Final = {"value": "multiplier", "doubt": "position_uncertainty"}
 _WHAT: Final = {
     "lost": LOST, "duplicated": DUPLICATED, "corrupted": CORRUPTED, "reordered": REORDERED, "held": HELD,
-    "range": RANGE, "overflow": OVERFLOW,
+    "range": RANGE, "overflow": OVERFLOW, "queued": QUEUED,
 }  # fmt: skip
 _COUNTS: Final = (*MESSAGES, "overruns")
 

@@ -47,6 +47,8 @@ NAMES: Final = (
     "many_hosts",
     "deaf_links",
     "many",
+    "radio",
+    "radio_queue",
 )
 LOAD_QUIET: Final = 0.5
 

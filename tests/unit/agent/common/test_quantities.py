@@ -44,6 +44,8 @@ from agent.common.quantities import (
         (bits_per_second, "1Mbit", 1e6),
         (bits_per_second, "10kbps", 80e3),
         (bits_per_second, "1kibit", 1024.0),
+        (bits_per_second, "250 kbit/s", 250e3),
+        (bits_per_second, "1.5Mbit/s", 1.5e6),
         (bits_per_second, 9600, 9600.0),
     ],
 )

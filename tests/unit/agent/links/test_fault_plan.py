@@ -18,8 +18,8 @@ PERIOD = 20_000_000
 CUT = '[[faults.rule]]\nname = "cut"\nlink = "1->2"\nloss = "100%"\n'
 
 
-def fleet(faults: str = "") -> Fleet:
-    return parse_fleet(FLEET + faults, source="here")
+def fleet(faults: str = "", *overrides: str) -> Fleet:
+    return parse_fleet(FLEET + faults, source="here", overrides=overrides)
 
 
 def live(

@@ -95,7 +95,7 @@ def test_what_was_done_is_counted_by_message_and_by_copy() -> None:
     assert (first["link"], first["topic"], first["decided"]) == ("1->2", "hand", 7)
     assert first["injected"] == {
         "lost": 2, "rate": pytest.approx(2 / 7, abs=1e-6), "duplicated": 2, "corrupted": 0, "reordered": 1,
-        "held": 1, "overflow": 1, "range": 1,
+        "held": 1, "overflow": 1, "queued": 0, "range": 1,
         "delay_ms": {"mean": 0.25, "p50": 0.25, "p95": pytest.approx(0.525), "max": 0.6},
     }  # fmt: skip
     assert (second["link"], second["decided"], second["injected"]["delay_ms"]["max"]) == ("3->2", 1, 5.0)
