@@ -22,7 +22,7 @@ from deploy.analysis.couplings import coupling_of, law_of
 from deploy.analysis.rigidity import is_rigid
 from deploy.analysis.stability import SETTLED, guaranteed_distance, settling_time
 from deploy.check.capacity import describe_cost
-from deploy.check.network import describe_links
+from deploy.check.network import describe_links, describe_topology
 from deploy.check.radio import describe_radio
 from deploy.check.safety import parting
 from deploy.console.wording import robots, some
@@ -59,6 +59,7 @@ def describe(fleet: Fleet) -> str:
     lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines += [f"  {line}" for line in _describe_network(fleet)]
+    lines.append(f"  topology: {describe_topology(fleet)}")
     lines.append(f"  links: {describe_links(fleet)}")
     lines.append(f"  processor: {describe_cost(fleet)}")
     lines += [f"  {line}" for line in describe_radio(fleet, geometry)]
@@ -79,7 +80,9 @@ def _describe_network(fleet: Fleet) -> Iterator[str]:
     for host in fleet.hosts:
         there = [robot.id for robot in fleet.robots if robot.host == host.name]
         address = f" ({host.address})" if host.address else ""
-        yield f"  host {host.name}{address}: {robots(there) if there else 'no robot'}"
+        router = fleet.router_on(host.name)
+        beside = f", router {router.number}" if router else ""
+        yield f"  host {host.name}{address}: {robots(there) if there else 'no robot'}{beside}"
 
 
 def _describe_shape(fleet: Fleet, geometry: Geometry) -> str:

@@ -53,13 +53,13 @@ def load_of(fleet: Fleet) -> Load:
 
 
 def describe_links(fleet: Fleet) -> str:
-    """The topology, and what it carries, in a line."""
+    """What the network carries, in a line."""
     load = load_of(fleet)
-    network = fleet.network
+    places = [router.where if router.host is None else router.host for router in fleet.routers]
     if not fleet.is_routed:
         text = "a mesh"
-    elif network.routers:
-        text = f"routed by {' or '.join(network.routers)}"
+    elif places:
+        text = f"routed by {' or '.join(places)}"
     else:
         text = "routed by a router that `handfast run` starts"
     heard = [(load.hands, "hand states"), (load.beacons, "beacons"), (load.own, "states of its plant")]
@@ -68,20 +68,29 @@ def describe_links(fleet: Fleet) -> str:
     return text + (f", routers pass on {load.routed:.0f}" if load.routed else "")
 
 
+def describe_topology(fleet: Fleet) -> str:
+    """Which topology it is, why, and who starts its routers, in a line."""
+    if fleet.network.topology is not None:
+        why = "as network.topology says"
+    elif fleet.network.routers:
+        why = "as network.routers names some"
+    else:
+        why = f"for {'more than' if fleet.is_routed else 'at most'} {MESH_ROBOTS_MAX} robots"
+    if not fleet.is_routed:
+        return f"a mesh, {why}"
+    hosts = [router.host for router in fleet.routers if router.host is not None]
+    starts = f"; `handfast up` starts routers on {' and '.join(hosts)}" if hosts else ""
+    return f"routed, {why}{starts}"
+
+
 def check_network(fleet: Fleet) -> Iterator[Finding]:
     """Warns of a mesh that is too large."""
     n = len(fleet.robots)
     if fleet.is_routed or n <= MESH_ROBOTS_MAX:
         return
-    has_hosts = any(robot.host is not None for robot in fleet.robots)
-    advice = (
-        'name [network] routers, such as ["192.168.1.2:7447"], and start `handfast router` there'
-        if has_hosts
-        else "leave out network.topology"
-    )
     yield Finding(
         "warning",
         "network",
         f"{n} robots are linked each to each, by {n * (n - 1) // 2} links; {MESH_ROBOTS_MAX} are as many as "
-        f"go well together: {advice}",
+        "go well together: leave out network.topology",
     )

@@ -45,7 +45,7 @@ from agent.messages.types import (
 )
 from agent.messages.validation import Malformed
 from agent.runtime.bus import Bus, BusError, Router
-from tests.process.fleet_harness import Robots, make_fleet, placed, robots
+from tests.process.fleet_harness import ROUTED, Robots, make_fleet, placed, robots
 from tests.process.harness import (
     ADDRESS,
     BUSY,
@@ -244,6 +244,9 @@ class Hostile:
             for robot in ids
             for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot))
         ]
+        self._routers = fleet.router_endpoints
+        self._own: set[tuple[str, bytes]] = set()
+        """What it has put: a router brings that to its ear, too."""
         self._heard: list[tuple[float, str, bytes]] = []
         self._stop = threading.Event()
         self._failure: BaseException | None = None
@@ -251,10 +254,11 @@ class Hostile:
 
     def __enter__(self) -> Hostile:
         # Its own configuration would do; the product's keeps it to the endpoints that it is told.
-        self._bus = Bus(listen=[], connect=self._endpoints)
+        ends: dict[str, Any] = {"listen": [], "connect": [] if self._routers else self._endpoints}
+        self._bus = Bus(**ends, routers=self._routers)
         self._session: Any = self._bus._far
         # A session hears itself, and peers do not relay: a second one hears the fleet and no garbage.
-        self._ear = Bus(listen=[], connect=self._endpoints)
+        self._ear = Bus(**ends, routers=self._routers)
         self._ear.subscribe(f"{self._keys[0].partition('/')[0]}/**", 4096)
         self._thread.start()
         return self
@@ -277,12 +281,14 @@ class Hostile:
             self._failure = error
 
     def _put(self, key: str, payload: bytes) -> None:
+        if self._routers:
+            self._own.add((key, payload))
         self._session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
         self.sent += 1
 
     def _round(self) -> None:
         draw, now_s = self._random, time.monotonic()
-        fresh = [(now_s, *each) for each in self._ear.drain()]
+        fresh = [(now_s, *each) for each in self._ear.drain() if each not in self._own]
         for _, key, payload in fresh[-20:]:
             self._put(key, payload)  # at once, and word for word
         self._heard += fresh
@@ -299,7 +305,9 @@ class Hostile:
                 self._put(key, draw.choice(old)[1])
         for key, payload in draw.sample(old, min(4, len(old))):
             self._put(key, payload)  # word for word, too late
-        self._session.delete(draw.choice(self._keys))
+        key = draw.choice(self._keys)
+        self._own.add((key, b""))
+        self._session.delete(key)
 
     def _spoilt(self, payload: bytes) -> bytes:
         """Cut, lengthened, or with one bit turned; if that gives a newer valid message, cut."""
@@ -373,17 +381,17 @@ class Hostile:
 def throw_at_ports(fleet: Fleet, seed: int) -> None:
     """Bytes that are not Zenoh's at every port, as a port scanner sends them."""
     draw = random.Random(seed)
-    for robot in fleet.ids:
-        for endpoint in (fleet.agent_endpoint(robot), fleet.plant_endpoint(robot)):
-            port = int(endpoint.rpartition(":")[2])
-            for payload in (
-                b"",
-                b"GET / HTTP/1.0\r\n\r\n",
-                draw.randbytes(2000),
-                b"\xff\xff" + bytes(70_000),
-            ):
-                with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as link:
-                    link.sendall(payload)
+    own = [each(robot) for robot in fleet.ids for each in (fleet.agent_endpoint, fleet.plant_endpoint)]
+    for endpoint in (*own, *fleet.router_endpoints):
+        port = int(endpoint.rpartition(":")[2])
+        for payload in (
+            b"",
+            b"GET / HTTP/1.0\r\n\r\n",
+            draw.randbytes(2000),
+            b"\xff\xff" + bytes(70_000),
+        ):
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as link:
+                link.sendall(payload)
 
 
 def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
@@ -417,6 +425,28 @@ def test_garbage_on_every_key_changes_nothing(tmp_path: Path) -> None:
     assert metrics["messages"]["rejected"] == sum(reasons.values())
     assert all("ended the drive in state" not in reason for reason in metrics["verdict"]["reasons"]), metrics
     assert_same_way(hands(folder, grid), hands(tmp_path / "simulated" / "out", grid), grid, AGREE_M)
+
+
+def test_garbage_through_a_router_has_no_robot_stop(tmp_path: Path) -> None:
+    """An operator hears it, too, as nothing is secured: what robots say of themselves counts."""
+    with robots(tmp_path / "r", "pair", ROUTED, *BUSY_SETTINGS) as all_robots:
+        all_robots.drive()
+        with Hostile(all_robots.fleet, 20_080_705, pause_s=0.02) as hostile:
+            throw_at_ports(all_robots.fleet, 20_080_705)
+            until = time.monotonic() + 3.0
+            all_robots.wait(lambda: hostile.sent > 1500 and time.monotonic() > until, "garbage")
+        ended_ns = time.time_ns()
+        for robot in all_robots.fleet.ids:
+            _, status = all_robots.first(
+                ended_ns, Status, robot, lambda m: m.state == "running", f"robot {robot} drives"
+            )
+            assert dict(status.counters)["rejected"] > 500
+            said = all_robots.log(robot, "agent").read_text().splitlines()
+            states = [line.partition("agent: ")[2].partition(":")[0] for line in said]
+            driven = states[states.index("running") :]
+            assert {"running"} <= set(driven) <= {"running", "degraded"}, said
+        assert not all_robots.died(), all_robots.told()
+        no_trouble_in_logs(all_robots.folder)
 
 
 def test_flood_harms_nobody_for_longer_than_it_lasts(tmp_path: Path) -> None:
