@@ -35,10 +35,10 @@ from agent.fleet.safety import (
     SupervisionSection,
 )
 from agent.fleet.sections import (
-    Body,
-    ControlSection,
     SEND_ALONE_S,
     SEND_PERIODS,
+    Body,
+    ControlSection,
     DatumSection,
     FleetSection,
     FormationSection,

@@ -24,7 +24,7 @@ def check_sending(fleet: Fleet) -> Iterator[Finding]:
             yield Finding("info", "control.send_every_s", 'nobody asks for it: control.send is "periodic"')
         return
     period_s = fleet.period_ns / 1e9
-    within_s = control.hands_within_ns(fleet.period_ns) / 1e9
+    within_s = fleet.hands_within_ns / 1e9
     if within_s < 2.0 * period_s * (1.0 - 1e-9):
         yield Finding(
             "warning",
