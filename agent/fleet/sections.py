@@ -19,7 +19,7 @@ from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 
 SEND_PERIODS: Final = 12
 """Between two hand states of a robot that has nothing to say, as it is where the file does not say it."""
-SEND_ALONE_S: Final = 0.5
+SEND_ALONE_S: Final = 0.55
 """No longer than this where beacons are seldom, too: a robot whose agent hangs is known by its silence."""
 
 Coupling = Literal["edge", "joint", "penalty"]
@@ -203,7 +203,7 @@ class ControlSection(Sectioned):
     send_every_s: float | None = setting(
         None,
         "`event`: one is sent so often at least. At least one period, at most half of "
-        "`prediction_horizon_s`. Left out: twelve periods, or half of that if it is less; and 0.5 s at most "
+        "`prediction_horizon_s`. Left out: twelve periods, or half of that if it is less; and 0.55 s at most "
         "where beacons are seldom (`avoidance.beacon_interval_max_s`).",
         unit="s",
         gt=0,

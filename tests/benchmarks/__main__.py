@@ -46,6 +46,7 @@ NAMES: Final = (
     "attack_memory",
     "many_hosts",
     "deaf_links",
+    "event_sending",
 )
 LOAD_QUIET: Final = 0.5
 
