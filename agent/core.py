@@ -14,6 +14,7 @@ from typing import Any, Final
 from agent.common.errors import Error
 from agent.common.time import NS_PER_S, MachineClock
 from agent.control.controller import Controller
+from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.own_hand import OwnHand
 from agent.fleet.model import Fleet
@@ -78,7 +79,10 @@ class Agent:
         self._relay = OrderRelay(fleet, robot, self._latch, self._missions)
         self._lasting = LastingOrders(self._latch)
         self._own_hand = OwnHand(self._controller)
-        self._outbox = Outbox(fleet, robot, self.phase_ns, self._peers, self._missions, self._latch)
+        self._event = _event_trigger(fleet, self._controller)
+        self._outbox = Outbox(
+            fleet, robot, self.phase_ns, self._peers, self._missions, self._latch, self._event
+        )
         self._key_status = key_expressions.status(name, robot)
 
         others = [other for other in fleet.ids if other != robot]
@@ -88,7 +92,7 @@ class Agent:
         self._said_by |= {key_expressions.beacon(name, other): (other, False) for other in others}
         self._watches_all = fleet.beacon_rounds_max == fleet.beacon_rounds
         horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
-        self._deafness = Deafness(others, horizon_ns, sees_all=self._watches_all)
+        self._deafness = Deafness(others, horizon_ns, fleet.hands_within_ns, sees_all=self._watches_all)
         self._radio = Radio[OnAir](fleet, robot) if fleet.network.emulate_budget else None
         self._ingress = Ingress(
             fleet,
@@ -185,6 +189,8 @@ class Agent:
         found = key_expressions.robot_of_alive(key)
         if found is not None and found[0] != self.robot:
             self._peers.present(found[0], here)
+            if self._event is not None:
+                self._event.missed()
             self._deafness.present(found[0], here)
 
     def deaf_to(self, now_ns: int) -> Sequence[int]:
@@ -358,6 +364,8 @@ class Agent:
                 self.watched = tuple(self._alive_of[other] for other in sorted(wanted))
             self._listened = wanted
             self.subscriptions = (*self._always, *(self._hand_of[other] for other in sorted(wanted)))
+            if self._event is not None:  # those it listens to listen to it
+                self._event.missed()
 
     def _drive(self, now_ns: int, here: Hand) -> list[Outgoing]:
         controller, situation = self._controller, self._situation
@@ -375,9 +383,10 @@ class Agent:
             situation.numbers = f"the law gave force {drive.force} N and torque {drive.torque} N m"
             return self._brake(now_ns)
         controller.sent(now_ns, drive.force, drive.torque)
+        if self._event is not None and self._is_mistaken(now_ns):
+            self._event.missed()
         self._report.intervened(drive.causes)
-        self._report.sent_hands += len(controller.edges)
-        hand = self._outbox.hand(
+        hands = self._outbox.hand(
             now_ns,
             here,
             self._own_hand.doubt,
@@ -387,15 +396,25 @@ class Agent:
             multipliers=multipliers,
             own=drive.own,
         )
-        return [self._outbox.wrench(now_ns, drive.force, drive.torque), hand]
+        self._report.sent_hands += len(hands) * len(controller.edges)
+        return [self._outbox.wrench(now_ns, drive.force, drive.torque), *hands]
+
+    def _is_mistaken(self, now_ns: int) -> bool:
+        """Whether somebody who is near goes by another mission, and so expects other things of this robot."""
+        controller = self._controller
+        return any(
+            peer.mark != controller.mark and peer.is_heard(now_ns)
+            for peer in (*(peer for _, peer in controller.edges), *controller.proximity.close)
+        )
 
     def _brake(self, now_ns: int) -> list[Outgoing]:
         self._controller.sent(now_ns, 0.0, 0.0)  # how hard the plant brakes is its own affair
         out = [self._outbox.wrench(now_ns, brake=True)]
         shown, doubt = self._own_hand.shown, self._own_hand.doubt
         if shown is not None:
-            self._report.sent_hands += len(self._controller.edges)
-            out.append(self._outbox.hand(now_ns, shown, doubt, following=self._follows))
+            hands = self._outbox.hand(now_ns, shown, doubt, following=self._follows)
+            self._report.sent_hands += len(hands) * len(self._controller.edges)
+            out += hands
         return out
 
     @property
@@ -424,6 +443,21 @@ class Agent:
             self._peers.known,
         )
         return self._key_status, encode(status)
+
+
+def _event_trigger(fleet: Fleet, controller: Controller) -> EventTrigger | None:
+    """What says which hand states are sent; None where one is in every tick."""
+    control = fleet.control
+    if control.send == "periodic":
+        return None
+    return EventTrigger(
+        controller.peers.forecast,
+        fleet.period_ns,
+        control.send_bound_m,
+        fleet.hands_within_ns,
+        predicts=control.prediction,
+        slopes=controller.coupling.slopes,
+    )
 
 
 def _own(message: Mission | Stop | Resume | Beacon, now_ns: int) -> None:

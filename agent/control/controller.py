@@ -113,6 +113,7 @@ class Controller:
             horizon_s=control.prediction_horizon_s,
             beacon_ns=fleet.beacon_rounds * fleet.period_ns,
             beacon_max_ns=fleet.beacon_rounds_max * fleet.period_ns,
+            bound_m=control.send_bound_m if control.send == "event" else 0.0,
         )
         self.proximity: Final = Proximity(fleet, robot, self.peers)
         self._references: dict[Mark, Reference] = {}

@@ -42,10 +42,12 @@ class Coupling:
     def __init__(self, gains: law.Gains, peers: Peers) -> None:
         self._gains, self._peers = gains, peers
         self._multipliers: dict[Key, float] = {}
+        self._constraints: list[Constraint] = []
 
     def restart(self) -> None:
         """Forgets the multipliers: the robot begins to drive."""
         self._multipliers.clear()
+        self._constraints = []
 
     def force(self, constraints: list[Constraint]) -> Vector:
         """Own constraint force F_c (32), m/s^2; moves the multipliers on by one tick."""
@@ -54,6 +56,7 @@ class Coupling:
             if each.one_sided:
                 values[k] = law.repelling(values[k])
         self._multipliers = {each.key: value for each, value in zip(constraints, values, strict=True)}
+        self._constraints = constraints
         return _total(constraints, values)
 
     def multiplier(self, key: Key) -> float:
@@ -69,6 +72,10 @@ class Coupling:
             if type(key) is int and (key > 0 or -key not in known)
         ]
         return tuple(shared[:NEIGHBOURS_MAX])
+
+    def slopes(self) -> dict[int, float]:
+        """How much force a multiplier that is shared makes, 1/m, by robot: phi' of (10)."""
+        return {abs(each.key): each.edge.slope for each in self._constraints if type(each.key) is int}
 
     def values(self, constraints: list[Constraint], before: list[float]) -> list[float]:
         """Multipliers of the constraints at this tick, from those of the last one."""

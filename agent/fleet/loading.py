@@ -322,6 +322,9 @@ def _digest(fleet: Fleet) -> str:
     for key in ("network", "host", "recording"):
         table.pop(key, None)
     del table["fleet"]["description"]
+    if fleet.control.send == "periodic":  # as of a file from before there was another way
+        for key in ("send", "send_bound_m", "send_every_s"):
+            table["control"].pop(key, None)
     for robot in table["robot"]:
         robot.pop("host", None)
         for kind in plants.KINDS.values():

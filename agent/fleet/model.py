@@ -36,6 +36,8 @@ from agent.fleet.safety import (
     SupervisionSection,
 )
 from agent.fleet.sections import (
+    SEND_ALONE_S,
+    SEND_PERIODS,
     Body,
     ControlSection,
     DatumSection,
@@ -167,6 +169,19 @@ class Fleet:
         longest_s = min(longest_s, self.control.prediction_horizon_s)
         turns = int(longest_s * self.fleet.rate_hz / self.beacon_rounds + 1e-9)
         return max(1, turns) * self.beacon_rounds
+
+    @property
+    def hands_within_ns(self) -> int:
+        """Within so long a robot sends two hand states, whatever happens, ns."""
+        control, period_ns = self.control, self.period_ns
+        if control.send == "periodic":
+            return period_ns
+        if control.send_every_s is not None:
+            return max(period_ns, round(control.send_every_s * 1e9))
+        most_s = min(SEND_PERIODS / self.fleet.rate_hz, 0.5 * control.prediction_horizon_s)
+        if self.beacon_rounds_max > self.beacon_rounds:
+            most_s = min(most_s, SEND_ALONE_S)
+        return max(period_ns, round(most_s * 1e9))
 
     @property
     def listening_rounds(self) -> int:

@@ -17,6 +17,11 @@ from agent.common.settings import Sectioned, Sections, T, about, setting
 from agent.fleet import plants
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 
+SEND_PERIODS: Final = 12
+"""Between two hand states of a robot that has nothing to say, as it is where the file does not say it."""
+SEND_ALONE_S: Final = 0.55
+"""No longer than this where beacons are seldom, too: a robot whose agent hangs is known by its silence."""
+
 Coupling = Literal["edge", "joint", "penalty"]
 
 LAWS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
@@ -181,6 +186,29 @@ class ControlSection(Sectioned):
         unit="s",
         gt=0,
         le=60,
+    )
+    send: Literal["periodic", "event"] = setting(
+        "periodic",
+        "When hand states are sent: in every period, or at an `event`: when neighbours cannot know by "
+        "themselves what has become of the last one (docs/theory.md, E1).",
+    )
+    send_bound_m: float = setting(
+        0.005,
+        "`event`: how far what neighbours predict of a robot half a second ahead may be off. Above its "
+        "noise.",
+        unit="m",
+        gt=0,
+        le=1,
+    )
+    send_every_s: float | None = setting(
+        None,
+        "`event`: one is sent so often at least. At least one period, at most half of "
+        "`prediction_horizon_s`. Left out: twelve periods, or half of that if it is less; and 0.55 s at most "
+        "where beacons are seldom (`avoidance.beacon_interval_max_s`).",
+        unit="s",
+        gt=0,
+        le=60,
+        example="0.5",
     )
     plant_timeout_s: float = setting(
         0.2, "An agent whose plant is silent for so long stops. At least two periods.", unit="s", gt=0, le=60

@@ -15,7 +15,7 @@ from agent.messages.types import Beacon
 
 LOOK_NS: Final = NS_PER_S // 2
 SILENT_NS: Final = NS_PER_S
-"""For so long no hand state has come from a robot whose beacons do."""
+"""For so long no hand state has come from a robot whose beacons do, or for twice as long as it may take."""
 LATE_NS: Final = NS_PER_S // 2
 """Others may be so much longer in saying that they do not hear a robot either."""
 PAUSE_NS: Final = 2 * NS_PER_S
@@ -53,16 +53,20 @@ class Deafness:
     Args:
         robots: their ids.
         horizon_ns: who was not heard for so long is said to be not heard.
+        hands_ns: within so long one robot sends two hand states.
         sees_all: whether `present` is told of all of them; else it is taken that they are there, for those
             that are not, nobody hears.
     """
 
-    def __init__(self, robots: Iterable[int], horizon_ns: int, *, sees_all: bool = True) -> None:
+    def __init__(
+        self, robots: Iterable[int], horizon_ns: int, hands_ns: int = 0, *, sees_all: bool = True
+    ) -> None:
         self._others = {robot: _Other() for robot in robots}
         if not sees_all:
             for other in self._others.values():
                 other.token_ns = 0
         self._heard_after_ns = horizon_ns + LATE_NS
+        self._no_hands_ns = max(SILENT_NS, 2 * hands_ns)
         self._now_ns = self._due_ns = 0
 
     def came(self, robot: int, now_ns: int, *, hand: bool) -> None:
@@ -106,7 +110,7 @@ class Deafness:
                 other.listened_ns = now_ns
             if other.token_ns == _NEVER:
                 continue
-            if not (self._lacks_all(robot, other, now_ns) or _lacks_hands(other, now_ns)):
+            if not (self._lacks_all(robot, other, now_ns) or _lacks_hands(other, now_ns, self._no_hands_ns)):
                 if now_ns - other.due_ns > PAUSE_MAX_NS:
                     other.pause_ns = PAUSE_NS
             elif now_ns >= other.due_ns:
@@ -128,8 +132,8 @@ class Deafness:
         )
 
 
-def _lacks_hands(other: _Other, now_ns: int) -> bool:
-    """Whether only beacons come: who says where it is says it to its neighbours in every tick."""
+def _lacks_hands(other: _Other, now_ns: int, silent_ns: int) -> bool:
+    """Whether only beacons come: who says where it is says it to its neighbours as well."""
     since_ns = max(other.hand_ns, other.listened_ns, other.token_ns)
     heard = other.listened_ns != _NEVER and now_ns - other.beacon_ns < SILENT_NS
-    return heard and other.beacon_ns - since_ns > SILENT_NS and now_ns - since_ns > SILENT_NS
+    return heard and other.beacon_ns - since_ns > silent_ns and now_ns - since_ns > silent_ns

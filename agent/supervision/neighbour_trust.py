@@ -75,6 +75,8 @@ class NeighbourTrust:
             if age is not None:
                 ages_us.append(age // 1000)
             late = inf if age is None else age - peer.lateness.forgiven_ns
+            if peer.hand_next_ns:
+                late = peer.promised_late_ns(now_ns)
             heard = late <= self._horizon_ns and peer.here
             wanted = heard and message is not None and message.following
             if drives and wanted and peer.trust == 1.0:
@@ -128,8 +130,8 @@ class NeighbourTrust:
         silent = [
             self._why(peer, now_ns, heard=False)
             for _, peer in edges
-            if (age := peer.age_ns(now_ns)) is None
-            or age - peer.lateness.forgiven_ns > self._horizon_ns
+            if (late := peer.hand_late_ns(now_ns)) is None
+            or late > self._horizon_ns
             or not peer.here
             or peer.deaf
         ]
@@ -164,8 +166,8 @@ class NeighbourTrust:
         """A neighbour that cannot be relied on: its id, and why."""
         if peer.ahead_ns:
             return f"{peer.name} (its clock is {peer.ahead_ns / NS_PER_S:.2f} s ahead)"
-        age = peer.age_ns(now_ns)
-        if peer.deaf and age is not None and age - peer.lateness.forgiven_ns <= self._horizon_ns:
+        age, late = peer.age_ns(now_ns), peer.hand_late_ns(now_ns)
+        if peer.deaf and late is not None and late <= self._horizon_ns:
             return f"{peer.name} (does not hear this one)"
         if heard:
             return f"{peer.name} (does not follow)"
@@ -173,6 +175,6 @@ class NeighbourTrust:
             return f"{peer.name} (another handfast: {peer.other_version})"
         if age is None:
             return peer.name
-        if not peer.here and age <= self._horizon_ns:
+        if not peer.here and age - peer.hand_next_ns <= self._horizon_ns:
             return f"{peer.name} (its agent is gone)"
         return f"{peer.name} ({age / NS_PER_S:.1f} s)"

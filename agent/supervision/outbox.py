@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from agent.common.time import MachineClock
+from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.peers.peers import Peers
 from agent.fleet.model import Fleet
@@ -32,17 +33,26 @@ class Outbox:
         phase_ns: of its ticks.
         peers: whose hand states it echoes, and of whose silence its beacons tell.
         missions, latch: which orders it has.
+        event: which hand states are sent; None: all.
 
     Attributes:
         keys: on which it publishes.
     """
 
     def __init__(
-        self, fleet: Fleet, robot: int, phase_ns: int, peers: Peers, missions: MissionChoice, latch: StopLatch
+        self,
+        fleet: Fleet,
+        robot: int,
+        phase_ns: int,
+        peers: Peers,
+        missions: MissionChoice,
+        latch: StopLatch,
+        event: EventTrigger | None = None,
     ) -> None:
         name, period_ns = fleet.fleet.name, fleet.period_ns
-        self._robot = robot
+        self._robot, self._period_ns, self._phase_ns = robot, period_ns, phase_ns
         self._peers, self._missions, self._latch = peers, missions, latch
+        self._event = event
         self._wrenches = SequenceNumbers(period_ns, phase_ns)
         self._hands = SequenceNumbers(period_ns, phase_ns)
         self._schedule = BeaconSchedule(fleet, robot, phase_ns)
@@ -80,10 +90,15 @@ class Outbox:
         forces: Forces = NO_FORCES,
         multipliers: tuple[tuple[int, float], ...] = (),
         own: tuple[float, ...] = (),
-    ) -> Outgoing:
-        """The hand state; arguments as its fields."""
-        sequence = self._hands.next(now_ns)
-        heard = self._peers.heard() if (sequence + self._robot) % HEARD_ROUNDS == 0 else ()
+    ) -> list[Outgoing]:
+        """The hand state, where one is to be sent; arguments as its fields."""
+        sequence, event = self._hands.next(now_ns), self._event
+        heard: tuple[tuple[int, int], ...] = ()
+        if event is None:
+            if (sequence + self._robot) % HEARD_ROUNDS == 0:
+                heard = self._peers.heard()
+        else:
+            event.hears(self._peers.heard())
         message = HandState(
             self._robot,
             sequence,
@@ -97,7 +112,13 @@ class Outbox:
             heard,
             own,
         )
-        return self._key_hand, encode(message)
+        if event is not None:
+            round_ns = (now_ns - self._phase_ns) // self._period_ns * self._period_ns
+            next_ms = event.next_ms(message, round_ns)
+            if next_ms is None:
+                return []
+            message = message._replace(heard=event.echo(self._peers.heard(), round_ns), next_ms=next_ms)
+        return [(self._key_hand, encode(message))]
 
     def beacon(self, now_ns: int, here: Hand, doubt: float, *, following: bool) -> list[Outgoing]:
         """The beacon, when it is due."""

@@ -66,7 +66,9 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
     allowed_s = links.delay_s + links.gap_s
     rest_s = (fleet.beacon_rounds_max - fleet.beacon_rounds) * period_s
     late_max_s = LATE_MAX_NS / NS_PER_S + 2.0 * rest_s
-    forgiven_s = min(max(0.0, allowed_s + rest_s - UNSURE_S), late_max_s)
+    promised_s = (fleet.hands_within_ns - fleet.period_ns) / NS_PER_S
+    forgiven_s = min(max(0.0, allowed_s + rest_s + promised_s - UNSURE_S), late_max_s)
+    bound_m = control.send_bound_m if control.send == "event" else 0.0
     braking_s = BRAKE_TIME_S + most / links.deceleration if links.deceleration > 0.0 else inf
     unmet = []
     if not fleet.avoidance.enabled:
@@ -89,7 +91,7 @@ def promised(fleet: Fleet, links: Links, *, off_m: float = 0.0, lanes_m: float =
             f"a robot at {most:g} m/s needs {braking_s:.2f} s to brake: with beacons every {beacon_s:g} s "
             f"that are {links.delay_s:g} s late it does not stand {STANDS_S:g} s after it gives up the last"
         )
-    moved = off_m + most * links.clock_s - said_doubt(forgiven_s + UNSURE_S)
+    moved = off_m + bound_m + most * links.clock_s - said_doubt(forgiven_s + UNSURE_S)
     sampled = rate * most * period_s * period_s
     kept = safe + fleet.avoidance.margin_m - max(0.0, moved, lanes_m) - sampled
     return Promise(stands_after(control.prediction_horizon_s, forgiven_s), kept, tuple(unmet))

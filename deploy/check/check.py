@@ -21,6 +21,7 @@ from deploy.check.network import check_network
 from deploy.check.orders import check_orders
 from deploy.check.radio import check_radio
 from deploy.check.safety import check_safety
+from deploy.check.sending import check_sending
 from deploy.check.shape import check_shape, check_starts, check_structure, unplaced
 from deploy.check.stiffness import check_stiffness
 from deploy.check.vehicles import check_vehicles
@@ -55,6 +56,7 @@ def check(fleet: Fleet) -> list[Finding]:
     findings += check_gains(fleet)
     findings += check_motion(fleet, geometry)
     findings += check_noise(fleet)
+    findings += check_sending(fleet)
     findings += check_safety(fleet, geometry)
     findings += check_vehicles(fleet)
     if any(robot.kind.is_plugin for robot in fleet.robots):

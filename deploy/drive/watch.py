@@ -151,13 +151,14 @@ class Watch:
             for robot, since_ns in removed
             if robot not in self.hands or self.hands[robot].time_ns <= since_ns
         }
-        picture.nearest = closest(hand for robot, hand in self.hands.items() if robot not in gone)
+        hands = at_once(self.hands)
+        picture.nearest = closest(hand for robot, hand in hands.items() if robot not in gone)
         errors: dict[int, float] = {}
         least_m = inf
-        for robot, here in self.hands.items():
+        for robot, here in hands.items():
             for edge in self._reference.edges(robot, now_ns):
                 least_m = min(least_m, edge.distance)
-                there = self.hands.get(edge.other)
+                there = hands.get(edge.other)
                 if there is None or edge.weight < 1.0:
                     continue
                 distance = hypot(here.x - there.x, here.y - there.y)
@@ -224,6 +225,17 @@ class Watch:
             dict(status.counters).get("overruns", 0),
             max(off, key=lambda each: abs(each[1]), default=None),
         )
+
+
+def at_once(hands: Mapping[int, HandState]) -> dict[int, HandState]:
+    """All of them at the time of the newest: who promises the next one goes on from its last until then."""
+    newest_ns = max((hand.time_ns for hand in hands.values()), default=0)
+    found = {}
+    for robot, hand in hands.items():
+        on_s = min((newest_ns - hand.time_ns) / NS_PER_S, hand.next_ms / 1e3)
+        moved = hand._replace(x=hand.x + on_s * hand.vx, y=hand.y + on_s * hand.vy) if on_s > 0.0 else hand
+        found[robot] = moved
+    return found
 
 
 def closest(hands: Iterable[HandState]) -> tuple[float, int, int] | None:

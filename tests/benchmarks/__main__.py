@@ -49,6 +49,7 @@ NAMES: Final = (
     "many",
     "radio",
     "radio_queue",
+    "event_sending",
 )
 LOAD_QUIET: Final = 0.5
 

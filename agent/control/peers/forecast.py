@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import islice
-from math import ceil, hypot, inf
+from math import ceil, exp, hypot, inf
 from typing import Final
 
 from agent.common.quantities import Vector
@@ -78,6 +78,20 @@ class Forecast:
             found
             if slowly == inf or age * NS_PER_S <= UNSURE_NS
             else slowed(found, message, then, since, age, slowly)
+        )
+
+    def forces_of(self, before: HandState, message: HandState) -> HandState:
+        """A message that says only where a robot is, with the forces that are left of its one before."""
+        if not (before.following and message.following) or message.time_ns <= before.time_ns:
+            return message
+        left = exp(-self._decay * (message.time_ns - before.time_ns) * 1e-9)
+        return message._replace(
+            navigation_x=before.navigation_x,
+            navigation_y=before.navigation_y,
+            constraint_x=left * before.constraint_x,
+            constraint_y=left * before.constraint_y,
+            correction_x=left * before.correction_x,
+            correction_y=left * before.correction_y,
         )
 
     def stood(self, message: HandState, until: float) -> Belief:

@@ -8,11 +8,14 @@ messages that are missed before one comes, and how many are missed in a row, b +
 
 more than k in a row are missed once in 1 / `RARE` messages, if losses come as they came. Independent losses
 have q = p, which is the least; bursts a larger q.
+
+A robot may promise when its next message comes at the latest (`take_promised`), and be silent until then.
+News come as often as ever meanwhile: so no more is forgiven than the promise and what would be without it.
 """
 
 from __future__ import annotations
 
-from math import log
+from math import log, log2
 from typing import Final
 
 from agent.common.time import NS_PER_S
@@ -41,17 +44,18 @@ class Lateness:
         forgiven_ns: how old it may get, beyond `UNSURE_NS`, before its sender counts as silent.
         heeds: whether a message that comes in time has anything to say.
         most_ns: no more is forgiven, whatever is usual.
+        missed_ns: for so long promised messages are missed in a row, as usual.
     """
 
     __slots__ = (
-        "_burst", "_expected_ns", "_mean_ns", "_scatter_ns", "_share", "_taken_ns", "forgiven_ns", "heeds",
+        "_burst", "_mean_ns", "_scatter_ns", "_share", "_taken_ns", "forgiven_ns", "heeds", "missed_ns",
         "most_ns", "usual_ns",
     )  # fmt: skip
 
     def __init__(self) -> None:
-        self.forgiven_ns = self.usual_ns = 0
+        self.forgiven_ns = self.usual_ns = self.missed_ns = 0
         self._mean_ns = self._scatter_ns = -1
-        self._expected_ns = self._taken_ns = 0
+        self._taken_ns = 0
         self._share = self._burst = 0.0
         self.heeds = True
         self.most_ns = LATE_MAX_NS
@@ -67,6 +71,57 @@ class Lateness:
             gap_ns: between its stamp and that of the one before, None where that was not awaited.
             expected_ns: between two messages.
         """
+        self._age(now_ns, age_ns)
+        if gap_ns is not None and gap_ns < max(OUTAGE_NS, OUTAGE_PERIODS * expected_ns):
+            self._miss(max(0, (gap_ns + (expected_ns >> 1)) // expected_ns - 1))
+        self.expect(expected_ns)
+
+    def expect(self, expected_ns: int) -> None:
+        """From now on so much is between two messages."""
+        aged_ns = self._mean_ns + self._run_ns(expected_ns)
+        allowed_ns = aged_ns + 4 * self._scatter_ns - UNSURE_NS
+        self.forgiven_ns = max(0, min(allowed_ns, self.most_ns))
+        most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
+        self.usual_ns = min(aged_ns + self._scatter_ns, most_ns)
+        self.heeds = allowed_ns > 0 or self._share > _HEEDED
+
+    def take_promised(
+        self,
+        now_ns: int,
+        age_ns: int,
+        gap_ns: int | None,
+        promised_ns: int,
+        most_ns: int,
+    ) -> None:
+        """Takes a message before which none was due for `promised_ns`; other arguments as of `take`.
+
+        Promises of one that has nothing new to say double up to `most_ns`.
+        """
+        self._age(now_ns, age_ns)
+        if gap_ns is None or gap_ns >= max(OUTAGE_NS, OUTAGE_PERIODS * promised_ns):
+            return
+        if promised_ns < most_ns:
+            self._miss(missed_at_least(gap_ns, promised_ns))
+        else:
+            self._miss(max(0, (gap_ns + (promised_ns >> 1)) // promised_ns - 1))
+
+    def expect_promised(self, period_ns: int, due_ns: int, promised_ns: int) -> None:
+        """From now on a message is due within `due_ns`, and one of those that promise within `promised_ns`.
+
+        Args:
+            period_ns: between two messages of a robot that has news all the time.
+        """
+        self.expect(due_ns)
+        forgiven_ns = self.forgiven_ns
+        self.expect(period_ns)
+        self.forgiven_ns = min(forgiven_ns, self.forgiven_ns + promised_ns)
+        self.usual_ns = 0
+        if self.forgiven_ns:
+            aged_ns = self._mean_ns + self._run_ns(period_ns) + self._scatter_ns
+            self.usual_ns = min(aged_ns, self.forgiven_ns + UNSURE_NS)
+        self.missed_ns = min(self._run_ns(promised_ns) - promised_ns, OUTAGE_PERIODS * promised_ns)
+
+    def _age(self, now_ns: int, age_ns: int) -> None:
         if self._mean_ns < 0:
             self._mean_ns, self._scatter_ns = max(0, age_ns), max(0, age_ns) >> 1
         elif now_ns != self._taken_ns:
@@ -74,26 +129,21 @@ class Lateness:
             self._mean_ns += off_ns >> 3
             self._scatter_ns += (abs(off_ns) - self._scatter_ns) >> 2
         self._taken_ns = now_ns
-        if gap_ns is not None and gap_ns < max(OUTAGE_NS, OUTAGE_PERIODS * expected_ns):
-            missed = max(0, (gap_ns + (expected_ns >> 1)) // expected_ns - 1)
-            self._share += _SHARE_WEIGHT * ((missed > 0) - self._share)
-            if missed:
-                self._burst += _BURST_WEIGHT * (missed - 1 - self._burst)
-        self.expect(expected_ns)
 
-    def expect(self, expected_ns: int) -> None:
-        """From now on so much is between two messages."""
-        self._expected_ns = expected_ns
-        aged_ns = self._mean_ns + self._run_ns()
-        allowed_ns = aged_ns + 4 * self._scatter_ns - UNSURE_NS
-        self.forgiven_ns = max(0, min(allowed_ns, self.most_ns))
-        most_ns = self.forgiven_ns + UNSURE_NS if self.forgiven_ns else 0
-        self.usual_ns = min(aged_ns + self._scatter_ns, most_ns)
-        self.heeds = allowed_ns > 0 or self._share > _HEEDED
+    def _miss(self, missed: int) -> None:
+        self._share += _SHARE_WEIGHT * ((missed > 0) - self._share)
+        if missed:
+            self._burst += _BURST_WEIGHT * (missed - 1 - self._burst)
 
-    def _run_ns(self) -> int:
+    def _run_ns(self, expected_ns: int) -> int:
         """Longest time without a message that is to be expected."""
         if self._share <= RARE:
-            return self._expected_ns
+            return expected_ns
         tail = max(self._share, self._burst / (1.0 + self._burst))
-        return round(self._expected_ns * (1.0 + max(1.0, log(self._share / RARE) / -log(tail))))
+        return round(expected_ns * (1.0 + max(1.0, log(self._share / RARE) / -log(tail))))
+
+
+def missed_at_least(gap_ns: int, promised_ns: int) -> int:
+    """How many messages are missing between two that are `gap_ns` apart, if the first promised the next one
+    within `promised_ns`, and each missing one a next one within twice as long as the one before it."""
+    return max(0, int(log2(gap_ns / promised_ns + 1.0) - 0.5))

@@ -25,7 +25,14 @@ from agent.control.peers.beliefs import (
 )
 from agent.control.peers.clock_offset import ClockOffset
 from agent.control.peers.forecast import Forecast, Motion
-from agent.control.peers.lateness import IN_TIME_NS, LATE_MAX_NS, OUTAGE_NS, UNSURE_NS, Lateness
+from agent.control.peers.lateness import (
+    IN_TIME_NS,
+    LATE_MAX_NS,
+    OUTAGE_NS,
+    UNSURE_NS,
+    Lateness,
+    missed_at_least,
+)
 from agent.control.peers.prediction import Prediction, as_it_came, coasting
 from agent.messages.types import FUTURE_NS_MAX, NEIGHBOURS_MAX, SILENT_MAX, Beacon, HandState, Removed, Silent
 
@@ -72,15 +79,18 @@ class Peer:
             ``future``, else 0.
         other_version: what its messages and this program speak, once one was refused for that; else "".
         received, lost, delayed, duplicated: hand states since the start.
+        hand_next_ns: likewise of its hand states; 0 for one period.
+        off_m: how far it may be meanwhile from where it is predicted, m, (E1).
         far_until_ns: it cannot come near before then, as who looks for that has found; 0 once it is
             somewhere else than on its way.
     """
 
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
-        "duplicated", "early", "far_until_ns", "gone_ns", "hand_ns", "here", "knows_ns", "lateness",
-        "listened", "lost", "mark", "message", "name", "never_came", "next_ns", "other_version", "received",
-        "robot", "sequence", "slowly", "slowly_until_ns", "time_ns", "token", "trust",
+        "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
+        "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns", "off_m",
+        "other_version", "received", "robot", "sequence", "slowly", "slowly_until_ns", "time_ns", "token",
+        "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
@@ -103,7 +113,8 @@ class Peer:
         self.ahead_ns = 0
         self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
-        self.far_until_ns = 0
+        self.far_until_ns = self.hand_next_ns = 0
+        self.off_m = 0.0
 
     def age_ns(self, now_ns: int) -> int | None:
         """Age of its hand state by its own clock, None when none has come.
@@ -111,6 +122,21 @@ class Peer:
         Below 0 where its clock is further ahead than is proven.
         """
         return None if self.hand_ns == _NEVER else now_ns + self.clock.used_ns - self.hand_ns
+
+    def hand_late_ns(self, now_ns: int) -> int | None:
+        """As `late_ns`, of its hand states; None when none has come."""
+        if self.hand_ns == _NEVER:
+            return None
+        if self.hand_next_ns:
+            return self.promised_late_ns(now_ns)
+        return now_ns + self.clock.used_ns - self.hand_ns - self.lateness.forgiven_ns
+
+    def promised_late_ns(self, now_ns: int) -> int:
+        """As `hand_late_ns`, of one that promises the next one: for so long it has been overdue, or nothing
+        at all has come."""
+        lateness = self.lateness
+        by_ns = self.hand_ns + self.hand_next_ns + lateness.missed_ns
+        return now_ns + self.clock.used_ns - min(by_ns, self.direct_ns) - lateness.forgiven_ns
 
     @property
     def is_gone(self) -> bool:
@@ -139,7 +165,7 @@ class Peer:
 
     def doubt(self, now_ns: int) -> float:
         """Its position uncertainty, m: as it says itself, and by the age of that."""
-        said = 0.0 if self.message is None else min(DOUBT_MAX, self.message.doubt)
+        said = self.off_m if self.message is None else self.off_m + min(DOUBT_MAX, self.message.doubt)
         age_s = (now_ns + self.clock.used_ns - self.time_ns) / NS_PER_S - DOUBT_AFTER_S
         return said + min(DOUBT_MAX, DOUBT_RATE * age_s) if age_s > 0.0 else said
 
@@ -159,6 +185,7 @@ class Peers:
         beacon_ns: time between two beacons of one robot, that has something to tell.
         beacon_max_ns: longest time between two.
         horizon_s: a robot that hears nobody for so long stands.
+        bound_m: how far robots let others mispredict them that do not send in every period, m, (E1).
 
     Attributes:
         predicts: whether the law is given what others do by now, or what their messages say.
@@ -180,6 +207,7 @@ class Peers:
         horizon_s: float = 0.0,
         beacon_ns: int = NS_PER_S // 5,
         beacon_max_ns: int = 0,
+        bound_m: float = 0.0,
     ) -> None:
         self._owner = owner
         self._period_ns = period_ns
@@ -187,7 +215,7 @@ class Peers:
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
         self.forecast: Final = Forecast(c1, c2, motion, decay, most)
-        self._horizon_s = horizon_s
+        self._horizon_s, self._bound_m = horizon_s, bound_m
         self._unheard_elsewhere: dict[int, int] = {}
         self._told = self._most_unheard = 0
         self._began_ns = _NEVER
@@ -402,7 +430,10 @@ class Peers:
         since_ns = time_ns - peer.hand_ns
         expected_ns = peer.next_ns
         peer.next_ns = max(self._beacon_ns, beacon.next_ms * NS_PER_MS)
-        if self._beacon_ns < since_ns <= OUTAGE_NS and peer.lateness.heeds:
+        before = peer.message
+        if peer.hand_next_ns and since_ns <= peer.hand_next_ns + OUTAGE_NS:  # of two one says how late it is
+            self._note_promised(peer, time_ns, now_ns, expected_ns)
+        elif self._beacon_ns < since_ns <= OUTAGE_NS and peer.lateness.heeds:
             self._expect_beacon(peer)
         elif since_ns > OUTAGE_NS:  # else its hand states say how late it is
             age_ns = now_ns + peer.clock.used_ns - time_ns
@@ -412,12 +443,13 @@ class Peers:
                 self._expect_beacon(peer)
         if time_ns > peer.direct_ns:
             peer.direct_ns = time_ns
-        before = peer.message
         if before is None or abs(beacon.x - before.x) + abs(beacon.y - before.y) > JUMP_M:
             peer.far_until_ns = 0
         peer.message = HandState.placed(
             beacon.robot, beacon.sequence, time_ns, beacon.following, peer.degree, beacon.place, beacon.doubt
         )
+        if peer.hand_next_ns and before is not None and since_ns <= peer.hand_next_ns:
+            peer.message = self.forecast.forces_of(before, peer.message)
         peer.time_ns = time_ns
         peer.belief = None
         peer.here = peer.token
@@ -445,17 +477,26 @@ class Peers:
         if peer.sequence != _NEVER:
             gap_ns = time_ns - peer.hand_ns
             # No more can be missing than there was time for, whatever the numbers say: a mission
-            # sets them to its rounds, and a sender that starts again begins at 0.
+            # sets them to its rounds, and a sender that starts again begins at 0. Rounds without a message
+            # are numbered as well: only what was promised is missed.
             gap = message.sequence - peer.sequence - 1
             if gap > 0:
                 between = (gap_ns + period_ns // 2) // period_ns - 1
+                if peer.hand_next_ns:
+                    between = missed_at_least(gap_ns, peer.hand_next_ns)
                 peer.lost += max(0, min(gap, between))
         peer.received += 1
         age_ns = now_ns + peer.clock.used_ns - time_ns
         if age_ns > 2 * period_ns:
             peer.delayed += 1
         peer.lateness.most_ns = LATE_MAX_NS
-        _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
+        if message.next_ms or peer.hand_next_ns:
+            self._note_promised(peer, time_ns, now_ns, peer.next_ns)
+            peer.hand_next_ns = message.next_ms * NS_PER_MS
+            peer.off_m = self._bound_m if peer.hand_next_ns else 0.0
+            self._expect_promised(peer)
+        else:
+            _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
@@ -474,6 +515,23 @@ class Peers:
             peer.here = peer.token
             if peer.gone_ns >= time_ns:  # it is there, though its clock be behind the operator's
                 peer.gone_ns = time_ns - 1
+        elif peer.hand_next_ns and peer.message is not None:  # a beacon was quicker, which has no forces
+            peer.message = self.forecast.forces_of(message, peer.message)
+
+    def _note_promised(self, peer: Peer, time_ns: int, now_ns: int, beacon_ns: int) -> None:
+        """Has a message counted before which no hand state was due for a while.
+
+        A beacon was due within `beacon_ns`: of the two the one that is due first says how late they are.
+        """
+        gap_ns = time_ns - peer.direct_ns
+        due_ns = min(peer.hand_next_ns or self._period_ns, beacon_ns)
+        age_ns = now_ns + peer.clock.used_ns - time_ns
+        peer.lateness.take_promised(now_ns, age_ns, gap_ns if gap_ns > 0 else None, due_ns, self._beacon_ns)
+        self._expect_promised(peer)
+
+    def _expect_promised(self, peer: Peer) -> None:
+        hand_ns = peer.hand_next_ns or self._period_ns
+        peer.lateness.expect_promised(self._period_ns, min(hand_ns, peer.next_ns), hand_ns)
 
     def present(self, robot: int, here: bool) -> None:
         """Takes a change of presence: the process of a robot's agent came (`here`) or went."""
@@ -520,7 +578,7 @@ class Peers:
         which are rarer, have to do."""
         peer = self._known.get(robot)
         if peer is not None:
-            peer.sequence = _NEVER
+            peer.sequence, peer.hand_next_ns, peer.off_m = _NEVER, 0, 0.0
             peer.listened = False
             if peer.lateness.heeds or self.is_seldom(peer):
                 self._expect_beacon(peer)

@@ -181,3 +181,13 @@ def test_nor_is_one_whose_neighbour_hangs():
     bench.run(5.0)
     bench.cut = lambda key, _node: key.startswith("few/robot/3/")
     assert deaf(bench, 12) == set()
+
+
+def test_who_may_be_silent_for_long_is_missed_after_twice_as_long() -> None:
+    bench = Bench()
+    bench.deafness = Deafness((2, 3, 4), HORIZON_NS, NS_PER_S)
+    bench.deafness.look(bench.now_ns, ())
+    for robot in (2, 3, 4):
+        bench.deafness.present(robot, True)
+    assert bench.run(2.0, listened=(2,)) == []
+    assert bench.run(1.0, listened=(2,)) == [2]

@@ -304,3 +304,25 @@ def test_ages_of_all_neighbours_are_told(bench: FleetBench):
     ages = {neighbour[0]: neighbour[1] for neighbour in status.neighbours}
     assert ages[2] == PERIOD // 1000
     assert 600_000 < ages[3] < 1_100_000
+
+
+# ---------------------------------------------------------------------- event-sent hand states
+
+EVENT = ('control.send="event"', "control.send_every_s=0.6")
+
+
+@pytest.mark.parametrize("bench", [EVENT], indirect=True)
+def test_silence_that_was_promised_is_none_and_a_dead_neighbour_is_given_up_as_soon(bench: FleetBench):
+    before = len(bench.sayings("few/robot/3/hand"))
+    rows = watch(bench, 10.0)
+    assert {(row.state, row.trust, row.slower) for row in rows} == {(State.RUNNING, 1.0, 1.0)}
+    assert len(bench.sayings("few/robot/3/hand")) - before <= 0.15 * len(rows)
+    silence(bench, 3)
+    rows = watch(bench, 4.0)
+    slow = [row for row in rows if row.state is State.DEGRADED]
+    beacon_s = bench.fleet.beacon_rounds * PERIOD_S
+    assert SLOW_S - beacon_s <= slow[0].seconds <= SLOW_S + 2 * PERIOD_S
+    given_up = next(row.seconds for row in rows if row.reason.startswith("without robot 3"))
+    assert HORIZON_S - beacon_s <= given_up <= HORIZON_S + 3 * PERIOD_S
+    heal(bench)
+    assert {row.state for row in watch(bench, 3.0)[60:]} == {State.RUNNING}

@@ -29,7 +29,10 @@ def test_numbers_count_rounds_from_the_epoch_for_wrench_hand_and_beacon_alike():
     box.begin(START)
     for rounds in range(3):
         now_ns = TICK + rounds * PERIOD
-        (key, payload), (wrench_key, wrench) = box.hand(now_ns, HERE, 0.0, following=True), box.wrench(now_ns)
+        [(key, payload)], (wrench_key, wrench) = (
+            box.hand(now_ns, HERE, 0.0, following=True),
+            box.wrench(now_ns),
+        )
         assert (key, wrench_key) == (HAND, WRENCH)
         hand, asked = decode(payload), decode(wrench)
         assert isinstance(hand, HandState)
@@ -43,7 +46,7 @@ def test_numbers_count_rounds_from_the_epoch_for_wrench_hand_and_beacon_alike():
 
 def test_a_hand_state_holds_what_it_is_given():
     forces = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    _, payload = outbox().hand(
+    [(_, payload)] = outbox().hand(
         TICK, HERE, 0.25, following=True, degree=3, forces=forces, multipliers=((2, 0.5),), own=(7.0,)
     )
     hand = decode(payload)

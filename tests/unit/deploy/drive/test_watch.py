@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.messages.types import HandState
-from deploy.drive.watch import closest
+from deploy.drive.watch import at_once, closest
 from tests.unit.deploy.synthetic_run import EPOCH_NS
 
 
@@ -27,3 +27,15 @@ def test_the_closest_are_any_two(places: list[tuple[int, int]]) -> None:
     if found is not None:
         assert found[0] == pytest.approx(min(distances.values()))
         assert distances[found[1], found[2]] == pytest.approx(found[0])
+
+
+def test_who_sends_seldom_is_taken_where_it_is_by_now() -> None:
+    later = at(2, 5.0, 0.0)._replace(time_ns=at(2, 5.0, 0.0).time_ns + 200_000_000)
+    seldom = at(1, 0.0, 0.0)._replace(vx=0.5, vy=-1.0, next_ms=240)
+    found = at_once({1: seldom, 2: later})
+    assert found[1].place[:2] == (0.1, -0.2)
+    assert found[2] is later
+    silent = at_once({1: seldom._replace(next_ms=100), 2: later})[1]
+    assert silent.place[:2] == (0.05, -0.1)  # no further than it promised
+    old = at(1, 0.0, 0.0)._replace(vx=0.5)
+    assert at_once({1: old, 2: later})[1] is old

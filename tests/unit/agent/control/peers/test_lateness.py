@@ -6,7 +6,13 @@ from random import Random
 
 import pytest
 
-from agent.control.peers.lateness import LATE_MAX_NS, OUTAGE_PERIODS, UNSURE_NS, Lateness
+from agent.control.peers.lateness import (
+    LATE_MAX_NS,
+    OUTAGE_PERIODS,
+    UNSURE_NS,
+    Lateness,
+    missed_at_least,
+)
 
 S = 1_000_000_000
 
@@ -80,3 +86,62 @@ def test_the_first_message_is_taken_for_what_it_is():
     ahead = Lateness()
     ahead.take(S, -S, None, S // 50)  # of a clock that is ahead
     assert ahead.forgiven_ns == 0
+
+
+# ---------------------------------------------------------------------- promises
+
+PERIOD = S // 50
+
+
+def promised(lateness: Lateness, promise: int, count: int, *, loss: float = 0.0, delay_s: float = 0.0) -> int:
+    """How often one that sends only every `promise` periods would be taken to be silent."""
+    dice, last, found, apart_ns = Random(3), 0, 0, promise * PERIOD
+    for k in range(1, count):
+        if dice.random() >= loss:
+            gap_ns = (k - last) * apart_ns
+            found += gap_ns + delay_s * S > lateness.forgiven_ns + UNSURE_NS
+            lateness.take_promised(k * apart_ns, round(delay_s * S), gap_ns, apart_ns, apart_ns)
+            lateness.expect_promised(PERIOD, apart_ns, apart_ns)
+            last = k
+    return found
+
+
+def test_silence_that_was_promised_is_forgiven_and_no_more_than_that():
+    lateness = Lateness()
+    promised(lateness, 25, 20)
+    assert promised(lateness, 25, 200) == 0
+    assert lateness.forgiven_ns == 25 * PERIOD - UNSURE_NS
+
+
+def test_a_promise_within_what_counts_as_silence_forgives_nothing():
+    lateness = Lateness()
+    promised(lateness, 12, 200)
+    assert lateness.forgiven_ns == lateness.usual_ns == lateness.missed_ns == 0
+
+
+@pytest.mark.parametrize("loss", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.2])
+def test_no_more_is_forgiven_than_the_promise_and_what_would_be_without_it(loss: float, delay_s: float):
+    lateness = Lateness()
+    promised(lateness, 10, 3000, loss=loss, delay_s=delay_s)
+    forgiven_ns, usual_ns, missed_ns = lateness.forgiven_ns, lateness.usual_ns, lateness.missed_ns
+    lateness.expect(10 * PERIOD)
+    most_ns = lateness.forgiven_ns
+    lateness.expect(PERIOD)
+    assert 0 < forgiven_ns == min(most_ns, lateness.forgiven_ns + 10 * PERIOD)
+    assert usual_ns <= max(lateness.usual_ns, 2 * UNSURE_NS)
+    assert missed_ns >= 3 * 10 * PERIOD
+
+
+@pytest.mark.parametrize(("gap", "missing"), [(0.5, 0), (1, 0), (1.4, 0), (2, 1), (3, 1), (7, 2), (15, 3)])
+def test_missing_ones_are_counted_by_promises_that_double(gap: float, missing: int):
+    assert missed_at_least(round(gap * PERIOD), PERIOD) == missing
+
+
+def test_a_long_gap_after_a_promise_is_an_outage():
+    lateness = Lateness()
+    promised(lateness, 12, 100)
+    for k in range(20):
+        lateness.take_promised((200 + 5 * k) * S, 0, 5 * S, 12 * PERIOD, 12 * PERIOD)
+        lateness.expect_promised(PERIOD, 12 * PERIOD, 12 * PERIOD)
+    assert lateness.forgiven_ns == 0

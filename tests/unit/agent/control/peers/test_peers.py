@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from agent.control.peers.peers import (
     Peers,
 )
 from agent.control.peers.prediction import as_it_came, coasting, following, transition
+from agent.messages.types import HandState
 from tests.unit.agent.control.peers.neighbours import (
     C1,
     C2,
@@ -29,6 +32,7 @@ from tests.unit.agent.control.peers.neighbours import (
     peers,
     predicted,
     standing,
+    total,
 )
 
 # ---------------------------------------------------------------------- prediction
@@ -314,3 +318,102 @@ def test_whom_another_does_not_hear_he_is_told_of_until_he_speaks_again():
     assert [row.robot for row in known.silent(T0 + 29 * S // 10)] == [2]
     seldom(known, T0 + 3 * S)
     assert known.silent(T0 + 31 * S // 10) == ()
+
+
+# ---------------------------------------------------------------------- promises
+
+
+def promising(time_ns: int, periods: int, rounds: int = 0, **fields: Any) -> HandState:
+    """A hand state of robot 2 that promises the next one within so many periods."""
+    return message(2, rounds, time_ns, **fields)._replace(next_ms=periods * PERIOD // 1_000_000)
+
+
+def test_rounds_in_which_none_was_due_are_not_lost_but_what_was_promised_is():
+    known = peers(bound_m=0.005)
+    for k in (0, 1, 3, 7, 15):
+        heard(known, promising(T0 + k * PERIOD, k + 1, k), now_ns=T0 + (k + 1) * PERIOD)
+    assert (total(known, "received"), total(known, "lost")) == (5, 0)
+    heard(known, promising(T0 + 47 * PERIOD, 16, 47), now_ns=T0 + 48 * PERIOD)  # the one of round 31
+    assert total(known, "lost") == 1
+    heard(known, promising(T0 + 48 * PERIOD, 1, 48), now_ns=T0 + 49 * PERIOD)  # news
+    assert total(known, "lost") == 1
+
+
+def test_a_promise_is_no_lateness_while_beacons_come():
+    known, peer = peers(bound_m=0.005, beacon_ns=10 * PERIOD), None
+    heard(known, promising(T0, 50))
+    for k in range(10, 60, 10):
+        assert known.accept_beacon(beacon(2, T0 + k * PERIOD), T0 + (k + 1) * PERIOD) is None
+        peer = known.get(2)
+        assert peer.is_heard(T0 + (k + 10) * PERIOD)
+        late_ns = peer.hand_late_ns(T0 + (k + 10) * PERIOD)
+        assert late_ns is not None
+        assert late_ns <= 10 * PERIOD
+    assert peer is not None
+    now_ns = T0 + 50 * PERIOD + UNSURE_NS
+    assert not peer.is_heard(now_ns)  # nothing comes any more, whatever it promised
+    late_ns = peer.hand_late_ns(now_ns)
+    assert late_ns is not None
+    assert late_ns >= UNSURE_NS
+    assert not total(known, "lost")
+
+
+def test_one_whose_beacons_come_alone_is_late_from_its_promise_on():
+    known = peers(bound_m=0.005, beacon_ns=10 * PERIOD)
+    heard(known, promising(T0, 50))
+    for k in range(10, 200, 10):
+        known.accept_beacon(beacon(2, T0 + k * PERIOD), T0 + (k + 1) * PERIOD)
+    late_ns = known.get(2).hand_late_ns(T0 + 200 * PERIOD)
+    assert late_ns is not None
+    assert late_ns >= 200 * PERIOD - 50 * PERIOD - PERIOD
+    assert known.get(2).is_heard(T0 + 200 * PERIOD)
+
+
+def test_within_a_promise_a_beacon_brings_the_place_and_leaves_the_forces():
+    known = peers(standing, bound_m=0.005, decay=0.9)
+    said = promising(T0, 50, position=(3.0, 4.0), constraint=(0.4, 0.0))
+    heard(known, said)
+    then_ns = T0 + 10 * PERIOD
+    known.accept_beacon(beacon(2, then_ns, (3.1, 4.0), (0.2, 0.0)), then_ns + PERIOD)
+    found = predicted(known, 2, then_ns)
+    assert (found.position, found.velocity) == ((3.1, 4.0), (0.2, 0.0))
+    assert found.constraint[0] == pytest.approx(
+        predicted(heard(peers(standing, decay=0.9), said), 2, then_ns).constraint[0]
+    )
+    assert found.constraint[0] == pytest.approx(0.4 * np.exp(-0.9 * 0.2))
+
+
+def test_a_beacon_of_one_that_does_not_follow_any_more_leaves_no_forces():
+    known = peers(standing, bound_m=0.005, decay=0.9)
+    heard(known, promising(T0, 50, position=(3.0, 4.0), constraint=(0.4, 0.0)))
+    then_ns = T0 + 10 * PERIOD
+    known.accept_beacon(beacon(2, then_ns, follows=False), then_ns + PERIOD)
+    assert predicted(known, 2, then_ns).constraint == (0.0, 0.0)
+
+
+def test_a_hand_state_that_a_beacon_has_overtaken_still_brings_its_forces():
+    known = peers(standing, bound_m=0.005, decay=0.9)
+    heard(known, promising(T0, 1, position=(3.0, 4.0)))
+    then_ns = T0 + 10 * PERIOD
+    known.accept_beacon(beacon(2, then_ns, (3.1, 4.0)), then_ns + PERIOD)
+    heard(known, promising(T0 + 5 * PERIOD, 2, 5, constraint=(0.4, 0.0)), now_ns=then_ns + 2 * PERIOD)
+    found = predicted(known, 2, then_ns)
+    assert found.position == (3.1, 4.0)
+    assert found.constraint[0] == pytest.approx(0.4 * np.exp(-0.9 * 0.1))
+
+
+def test_how_far_it_may_be_off_meanwhile_is_doubt():
+    known = peers(bound_m=0.005)
+    heard(known, promising(T0, 50))
+    assert known.get(2).doubt(T0) == 0.005
+    heard(known, message(2, 1, T0 + PERIOD), now_ns=T0 + 2 * PERIOD)
+    assert known.get(2).doubt(T0 + PERIOD) == 0.0
+
+
+def test_whose_hand_states_are_not_listened_to_any_more_promises_nothing():
+    known = peers(bound_m=0.005)
+    heard(known, promising(T0, 50))
+    known.ignore(2)
+    heard(known, promising(T0 + 30 * PERIOD, 1, 30), now_ns=T0 + 31 * PERIOD)
+    assert total(known, "lost") == 0
+    assert known.get(2).hand_next_ns == PERIOD

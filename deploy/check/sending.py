@@ -1,0 +1,86 @@
+"""Does what says when hand states are sent suit the fleet: noise, rate, horizon, law."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot, pi, sqrt
+from typing import Final
+
+from agent.control.event_trigger import LOOKAHEAD_S
+from agent.fleet.model import Fleet
+from agent.fleet.sections import Robot
+from deploy.check.finding import Finding
+from deploy.console.wording import robots
+
+QUIET: Final = 2.5
+"""A bound so many times as large as what noise makes of predictions on average is seldom exceeded by it."""
+
+
+def check_sending(fleet: Fleet) -> Iterator[Finding]:
+    """What makes event-sent hand states pointless, or dangerous."""
+    control = fleet.control
+    if control.send == "periodic":
+        if control.send_every_s is not None:
+            yield Finding("info", "control.send_every_s", 'nobody asks for it: control.send is "periodic"')
+        return
+    period_s = fleet.period_ns / 1e9
+    within_s = fleet.hands_within_ns / 1e9
+    if within_s < 2.0 * period_s * (1.0 - 1e-9):
+        yield Finding(
+            "warning",
+            "control.send_every_s",
+            f"{within_s:.4g} s: a hand state is sent in every period of {period_s:.4g} s, whatever happens; "
+            f"give more, up to half of control.prediction_horizon_s = {control.prediction_horizon_s:g} s, "
+            "which may be longer itself",
+        )
+    if not control.prediction:
+        yield Finding(
+            "warning",
+            "control.prediction",
+            "false: neighbours expect a robot to stay where its last hand state left it, so it sends one in "
+            "every period in which it moves",
+        )
+    if control.law is not None:
+        yield Finding(
+            "info",
+            "control.law",
+            "what a law of others will ask for nobody can predict: a robot sends a hand state in every "
+            "period in which the law asks for more than navigation does, or changes its numbers; and all "
+            "keep further from a robot, the longer it is silent",
+        )
+    margin, bound = fleet.avoidance.margin_m, control.send_bound_m
+    if fleet.avoidance.enabled and bound > 0.5 * margin:
+        yield Finding(
+            "warning",
+            "control.send_bound_m",
+            f"{bound:g} m is more than half of avoidance.margin_m = {margin:g} m: robots keep so much "
+            "further from each other",
+        )
+    yield from _check_noise(fleet)
+
+
+def _check_noise(fleet: Fleet) -> Iterator[Finding]:
+    bound = fleet.control.send_bound_m
+    off = {robot.id: _off(fleet, robot) for robot in fleet.robots}
+    noisy = [robot for robot, by in off.items() if QUIET * by > bound]
+    if not noisy:
+        return
+    worst = max(noisy, key=lambda robot: off[robot])
+    yield Finding(
+        "warning",
+        "control.send_bound_m",
+        f"{bound:g} m: measurement noise alone puts predictions of {robots(noisy)} off by {off[worst]:.2g} m "
+        "on average, so that they send much oftener than they need, up to every period; "
+        f"{QUIET * off[worst]:.2g} m or more would be right",
+    )
+
+
+def _off(fleet: Fleet, robot: Robot) -> float:
+    """How far noise puts a prediction off on average by the measure of (E1), m."""
+    control, reach = fleet.control, robot.hand_offset_m
+    place = hypot(robot.position_noise_m, reach * robot.heading_noise_rad)
+    velocity = hypot(robot.speed_noise_mps, reach * robot.yaw_rate_noise_radps)
+    force = hypot(max(control.c1, control.kp) * place, max(control.c2, control.kd) * velocity)
+    # Of the difference of two draws, each of two axes: the mean of a Rayleigh distribution.
+    mean = sqrt(2.0) * sqrt(0.5 * pi)
+    return mean * (place + LOOKAHEAD_S * velocity + 0.5 * LOOKAHEAD_S * LOOKAHEAD_S * force)
