@@ -178,3 +178,10 @@ def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
                 f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
                 f"got {show(timeout)}",
             )
+    lowest = values.get("control", {}).get("rate_min_hz")
+    if rate is not None and lowest is not None and lowest > rate:
+        reader.add(
+            "control.rate_min_hz",
+            f"{show(lowest)} Hz is more than fleet.rate_hz = {show(rate)}: it is the lowest rate to which an "
+            "overloaded fleet falls",
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import MachineClock
+from agent.common.time import NS_PER_MS, MachineClock
 from agent.control.hand import Hand
 from agent.control.peers.peers import Peers
 from agent.fleet.model import Fleet
@@ -35,6 +35,7 @@ class Outbox:
 
     Attributes:
         keys: on which it publishes.
+        overload: by how many steps it wants the rate of all to fall.
     """
 
     def __init__(
@@ -50,11 +51,17 @@ class Outbox:
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
         self._clock: tuple[int, ...] = ()
+        self._period_ns, self._next_ms = period_ns, 0
+        self.overload = 0
         self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
 
     def runs_by(self, clock: MachineClock) -> None:
         """The clock of the process, which its wrenches tell."""
         self._clock = tuple(clock)
+
+    def keep_pace(self, period_ns: int) -> None:
+        """From now on there is a tick in every so long, a multiple of the full rate's period."""
+        self._next_ms = -(-period_ns // NS_PER_MS) if period_ns > self._period_ns else 0
 
     def begin(self, epoch_ns: int) -> None:
         """Counts rounds from the epoch of a mission."""
@@ -96,6 +103,7 @@ class Outbox:
             multipliers,
             heard,
             own,
+            self._next_ms,
         )
         return self._key_hand, encode(message)
 
@@ -123,4 +131,5 @@ class Outbox:
             *self._latch.mark,
             self._peers.silent(now_ns),
             self._peers.given_up(now_ns),
+            overload=self.overload,
         )

@@ -9,6 +9,7 @@ from typing import Final
 from agent.common.time import NS_PER_S
 from agent.control.peers.peers import Peer
 from agent.messages.types import NeighbourStatus, Status, Total
+from agent.supervision.overload import Overload
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 OPENED_ANEW_NS: Final = 5 * NS_PER_S
@@ -22,6 +23,7 @@ class StatusReport:
 
     Args:
         rejected: messages that were not valid, by reason.
+        overload: of its own process.
 
     Attributes:
         ages_us: ages of neighbours' states that the law worked with since the last status, us.
@@ -30,8 +32,8 @@ class StatusReport:
         digest: of its fleet file, once it has refused a mission for another one: `Status.digest`.
     """
 
-    def __init__(self, rejected: Counter[str]) -> None:
-        self._rejected = rejected
+    def __init__(self, rejected: Counter[str], overload: Overload) -> None:
+        self._rejected, self._overload = rejected, overload
         self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
         self.sent_hands = self.corrupted = 0
@@ -100,6 +102,7 @@ class StatusReport:
             "rejected": sum(self._rejected.values()),
             "overruns": self._overruns,
             **({"links.opened_anew": self._links_opened_anew} if self._links_opened_anew else {}),
+            **self._overload.counters(),
             **{f"rejected.{reason}": count for reason, count in sorted(self._rejected.items())},
             **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
         }

@@ -9,7 +9,7 @@ in that clock: the own one plus its offset, as far as that is proven (`agent.con
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from math import inf
 from typing import Final
 
@@ -63,6 +63,7 @@ class Peer:
         direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
             others may have told.
         belief: where it may be as others say, who have heard it last.
+        hand_next_ns: so much after its latest hand state the next is stamped at most, 0 for the period.
         slowly, slowly_until_ns: how fast it may go as seen from its place, m/s, and until when.
         never_came: nobody has ever heard it, says who was there from the start: it began where it starts.
         gone_ns: what it has said until then counts no more: its body has been carried off.
@@ -78,9 +79,9 @@ class Peer:
 
     __slots__ = (
         "ahead_ns", "beacon_ns", "belief", "clock", "copy", "deaf", "degree", "delayed", "direct_ns",
-        "duplicated", "early", "far_until_ns", "gone_ns", "hand_ns", "here", "knows_ns", "lateness",
-        "listened", "lost", "mark", "message", "name", "never_came", "next_ns", "other_version", "received",
-        "robot", "sequence", "slowly", "slowly_until_ns", "time_ns", "token", "trust",
+        "duplicated", "early", "far_until_ns", "gone_ns", "hand_next_ns", "hand_ns", "here", "knows_ns",
+        "lateness", "listened", "lost", "mark", "message", "name", "never_came", "next_ns", "other_version",
+        "received", "robot", "sequence", "slowly", "slowly_until_ns", "time_ns", "token", "trust",
     )  # fmt: skip
 
     def __init__(self, robot: int, period_ns: int, next_ns: int) -> None:
@@ -103,7 +104,7 @@ class Peer:
         self.ahead_ns = 0
         self.other_version = ""
         self.received = self.lost = self.delayed = self.duplicated = 0
-        self.far_until_ns = 0
+        self.far_until_ns = self.hand_next_ns = 0
 
     def age_ns(self, now_ns: int) -> int | None:
         """Age of its hand state by its own clock, None when none has come.
@@ -161,6 +162,8 @@ class Peers:
         horizon_s: a robot that hears nobody for so long stands.
 
     Attributes:
+        behind_ns: how long after its time the tick begins whose messages are taken.
+        missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
     """
@@ -182,7 +185,9 @@ class Peers:
         beacon_max_ns: int = 0,
     ) -> None:
         self._owner = owner
-        self._period_ns = period_ns
+        self._period_ns = self._round_ns = period_ns
+        self.behind_ns = 0
+        self.missed_ns: Callable[[int], int] = _none_missed
         self._beacon_ns = beacon_ns
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
@@ -219,6 +224,10 @@ class Peers:
         return self._known.values()
 
     # ------------------------------------------------------------------ what comes
+
+    def keep_pace(self, period_ns: int) -> None:
+        """From now on the next tick is so much later."""
+        self._period_ns = period_ns
 
     def begin(self, now_ns: int) -> None:
         """Begins the tick at `now_ns`, if it has not begun: takes what came too early for the last one."""
@@ -270,7 +279,7 @@ class Peers:
             if robot == self._owner:
                 echo_us = delay_us
                 break
-        if clock.take(now_ns, time_ns, echo_us):
+        if clock.take(now_ns + self.behind_ns, time_ns, echo_us):
             self._heard = None
         peer.ahead_ns = 0
         if not early:
@@ -343,13 +352,15 @@ class Peers:
 
     def given_up(self, now_ns: int) -> tuple[int, ...]:
         """Robots from which nothing has come, now or since the start, for so long that they are given up."""
-        late_ns = now_ns - round(self._horizon_s * NS_PER_S)
+        until_ns = now_ns - round(self._horizon_s * NS_PER_S)
         began_ns = self._began_ns + self._rest_ns
-        return tuple(
-            peer.robot
-            for peer in self._known.values()
-            if max(peer.direct_ns - peer.clock.used_ns, began_ns) + peer.lateness.forgiven_ns < late_ns
-        )
+        found = []
+        for peer in self._known.values():
+            since_ns = max(peer.direct_ns - peer.clock.used_ns, began_ns)
+            patient_ns = since_ns + peer.lateness.forgiven_ns
+            if patient_ns < until_ns and patient_ns + self.missed_ns(since_ns) < until_ns:
+                found.append(peer.robot)
+        return tuple(found)
 
     @property
     def unknown(self) -> list[int]:
@@ -433,6 +444,7 @@ class Peers:
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
         # A clock that was behind and has been set must not be refused for what it was.
+        now_ns += self.behind_ns
         if time_ns > now_ns + FUTURE_NS_MAX and time_ns > now_ns + peer.clock.used_ns + FUTURE_NS_MAX:
             peer.ahead_ns = time_ns - now_ns
             return True
@@ -440,7 +452,8 @@ class Peers:
 
     def _take(self, peer: Peer, message: HandState, now_ns: int) -> None:
         """Makes `message` the latest hand state of its sender; it is newer than the one before."""
-        time_ns, period_ns = message.time_ns, self._period_ns
+        # The message before it said how much later it would come.
+        time_ns, period_ns = message.time_ns, peer.hand_next_ns or self._round_ns
         gap_ns = None
         if peer.sequence != _NEVER:
             gap_ns = time_ns - peer.hand_ns
@@ -452,10 +465,14 @@ class Peers:
                 peer.lost += max(0, min(gap, between))
         peer.received += 1
         age_ns = now_ns + peer.clock.used_ns - time_ns
-        if age_ns > 2 * period_ns:
+        if age_ns > 2 * max(period_ns, self._period_ns):
             peer.delayed += 1
         peer.lateness.most_ns = LATE_MAX_NS
         _note(peer.lateness, now_ns, age_ns, gap_ns, period_ns)
+        if message.next_ms or peer.hand_next_ns:
+            peer.hand_next_ns = message.next_ms * NS_PER_MS
+            if peer.lateness.heeds:
+                peer.lateness.expect(peer.hand_next_ns or self._round_ns)
         peer.hand_ns = time_ns
         peer.sequence = message.sequence
         peer.degree = message.degree
@@ -600,6 +617,10 @@ class Peers:
         at = *self._starts[peer.robot], 0.0, 0.0
         stranger = HandState.placed(peer.robot, 0, 0, True, 0, at)
         return self._strangers.setdefault(peer.robot, stranger)
+
+
+def _none_missed(since_ns: int) -> int:
+    return 0
 
 
 def _by_hand(peer: Peer) -> int:
