@@ -65,7 +65,8 @@ class Overload:
         self._others: dict[int, tuple[int, int]] = {}
         self._since_ns = 0
         self._fell_ns: int | None = None
-        self._looked_ns = self._slowed_ns = self._asked_ns = 0
+        self._looked_ns = self._asked_ns = 0
+        self._spent_ns: dict[int, int] = {}
         self._patience_ns = CALM_NS
 
     @property
@@ -114,7 +115,7 @@ class Overload:
         before = self.level
         most = max((wanted for wanted, _ in self._others.values()), default=0)
         if before:
-            self._slowed_ns += now_ns - self._looked_ns
+            self._spent_ns[before] = self._spent_ns.get(before, 0) + now_ns - self._looked_ns
             self._asked_ns += now_ns - self._looked_ns if self.wanted else 0
         self._looked_ns = now_ns
         self.level = min(max(self.wanted, most), self._steps + 1)
@@ -162,9 +163,12 @@ class Overload:
 
     def counters(self) -> dict[str, int]:
         """What a status counts of it; nothing where the rate never fell."""
-        found = {"overload.late": self.late_ticks, "overload.slowed_ms": self._slowed_ns // NS_PER_MS}
-        found |= {"overload.asked_ms": self._asked_ns // NS_PER_MS, "overload.level": self.level}
-        return found if self.level or self._slowed_ns else {}
+        if not self._spent_ns:
+            return {}
+        spent = {
+            f"overload.level_{level}_ms": ns // NS_PER_MS for level, ns in sorted(self._spent_ns.items())
+        }
+        return {"overload.late": self.late_ticks, "overload.asked_ms": self._asked_ns // NS_PER_MS, **spent}
 
     def stall(self, now_ns: int) -> str:
         """Why this robot does not know what it should: its own process stood."""

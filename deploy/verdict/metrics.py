@@ -20,6 +20,7 @@ from deploy.analysis.analysis import Approach, norm
 from deploy.analysis.places import last_there_s
 from deploy.analysis.rounding import largest, number, percentile
 from deploy.recording.recorder import RecordingError
+from deploy.verdict import overload
 
 if TYPE_CHECKING:
     from deploy.verdict.evidence import Evidence
@@ -269,6 +270,10 @@ METRICS: tuple[Metric, ...] = (
         lambda r: percentile(r.ticks_us, 99), "Tick, 99 %", "µs",
     ),
     Metric("tick.overruns", "Rounds that started too late and were skipped.", _total("overruns"), "Overruns"),
+    Metric(
+        "overload_s", "How long the fleet drove at a lower rate, or slower: a machine was overloaded.",
+        lambda r: number(overload.slowed_s(r.recording)), optional=True,
+    ),
     Metric("links", "Of each link: what was asked, what was done, what was measured.", _link("links")),
     Metric("injected", "What was done to messages on purpose, over all links.", _link("injected")),
     Metric("links_audit", "Every recorded decision on a message, made again.", _link("links_audit")),
