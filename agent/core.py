@@ -333,7 +333,7 @@ class Agent:
         """Decides as often as the slowest machine of the fleet can, and drives as fast as that allows."""
         overload, peers = self._overload, self._peers
         peers.behind_ns = 0
-        if overload.look(now_ns):
+        if overload.look(now_ns, drives=self.state in DRIVING):
             self.period_ns = period_ns = overload.period_ns
             self._controller.keep_pace(period_ns, self._speed_share(overload.level))
             self._trust.period_s = period_ns / NS_PER_S

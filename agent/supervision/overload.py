@@ -19,8 +19,10 @@ WINDOW_NS: Final = NS_PER_S
 WINDOW_PERIODS: Final = 20
 """It is counted how many ticks were late in the last second, or so many periods if that is longer."""
 LATE_SHARE: Final = 0.1
+LATE_SHARE_AT_REST: Final = 0.5
 LATE_LEAST: Final = 3
-"""So large a share of them, and so many at least, are too many: one hitch is none."""
+"""So large a share of them, while the robot drives and while it does not, and so many at least, are too many:
+one hitch is none."""
 CALM_NS: Final = 3 * NS_PER_S // 2
 CALM_MAX_NS: Final = 60 * NS_PER_S
 """After so long in which it would have kept the next higher rate it wants that again. Where it then cannot,
@@ -59,6 +61,7 @@ class Overload:
         self.idle = True
         self.wanted = self.level = 0
         self.late_ticks = 0
+        self._drives = True
         self._stalls: deque[tuple[int, int]] = deque(maxlen=STALLS_MAX)
         self._late: deque[int] = deque()
         self._tight: deque[int] = deque(maxlen=TIGHT_MAX)
@@ -100,12 +103,19 @@ class Overload:
         else:
             self._others.pop(robot, None)
 
-    def look(self, now_ns: int) -> bool:
-        """Finds what to go by at a tick; whether that is another level than before."""
+    def look(self, now_ns: int, *, drives: bool = True) -> bool:
+        """Finds what to go by at a tick; whether that is another level than before.
+
+        While the robot does not drive, as when all processes of a machine start, more may be late.
+        """
+        if drives is not self._drives:
+            self._drives = drives
+            self._late.clear()
         window_ns = max(WINDOW_NS, WINDOW_PERIODS * self.period_ns)
         while self._late and self._late[0] <= now_ns - window_ns:
             self._late.popleft()
-        if len(self._late) >= max(LATE_LEAST, LATE_SHARE * window_ns / self.period_ns):
+        share = LATE_SHARE if drives else LATE_SHARE_AT_REST
+        if len(self._late) >= max(LATE_LEAST, share * window_ns / self.period_ns):
             self._rise(now_ns)
         elif self.wanted and self.wanted >= self.level and now_ns - self._since_ns >= self._patience_ns:
             self._fall(now_ns)

@@ -71,6 +71,21 @@ def test_one_hitch_changes_nothing(late: float) -> None:
     assert loop.overload.idle
 
 
+def test_who_does_not_drive_yet_is_more_patient_and_forgets_it_when_it_begins() -> None:
+    overload = Overload(STEPS, PERIOD)
+    for k in range(60):
+        if k % 4 == 0:
+            overload.late(k * PERIOD, PERIOD)
+        overload.look(k * PERIOD, drives=False)
+    assert overload.wanted == 0
+    overload.look(60 * PERIOD)
+    assert overload.wanted == 0
+    for k in range(60):
+        overload.late((100 + k) * PERIOD, PERIOD)
+        overload.look((100 + k) * PERIOD, drives=False)
+    assert overload.wanted == 1
+
+
 def test_a_loop_that_is_late_all_the_time_wants_a_lower_rate_at_once() -> None:
     loop = Loop()
     loop.run(0.15, lambda _: 0.6)
