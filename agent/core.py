@@ -8,11 +8,13 @@ Here is the order of things; what they are is in the rooms below.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from math import isfinite
 from typing import Any, Final
 
 from agent.common.errors import Error
-from agent.common.time import NS_PER_S, MachineClock
+from agent.common.time import NS_PER_MS, NS_PER_S, MachineClock
+from agent.control import pace
 from agent.control.controller import Controller
 from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
@@ -44,6 +46,7 @@ from agent.supervision.lasting_orders import LastingOrders
 from agent.supervision.neighbour_trust import NeighbourTrust
 from agent.supervision.order_relay import OrderRelay
 from agent.supervision.outbox import Outbox
+from agent.supervision.overload import Overload
 from agent.supervision.situation import Situation
 from agent.supervision.state_machine import DRIVING, State, step
 from agent.supervision.status import StatusReport
@@ -61,7 +64,7 @@ class Agent:
         fleet.robot(robot)  # says which there are, when there is none of that id
         name = fleet.fleet.name
         self.robot: Final = robot
-        self.period_ns: Final = fleet.period_ns
+        self.period_ns = fleet.period_ns
         self.phase_ns: Final = fleet.period_ns // 2
         """Agents tick half a period after plants: a plant's state has come by then, and the
         wrench is there before the plant's next tick."""
@@ -73,8 +76,11 @@ class Agent:
         self._missions = MissionChoice(fleet, geometry)
         self._controller = Controller(fleet, geometry, robot)
         self._peers = self._controller.peers
-        self._trust = NeighbourTrust(fleet, self._controller)
-        self._situation = Situation(fleet, robot, self._controller, self._trust)
+        self._overload = Overload(pace.steps(fleet), fleet.period_ns)
+        self._speed_share = partial(pace.speed_share, fleet)
+        self._peers.missed_ns = self._overload.missed_ns
+        self._trust = NeighbourTrust(fleet, self._controller, self._overload)
+        self._situation = Situation(fleet, robot, self._controller, self._trust, self._overload)
         self._latch = self._situation.latch
         self._relay = OrderRelay(fleet, robot, self._latch, self._missions)
         self._lasting = LastingOrders(self._latch)
@@ -104,7 +110,7 @@ class Agent:
         )
         self.plan: Final = self._ingress.plan
         self.rejected: Final = self._ingress.rejected
-        self._report = StatusReport(self.rejected, self._radio)
+        self._report = StatusReport(self.rejected, self._overload, self._radio)
         self._route(name, others)
 
         self.alive_key: Final = key_expressions.alive(name, robot, "agent")
@@ -194,7 +200,10 @@ class Agent:
             self._deafness.present(found[0], here)
 
     def deaf_to(self, now_ns: int) -> Sequence[int]:
-        """See `agent.node.Node`: robots that others hear."""
+        """See `agent.node.Node`: robots that others hear. Of what came while the process stood, some comes
+        later than the rest."""
+        if self._overload.missed_ns(now_ns - NS_PER_S):
+            return ()
         return self._deafness.look(now_ns, self._listened)
 
     def link_opened_anew(self, now_ns: int, what: str) -> None:
@@ -208,7 +217,15 @@ class Agent:
             if error.reason == "version":
                 self._peers.speaks_another_version(other, error.detail)
 
+    def late(self, now_ns: int, late_ns: int) -> None:
+        """See `agent.node.Node`: it may want a lower rate, and has not heard what it could not."""
+        self._overload.late(now_ns, late_ns)
+        # By the time of the tick what comes now would be quicker than it was.
+        self._peers.behind_ns = late_ns % self.period_ns
+
     def _accept_beacon(self, beacon: Beacon, now_ns: int) -> str | None:
+        if beacon.overload or not self._overload.idle:
+            self._overload.heard(beacon.robot, beacon.overload, now_ns, beacon.next_ms * NS_PER_MS)
         self._relay.compare(now_ns, beacon)
         self._deafness.told(beacon)
         reason = self._peers.accept_beacon(beacon, now_ns)
@@ -305,6 +322,8 @@ class Agent:
     def tick(self, now_ns: int) -> list[Outgoing]:
         """One control tick at `now_ns`: decides the state, runs the law, returns what to publish."""
         situation = self._situation
+        if not self._overload.idle:
+            self._keep_pace(now_ns)
         self._peers.begin(now_ns)
         self._ingress.arrive(now_ns)
         self._controller.look(now_ns)
@@ -337,6 +356,18 @@ class Agent:
         if self._radio is not None:
             out = self._radio.send(now_ns, out, len(self._listened))
         return out
+
+    def _keep_pace(self, now_ns: int) -> None:
+        """Decides as often as the slowest machine of the fleet can, and drives as fast as that allows."""
+        overload, peers = self._overload, self._peers
+        peers.behind_ns = 0
+        if overload.look(now_ns, drives=self.state in DRIVING):
+            self.period_ns = period_ns = overload.period_ns
+            self._controller.keep_pace(period_ns, self._speed_share(overload.level))
+            self._trust.period_s = period_ns / NS_PER_S
+            peers.keep_pace(period_ns)
+            self._outbox.keep_pace(period_ns)
+        self._outbox.overload = overload.wanted
 
     def _find_hand(self, now_ns: int) -> Hand | None:
         """Where the own hand is; None when the plant does not tell."""

@@ -18,6 +18,9 @@ INBOX_SIZE: Final = 64
 EACH: Final = 2
 """So many of each robot wait at least, where all of them may speak on one subscription."""
 
+TOLD_SHARE: Final = 4
+"""A tick that begins later than this part of a period is told that it is late."""
+
 
 def inbox_size(subscription: str, robots: int) -> int:
     """How many messages wait on a subscription in a fleet of so many robots."""
@@ -34,7 +37,8 @@ class Node(Protocol):
 
     @property
     def period_ns(self) -> int:
-        """Time between two ticks. Ticks come at multiples of the period plus `phase_ns`."""
+        """Time between two ticks, which may be another after each. Ticks come at multiples of the period plus
+        `phase_ns`."""
         ...
 
     @property
@@ -99,6 +103,11 @@ class Node(Protocol):
 
     def runs_by(self, clock: MachineClock) -> None:
         """Takes the clock of the process; not called in virtual time, where all have one."""
+        ...
+
+    def late(self, now_ns: int, late_ns: int) -> None:
+        """Takes that the tick at `now_ns` begins so much after its deadline, before what came meanwhile is
+        received. Not called for less than `TOLD_SHARE` of a period."""
         ...
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:

@@ -110,7 +110,7 @@ class PlantNode:
         )
         self.overruns = 0
         self._clock: MachineClock | None = None
-        self._now_ns = self._ahead_ns = 0
+        self._now_ns = self._ahead_ns = self._late_ns = 0
         self._wrench: Wrench | None = None
         self._ending = False
         self._at_rest = self._obeying = True
@@ -144,6 +144,10 @@ class PlantNode:
     def timed(self, duration_ns: int, missed: int) -> None:
         """Counts the `missed` ticks before one that took `duration_ns`."""
         self.overruns += missed
+
+    def late(self, now_ns: int, late_ns: int) -> None:
+        """See `agent.node.Node`: it has not heard its agent for that time."""
+        self._late_ns = late_ns
 
     def receive(self, now_ns: int, key: str, payload: bytes) -> None:
         """Takes a message: a wrench of its agent, a mission, a stop, a resume, live faults.
@@ -243,6 +247,9 @@ class PlantNode:
             self._condition = "braking", "no wrench yet"
         elif now_ns - wrench.time_ns > self._timeout_ns:
             self._condition = "braking", f"no fresh wrench for {(now_ns - wrench.time_ns) / NS_PER_S:.2f} s"
+            if now_ns - wrench.time_ns - self._late_ns <= self._timeout_ns:
+                late = f"overloaded: this machine ran late by {self._late_ns / NS_PER_S:.2g} s"
+                self._condition = "braking", late
         elif wrench.brake:
             self._condition = "braking", "its agent brakes"
         else:
@@ -260,6 +267,7 @@ class PlantNode:
         self._lasting.look(None)
         fleet_ns = now_ns - self._ahead_ns
         command = self._command(fleet_ns)
+        self._late_ns = 0
         reading = self._backend.step(now_ns, command)
         if self._ahead_ns:
             reading = reading._replace(time_ns=reading.time_ns - self._ahead_ns)

@@ -24,7 +24,14 @@ from agent.control.peers.peers import Peer, Peers
 from agent.control.peers.prediction import constraint_decay
 from agent.control.proximity import Proximity
 from agent.control.right_of_way import RightOfWay
-from agent.control.safety_distances import TURN_MAX, TURN_SHARE, acceleration_max, barrier_rate, speed_max
+from agent.control.safety_distances import (
+    SPEED_SHARE,
+    TURN_MAX,
+    TURN_SHARE,
+    acceleration_max,
+    barrier_rate,
+    speed_max,
+)
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry, start_hand
 from agent.formation.mission_plan import Plan
@@ -97,7 +104,7 @@ class Controller:
     def __init__(self, fleet: Fleet, geometry: Geometry, robot: int) -> None:
         body, control = fleet.robot(robot), fleet.control
         self._robot = robot
-        self._period_ns = fleet.period_ns
+        self._period_ns = self._held_ns = fleet.period_ns
         self.reference: Final = Reference(fleet, geometry)
         self.peers: Final = Peers(
             robot,
@@ -136,8 +143,8 @@ class Controller:
             self._own_law = OwnLaw(fleet, robot, self.peers)
         self._c1, self._c2 = control.c1, control.c2
         self._safe_distance = fleet.formation.safe_distance_m
-        self._acceleration_max = acceleration_max(fleet)
-        self._speed_max = speed_max(fleet)
+        self._acceleration_max = self._push_max = acceleration_max(fleet)
+        self._speed_max = self._fastest = speed_max(fleet)
         self._barrier_rate, self._margin = barrier_rate(fleet), fleet.avoidance.margin_m
         self._mass, self._inertia, self._reach = body.mass_kg, body.inertia_kgm2, body.hand_offset_m
         self._yaw_rate_max = TURN_MAX * NS_PER_S / fleet.period_ns
@@ -160,6 +167,21 @@ class Controller:
         self.peers.forecast.epoch_ns = plan.mission.epoch_ns
         self.peers.remove(plan.mission.removed)
 
+    def keep_pace(self, period_ns: int, share: float) -> None:
+        """From now on what it asks for is held for `period_ns`, the plant's period or a multiple of it, and
+        robots drive at this share of their speed limit (R1), (R2)."""
+        self._held_ns = period_ns
+        self._speed_max = share * self._fastest
+        if self.proximity.enabled:
+            self.peers.forecast.most = self._speed_max
+            self._acceleration_max = min(self._push_max, SPEED_SHARE * self._speed_max * NS_PER_S / period_ns)
+        self._yaw_rate_max = TURN_MAX * NS_PER_S / period_ns
+        self._turn_quickest = TURN_SHARE * NS_PER_S / period_ns
+        self.detour.period_s = period_ns / NS_PER_S
+        if self._own_law is not None:
+            self._own_law.period_s = period_ns / NS_PER_S
+            self.peers.forecast.decay = NS_PER_S / period_ns
+
     def restart(self) -> None:
         """Forgets the multipliers: the robot begins to drive."""
         self.coupling.restart()
@@ -174,7 +196,7 @@ class Controller:
 
     def acting_ns(self, now_ns: int) -> int:
         """The middle of the time in which a wrench acts that is sent now: what the law is evaluated for."""
-        return self.acts_from_ns(now_ns) + self._period_ns // 2
+        return self.acts_from_ns(now_ns) + self._held_ns // 2
 
     def look(self, now_ns: int) -> None:
         """Finds who shares an edge at the tick `now_ns`."""

@@ -114,11 +114,12 @@ class Detour:
     """The ways out of one robot.
 
     Args:
-        period_s: of a tick.
+        period_s: see below.
         rate: c_2 of (21), 1/s: how fast the velocity follows the one that is wanted.
         bound: whether it has edges that it can let go of.
 
     Attributes:
+        period_s: of a tick.
         round: name of what it goes round, "" on the direct way.
         fixed: whether it is on its way round something that stands still for good: there it has to turn
             sharply, at corners that nothing but their own clearance leads it round.
@@ -128,7 +129,7 @@ class Detour:
     """
 
     def __init__(self, period_s: float, rate: float, *, bound: bool = True) -> None:
-        self._period_s, self._rate, self._bound = period_s, rate, bound
+        self.period_s, self._rate, self._bound = period_s, rate, bound
         self._blocked_s = self._free_s = self._round_s = 0.0
         self._side = self._angle = self._steered = self._lost = 0.0
         self._patience_s = ROUND_S
@@ -172,11 +173,11 @@ class Detour:
         x, y = wanted[0] - place[0], wanted[1] - place[1]
         speed = hypot(x, y)
         if self.grip < 1.0 and not self._loose:
-            self.grip = min(1.0, self.grip + self._period_s / TAKE_HOLD_S)
+            self.grip = min(1.0, self.grip + self.period_s / TAKE_HOLD_S)
         if speed < SPEED_MIN:
             if self._loose and hold.astray & self._partners and self._loose_s < self._loose_max_s:
                 # Their edges would draw it off its place again, and next time them off theirs.
-                self._loose_s += self._period_s
+                self._loose_s += self.period_s
                 self.free()
             elif self.looks or self._held_s:
                 self._arrive()
@@ -184,7 +185,7 @@ class Detour:
         vx, vy = own[0] - place[0], own[1] - place[1]
         self.stalls = vx * x + vy * y < STALLED * speed * min(speed, most)
         if not self.round:
-            self._since_s += self._period_s
+            self._since_s += self.period_s
             if not self.stalls:
                 self._blocked_s = 0.0
         if self.looks or self._held_s:
@@ -217,18 +218,18 @@ class Detour:
         elif self.round:
             if not stands:
                 self._shut_s, self._shut = 0.0, ""
-            self._shut_s += self._period_s
+            self._shut_s += self.period_s
             if self._shut_s >= HELD_S and not self._shut:
                 self._shut = " and ".join(sorted({each.name for each in (*hold.blockers, *hold.waits)}))
             self.held = f"shut in by {self._shut}" if self._shut else f"on its way round {self.round}"
         if self._loose or self.round:
             return
         if not self.stalls:
-            self._held_s = max(0.0, self._held_s - FORGETS * self._period_s)
+            self._held_s = max(0.0, self._held_s - FORGETS * self.period_s)
             if self._held_s == 0.0:
                 self.held = ""
             return
-        self._held_s = min(HELD_S, self._held_s + self._period_s)
+        self._held_s = min(HELD_S, self._held_s + self.period_s)
         if self._held_s < HELD_S:
             return
         blocker = _against((ux, uy), [*hold.blockers, *hold.waits])
@@ -248,7 +249,7 @@ class Detour:
             ux, uy, speed: direction to its place, and how fast it would go there.
             rests: whether it is at rest in the formation.
         """
-        period_s = self._period_s
+        period_s = self.period_s
         if self._loose:
             self._loose_s += period_s
             self.grip = max(0.0, self.grip - period_s / LET_GO_S)
@@ -280,7 +281,7 @@ class Detour:
             if first is None:
                 self._blocked_s = 0.0
                 return None
-            self._blocked_s += self._period_s
+            self._blocked_s += self.period_s
             with_robots_s = PATIENCE_LOOSE_S if self._loose else PATIENCE_WITH_ROBOTS_S
             if self._blocked_s < (PATIENCE_S if first.fixed else with_robots_s):
                 return None
@@ -324,7 +325,7 @@ class Detour:
         Turns are counted along what stands still alone: robots that are met on the way round it move, and how
         often they were gone round says nothing of the way out.
         """
-        side, period_s = self._side, self._period_s
+        side, period_s = self._side, self.period_s
         self._round_s += period_s
         if self._round_s > self._patience_s:
             side = -side

@@ -38,6 +38,7 @@ class OwnLaw:
 
     Attributes:
         numbers: its numbers for its neighbours.
+        period_s: how long what it gives is held.
 
     Raises:
         LawError: its class cannot be made.
@@ -46,7 +47,7 @@ class OwnLaw:
     def __init__(self, fleet: Fleet, robot: int, peers: Peers) -> None:
         self.numbers: tuple[float, ...] = ()
         self._peers = peers
-        self._period = fleet.period_ns / NS_PER_S
+        self.period_s = fleet.period_ns / NS_PER_S
         self._fresh = True
         self._heard: dict[int, tuple[float, ...]] = {}
         self._law = make(fleet, robot)
@@ -73,7 +74,7 @@ class OwnLaw:
         x, y, vx, vy, ax, ay = motion
         moment = Moment(
             (acting_ns - self._peers.forecast.epoch_ns) / NS_PER_S,
-            self._period,
+            self.period_s,
             (own.x, own.y),
             (own.vx, own.vy),
             navigation,

@@ -25,6 +25,8 @@ AHEAD_M: Final = 0.9
 """From so much further on than d_a robots are listened to closely, m."""
 _RATE: Final = 3.0
 """1/s: at 50 Hz the sampled filter is far from its limits (docs/theory.md)."""
+LOWEST_SHARE: Final = 0.3
+"""p by the lowest rate to which an overloaded fleet falls, at most."""
 RATE_SHARE: Final = 0.25
 """p by the rate of the loop, at most: the sampled filter, and (F9) at 2 p, then are far from their limits."""
 
@@ -86,7 +88,9 @@ def barrier_rate(fleet: Fleet) -> float:
     given = fleet.avoidance.barrier_rate
     if given is not None:
         return given
-    return min(_RATE, fleet.control.max_acceleration / speed_max(fleet), RATE_SHARE * fleet.fleet.rate_hz)
+    rate = min(_RATE, fleet.control.max_acceleration / speed_max(fleet), RATE_SHARE * fleet.fleet.rate_hz)
+    lowest = fleet.control.rate_min_hz
+    return rate if lowest is None else min(rate, LOWEST_SHARE * lowest)
 
 
 def acceleration_max(fleet: Fleet) -> float:

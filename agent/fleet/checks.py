@@ -180,6 +180,7 @@ def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
                 f"must be at least two periods, {2 / rate:.6g} s at fleet.rate_hz = {show(rate)}, "
                 f"got {show(timeout)}",
             )
+    _check_lowest_rate(values, reader)
     control = values.get("control", {})
     every, horizon = control.get("send_every_s"), control.get("prediction_horizon_s")
     if every is None:
@@ -195,4 +196,15 @@ def _check_timeouts(values: Mapping[str, Any], reader: Reader) -> None:
             "control.send_every_s",
             f"{show(every)} is too long: must be at most half of control.prediction_horizon_s = "
             f"{show(horizon)}, after which a silent robot is given up",
+        )
+
+
+def _check_lowest_rate(values: Mapping[str, Any], reader: Reader) -> None:
+    rate = values.get("fleet", {}).get("rate_hz")
+    lowest = values.get("control", {}).get("rate_min_hz")
+    if rate is not None and lowest is not None and lowest > rate:
+        reader.add(
+            "control.rate_min_hz",
+            f"{show(lowest)} Hz is more than fleet.rate_hz = {show(rate)}: it is the lowest rate to which an "
+            "overloaded fleet falls",
         )

@@ -216,6 +216,17 @@ class ControlSection(Sectioned):
     wrench_timeout_s: float = setting(
         0.2, "A plant whose agent is silent for so long brakes. At least two periods.", unit="s", gt=0, le=60
     )
+    rate_min_hz: float | None = setting(
+        None,
+        "Robots whose machine cannot keep `fleet.rate_hz` decide more rarely, all of the fleet together and "
+        "by halves of the rate, down to this one; `fleet.rate_hz` itself: never. `avoidance.barrier_rate`, "
+        "left out, is then one that this rate carries. Left out: as far as law, safety filter and timeouts "
+        "carry it as they are.",
+        unit="Hz",
+        ge=1,
+        le=1000,
+        example="5.0",
+    )
     clock_skew_max_s: float = setting(
         0.05,
         "A neighbour whose clock is found to be further off than this is warned of. Clocks are compared by "

@@ -45,6 +45,7 @@ class Ticks:
     def __init__(self, node: Ticked, now_ns: int) -> None:
         self._plan: Final = node.plan
         self._node, self._period_ns, self._phase_ns = node, node.period_ns, node.phase_ns
+        self._round_ns: Final = node.period_ns
         robot, role = key_expressions.robot_of_alive(node.alive_key) or (0, "")
         self._robot = robot
         self._stream = random_streams.stream(self._plan.seed, "tick", robot, role)
@@ -59,7 +60,7 @@ class Ticks:
 
     def plan(self, tick_ns: int) -> None:
         """Plans the tick after the one at `tick_ns`."""
-        self._phase_ns = self._node.phase_ns
+        self._period_ns, self._phase_ns = self._node.period_ns, self._node.phase_ns
         self._deadline_ns = next_tick_ns(tick_ns, self._period_ns, self._phase_ns)
         plan = self._plan
         if self._changes != plan.changes:
@@ -67,20 +68,23 @@ class Ticks:
             self._jittery = any(rule.tick_jitter is not None for rule in plan.rules())
         self.due_ns = self._deadline_ns + (self._late_ns() if self._jittery else 0)
 
-    def take(self, now_ns: int) -> tuple[int, int]:
-        """The time to give a tick that begins at `now_ns`, and the number of ticks that are skipped.
+    def take(self, now_ns: int) -> tuple[int, int, int]:
+        """The time to give a tick that begins at `now_ns`, the number of ticks that are skipped, and by how
+        much it is late, ns: later than planned, or by the ticks that are skipped if that is more.
 
         The time is that which was planned, not `now_ns`: what is decided then does not depend on a
         scheduler. Deadlines that have passed meanwhile are skipped.
         """
         period_ns, tick_ns = self._period_ns, self.due_ns
-        if now_ns >= tick_ns + period_ns:
-            tick_ns += (now_ns - tick_ns) // period_ns * period_ns
-        return tick_ns, (tick_ns - self._deadline_ns) // period_ns
+        late_ns = now_ns - tick_ns
+        if late_ns >= period_ns:
+            tick_ns += late_ns // period_ns * period_ns
+        missed = (tick_ns - self._deadline_ns) // period_ns
+        return tick_ns, missed, max(late_ns, missed * period_ns)
 
     def _late_ns(self) -> int:
         """By how much the next tick comes late: a draw for its round, uniform up to the rule's limit."""
         plan = self._plan
         most_ns = plan.tick_jitter_ns(self._robot, self._deadline_ns)
         since_ns = self._deadline_ns - self._phase_ns - (plan.epoch_ns or 0)
-        return int(most_ns * random_streams.uniform(self._stream, since_ns // self._period_ns))
+        return int(most_ns * random_streams.uniform(self._stream, since_ns // self._round_ns))

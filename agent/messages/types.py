@@ -100,6 +100,13 @@ _NEXT: Final = About(
     before=0,
     omitted=True,
 )
+_OVERLOAD: Final = About(
+    "By how many steps it wants the rate of all to fall, as its machine cannot keep it",
+    least=0,
+    most=16,
+    before=0,
+    omitted=True,
+)
 _DOUBT: Final = About(
     "Position uncertainty: how far it may be from there; 0 unless its plant is lost",
     "m",
@@ -587,6 +594,7 @@ class Beacon(NamedTuple):
         About("Robots from which it hears nothing", rows=ROBOT_MAX, before=()),
     ] = ()
     next_ms: Annotated[int, _NEXT] = 0
+    overload: Annotated[int, _OVERLOAD] = 0
 
     @property
     def place(self) -> tuple[float, float, float, float]:

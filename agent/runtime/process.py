@@ -23,7 +23,7 @@ from agent.links.ticks import Ticks
 from agent.messages import key_expressions
 from agent.messages.codec import decode, head
 from agent.messages.types import Stop
-from agent.node import Node
+from agent.node import TOLD_SHARE, Node
 from agent.runtime.bus import Bus, BusError
 from agent.runtime.certificate_wait import wait_until_valid
 from agent.runtime.clock import RealClock
@@ -40,6 +40,9 @@ from agent.security.private_files import KeyFileError
 END_TIMEOUT_NS: Final = 3 * NS_PER_S // 10
 """A process that was asked to end has this long to bring its robot to a standstill."""
 _STOP: Final = head(Stop)
+STALL_NS: Final = NS_PER_S // 10
+SETTLE_NS: Final = NS_PER_S // 500
+"""A process that has stood for longer than the first takes what came meanwhile the second later."""
 LOOK_PERIOD_NS: Final = NS_PER_S // 10
 """How often the parent process, and who knocks, are looked for, ns."""
 SAY_PERIOD_NS: Final = NS_PER_S
@@ -163,10 +166,18 @@ def loop(
             bus.listen(heard)
         clock.sleep_until(ticks.due_ns)
         start_ns = clock.now_ns()
-        now_ns, missed = ticks.take(start_ns)
+        if start_ns - ticks.due_ns > STALL_NS:
+            # What others sent meanwhile is here, but Zenoh's thread has not run either.
+            clock.sleep_until(start_ns + SETTLE_NS)
+            start_ns = clock.now_ns()
+        # Before the clock is read: nothing is from the future for a thread that was held up in between.
+        waiting = list(bus.drain())
+        now_ns, missed, late_ns = ticks.take(clock.now_ns())
+        if late_ns * TOLD_SHARE > node.period_ns:
+            node.late(now_ns, late_ns)
         for key, here in watches.update(node.watched):
             node.present(key, here)
-        for key, payload in bus.drain():
+        for key, payload in waiting:
             node.receive(now_ns, key, payload)
         if shutdown.asked and end_by_ns is None:
             log(f"ending ({shutdown.why})")

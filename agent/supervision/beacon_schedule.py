@@ -88,6 +88,8 @@ def _is_news(beacon: Beacon, said: Beacon) -> bool:
     """Whether others do not know what is in `beacon`, who have heard `said`."""
     if beacon.following is not said.following or _marks(beacon) != _marks(said):
         return True
+    if beacon.overload != said.overload:
+        return True
     if beacon.unheard != said.unheard or abs(beacon.doubt - said.doubt) > SURE_M:
         return True
     if _is_elsewhere(beacon, said):

@@ -16,10 +16,13 @@ from agent.control.controller import Controller
 from agent.control.hand import Hand
 from agent.control.peers.peers import TRUST_GAINED_S, Peer
 from agent.fleet.model import Fleet
+from agent.supervision.overload import Overload
 from agent.supervision.state_machine import DRIVING, State
 
 SLOWEST: Final = 0.3
 """Share of its speed that a robot has left when it gives a neighbour up."""
+LINK_LOST_NS: Final = 4 * NS_PER_S
+"""A link that is lost so soon after the own process has stood for long was lost by that."""
 BEGUN: Final = 0.01
 """An edge that weighs less is not missed: who has just joined is not heard yet."""
 
@@ -27,16 +30,20 @@ BEGUN: Final = 0.01
 class NeighbourTrust:
     """Judges the edges of one robot, tick by tick.
 
+    Args:
+        overload: of its own process.
+
     Attributes:
+        period_s: of a tick.
         slower: share of its speed that the robot has to keep to, 1 when all is well.
         hold: why it must not drive, "" when it may.
         degraded: why it drives other than the law says, "" when it does not.
         changed: True when other robots are to be listened to; whoever does that sets it back.
     """
 
-    def __init__(self, fleet: Fleet, controller: Controller) -> None:
-        self._controller = controller
-        self._period_s = fleet.period_ns / NS_PER_S
+    def __init__(self, fleet: Fleet, controller: Controller, overload: Overload) -> None:
+        self._controller, self._overload = controller, overload
+        self.period_s = fleet.period_ns / NS_PER_S
         self._horizon_ns = round(fleet.control.prediction_horizon_s * NS_PER_S)
         self._slow_ns = round(fleet.supervision.slow_from_s(fleet.control.prediction_horizon_s) * NS_PER_S)
         self._all_needed = fleet.supervision.silence == "hold"
@@ -65,8 +72,8 @@ class NeighbourTrust:
         slow: list[str] = []
         given_up: list[str] = []
         newer = ""
-        silent = untold = begun = 0
-        period_s, drives = self._period_s, state in DRIVING
+        silent = unasked = untold = begun = 0
+        period_s, drives = self.period_s, state in DRIVING
         if drives:
             self._drove_ns = now_ns
         for edge, peer in controller.edges:
@@ -90,6 +97,7 @@ class NeighbourTrust:
             begun += 1
             if not heard or peer.deaf:
                 silent += 1
+                unasked += not heard and self._is_own_doing(peer, now_ns)
             elif state is State.HOLDING:
                 if not peer.has_told(now_ns, self._horizon_ns):
                     untold += 1
@@ -108,8 +116,11 @@ class NeighbourTrust:
         self.slower = min(share, self.slower + period_s / TRUST_GAINED_S) if drives else 1.0
         self.hold = self.degraded = ""
         if (silent and self._all_needed) or (begun and silent + untold == begun):
-            self.hold = f"hears {'not all' if silent < begun else 'none'} of its neighbours: "
-            self.hold += ", ".join(given_up)
+            if unasked and unasked == silent:  # it may hear them when it looks again
+                self.hold = self._overload.stall(now_ns)
+            else:
+                self.hold = f"hears {'not all' if silent < begun else 'none'} of its neighbours: "
+                self.hold += ", ".join(given_up)
         elif newer:  # it does not begin to drive by one that those it hears have left
             self.hold = newer
         elif given_up:
@@ -162,6 +173,15 @@ class NeighbourTrust:
         elif inside < proximity.warn:
             self.degraded = self.degraded or f"{inside:.2f} m from the geofence"
 
+    def _is_own_doing(self, peer: Peer, now_ns: int) -> bool:
+        """Whether a robot that is not heard may have spoken all the time, or lost its link, while the own
+        process did not run."""
+        if not peer.here:
+            return self._overload.missed_ns(now_ns - LINK_LOST_NS) > LINK_LOST_NS // 4
+        missed_ns = self._overload.missed_ns(peer.hand_ns - peer.clock.used_ns)
+        late_ns = (peer.age_ns(now_ns) or 0) - peer.lateness.forgiven_ns
+        return late_ns - missed_ns <= self._horizon_ns < late_ns
+
     def _why(self, peer: Peer, now_ns: int, *, heard: bool) -> str:
         """A neighbour that cannot be relied on: its id, and why."""
         if peer.ahead_ns:
@@ -171,6 +191,8 @@ class NeighbourTrust:
             return f"{peer.name} (does not hear this one)"
         if heard:
             return f"{peer.name} (does not follow)"
+        if age is not None and self._is_own_doing(peer, now_ns):
+            return f"{peer.name} ({self._overload.stall(now_ns)})"
         if peer.other_version and (age is None or age > self._horizon_ns):
             return f"{peer.name} (another handfast: {peer.other_version})"
         if age is None:

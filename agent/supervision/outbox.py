@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from agent.common.time import MachineClock
+from agent.common.time import NS_PER_MS, MachineClock
 from agent.control.event_trigger import EventTrigger
 from agent.control.hand import Hand
 from agent.control.peers.peers import Peers
@@ -37,6 +37,7 @@ class Outbox:
 
     Attributes:
         keys: on which it publishes.
+        overload: by how many steps it wants the rate of all to fall.
     """
 
     def __init__(
@@ -60,11 +61,17 @@ class Outbox:
         self._key_hand = key_expressions.hand(name, robot)
         self._key_beacon = key_expressions.beacon(name, robot)
         self._clock: tuple[int, ...] = ()
+        self._period_ns, self._next_ms = period_ns, 0
+        self.overload = 0
         self.keys: Final = (self._key_wrench, self._key_hand, self._key_beacon)
 
     def runs_by(self, clock: MachineClock) -> None:
         """The clock of the process, which its wrenches tell."""
         self._clock = tuple(clock)
+
+    def keep_pace(self, period_ns: int) -> None:
+        """From now on there is a tick in every so long, a multiple of the full rate's period."""
+        self._next_ms = -(-period_ns // NS_PER_MS) if period_ns > self._period_ns else 0
 
     def begin(self, epoch_ns: int) -> None:
         """Counts rounds from the epoch of a mission."""
@@ -111,12 +118,14 @@ class Outbox:
             multipliers,
             heard,
             own,
+            self._next_ms,
         )
         if event is not None:
             round_ns = (now_ns - self._phase_ns) // self._period_ns * self._period_ns
             next_ms = event.next_ms(message, round_ns)
             if next_ms is None:
                 return []
+            next_ms = max(next_ms, self._next_ms)
             message = message._replace(heard=event.echo(self._peers.heard(), round_ns), next_ms=next_ms)
         return [(self._key_hand, encode(message))]
 
@@ -144,4 +153,5 @@ class Outbox:
             *self._latch.mark,
             self._peers.silent(now_ns),
             self._peers.given_up(now_ns),
+            overload=self.overload,
         )

@@ -14,7 +14,8 @@ from agent.control.controller import Controller
 from agent.fleet.model import Fleet
 from agent.messages.types import FUTURE_NS_MAX, Heartbeat, Mission, PlantState
 from agent.supervision.neighbour_trust import NeighbourTrust
-from agent.supervision.state_machine import DRIVING, MISSION_OVER, Conditions, State, at_rest
+from agent.supervision.overload import Overload
+from agent.supervision.state_machine import ACTIVE, DRIVING, MISSION_OVER, Conditions, State, at_rest
 from agent.supervision.stop_latch import AWAITED, StopLatch
 
 NOT_SAID: Final = "for an operator's word, or for one who drives by its mission: that is of before its start"
@@ -31,7 +32,7 @@ class Situation:
 
     Args:
         fleet, robot: whose it is.
-        controller, trust: the robot's own; asked, not changed.
+        controller, trust, overload: the robot's own; asked, not changed.
 
     Attributes:
         plant: the newest state of the plant, None before the first.
@@ -49,8 +50,12 @@ class Situation:
         unmoved_ns: how long the plant has braked though the robot drives; 0 while it does what it is asked.
     """
 
-    def __init__(self, fleet: Fleet, robot: int, controller: Controller, trust: NeighbourTrust) -> None:
+    def __init__(
+        self, fleet: Fleet, robot: int, controller: Controller, trust: NeighbourTrust, overload: Overload
+    ) -> None:
         self._fleet, self._robot, self._controller, self._trust = fleet, robot, controller, trust
+        self._overload = overload
+        self._stood = ""
         self.latch: Final = StopLatch(robot, self.give_back)
         self.plant: PlantState | None = None
         self.plant_trouble = "for its plant"
@@ -101,7 +106,7 @@ class Situation:
     def lost_plant(self, state: State) -> None:
         """After `plant_trouble` is found: a plant that starts again cannot know that its operator had the
         body; this robot does, and waits for a resume."""
-        if state is State.RELEASED and self.plant_trouble:
+        if state is State.RELEASED and self.plant_trouble and not self._stood:
             self._taken = f"its plant was lost while its operator had the body: {AWAITED}"
 
     def give_back(self) -> None:
@@ -149,20 +154,25 @@ class Situation:
         place = ""
         if not controller.reference.is_member(self._robot, controller.acting_ns(now_ns)):
             place = "in reserve" if self._fleet.robot(self._robot).reserve else "it has left the formation"
+        # It cannot know where it is, so it brakes; but nothing says that its plant is lost.
+        stood = self._stood if state in ACTIVE else ""
         neighbours = ""
         if state not in DRIVING:  # a robot that drives has begun
             neighbours = trust.missing(now_ns, started=begun) or (self._listening(now_ns) if begun else "")
+        degraded = self._degraded() if self.unmoved_ns else trust.degraded
+        if self._overload.level:
+            degraded = "; ".join(filter(None, (self._overload.text(now_ns), degraded)))
         lacks = "" if mission is not None else self.refused_mission or "for a mission"
         return Conditions(
-            plant=self.plant_trouble,
+            plant="" if stood else self.plant_trouble,
             body=self.body_trouble,
             numbers=self.numbers,
             place=place,
             neighbours=neighbours,
             mission=lacks or ("" if self.may_go_on else NOT_SAID),
             stop=stop,
-            hold=self._deadman(now_ns) or trust.hold,
-            degraded=self._degraded() if self.unmoved_ns else trust.degraded,
+            hold=stood or self._deadman(now_ns) or trust.hold,
+            degraded=degraded,
             started=begun and self.may_go_on,
             at_rest=self.at_rest,
         )
@@ -183,12 +193,15 @@ class Situation:
         return "; ".join(filter(None, (degraded, f"its plant has taken no wrench for {late_s:.1f} s")))
 
     def _plant_trouble(self, now_ns: int) -> str:
-        plant = self.plant
+        plant, self._stood = self.plant, ""
         if plant is None:
             ahead_s = self._plant_ahead_ns / NS_PER_S
             return f"for its plant, whose clock is {ahead_s:.2f} s ahead" if ahead_s else "for its plant"
         age_ns = now_ns - plant.time_ns
         if age_ns > self._plant_timeout_ns:
+            if age_ns - self._overload.missed_ns(plant.time_ns) <= self._plant_timeout_ns:
+                self._stood = self._overload.stall(now_ns)
+                return self._stood
             came_ns = self._plant_came_ns
             if came_ns - plant.time_ns > self._plant_timeout_ns >= now_ns - came_ns:
                 return f"plant late by {age_ns / NS_PER_S:.2f} s, or its clock is behind"
@@ -218,4 +231,7 @@ class Situation:
             return ""
         if not self.heartbeat_ns:
             return "no operator's heartbeat"
+        missed_ns = self._overload.missed_ns(self.heartbeat_ns)
+        if now_ns - self.heartbeat_ns - missed_ns <= self._deadman_ns:
+            return self._overload.stall(now_ns)
         return f"no operator's heartbeat for {(now_ns - self.heartbeat_ns) / NS_PER_S:.1f} s"

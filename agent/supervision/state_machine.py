@@ -98,7 +98,8 @@ class Transition(NamedTuple):
 
 
 _ALL: Final = frozenset(State)
-_ACTIVE: Final = DRIVING | {State.HOLDING, State.RELEASED}
+ACTIVE: Final = DRIVING | {State.HOLDING, State.RELEASED}
+"""States in which it takes part in a drive."""
 _BEFORE: Final = frozenset({State.WAITING, State.READY})
 MISSION_OVER: Final = "the mission is over"
 """Why a robot stands that nobody has stopped."""
@@ -122,7 +123,7 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
     Transition("numbers_failed", _ALL, State.FAULT, lambda c: bool(c.numbers), lambda c: c.numbers),
     Transition(
         "plant_lost",
-        _ACTIVE | {State.STOPPING, State.FAULT},
+        ACTIVE | {State.STOPPING, State.FAULT},
         State.FAULT,
         lambda c: bool(c.plant),
         lambda c: c.plant,
@@ -149,7 +150,7 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
     ),
     Transition(
         "without_place",
-        _ACTIVE | _BEFORE | {State.STANDBY},
+        ACTIVE | _BEFORE | {State.STANDBY},
         State.STANDBY,
         lambda c: bool(c.place) and not c.plant,
         lambda c: c.place,
@@ -161,10 +162,10 @@ TRANSITIONS: Final[tuple[Transition, ...]] = (
         lambda c: True,
         _missing_or("it has been given a place"),
     ),
-    Transition("rescheduled", _ACTIVE, State.READY, lambda c: not c.started, lambda c: "for the epoch"),
-    Transition("body_released", _ACTIVE, State.RELEASED, lambda c: bool(c.body), lambda c: c.body),
-    Transition("hold", _ACTIVE, State.HOLDING, lambda c: bool(c.hold), lambda c: c.hold),
-    Transition("degraded", _ACTIVE, State.DEGRADED, lambda c: bool(c.degraded), lambda c: c.degraded),
+    Transition("rescheduled", ACTIVE, State.READY, lambda c: not c.started, lambda c: "for the epoch"),
+    Transition("body_released", ACTIVE, State.RELEASED, lambda c: bool(c.body), lambda c: c.body),
+    Transition("hold", ACTIVE, State.HOLDING, lambda c: bool(c.hold), lambda c: c.hold),
+    Transition("degraded", ACTIVE, State.DEGRADED, lambda c: bool(c.degraded), lambda c: c.degraded),
     Transition("hold_ended", frozenset({State.HOLDING}), State.RUNNING, lambda c: True, _nothing),
     Transition("body_back", frozenset({State.RELEASED}), State.RUNNING, lambda c: True, _nothing),
     Transition("well_again", frozenset({State.DEGRADED}), State.RUNNING, lambda c: True, _nothing),

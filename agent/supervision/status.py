@@ -10,6 +10,7 @@ from agent.common.time import NS_PER_S
 from agent.control.peers.peers import Peer
 from agent.links.radio import Radio
 from agent.messages.types import NeighbourStatus, Status, Total
+from agent.supervision.overload import Overload
 
 STATUS_PERIOD_NS: Final = NS_PER_S // 5
 OPENED_ANEW_NS: Final = 5 * NS_PER_S
@@ -23,6 +24,7 @@ class StatusReport:
 
     Args:
         rejected: messages that were not valid, by reason.
+        overload: of its own process.
         radio: what drops messages on purpose, None where nothing does.
 
     Attributes:
@@ -32,8 +34,8 @@ class StatusReport:
         digest: of its fleet file, once it has refused a mission for another one: `Status.digest`.
     """
 
-    def __init__(self, rejected: Counter[str], radio: Radio[Any] | None = None) -> None:
-        self._rejected, self._radio = rejected, radio
+    def __init__(self, rejected: Counter[str], overload: Overload, radio: Radio[Any] | None = None) -> None:
+        self._rejected, self._overload, self._radio = rejected, overload, radio
         self._interventions: Counter[str] = Counter()
         self.ages_us: Final[list[int]] = []
         self.sent_hands = self.corrupted = 0
@@ -103,6 +105,7 @@ class StatusReport:
             "overruns": self._overruns,
             **({"links.opened_anew": self._links_opened_anew} if self._links_opened_anew else {}),
             **(self._radio.counted() if self._radio is not None else {}),
+            **self._overload.counters(),
             **{f"rejected.{reason}": count for reason, count in sorted(self._rejected.items())},
             **{f"filtered.{cause}": count for cause, count in sorted(self._interventions.items())},
         }

@@ -16,7 +16,7 @@ from agent.formation.geometry import Geometry, resolve
 from deploy.check.bodies import check_motion, check_noise
 from deploy.check.faults import check_faults
 from deploy.check.finding import Finding
-from deploy.check.loop import check_gains, check_loop, check_saturation
+from deploy.check.loop import check_gains, check_loop, check_lowest_rate, check_saturation
 from deploy.check.network import check_network
 from deploy.check.orders import check_orders
 from deploy.check.radio import check_radio
@@ -54,6 +54,7 @@ def check(fleet: Fleet) -> list[Finding]:
         findings += check_orders(fleet, geometry)
         findings += check_radio(fleet, geometry)
     findings += check_gains(fleet)
+    findings += check_lowest_rate(fleet)
     findings += check_motion(fleet, geometry)
     findings += check_noise(fleet)
     findings += check_sending(fleet)

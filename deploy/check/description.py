@@ -11,6 +11,7 @@ import numpy as np
 from agent.common.models import plain
 from agent.common.wording import show
 from agent.control.boundaries import obstacles_of
+from agent.control.pace import speed_share, steps, why_not
 from agent.control.safety_distances import clearance, sensing_distance
 from agent.fleet.mavlink_section import SIMULATOR, MavlinkSection
 from agent.fleet.model import Fleet
@@ -56,6 +57,7 @@ def describe(fleet: Fleet) -> str:
     lines.append(f"  trajectory: {_describe_trajectory(fleet)}")
     lines += [f"  {line}" for line in _describe_start(fleet, geometry)]
     lines += [f"  {line}" for line in _describe_safety(fleet, geometry)]
+    lines.append(f"  overloaded: {_describe_overload(fleet)}")
     lines += [f"  {line}" for line in _describe_vehicles(fleet)]
     lines += [f"  {line}" for line in _describe_faults(fleet)]
     lines += [f"  {line}" for line in _describe_network(fleet)]
@@ -177,6 +179,19 @@ def _describe_safety(fleet: Fleet, geometry: Geometry) -> Iterator[str]:
             "dead-man's switch: robots hold when no operator's heartbeat has come for "
             f"{fleet.supervision.deadman_s:.3g} s"
         )
+
+
+def _describe_overload(fleet: Fleet) -> str:
+    most = steps(fleet)
+    lowest, why = fleet.fleet.rate_hz / (1 << most), why_not(fleet, most + 1)
+    rate = (
+        f"the rate falls by halves to {lowest:g} Hz, not further: {why}" if most else f"the rate stays: {why}"
+    )
+    if not fleet.avoidance.enabled:  # nothing keeps their speed
+        return rate
+    return (
+        f"{rate}; robots drive at {100.0 * speed_share(fleet, most + 1):.0f} % of their speed limit at least"
+    )
 
 
 def _describe_vehicles(fleet: Fleet) -> Iterator[str]:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from agent.control.pace import steps, why_not
 from agent.fleet.model import Fleet
 from agent.formation.geometry import Geometry
 from deploy.analysis.couplings import coupling_of, law_of
@@ -15,6 +16,7 @@ from deploy.analysis.stability import SETTLED, at_start, sampled_radius, settlin
 from deploy.check.finding import Finding
 from deploy.console.wording import robots
 
+_ROUNDING: Final = 1e-9
 SWEEP_ROBOTS_MAX: Final = 60
 """Largest fleet whose multiplier sweeps are in the sampled eigenvalues: their matrix grows with n."""
 
@@ -103,6 +105,17 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             f"predicted and no two periods in a row are missed ({gains}); take at least {needed:.3g} Hz, or "
             f"{law.softer}",
         )
+    lowest = rate / (1 << steps(fleet))
+    if whole(rate) < 1.0 <= whole(lowest):
+        halves = 1
+        while whole(rate / (2 * halves)) < 1.0:
+            halves *= 2
+        yield Finding(
+            "warning",
+            "control.rate_min_hz",
+            f"an overloaded fleet falls to {lowest:.4g} Hz, at which the sampled loop is unstable (largest "
+            f"eigenvalue {whole(lowest):.4g}; {gains}); take {rate / halves:.4g} Hz",
+        )
     # s^2 (lag s + 1) + K2 s + K1 is stable while K2 > lag K1 (Routh).
     row, robot = max(enumerate(fleet.robots, 1), key=lambda item: item[1].actuator_lag_s)
     slow = max(linear, key=lambda mode: mode.k1 / mode.k2)
@@ -122,6 +135,18 @@ def check_loop(fleet: Fleet, geometry: Geometry) -> Iterator[Finding]:
             "fleet.duration_s",
             f"{fleet.fleet.duration_s:.4g} s may end before the formation stands: with these gains and "
             f"starts edges need about {settling:.3g} s to come within {SETTLED:.0%}",
+        )
+
+
+def check_lowest_rate(fleet: Fleet) -> Iterator[Finding]:
+    """Is the lowest rate that the file gives one to which an overloaded fleet can fall."""
+    rate, given, most = fleet.fleet.rate_hz, fleet.control.rate_min_hz, steps(fleet)
+    if given is not None and rate / (2 << most) >= given * (1.0 - _ROUNDING):
+        yield Finding(
+            "warning",
+            "control.rate_min_hz",
+            f"an overloaded fleet does not fall to {given:.4g} Hz, but to {rate / (1 << most):.4g} Hz at the "
+            f"lowest: against {rate / (2 << most):.4g} Hz speaks that {why_not(fleet, most + 1)}",
         )
 
 

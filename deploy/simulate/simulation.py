@@ -29,7 +29,7 @@ from agent.messages import key_expressions
 from agent.messages.codec import decode, encode
 from agent.messages.types import Event, Heartbeat, Mission, Outgoing, Resume, Stop
 from agent.messages.validation import Malformed
-from agent.node import Node, inbox_size
+from agent.node import TOLD_SHARE, Node, inbox_size
 from agent.supervision.state_machine import State
 from deploy.drive.readiness import is_ready
 from deploy.faults.process_actions import Action, Process, actions
@@ -192,7 +192,9 @@ class _Host:
         """One round of `agent.runtime.process.loop`."""
         node, ticks = self.node, self._ticks
         self.ticked_ns = true_ns
-        now_ns, missed = ticks.take(self._local.local_ns(true_ns))
+        now_ns, missed, late_ns = ticks.take(self._local.local_ns(true_ns))
+        if late_ns * TOLD_SHARE > node.period_ns:
+            node.late(now_ns, late_ns)
         while self._changes and self._changes[0][0] <= true_ns:
             node.present(*self._changes.popleft()[1:])
         for ring in self.rings.values():

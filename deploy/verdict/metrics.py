@@ -279,6 +279,10 @@ METRICS: tuple[Metric, ...] = (
         "machine.stood_still_s", "For how long, in all, no robot of a machine could do anything.",
         lambda r: round(sum(each.end_s - each.start_s for each in overload.stalls(r.recording)), 3),
     ),
+    Metric(
+        "overload_s", "How long the fleet drove at a lower rate, or slower: a machine was overloaded.",
+        lambda r: number(overload.slowed_s(r.recording)), optional=True,
+    ),
     Metric("links", "Of each link: what was asked, what was done, what was measured.", _link("links")),
     Metric("injected", "What was done to messages on purpose, over all links.", _link("injected")),
     Metric("links_audit", "Every recorded decision on a message, made again.", _link("links_audit")),

@@ -1,4 +1,5 @@
-"""Whether a machine was too slow for the processes of its robots: skipped ticks, times in which it stood."""
+"""Whether a machine was too slow for the processes of its robots: skipped ticks, a lower rate that they asked
+for, times in which it stood."""
 
 from __future__ import annotations
 
@@ -69,8 +70,9 @@ def warnings(recording: Recording) -> list[str]:
         takes_ms = float(np.median(took)) / 1e3
         out.append(
             f"{_name(host)} was too slow for its processes: {robots(late)} skipped {skipped} of {ticks} "
-            f"ticks, though one takes {takes_ms:.1f} ms of {period_ms:.3g} ms. What came late of that is not "
-            "the fleet's doing: other programs run there, or too many robots at this rate."
+            f"ticks, though one takes {takes_ms:.1f} ms of {period_ms:.3g} ms{_asked(recording, late)}. What "
+            "came late of that is not the fleet's doing: other programs run there, or too many robots at "
+            "this rate."
         )
     return out
 
@@ -92,7 +94,8 @@ def explains(recording: Recording) -> list[str]:
 
 
 def late_robots(recording: Recording) -> frozenset[int]:
-    """The robots whose agents skipped many ticks, though nobody had made them late: their machines did."""
+    """The robots whose agents could not keep their rate, though nobody had made them late: their machines
+    did."""
     if recording.mode == "simulate" or recording.fleet.control.law is not None:
         return frozenset()
     return frozenset(robot for robot in recording.ids if _was_late(recording, robot))
@@ -110,14 +113,31 @@ def _name(host: str) -> str:
     return f"Host {host}" if host else "The machine that ran the fleet"
 
 
+def _asked(recording: Recording, among: Sequence[int]) -> str:
+    """For how long robots had the whole fleet drive at a lower rate, as part of a sentence."""
+    totals = [recording.robots[robot].status.totals() for robot in among]
+    asked_s = max(each.get("overload.asked_ms", 0) for each in totals) / 1e3
+    return f", and had the fleet fall to a lower rate, for up to {asked_s:.1f} s" if asked_s else ""
+
+
+def slowed_s(recording: Recording) -> float:
+    """For how long robots drove at a lower rate, or more slowly at the lowest, for somebody's machine was
+    overloaded, s: the longest of them."""
+    totals = [data.status.totals() for data in recording.robots.values()]
+    spent = [sum(ms for name, ms in each.items() if name.startswith("overload.level_")) for each in totals]
+    return max(spent, default=0) / 1e3
+
+
 def _skipped(recording: Recording, robot: int) -> int:
     return recording.robots[robot].status.totals().get("overruns", 0)
 
 
 def _was_late(recording: Recording, robot: int) -> bool:
-    """Whether a robot's agent skipped many ticks, and nobody had made it late or paused it."""
+    """Whether a robot's agent skipped many ticks, or asked for a lower rate, and nobody had made it late or
+    paused it."""
     ticks = len(recording.robots[robot].status.tick_us)
-    if not ticks or _skipped(recording, robot) <= SKIPPED_SHARE * ticks:
+    asked = recording.robots[robot].status.totals().get("overload.asked_ms", 0)
+    if not ticks or (_skipped(recording, robot) <= SKIPPED_SHARE * ticks and not asked):
         return False
     on_purpose: Sequence[object] = [
         *downs(recording, robot, "agent"),

@@ -43,15 +43,16 @@ class Forecast:
     Args:
         c1, c2: navigation gains (21) of all.
         motion: desired motion of every robot.
-        decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
-        most: speed limit of all (m/s) by which they make for their places (N1), None without one.
 
     Attributes:
+        decay: of a robot's constraint force, 1/s (`agent.control.peers.prediction.constraint_decay`).
+        most: speed limit of all (m/s) by which they make for their places (N1), None without one.
         epoch_ns: a message from before is of a robot that stands until then.
     """
 
     def __init__(self, c1: float, c2: float, motion: Motion, decay: float, most: float | None) -> None:
-        self._c1, self._c2, self._motion, self._decay, self._most = c1, c2, motion, decay, most
+        self._c1, self._c2, self._motion = c1, c2, motion
+        self.decay, self.most = decay, most
         self.epoch_ns = 0
 
     def following(
@@ -73,7 +74,7 @@ class Forecast:
         if since is None:  # it has a place only since its message
             since = then
         age = (then_ns - since_ns) * 1e-9
-        found = following(message, then, since, age, self._c1, self._c2, self._decay, self._most)
+        found = following(message, then, since, age, self._c1, self._c2, self.decay, self.most)
         return (
             found
             if slowly == inf or age * NS_PER_S <= UNSURE_NS
@@ -84,7 +85,7 @@ class Forecast:
         """A message that says only where a robot is, with the forces that are left of its one before."""
         if not (before.following and message.following) or message.time_ns <= before.time_ns:
             return message
-        left = exp(-self._decay * (message.time_ns - before.time_ns) * 1e-9)
+        left = exp(-self.decay * (message.time_ns - before.time_ns) * 1e-9)
         return message._replace(
             navigation_x=before.navigation_x,
             navigation_y=before.navigation_y,

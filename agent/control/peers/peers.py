@@ -9,7 +9,7 @@ in that clock: the own one plus its offset, as far as that is proven (`agent.con
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from math import inf
 from typing import Final
 
@@ -70,6 +70,7 @@ class Peer:
         direct_ns: stamp of the latest that has come from itself; `time_ns`: of what is known of it, which
             others may have told.
         belief: where it may be as others say, who have heard it last.
+        hand_next_ns: so much after its latest hand state the next is stamped at most, 0 for the period.
         slowly, slowly_until_ns: how fast it may go as seen from its place, m/s, and until when.
         never_came: nobody has ever heard it, says who was there from the start: it began where it starts.
         gone_ns: what it has said until then counts no more: its body has been carried off.
@@ -188,6 +189,8 @@ class Peers:
         bound_m: how far robots let others mispredict them that do not send in every period, m, (E1).
 
     Attributes:
+        behind_ns: how long after its time the tick begins whose messages are taken.
+        missed_ns: for how much of the time since an instant the own process did not run.
         predicts: whether the law is given what others do by now, or what their messages say.
         forecast: how all of them move.
     """
@@ -210,7 +213,9 @@ class Peers:
         bound_m: float = 0.0,
     ) -> None:
         self._owner = owner
-        self._period_ns = period_ns
+        self._period_ns = self._round_ns = period_ns
+        self.behind_ns = 0
+        self.missed_ns: Callable[[int], int] = _none_missed
         self._beacon_ns = beacon_ns
         self._rest_ns = max(0, beacon_max_ns - beacon_ns)
         self.predicts: Final = predict
@@ -247,6 +252,10 @@ class Peers:
         return self._known.values()
 
     # ------------------------------------------------------------------ what comes
+
+    def keep_pace(self, period_ns: int) -> None:
+        """From now on the next tick is so much later."""
+        self._period_ns = period_ns
 
     def begin(self, now_ns: int) -> None:
         """Begins the tick at `now_ns`, if it has not begun: takes what came too early for the last one."""
@@ -298,7 +307,7 @@ class Peers:
             if robot == self._owner:
                 echo_us = delay_us
                 break
-        if clock.take(now_ns, time_ns, echo_us):
+        if clock.take(now_ns + self.behind_ns, time_ns, echo_us):
             self._heard = None
         peer.ahead_ns = 0
         if not early:
@@ -371,13 +380,15 @@ class Peers:
 
     def given_up(self, now_ns: int) -> tuple[int, ...]:
         """Robots from which nothing has come, now or since the start, for so long that they are given up."""
-        late_ns = now_ns - round(self._horizon_s * NS_PER_S)
+        until_ns = now_ns - round(self._horizon_s * NS_PER_S)
         began_ns = self._began_ns + self._rest_ns
-        return tuple(
-            peer.robot
-            for peer in self._known.values()
-            if max(peer.direct_ns - peer.clock.used_ns, began_ns) + peer.lateness.forgiven_ns < late_ns
-        )
+        found = []
+        for peer in self._known.values():
+            since_ns = max(peer.direct_ns - peer.clock.used_ns, began_ns)
+            patient_ns = since_ns + peer.lateness.forgiven_ns
+            if patient_ns < until_ns and patient_ns + self.missed_ns(since_ns) < until_ns:
+                found.append(peer.robot)
+        return tuple(found)
 
     @property
     def unknown(self) -> list[int]:
@@ -465,6 +476,7 @@ class Peers:
 
     def _from_future(self, peer: Peer, time_ns: int, now_ns: int) -> bool:
         # A clock that was behind and has been set must not be refused for what it was.
+        now_ns += self.behind_ns
         if time_ns > now_ns + FUTURE_NS_MAX and time_ns > now_ns + peer.clock.used_ns + FUTURE_NS_MAX:
             peer.ahead_ns = time_ns - now_ns
             return True
@@ -472,7 +484,8 @@ class Peers:
 
     def _take(self, peer: Peer, message: HandState, now_ns: int) -> None:
         """Makes `message` the latest hand state of its sender; it is newer than the one before."""
-        time_ns, period_ns = message.time_ns, self._period_ns
+        # The message before it said how much later it would come.
+        time_ns, period_ns = message.time_ns, peer.hand_next_ns or self._round_ns
         gap_ns = None
         if peer.sequence != _NEVER:
             gap_ns = time_ns - peer.hand_ns
@@ -487,7 +500,7 @@ class Peers:
                 peer.lost += max(0, min(gap, between))
         peer.received += 1
         age_ns = now_ns + peer.clock.used_ns - time_ns
-        if age_ns > 2 * period_ns:
+        if age_ns > 2 * max(period_ns, self._period_ns):
             peer.delayed += 1
         peer.lateness.most_ns = LATE_MAX_NS
         if message.next_ms or peer.hand_next_ns:
@@ -658,6 +671,10 @@ class Peers:
         at = *self._starts[peer.robot], 0.0, 0.0
         stranger = HandState.placed(peer.robot, 0, 0, True, 0, at)
         return self._strangers.setdefault(peer.robot, stranger)
+
+
+def _none_missed(since_ns: int) -> int:
+    return 0
 
 
 def _by_hand(peer: Peer) -> int:

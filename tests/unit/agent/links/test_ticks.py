@@ -43,7 +43,7 @@ def told(node: Node, count: int, now_ns: int = T0) -> list[int]:
     ticks = Ticks(node, now_ns)
     times = []
     for _ in range(count):
-        time_ns, missed = ticks.take(ticks.due_ns)
+        time_ns, missed, _ = ticks.take(ticks.due_ns)
         assert missed == 0
         times.append(time_ns)
         ticks.plan(time_ns)
@@ -58,13 +58,13 @@ def test_ticks_lie_on_the_grid():
 
 def test_a_tick_is_told_its_deadline_however_late_it_begins():
     ticks = Ticks(plant(fleet()), T0)
-    assert ticks.take(T0 + PERIOD) == (T0 + PERIOD, 0)
-    assert ticks.take(T0 + 2 * PERIOD - 1) == (T0 + PERIOD, 0)
+    assert ticks.take(T0 + PERIOD)[:2] == (T0 + PERIOD, 0)
+    assert ticks.take(T0 + 2 * PERIOD - 1)[:2] == (T0 + PERIOD, 0)
 
 
 def test_deadlines_that_have_passed_are_skipped_and_counted():
     ticks = Ticks(plant(fleet()), T0)
-    time_ns, missed = ticks.take(T0 + 4 * PERIOD + 5)
+    time_ns, missed, _ = ticks.take(T0 + 4 * PERIOD + 5)
     assert (time_ns, missed) == (T0 + 4 * PERIOD, 3)
     ticks.plan(time_ns)
     assert ticks.due_ns == T0 + 5 * PERIOD
@@ -125,7 +125,7 @@ def test_jitter_longer_than_the_period_skips_ticks_and_keeps_their_order():
     ticks = Ticks(node, T0)
     times, skipped = [T0], 0
     for _ in range(300):
-        time_ns, missed = ticks.take(ticks.due_ns)
+        time_ns, missed, _ = ticks.take(ticks.due_ns)
         times.append(time_ns)
         skipped += missed
         ticks.plan(time_ns)
@@ -139,4 +139,4 @@ def test_a_frozen_process_finds_its_late_tick_again():
     ticks = Ticks(plant(fleet(JITTER)), T0)
     late_ns = ticks.due_ns - (T0 + PERIOD)
     assert late_ns > 0
-    assert ticks.take(ticks.due_ns + 3 * PERIOD + 1) == (T0 + 4 * PERIOD + late_ns, 3)
+    assert ticks.take(ticks.due_ns + 3 * PERIOD + 1)[:2] == (T0 + 4 * PERIOD + late_ns, 3)

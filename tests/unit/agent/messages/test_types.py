@@ -99,7 +99,7 @@ CHECKS = Checks(3, 13, 10**18, (LINE, ("mode", "blocking", "MANUAL", "set GUIDED
 MESSAGES = [
     HAND, PLANT, WRENCH, MISSION, STOP, STATUS, FAULTS, TRACE, EVENT, RESUME, CHECKS, BEACON, HEARTBEAT, ASK,
 ]  # fmt: skip
-LEFT_OUT = {HandState: 2, Wrench: 1, Status: 1, Beacon: 1}
+LEFT_OUT = {HandState: 2, Wrench: 1, Status: 1, Beacon: 2}
 NUMBER = {type(message): number for number, message in enumerate(MESSAGES)}
 
 

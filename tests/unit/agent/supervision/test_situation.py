@@ -14,6 +14,7 @@ from agent.fleet.model import LISTEN_BEACONS
 from agent.formation.geometry import resolve, resolved
 from agent.messages.types import PlantState, Removed, Resume, Stop
 from agent.supervision.neighbour_trust import NeighbourTrust
+from agent.supervision.overload import Overload
 from agent.supervision.situation import NOT_SAID, Situation
 from agent.supervision.state_machine import DRIVING, MISSION_OVER, State
 from agent.supervision.stop_latch import AWAITED
@@ -36,7 +37,8 @@ class Trust:
 def situation(*overrides: str) -> tuple[Situation, Trust]:
     fleet = resolved(load_fleet(FLEETS / "pair.toml", overrides))
     trust = Trust()
-    made = Situation(fleet, 1, Controller(fleet, resolve(fleet), 1), cast(NeighbourTrust, trust))
+    controller, overload = Controller(fleet, resolve(fleet), 1), Overload(0, fleet.period_ns)
+    made = Situation(fleet, 1, controller, cast(NeighbourTrust, trust), overload)
     return made, trust
 
 
@@ -231,7 +233,8 @@ def test_who_comes_into_a_drive_listens_first() -> None:
     made.check_plant(NOW)
     made_of = resolved(load_fleet(FLEETS / "pair.toml"))
     controller = Controller(made_of, resolve(made_of), 1)
-    fresh = Situation(made_of, 1, controller, cast(NeighbourTrust, Trust()))
+    overload = Overload(0, made_of.period_ns)
+    fresh = Situation(made_of, 1, controller, cast(NeighbourTrust, Trust()), overload)
     fresh.mission = made.mission
     fresh.check_plant(NOW)
     assert fresh.conditions(NOW, State.WAITING).neighbours == "hears who is near"

@@ -11,7 +11,8 @@ from agent.fleet.fault_rules import FaultsSection, Rule
 from agent.fleet.model import Fleet
 from agent.messages.types import Event, PlantState, Status
 from deploy.recording.recording import Recording
-from deploy.verdict.overload import stalls, warnings
+from deploy.verdict.metrics import compute
+from deploy.verdict.overload import slowed_s, stalls, warnings
 from deploy.verdict.run_result import RunResult
 from tests.unit.deploy.judged_run import PAIR, recorded
 from tests.unit.deploy.synthetic_run import EPOCH_NS, in_formation, make_fleet, messages
@@ -47,6 +48,26 @@ def test_metrics_tell_the_machine_from_the_fleet() -> None:
     assert RunResult(late(30)).metrics["machine"] == {"late_robots": [1, 2], "stood_still_s": 0.0}
     assert RunResult(gap(1, 2)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.6}
     assert RunResult(gap(1)).metrics["machine"] == {"late_robots": [], "stood_still_s": 0.0}
+
+
+def test_a_machine_that_had_the_fleet_fall_to_a_lower_rate_is_named() -> None:
+    """Few ticks are skipped then, for the rate is one that it keeps."""
+    sent = []
+    for received_ns, key, message in messages(PAIR, in_formation(PAIR)):
+        if type(message) is Status:
+            counted = ("overload.late", 7), ("overload.asked_ms", 1500 if message.robot == 1 else 0)
+            spent = ("overload.level_1_ms", 500), ("overload.level_2_ms", 1200)
+            message = message._replace(counters=(("overruns", 1), *counted, *spent))
+        sent.append((received_ns, key, message))
+    recording = recorded(PAIR, sent, "run")
+    (text,) = warnings(recording)
+    assert ": robot 1 skipped 1 of " in text
+    assert " ms of 20 ms, and had the fleet fall to a lower rate, for up to 1.5 s. What came" in text
+    assert slowed_s(recording) == pytest.approx(1.7)
+    result = RunResult(recording)
+    assert result.passed
+    assert compute(result)["overload_s"] == pytest.approx(1.7)
+    assert "overload_s" not in compute(RunResult(late(30)))
 
 
 def test_hosts_are_named() -> None:
