@@ -148,6 +148,15 @@ def test_what_does_not_comes_when_it_has_been_received_in_its_order() -> None:
     assert there.heard(NOW + 2 * PERIOD) == ["next"]
 
 
+def test_what_is_received_in_time_does_not_overtake_what_has_waited() -> None:
+    there = radio("network.budget=40000")
+    assert there.hear(NOW, 2, bytes(200), "2") == AT_ONCE
+    assert there.hear(NOW, 3, bytes(200), "3") > NOW
+    assert there.heard(NOW) == []
+    assert there.hear(NOW + PERIOD, 2, bytes(200), "next") == NOW + 58_400_000
+    assert there.heard(NOW + PERIOD) == ["3", "next"]
+
+
 def test_a_message_with_another_of_its_sender_has_no_headers_of_its_own() -> None:
     there = radio()
     there.hear(NOW, 2, bytes(200), "hand")

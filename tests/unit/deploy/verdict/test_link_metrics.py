@@ -121,6 +121,16 @@ def test_what_was_asked_is_said_rule_by_rule() -> None:
     assert found["1->1", "state"] == "duplicate 1% (rule 2, all the time)"
 
 
+def test_a_radio_that_kept_messages_waiting_is_named_and_its_decisions_are_not_doubted() -> None:
+    # A hand state every 20 ms to each of two others takes about 190 kbit/s.
+    slow = trio('[network]\nbudget = "120 kbit/s"\nemulate_budget = true\n')
+    found = describe_links(recorded(slow, driven(slow)))
+    assert found["injected"]["queued"] > 100
+    assert {one["asked"] for one in found["links"]} == {"a radio of 120kbit (network.budget)"}
+    assert found["links_audit"]["unchecked"] == found["links_audit"]["decided"] > 100
+    assert found["links_audit"]["differing"] == 0
+
+
 # --- what receivers measured ------------------------------------------------------------------
 
 
