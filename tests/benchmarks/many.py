@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -22,6 +23,8 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
+from agent.common.time import NS_PER_S
+from agent.core import Agent
 from agent.fleet.loading import parse_fleet
 from agent.fleet.model import Fleet
 from agent.formation.geometry import resolved
@@ -31,10 +34,11 @@ from deploy.check.capacity import FULL, RATES_HZ, carried, cost_of, slower, used
 from deploy.console.data_files import FLEETS
 from deploy.processes.machine import measured
 from deploy.recording.recording import Recording
+from deploy.simulate.simulation import Simulation
 from tests.benchmarks import fed_robot, router_curve
 from tests.benchmarks.figures import Figure, Options, Result, number, spread, table
 from tests.benchmarks.local_runs import Found, Running, recorded, run_once, write_lattice
-from tests.benchmarks.processes import environment, handfast
+from tests.benchmarks.processes import BenchmarkError, environment, handfast
 from tests.benchmarks.scaling import ring
 
 START: Final = 30, 10.0
@@ -50,6 +54,9 @@ DRIVING_S: Final = {12: 1.5, 90: 8.0, 200: 15.0}
 FED: Final = (6, 25, 100)
 FED_QUICK: Final = (6, 25)
 FED_HZ: Final = 10.0
+VIRTUAL: Final = (6, 25, 100)
+VIRTUAL_QUICK: Final = (6, 25, 50)
+VIRTUAL_AFTER_S: Final = 3.0
 HOG_ROBOTS: Final = 24
 HOG_AFTER_S, HOG_S, HOG_THEN_S = 8.0, 10.0, 12.0
 BACK_S: Final = 5.0
@@ -200,6 +207,49 @@ def in_fleets(folder: Path, fleets: Sequence[int], window_s: float) -> tuple[lis
     return figures, table(heading, rows)
 
 
+def in_virtual_time(fleets: Sequence[int], window_s: float) -> tuple[list[Figure], list[str]]:
+    """What one robot hears in the same fleets in virtual time, and the processor time of one there: agent and
+    plant without bus and processes."""
+    heard: dict[int, Counter[str]] = {}
+    cpu_ms: dict[int, float] = {}
+    for robots in fleets:
+        simulation = Simulation(_routed(ring(robots, FED_HZ)))
+        if not simulation.start(round(2.0 * (VIRTUAL_AFTER_S + window_s) * NS_PER_S)):
+            raise BenchmarkError("; ".join(simulation.reasons))
+        simulation.run_until(simulation.epoch_ns + round(VIRTUAL_AFTER_S * NS_PER_S))
+        counts = heard[robots] = _counted(simulation.agents[robots // 2])
+        used = time.process_time()
+        simulation.run_until(simulation.now_ns + round(window_s * NS_PER_S))
+        cpu_ms[robots] = 1000.0 * (time.process_time() - used) / window_s / robots
+        for kind in counts:
+            counts[kind] = round(counts[kind] / window_s)
+    kinds = sorted({kind for each in heard.values() for kind in each})
+    rows = [
+        [f"{robots} robots", *(str(heard[robots][kind]) for kind in kinds), number(cpu_ms[robots])]
+        for robots in fleets
+    ]
+    heading = [
+        f"ring at {FED_HZ:g} Hz, virtual time", *(f"{kind} /s" for kind in kinds), "CPU of a robot ms/s",
+    ]  # fmt: skip
+    base, large = min(robots for robots in fleets if robots >= 25), fleets[-1]
+    what = f"messages a second that a robot hears in virtual time, fleet of {large} / {base}"
+    ratio = heard[large].total() / heard[base].total()
+    return [Figure(what, ratio, "", 1.1 if large > base else None)], table(heading, rows)
+
+
+def _counted(agent: Agent) -> Counter[str]:
+    """Counts from now on what an agent takes off the bus, by the last word of the keys."""
+    counts: Counter[str] = Counter()
+    receive = agent.receive
+
+    def counting(now_ns: int, key: str, payload: bytes) -> None:
+        counts[key.rpartition("/")[2]] += 1
+        receive(now_ns, key, payload)
+
+    agent.receive = counting  # type: ignore[method-assign]
+    return counts
+
+
 def _routed(fleet: Fleet) -> Fleet:
     return replace(fleet, network=replace(fleet.network, topology="routed"))
 
@@ -336,6 +386,7 @@ def run(options: Options) -> Result:
         parts = [
             starts(folder, options.count or (STARTS_QUICK if quick else STARTS)),
             sizes(folder, SIZES_QUICK if quick else SIZES),
+            in_virtual_time(VIRTUAL_QUICK if quick else VIRTUAL, 3.0 if quick else 10.0),
             in_fleets(folder, FED_QUICK if quick else FED, 8.0 if quick else 20.0),
             hogged(folder),
             beyond(folder, BEYOND_ROBOTS, rate_hz),
